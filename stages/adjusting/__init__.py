@@ -1,1 +1,1 @@
-"""Adjustment: one colour camera and better poses, by points that several frames show and measure."""
+"""Adjustment of poses and of the colour camera to matched keypoints and measured depth."""

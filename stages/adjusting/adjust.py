@@ -1,4 +1,4 @@
-"""Adjustment: poses and the colour camera made better by points that several frames show and measure."""
+"""Refinement of poses and of the colour camera by bundle adjustment."""
 
 from __future__ import annotations
 
@@ -46,51 +46,53 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 7
 
-# Where outlines say that photos lie elsewhere, points may land farther from their matches by this share.
+# Maximum relative rise of the median transfer error when silhouettes correct the colour camera.
 _NO_WORSE = 0.05
-# Points of outlines that hold the colour camera.
+# Approximate number of silhouette points in the prior on the colour camera.
 _ANCHORS = 1000
-# Colour and depth agree where points land this near, pixels: nothing is to be gained.
+# Median transfer error in pixels below which colour, depth and poses agree, so that no bundle adjustment
+# runs.
 _GOOD_PX = 0.5
-# What is found is taken where the median error falls by more than this share, and by more pixels than this.
+# Minimum decrease of the median transfer error for an accepted result: relative, and in pixels.
 _BETTER_SHARE, _BETTER_PX = 0.2, 0.3
-# Views that are adjusted together; of longer scans, frames between them are placed to these.
+# Maximum number of key frames in the bundle adjustment. Frames between key frames are localised afterwards.
 _MOST_KEYS = 200
-# Fewer observations leave a view where it was given.
+# Minimum number of observations of a key frame; with fewer, the key frame keeps its given pose.
 _LEAST_SEEN = 12
-# Parts that the adjustment itself is told to be done in, at most.
+# Progress steps reserved for `bundle`, which calls `tell` at most this often.
 _PARTS = 5
-# Poses that move by more than so many standard deviations are not the scan's.
+# Maximum median pose change in standard deviations. A larger change means poses of another scan or
+# convention.
 _FAR = 8.0
-# A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
+# Rotation per metre of translation in the prior on given poses, radians: 0.6° go with 20 mm.
 _TURN_PER_M = float(np.radians(30))
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdjustParams:
-    """How poses and the colour camera are adjusted."""
+    """Parameters of the adjustment of poses and colour camera."""
 
     enabled: bool | None = param(
         None,
-        "Adjust poses and the colour camera: by default where frames have colour and depth; what is not "
-        "better is not used.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Adjust poses and the colour camera. Default: if frames have colour and depth. A result that is not "
+        "better is discarded.",
+        # This option selects whether the stage runs; it does not change the result of the stage.
         invalidates=False,
     )
     camera: bool | None = param(
         None,
-        "Look for one colour camera of the whole scan (focal length, centre, k1, its place beside the depth "
-        "camera): by default used where it is clearly better than poses alone, and moved to where outlines "
-        "of things say that photos are; true asks for it, false keeps the given one.",
+        "Fit one colour camera for the whole scan (focal length, centre, k1, position relative to the depth "
+        "camera). Default: if clearly better than poses alone, or if silhouettes show that photos are offset "
+        "from depth. true always fits it, false keeps the given camera.",
     )
     shutter: bool | None = param(
         None,
-        "Look for how cameras turn while the rows of their images are read (a rolling shutter): by default "
-        "used where it is clearly better; true asks for it, false takes all rows as read at once.",
+        "Estimate the rotation of cameras while image rows are read out (rolling shutter). Default: if "
+        "clearly better. true always estimates it, false assumes that all rows are read at once.",
     )
     pose_deviation: float = param(
         0.02,
-        "Standard deviation of the given poses, with 0.3° for each 10 mm.",
+        "Standard deviation of the given poses: translation, and rotation with 0.3° per 10 mm.",
         unit="m",
         low=0,
         low_open=True,
@@ -107,27 +109,32 @@ def adjust(
     progress: Progress = silent,
     **changes: Unpack[AdjustKeywords],
 ) -> Adjusted:
-    """Make poses better, and the colour camera where that is wrong; what is not better is not used.
+    """Refine camera poses and the colour camera by bundle adjustment.
 
-    Outlines of things say where photos lie beside the depth maps; where that is clearly elsewhere than the
-    scan says, the colour camera is moved there. A few couples of frames say next whether more is to be
-    gained. If so, points that three frames or more show are recognised, and poses, points and one colour
-    camera are fitted to where they are seen and how deep they are measured (bundle adjustment), held to the
-    poses given; so is how cameras turn while the rows of their images are read, where that leaves less. Every
-    fifth point is held out: by these it is judged. Equal input gives equal bits, on any number of threads.
+    Silhouettes in depth maps and photos show the offset between both. If the offset is clear, the colour
+    camera is corrected first. Then a few frame pairs are matched. If colour, depth and poses agree there,
+    the poses stay. Otherwise keypoints of at least three frames are joined into tracks. Bundle adjustment
+    fits poses, points and one colour camera to keypoint positions and measured depth, with a prior on the
+    given poses. Rolling-shutter rotations are fitted, too, if they clearly reduce the error. Every fifth
+    track is held out; results that do not improve the held-out tracks are discarded. Equal input gives
+    bit-identical results on any number of threads.
 
     Parameters
     ----------
-    scan : frames with colour, depth and poses; others stay as they are.
-    params : AdjustParams; single fields can be given by name instead.
-    progress : called with steps of the work that are done, and their number.
+    scan : frames with colour, depth and poses; other frames are returned unchanged.
+    params : AdjustParams; single fields can be passed by name instead.
+    progress : called with the number of finished steps and the total number of steps.
+
+    Returns
+    -------
+    Adjusted : all frames, with metrics. `Adjusted.why` states the reason if the poses stay as given.
 
     References
     ----------
     Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; Hedborg,
     Forssén, Felsberg and Ringaby, "Rolling shutter bundle adjustment", 2012; Levinson and Thrun, "Automatic
-    online calibration of cameras and lasers", 2013; features and fundamental matrices are OpenCV's, the
-    sparse algebra SciPy's.
+    online calibration of cameras and lasers", 2013. Features and fundamental matrices are computed with
+    OpenCV, sparse algebra with SciPy.
     """
     params = resolve(AdjustParams, params, changes)
     with collecting() as diagnostics:
@@ -136,7 +143,7 @@ def adjust(
 
 
 def _looked_over(frames: tuple[Frame, ...], params: AdjustParams, progress: Progress) -> Adjusted:
-    """Adjust frames unless a few of them show that nothing is to be gained."""
+    """Adjust frames unless a sample shows that they already agree."""
     start = time.perf_counter()
     places = usable(frames)
     if len(places) < 2:
@@ -159,15 +166,15 @@ def _looked_over(frames: tuple[Frame, ...], params: AdjustParams, progress: Prog
 
 @dataclass(frozen=True, eq=False)
 class _Begun:
-    """What there is before poses are adjusted.
+    """State before the bundle adjustment.
 
     Attributes
     ----------
-    given : the frames of the scan.
-    frames : these, with the colour camera where outlines say that it is, if that is elsewhere.
-    sights : the outlines of some frames; none where the colour camera is to stay.
-    offset : what they say of the given camera.
-    start : of the work, seconds.
+    given : frames of the scan.
+    frames : the same frames, with the corrected colour camera if silhouettes show a clear offset.
+    sights : silhouettes of some frames; empty if the colour camera must not change.
+    offset : photo-to-depth offset with the given colour camera; None if it could not be measured.
+    start : `time.perf_counter()` when the work began, seconds.
     """
 
     given: tuple[Frame, ...]
@@ -178,18 +185,25 @@ class _Begun:
 
     @property
     def has_camera(self) -> bool:
-        """Say whether the colour camera is another one."""
+        """Return True if silhouettes have corrected the colour camera."""
         return self.frames is not self.given
 
     def offset_after(self, frame: Frame) -> Offset | None:
-        """Return what outlines say of the colour camera of a frame."""
+        """Measure the photo-to-depth offset with the colour camera of a frame."""
         return offset(self.sights, color_camera(frame), place_of_color(frame))
 
 
 def _moved_to_outlines(
     frames: tuple[Frame, ...], places: Sequence[int], seen: Look, params: AdjustParams, start: float
 ) -> tuple[_Begun, Look]:
-    """Move the colour camera where outlines clearly say so; return that, and what frames then show."""
+    """Correct the colour camera if silhouettes show a clear offset.
+
+    The correction is discarded if it raises the transfer error of matched points.
+
+    Returns
+    -------
+    State with the frames to adjust, and the agreement measured on these frames.
+    """
     first = frames[places[0]]
     may_move = params.camera is not False and has_one_camera([frames[place] for place in places])
     shown = sights(frames, places) if may_move else []
@@ -207,7 +221,7 @@ def _moved_to_outlines(
         moved[place] = replace(moved[place], color_camera=camera, color_from_depth=apart)
     again = look(moved, places)
     if again.trouble or again.median > (1 + _NO_WORSE) * seen.median:
-        # Nor is a camera that is fitted moved by outlines that points contradict.
+        # Silhouettes that contradict matched points must not influence the fitted camera either.
         return replace(as_given, sights=()), seen
     return _Begun(frames, tuple(moved), shown, found, start), again
 
@@ -236,7 +250,7 @@ def _adjusted(
     keys = list(views)
     key_views = list(views.values())
     if len(keys) < 2:
-        why = f"{len(keys)} frames can be used"
+        why = "fewer than two key frames can be used"
         return _left(begun, why, skipped, Transfer.of(seen.errors))
     start = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
     couples = partners(overlaps(key_views, start))
@@ -254,7 +268,7 @@ def _adjusted(
         lambda: steps.done(1),
     )
     if made is None:
-        why = "too few points are seen by three frames"
+        why = "too few points are matched in three or more frames"
         return _left(begun, why, skipped, Transfer.of(seen.errors))
     before, after = Transfer.of(made.before), Transfer.of(made.after)
     better, why = _judged(before, after)
@@ -312,7 +326,10 @@ def _adjusted(
 
 
 def _held_by_outlines(begun: _Begun, view: View, cameras: Cameras) -> tuple[Cameras, Anchor | None]:
-    """Move a colour camera that was fitted to where outlines say that it is, and hold it there."""
+    """Correct a fitted colour camera by silhouettes, and create its prior.
+
+    Returns the cameras unchanged and no prior if the offset is unclear.
+    """
     camera = camera_of(cameras.lenses[0], view.size, view.full_size)
     found = offset(begun.sights, camera, cameras.color_from_depth[0])
     if found is None or not found.is_clear:
@@ -326,24 +343,28 @@ def _held_by_outlines(begun: _Begun, view: View, cameras: Cameras) -> tuple[Came
 
 
 def _what(begun: _Begun, made: Bundle) -> str:
-    what = "poses and colour camera" if made.has_camera or begun.has_camera else "poses"
-    return f"{what}, and turns while rows are read (rolling shutter)," if made.has_turns else what
+    names = ["poses"]
+    if made.has_camera or begun.has_camera:
+        names.append("colour camera")
+    if made.has_turns:
+        names.append("rolling shutter")
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
-    """Return why poses cannot have been what was given, as the end of a sentence; empty if they can."""
+    """Return the reason why the given poses are implausible; empty if plausible."""
     moved = np.array([motion_apart(a, b) for a, b in zip(given.poses, found.poses, strict=True)])
     metres, degrees = np.median(moved, axis=0)
     if metres < _FAR * prior[0] and degrees < _FAR * np.degrees(prior[3]):
         return ""
     return (
         f"poses would move by {1000 * metres:.0f} mm and {degrees:.1f}° (median), far more than "
-        "pose_deviation allows: they are of another scan, or taken the wrong way round"
+        "adjust.pose_deviation allows; they belong to another scan or have another pose convention"
     )
 
 
 def _share_a_camera(frames: Sequence[Frame], views: Sequence[View]) -> bool:
-    """Say whether one colour camera took all images, of a lens that can be adjusted."""
+    """Check whether all images share one colour camera with an adjustable lens."""
     return all(view.size == views[0].size for view in views) and has_one_camera(frames)
 
 
@@ -352,14 +373,14 @@ def _pose(frame: Frame) -> NDArray[np.float64]:
 
 
 def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]:
-    """Say whether what was found is better, and why."""
+    """Decide whether the adjusted result is better, and give the reason."""
     if before is None or after is None:
-        return False, "no held-out point is measured before and after"
+        return False, "no held-out point has depth both before and after"
     gained = before.median - after.median
-    told = f"held-out points land {after.median:.2f} px from their matches, {before.median:.2f} px before"
+    told = f"the median error of held-out points is {after.median:.2f} px, before {before.median:.2f} px"
     if gained > _BETTER_SHARE * before.median and gained > _BETTER_PX:
         return True, told
-    return False, f"{told}: not better by {_BETTER_SHARE:.0%} and {_BETTER_PX} px"
+    return False, f"{told}; an improvement of {_BETTER_SHARE:.0%} and {_BETTER_PX} px is required"
 
 
 def _with(
@@ -369,7 +390,10 @@ def _with(
     views: dict[int, View],
     keys: Sequence[int],
 ) -> Frame:
-    """Return a frame with what was found of it: pose and turn, and the colour camera if there is another."""
+    """Return a frame with its adjusted pose, readout rotation and colour camera.
+
+    `placed` is None for frames that keep their pose. The colour camera changes only if it was fitted.
+    """
     if placed is not None:
         turn = placed.turn if made.has_turns else frame.shutter_turn
         frame = replace(frame, world_from_camera=placed.pose, shutter_turn=turn)
@@ -390,9 +414,9 @@ def _left(
     before: Transfer | None,
     after: Transfer | None = None,
 ) -> Adjusted:
-    """Return frames whose poses are left as given."""
+    """Create the result for poses that stay as given."""
     with_color = [n for n, frame in enumerate(begun.given) if frame.color is not None]
-    # What has no depth or pose keeps its camera.
+    # Frames without depth or pose keep their camera, so a frame with a corrected camera is preferred.
     moved = [n for n in with_color if begun.frames[n] is not begun.given[n]]
     which = next(iter(moved or with_color), None)
     was, now = (
@@ -400,7 +424,7 @@ def _left(
     )
     why = f"left as given: {why}{_said_of(skipped)}"
     if begun.has_camera and begun.offset is not None:
-        why = f"colour camera moved {begun.offset.said}, to where outlines are in photos; poses {why}"
+        why = f"colour camera moved by {begun.offset.said}, to match silhouettes in the photos; poses {why}"
     return Adjusted(
         frames=begun.frames,
         places=(),
@@ -432,17 +456,17 @@ def _report_mismatch(why: str) -> None:
 
 
 def _said_of(skipped: Sequence[SkippedFrame]) -> str:
-    """Return the end of a sentence about frames that cannot be used; empty without any."""
+    """Format a clause about unusable frames; empty if all frames are usable."""
     said = ""
     for what in (BLACK, OVER_EXPOSED):
         count = sum(exposure_of(one) == what for one in skipped)
-        said += f"; {counted(count, 'colour image')} {what}" if count else ""
+        said += f"; {counted(count, 'frame')} skipped: {what} colour image" if count else ""
     unread = sum(exposure_of(one) is None for one in skipped)
-    return said + (f"; {counted(unread, 'frame')} cannot be read" if unread else "")
+    return said + (f"; {counted(unread, 'frame')} skipped: unreadable" if unread else "")
 
 
 class _Steps:
-    """Counts steps of the work towards a total that is known before."""
+    """Progress counter with a known total."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0

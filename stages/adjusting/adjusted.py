@@ -1,4 +1,4 @@
-"""What adjustment gives: frames, figures, and whether they are better than what was given."""
+"""Result of the adjustment: frames, metrics, and the decision to accept it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from scanloom.stages.scans.model.scan import Camera, Frame, SkippedFrame
 
 @dataclass(frozen=True)
 class Transfer:
-    """How far from its match a point lands in another frame, pixels, at most: half, 3/4 and 9/10 of them."""
+    """Percentiles of the transfer error, pixels.
+
+    The transfer error is the distance between a keypoint and its match, reprojected from another frame.
+    """
 
     median: float
     p75: float
@@ -24,37 +27,37 @@ class Transfer:
 
     @classmethod
     def of(cls, errors: NDArray[np.float64]) -> Transfer | None:
-        """Return it for errors (n,); None without any."""
+        """Compute the percentiles of errors (n,); None if there are no errors."""
         return cls(*(float(value) for value in np.percentile(errors, (50, 75, 90)))) if len(errors) else None
 
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """Frames of a scan with what was found.
+    """Adjusted frames of a scan, with metrics.
 
     Attributes
     ----------
-    frames : all of them, in order; those that were adjusted have another `world_from_camera`, if `has_turns`
-        a `shutter_turn`; if `has_camera`, those with colour, depth and a pose have another
-        `color_camera` and `color_from_depth`.
-    places : of the frames whose poses were adjusted.
-    accepted : what was found is better, and used; else the frames are as they were.
-    why : the reason, a sentence.
-    has_camera : the colour camera was adjusted, too.
-    has_turns : so was how cameras turn while the rows of their images are read.
-    offset_before, offset_after : where photos lie beside depth, by outlines; None where few tell, and of no
-        `after` where that was not measured again.
-    before, after : transfer errors of held-out points; of a few couples of frames, and no `after`, where that
-        was enough.
-    key_frames : frames that were adjusted together.
-    points : that three of these or more show.
-    unplaced : frames that keep the pose that was given.
-    skipped : frames that cannot be used, and why.
-    camera_before, camera_after : of the first frame's colour image.
-    moved_mm, moved_deg : the median and the largest change of a pose.
-    turns_deg : the median and the largest turn from the first row to the last.
-    seconds : of the work.
-    diagnostics : what is odd.
+    frames : all frames, in order. Adjusted frames have a new `world_from_camera`, and a `shutter_turn` if
+        `has_turns`. If `has_camera`, frames with colour, depth and a pose have a new `color_camera` and
+        `color_from_depth`.
+    places : indices of the frames whose poses were adjusted.
+    accepted : the result is better and is used; otherwise `frames` are the given frames.
+    why : reason for the decision, a sentence.
+    has_camera : the colour camera was adjusted.
+    has_turns : rolling-shutter rotations were adjusted.
+    offset_before, offset_after : photo-to-depth offset at silhouettes; None if too few were found.
+        `offset_after` is also None if the colour camera did not change.
+    before, after : transfer errors of held-out points. If no bundle adjustment ran, `before` is measured on a
+        few frame pairs, and `after` is None.
+    key_frames : number of frames in the bundle adjustment.
+    points : number of tracks in the bundle adjustment, each seen in at least three key frames.
+    unplaced : number of frames that keep their given pose; 0 if no pose was adjusted.
+    skipped : unusable frames, with reasons.
+    camera_before, camera_after : colour camera of the first adjusted frame.
+    moved_mm, moved_deg : median and maximum change of the poses, millimetres and degrees.
+    turns_deg : median and maximum rotation from the first to the last image row, degrees.
+    seconds : run time.
+    diagnostics : warnings.
     """
 
     frames: tuple[Frame, ...]
@@ -83,7 +86,7 @@ class Adjusted:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what a report says of it, as JSON values."""
+        """Return the metrics for the report, as JSON values."""
         return {
             "accepted": self.accepted,
             "why": self.why,

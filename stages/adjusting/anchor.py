@@ -1,7 +1,7 @@
-"""What holds the colour camera beside the depth cameras where outlines of things say that it is.
+"""Prior on the colour camera from silhouettes.
 
-Points that are matched hardly tell a shift of all photos, nor how that differs between near and far: poses
-give way to it.
+Matched points barely constrain a shift of all photos, or a shift that differs between near and far points,
+because poses absorb both.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from scanloom.stages.adjusting.cameras import Cameras, by_camera, carried
 from scanloom.stages.adjusting.lens import derivatives, project
 
-# How well outlines tell where photos are, pixels.
+# Standard deviation of the image position measured at silhouettes, pixels.
 _DEVIATION = 0.3
 
 
 class Anchor(NamedTuple):
-    """Where a colour camera, one for all views, shows outlines.
+    """Expected image positions of near and far silhouettes, for one colour camera.
 
     Attributes
     ----------
-    points : (2, k, 3) of near and of far outlines, metres, axes of the depth cameras.
-    middles : (2, 2) pixels, the means of where photos show these.
+    points : (2, k, 3) silhouette points, the near half and the far half; metres, axes of the depth cameras.
+    middles : (2, 2) mean pixel of each half in the photos.
     """
 
     points: NDArray[np.float64]
@@ -32,7 +32,13 @@ class Anchor(NamedTuple):
 
 
 def anchor_of(points: NDArray[np.float64], cameras: Cameras) -> Anchor:
-    """Return what holds a colour camera where it is, by outlines (n, 3)."""
+    """Create a prior that holds the colour camera at its current state.
+
+    Parameters
+    ----------
+    points : (n, 3) silhouette points, metres, axes of the depth cameras.
+    cameras : cameras with one common colour camera.
+    """
     order = np.argsort(points[:, 2], kind="stable")
     half = len(points) // 2
     groups = points[np.stack([order[:half], order[half : 2 * half]])]
@@ -40,13 +46,13 @@ def anchor_of(points: NDArray[np.float64], cameras: Cameras) -> Anchor:
 
 
 def off_anchor(anchor: Anchor, cameras: Cameras) -> NDArray[np.float64]:
-    """Return how far a colour camera is from there, (4,) standard deviations."""
+    """Compute the residuals (4,) of the prior, in standard deviations."""
     middles = np.stack([_middle(group, cameras) for group in anchor.points])
     return np.asarray((middles - anchor.middles).ravel() / _DEVIATION)
 
 
 def anchor_rows(anchor: Anchor, cameras: Cameras) -> NDArray[np.float64]:
-    """Return how that changes with a step of the colour camera, (4, 10)."""
+    """Compute the Jacobian (4, 10) of the prior for the colour camera."""
     rows = []
     for group in anchor.points:
         shown = _shown(group, cameras)

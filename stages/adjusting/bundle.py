@@ -1,6 +1,6 @@
-"""Cameras that fit what views have matched: poses alone, with the colour camera, with rolling shutters.
+"""Camera fits to matches: poses alone, with the colour camera, with rolling shutter.
 
-Which of these is judged on other points.
+Held-out tracks decide which model is used.
 """
 
 from __future__ import annotations
@@ -24,34 +24,36 @@ from scanloom.stages.adjusting.surfaces import Surfaces
 from scanloom.stages.adjusting.tracks import Tracks, tracks
 from scanloom.stages.adjusting.view import View
 
-# Every fifth point is held out.
+# One of this many tracks is held out.
 _HELD_OUT = 5
-# The colour camera begins as given, and as one that sees more (colour cameras of RGB-D sensors often do).
+# Initial focal lengths of the colour camera, relative to the given one. Colour cameras of RGB-D sensors often
+# have a wider field of view than the scan states.
 _ZOOMS = (1.0, 0.9)
-# Points that are enough to choose by; turns of looking depth up and steps between.
+# Approximate number of tracks in the fits that select a model; rounds of depth lookup, and solver steps in
+# each round.
 _FEW, _TURNS, _STEPS = 1500, 4, 3
-# A colour camera of its own must leave less than this share of the error that nine tenths of the points stay
-# below: a wrong lens is off most at the border of the image.
+# Maximum error ratio for accepting a fitted colour camera, at this percentile of the transfer error. The
+# percentile is high because a wrong lens shows most at the image border.
 _BETTER_CAMERA, _MOST = 0.8, 90
-# Cameras that turn while rows are read must leave less than this share of it; that is worth a try only where
-# less than another is left by each camera alone, while points stay.
+# Maximum error ratio for accepting rolling-shutter rotations, at the same percentile. The fit is only tried
+# if the cheaper fit of single views to fixed points reaches the second ratio.
 _BETTER_TURNS, _PROMISING = 0.8, 0.85
-# Matches that land farther off than this, once cameras fit, are wrong.
+# Transfer error above which a match is an outlier, after a first fit of the cameras, pixels.
 _WRONG_PX = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Cameras that were found.
+    """Result of the bundle adjustment.
 
     Attributes
     ----------
-    cameras : of all views.
-    has_camera : the colour camera was adjusted, too.
-    has_turns : so was how cameras turn while rows are read.
-    before, after : (n,) pixels, transfer errors of held-out matches that are measured both times.
-    points : that were adjusted, by (n,) tracks.
-    seen : (m,) observations of each view.
+    cameras : adjusted cameras of all m views.
+    has_camera : the colour camera was adjusted.
+    has_turns : rolling-shutter rotations were adjusted.
+    before, after : (n,) transfer errors of the held-out matches that have an error in both cases, pixels.
+    points : number of adjusted points.
+    seen : (m,) number of observations in each view.
     """
 
     cameras: Cameras
@@ -73,22 +75,23 @@ def bundle(
     outlined: Callable[[Cameras], tuple[Cameras, Anchor | None]],
     tell: Callable[[], object],
 ) -> Bundle | None:
-    """Adjust cameras to matches.
+    """Fit cameras to matches by bundle adjustment.
 
     Parameters
     ----------
-    given : to begin with.
-    found : all matches that a motion explains.
+    views : keypoints and depth of m views.
+    given : initial cameras of the views.
+    found : matches that satisfy the epipolar geometry.
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
-    camera : adjust the colour camera: True, False, or None where it is clearly better on held-out points.
-    shutter : the same for how cameras turn while rows are read.
-    outlined : moves the colour camera of cameras to where outlines say that it is, and says what holds it
-        there; where that is not clear, it does neither.
+    camera : fit the colour camera; None accepts it only if held-out points become clearly better.
+    shutter : fit rolling-shutter rotations; None as for `camera`.
+    outlined : corrects a fitted colour camera by silhouettes and returns it with a prior. If the offset is
+        unclear, it returns the cameras unchanged and None.
     tell : called after each of five parts of the work.
 
     Returns
     -------
-    Bundle, or None if too few points are seen by three views.
+    Bundle, or None if there are too few tracks.
     """
     near = gaps(views, given, found) < GAP_SHARE
     joined = tracks(views, found.take(near))
@@ -124,7 +127,7 @@ def bundle(
         if shutter or _ratio(off(best), off(other)) < _BETTER_TURNS:
             best, has_turns = other, True
     tell()
-    # With cameras that nearly fit, wrong matches are told from right ones, and right ones from wrong ones.
+    # Fitted cameras separate inliers from outliers better than epipolar geometry, so tracks are built again.
     rest = found.take(~of_held)
     rest = rest.take(np.flatnonzero(errors(views, best, rest) < _WRONG_PX))
     train = tracks(views, _without_held(rest, judged))
@@ -147,7 +150,7 @@ def bundle(
 
 
 def _without_held(rest: Matches, judged: Matches) -> Matches:
-    """Return matches without those that share a keypoint with what is held out."""
+    """Drop matches that share a keypoint with a held-out match."""
     most = int(max(rest.points.max(initial=0), judged.points.max(initial=0))) + 1
     held = np.unique(judged.couples * most + judged.points)
     shared = np.asarray(np.isin(rest.couples * most + rest.points, held).any(axis=1))
@@ -155,7 +158,10 @@ def _without_held(rest: Matches, judged: Matches) -> Matches:
 
 
 def _ratio(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Return what share of one's error the other has, of matches that both measure."""
+    """Compute the error ratio other / one, at the percentile `_MOST`.
+
+    Only matches with an error in both are compared; infinity without any.
+    """
     both = ~(np.isnan(one) | np.isnan(other))
     if not both.any():
         return np.inf
@@ -163,13 +169,13 @@ def _ratio(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 
 class Measured(NamedTuple):
-    """What all fits have in common.
+    """Input that all fits share.
 
     Attributes
     ----------
-    views : what was seen, and how deep.
-    given : their cameras.
-    surfaces : of couples of views, which are to meet.
+    views : keypoints and depth of m views.
+    given : cameras of the views as given, the centre of the pose prior.
+    surfaces : surface points of frame pairs, for point-to-plane residuals.
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
     """
 
@@ -182,7 +188,10 @@ class Measured(NamedTuple):
 def solved(
     measured: Measured, start: Cameras, train: Tracks, frees: Frees, anchor: Anchor | None = None
 ) -> Cameras:
-    """Return the cameras of least cost, by turns of looking up depth and stepping."""
+    """Fit cameras by alternating depth lookup and solver steps.
+
+    Returns `start` if no track has a measured depth.
+    """
     begun = _begun(measured, start, train, frees, anchor)
     if begun is None:
         return start
@@ -194,7 +203,7 @@ def solved(
 
 
 def _each_alone(measured: Measured, start: Cameras, train: Tracks) -> Cameras:
-    """Return cameras that turn while rows are read, each fitted alone to points where they are measured."""
+    """Fit pose and readout rotation of each view alone, to fixed points."""
     begun = _begun(measured._replace(surfaces=Surfaces.none()), start, train, Frees(turns=True))
     return start if begun is None else resected(measured.views, *begun, _STEPS)[1].cameras
 
@@ -202,7 +211,10 @@ def _each_alone(measured: Measured, start: Cameras, train: Tracks) -> Cameras:
 def _begun(
     measured: Measured, start: Cameras, train: Tracks, frees: Frees, anchor: Anchor | None = None
 ) -> tuple[Problem, State] | None:
-    """Return the problem, and points at the means of where views measure them; None if none is measured."""
+    """Set up the problem, with points at the mean of their measurements.
+
+    Returns None if no track has a measured depth.
+    """
     views, given, surfaces, pose_prior = measured
     places = in_world(start, train.view, lifted(views, start, train.view, train.pixels), train.late)
     known = ~np.isnan(places[:, 0])

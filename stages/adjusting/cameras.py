@@ -1,4 +1,4 @@
-"""What is adjusted: the poses of views, and one correction of the colour camera that all of them share."""
+"""Unknowns of the adjustment: poses of the views, and one correction of their common colour camera."""
 
 from __future__ import annotations
 
@@ -11,26 +11,27 @@ from numpy.typing import NDArray
 from scanloom.stages.adjusting.lens import OPENCV
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, scaled
 
-# What is free in a colour camera: log of the focal length, centre (x, y, pixels), k1, and its place (x, y, z,
-# metres, then a turn, radians).
+# Number of unknowns of the colour camera: log of the focal length, principal point (x, y, pixels), k1, and
+# extrinsics (x, y, z, metres, then a rotation vector, radians).
 FREE = 10
-# What is free in a pose: a shift and a turn; where rows are read one after the other, how it turns meanwhile.
+# Number of unknowns of a pose: translation and rotation; with a rolling shutter also the rotation during
+# readout. Then the maximum deviation of R Rᵀ from the identity, for poses read from text with few digits.
 STILL, TURNING = 6, 9
 _RIGID_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """Cameras of m views.
+    """Depth and colour cameras of m views.
 
     Attributes
     ----------
-    poses : (m, 4, 4) world_from_camera, of the depth cameras.
-    lenses : (m, 9) of the colour cameras: fx, fy, cx, cy in pixels of the image that was looked at; k1, k2,
-        p1, p2, k3.
-    color_from_depth : (m, 4, 4).
-    turns : (m, 3) rotation vectors, radians, in the axes of the depth cameras: how each turns from its first
-        row to its last one (a rolling shutter); `poses` are those at the middle row.
+    poses : (m, 4, 4) world_from_camera of the depth cameras.
+    lenses : (m, 9) intrinsics of the colour cameras: fx, fy, cx, cy in pixels of the downscaled image
+        (`View.size`), then the distortion coefficients k1, k2, p1, p2, k3.
+    color_from_depth : (m, 4, 4) extrinsics of the colour cameras, metres.
+    turns : (m, 3) rotation of each depth camera from its first to its last image row (rolling shutter).
+        Rotation vectors in camera axes, radians. `poses` refer to the middle row.
     """
 
     poses: NDArray[np.float64]
@@ -40,7 +41,13 @@ class Cameras:
 
     @classmethod
     def given(cls, frames: Sequence[Frame], lenses: Sequence[NDArray[np.float64]]) -> Cameras:
-        """Return the cameras of frames with poses, as the scan gives them."""
+        """Create cameras from posed frames, as the scan gives them.
+
+        Parameters
+        ----------
+        frames : m frames.
+        lenses : m arrays (9,), see the attribute of the same name.
+        """
         here = np.eye(4)
         return cls(
             np.stack([_orthonormal(one.world_from_camera) for one in frames]),
@@ -50,23 +57,23 @@ class Cameras:
         )
 
     def zoomed(self, share: float) -> Cameras:
-        """Return them with this share of the focal length of the colour cameras."""
+        """Scale the focal lengths of the colour cameras."""
         lenses = self.lenses.copy()
         lenses[:, :2] *= share
         return replace(self, lenses=lenses)
 
     def of(self, which: NDArray[np.intp]) -> Cameras:
-        """Return those of some views."""
+        """Select the cameras of some views."""
         return Cameras(self.poses[which], self.lenses[which], self.color_from_depth[which], self.turns[which])
 
     def moved(self, poses: NDArray[np.float64], camera: NDArray[np.float64]) -> Cameras:
-        """Return them after small steps.
+        """Return the cameras after a step of the unknowns.
 
         Parameters
         ----------
-        poses : (m, 6) shift and turn of each view in its own axes, metres, radians; or (m, 9), with what is
-            added to its `turns`.
-        camera : (10,) of every colour camera, see `FREE`.
+        poses : (m, 6) translation and rotation of each view in its own axes, metres and radians; (m, 9) also
+            changes `turns`.
+        camera : (10,) step of all colour cameras, see `FREE`.
         """
         lenses = self.lenses.copy()
         lenses[:, :2] *= np.exp(camera[0])
@@ -80,7 +87,7 @@ class Cameras:
 
 
 def is_rigid(pose: Pose | None) -> bool:
-    """Say whether there is a pose that is nearly a rotation and a shift, as text of few digits gives it."""
+    """Check whether a pose exists, is finite and is nearly rigid."""
     if pose is None or not np.isfinite(pose).all():
         return False
     turn = np.asarray(pose, np.float64)[:3, :3]
@@ -97,7 +104,10 @@ def _orthonormal(pose: Pose | None) -> Pose:
 
 
 def motion(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 4, 4) motions of (n, 6) shifts and turns (rotation vectors, Rodrigues' formula)."""
+    """Compute motions (n, 4, 4) from translations and rotation vectors (n, 6).
+
+    Rodrigues' formula; metres and radians.
+    """
     turns = steps[:, 3:]
     angle = np.linalg.norm(turns, axis=1)[:, None, None]
     cross = skew(turns)
@@ -110,7 +120,10 @@ def motion(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def steps_of(moves: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n, 6) shifts and turns of (n, 4, 4) motions: what `motion` takes."""
+    """Decompose motions (n, 4, 4) into translations and rotation vectors (n, 6).
+
+    Inverse of `motion`.
+    """
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()
@@ -118,7 +131,10 @@ def steps_of(moves: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 3, 3) matrices of the cross product with (n, 3) vectors from the left."""
+    """Compute cross-product matrices (n, 3, 3) of vectors (n, 3).
+
+    `skew(a) @ b` is a × b.
+    """
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
@@ -127,18 +143,22 @@ def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def by_camera(
     shown: NDArray[np.float64], by_point: NDArray[np.float64], by_lens: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return how pixels change with a step of the colour camera, (n, 2, 10), see `FREE`.
+    """Compute the Jacobian of pixels with respect to the colour camera.
 
     Parameters
     ----------
-    shown : (n, 3) points in the axes of the colour camera.
+    shown : (n, 3) points in the axes of the colour camera, metres.
     by_point, by_lens : (n, 2, 3) and (n, 2, 4), see `lens.derivatives`.
+
+    Returns
+    -------
+    (n, 2, 10) pixels per unit of each unknown, see `FREE`.
     """
     return np.concatenate([by_lens, by_point, -by_point @ skew(shown)], axis=2)
 
 
 def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inverses of (n, 4, 4) rigid motions."""
+    """Invert rigid motions (n, 4, 4)."""
     back = np.tile(np.eye(4), (len(poses), 1, 1))
     back[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
     back[:, :3, 3] = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
@@ -146,12 +166,12 @@ def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def carried(moves: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 3) points after (n, 4, 4) motions, each by its own."""
+    """Transform points (n, 3), each by its own motion (n, 4, 4)."""
     return np.asarray(np.einsum("nij,nj->ni", moves[:, :3, :3], points) + moves[:, :3, 3])
 
 
 def lens_of(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
-    """Return the (9,) lens of a camera's image in another size."""
+    """Compute the lens parameters (9,) of a camera for an image size."""
     sized = scaled(camera, width, height)
     lens = np.zeros(4 + OPENCV)
     lens[:4] = sized.fx, sized.fy, sized.cx, sized.cy
@@ -160,7 +180,14 @@ def lens_of(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
 
 
 def camera_of(lens: NDArray[np.float64], size: tuple[int, int], full_size: tuple[int, int]) -> Camera:
-    """Return the camera of images (width, height) of a full size, whose lens is of another size."""
+    """Create a camera for images of full size from lens parameters.
+
+    Parameters
+    ----------
+    lens : (9,), see `Cameras.lenses`.
+    size : (width, height) that the lens parameters refer to.
+    full_size : (width, height) of the images of the returned camera.
+    """
     bent = tuple(float(k) for k in lens[4:])
     bent = bent if any(bent[4:]) else bent[:4]
     fx, fy, cx, cy = (float(value) for value in lens[:4])
@@ -168,7 +195,7 @@ def camera_of(lens: NDArray[np.float64], size: tuple[int, int], full_size: tuple
 
 
 def motion_apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """Return how far two poses of a camera are apart, metres and degrees."""
+    """Compute the distance between two poses, in metres and degrees."""
     turn = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1) / 2
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(
         np.degrees(np.arccos(np.clip(turn, -1, 1)))

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of adjustment, with explanations."""
+"""Diagnostic codes of the adjustment, with explanations."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ ADJUST_IMAGES_MISMATCH = Code(
     "adjust.images-mismatch",
     "Poses or images of another scan",
     """
-A warning, and poses stay as given: points are recognised from frame to frame, but not where depth and
-poses put them. The poses are of another scan, or paired with the wrong frames, or depth is of another
-size or unit.
+A warning; poses stay as given. Keypoints match between frames, but their 3-D positions from depth and poses
+disagree. The poses belong to another scan, are paired with the wrong frames or have another pose convention,
+or the depth has another size or unit.
 """,
     (
-        "not adjusted: poses would move by 312 mm and 41.0° (median), far more than pose_deviation "
-        "allows: they are of another scan, or taken the wrong way round"
+        "not adjusted: poses would move by 312 mm and 41.0° (median), far more than adjust.pose_deviation "
+        "allows; they belong to another scan or have another pose convention"
     ),
 )

@@ -1,18 +1,18 @@
-"""A pinhole camera with OpenCV's five coefficients: pixels of points, how they move, and rays of pixels."""
+"""Pinhole camera with OpenCV distortion: projection, its derivatives, and rays of pixels."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Coefficients of the lens that are understood: k1, k2, p1, p2, k3.
+# Number of supported distortion coefficients: k1, k2, p1, p2, k3.
 OPENCV = 5
-# Steps that take distortion out; lenses of depth cameras are done in a few.
+# Fixed-point iterations of undistortion; mild lenses, as in depth cameras, converge in a few.
 _STEPS = 12
 
 
 def project(points: NDArray[np.float64], lenses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n, 2) pixels of points.
+    """Project points to pixels (n, 2), with lens distortion.
 
     Parameters
     ----------
@@ -28,13 +28,18 @@ def project(points: NDArray[np.float64], lenses: NDArray[np.float64]) -> NDArray
 def derivatives(
     points: NDArray[np.float64], lenses: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the pixels of points, and how these move with the points and with the lens.
+    """Project points to pixels, and compute the derivatives.
+
+    Parameters
+    ----------
+    points : (n, 3) metres, axes of the camera.
+    lenses : (n, 9) or (9,), see `Cameras.lenses`.
 
     Returns
     -------
     pixels : (n, 2).
-    by_point : (n, 2, 3), per metre.
-    by_lens : (n, 2, 4), per log of the focal length, pixel of the centre's x and y, and k1.
+    by_point : (n, 2, 3) derivatives by the point, pixels per metre.
+    by_lens : (n, 2, 4) derivatives by the log of the focal length, by cx and cy (pixels), and by k1.
     """
     inverse = 1 / points[:, 2]
     x, y = points[:, 0] * inverse, points[:, 1] * inverse
@@ -60,7 +65,7 @@ def derivatives(
 
 
 def rays(pixels: NDArray[np.floating], lenses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n, 3) rays of (n, 2) pixels, with a third coordinate of 1."""
+    """Compute the undistorted rays (n, 3) of pixels (n, 2), with z = 1."""
     fx, fy, cx, cy = lenses.T[:4]
     across, down = (pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy
     x, y = across, down

@@ -1,4 +1,4 @@
-"""From pixels of colour images to points: the depth there, looked up through both cameras."""
+"""Unprojection of colour pixels with the depth maps of the views."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ from scanloom.stages.adjusting.lens import project, rays
 from scanloom.stages.adjusting.shutter import as_read, in_the_middle, late_of
 from scanloom.stages.adjusting.view import View
 
-# Where the cameras stand apart, the depth along a ray is found by steps; it is found once the last one
-# changes it by less than this share.
+# Maximum iterations of the search for depth along a ray, and the relative change at convergence. The search
+# is needed because colour and depth camera have different positions.
 _STEPS, _SETTLED = 6, 0.01
-# Pixels to each side that tell how a surface slopes; depth that changes more is an edge.
+# Distance in pixels over which the slope of a surface is measured; larger relative depth changes are edges.
 _BESIDE, _BENT = 2, 0.1
 
 
 def lifted(
     views: Sequence[View], cameras: Cameras, view: NDArray[np.intp], pixels: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return the (n, 3) points that pixels show, metres, in the axes of the depth cameras as they are read.
-
-    What has no depth is NaN.
+    """Unproject colour pixels to points in depth-camera axes.
 
     Parameters
     ----------
-    view : (n,) which view each pixel is of.
-    pixels : (n, 2), of the colour image.
+    views : views with depth maps.
+    cameras : cameras of the views.
+    view : (n,) index of the view of each pixel.
+    pixels : (n, 2) in the colour image.
+
+    Returns
+    -------
+    (n, 3) metres, at the readout time of the pixel's row; NaN without depth.
     """
     way = rays(pixels, cameras.lenses[view])
     apart = cameras.color_from_depth[view]
@@ -43,7 +47,7 @@ def lifted(
         seen = carried(back, way * z[:, None])
         measured = depth_at(views, view, seen)
         known = measured > 0
-        # Beside what was measured, depth is searched from where the ray was.
+        # Without depth at the projection, the search goes on from the same point of the ray.
         seen *= (np.where(known, measured, seen[:, 2]) / seen[:, 2])[:, None]
         before, z = z, np.maximum(carried(apart, seen)[:, 2], 1e-3)
     known &= np.abs(z - before) < _SETTLED * z
@@ -53,7 +57,17 @@ def lifted(
 def depth_at(
     views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the depth (n,) that views measure where they see points of their own axes; 0 where none."""
+    """Look up the depth of views at the projections of points.
+
+    Parameters
+    ----------
+    view : (n,) index of the view of each point.
+    points : (n, 3) metres, axes of the depth camera of that view.
+
+    Returns
+    -------
+    (n,) metres; 0 without depth.
+    """
     lenses = np.stack([one.depth_lens for one in views])[view]
     return _sampled(views, view, _depth_pixels(lenses, points))
 
@@ -61,15 +75,20 @@ def depth_at(
 def planes_at(
     views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the planes that views measure where they see points of their own axes.
+    """Measure tangent planes of the depth maps at the projections of points.
 
-    The inverse depth of a plane is linear in the image: 1/z = a x + b y + c where aX + bY + cZ = 1.
+    The inverse depth of a plane is linear in the image: 1/z = a x + b y + c for aX + bY + cZ = 1.
+
+    Parameters
+    ----------
+    view : (n,) index of the view of each point.
+    points : (n, 3) metres, axes of the depth camera of that view.
 
     Returns
     -------
-    normals : (n, 3); `normals @ point - depth` is how far behind the plane a point is, metres of depth.
-    depth : (n,) metres, 0 where none is measured.
-    slope : (n,) metres that depth changes by in a pixel.
+    normals : (n, 3); `normals @ point - depth` is the distance of a point behind its plane, metres of depth.
+    depth : (n,) metres; 0 without depth.
+    slope : (n,) change of depth per pixel, metres.
     """
     lenses = np.stack([one.depth_lens for one in views])[view]
     pixels = _depth_pixels(lenses, points)
@@ -83,7 +102,7 @@ def planes_at(
         change = 1 / np.where(both, high, 1) - 1 / np.where(both, low, 1)
         normals[:, axis] = known * change / (2 * _BESIDE)
     slope = known * np.hypot(*normals[:, :2].T)
-    # From a change in a pixel to one in the ray.
+    # Convert derivatives per pixel to derivatives per unit of the ray.
     normals[:, :2] *= lenses[:, :2]
     normals[:, 2] = 1 - (normals[:, :2] * points[:, :2]).sum(axis=1) / np.maximum(points[:, 2], 1e-3)
     return normals, depth, slope
@@ -97,7 +116,10 @@ def _depth_pixels(lenses: NDArray[np.float64], points: NDArray[np.float64]) -> N
 def _sampled(
     views: Sequence[View], view: NDArray[np.intp], pixels: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the depth (n,) at pixels (n, 2) of depth maps; 0 beside them, and for NaN."""
+    """Look up depth (n,) at pixels (n, 2), rounded to the nearest.
+
+    The depth is 0 outside the depth map, and for NaN.
+    """
     width, height = np.array([one.depth.shape[::-1] for one in views])[view].T
     columns, rows = np.rint(np.nan_to_num(pixels, nan=-1.0).clip(-1, 1e6)).astype(np.intp).T
     inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
@@ -114,14 +136,28 @@ def _sampled(
 def in_world(
     cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64], late: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return points of the views' own axes, as rows are read that late (n,), in the world."""
+    """Transform points from the axes of their views to the world.
+
+    Parameters
+    ----------
+    view : (n,) index of the view of each point.
+    points : (n, 3) metres, depth-camera axes at the readout time of their row.
+    late : (n,) readout times of the rows, see stages/adjusting/shutter.py.
+    """
     return carried(cameras.poses[view], in_the_middle(points, cameras.turns[view], late))
 
 
 def in_color(
     cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64], late: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return points of the world in the axes of colour cameras, as rows are read that late (n,)."""
+    """Transform world points to the axes of the colour cameras.
+
+    Parameters
+    ----------
+    view : (n,) index of the view of each point.
+    points : (n, 3) metres.
+    late : (n,) readout times of the rows that see the points.
+    """
     middle = carried(inverted_all(cameras.poses)[view], points)
     return carried(cameras.color_from_depth[view], as_read(middle, cameras.turns[view], late))
 
@@ -132,12 +168,19 @@ def transfer_errors(
     couples: NDArray[np.intp],
     pixels: tuple[NDArray[np.floating], NDArray[np.floating]],
 ) -> NDArray[np.float64]:
-    """Return how far from its match a point lands in the other view, (n,) pixels; NaN where it has no depth.
+    """Compute the transfer errors of matches, pixels.
+
+    The keypoint of the first view is unprojected and reprojected into the second view. The error is the
+    distance to its match there.
 
     Parameters
     ----------
-    couples : (n, 2) the two views of each match.
-    pixels : of the first and of the second view, (n, 2) each.
+    couples : (n, 2) indices of the two views of each match.
+    pixels : (n, 2) pixels in the first views, and (n, 2) in the second views.
+
+    Returns
+    -------
+    (n,) pixels; NaN if the first view has no depth there, or the point is behind the second camera.
     """
     here, other = couples.T
     seen = lifted(views, cameras, here, pixels[0])

@@ -1,4 +1,4 @@
-"""A look at a few couples of frames, which says whether colour, depth and poses agree already."""
+"""Agreement of colour, depth and poses, measured on a few frame pairs."""
 
 from __future__ import annotations
 
@@ -16,23 +16,25 @@ from scanloom.stages.frames.sampling import sample_evenly
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 
-# Frames that are looked at, each with the middle one of those that have so much of it before them.
+# Number of sampled frames, and minimum overlap ratio of a partner. The partner of a frame is the frame with
+# the median overlap among all frames above this minimum.
 _LOOKS, _OVERLAP = 8, 0.8
-# Fewer matches tell nothing; where fewer of them are near each other, poses and depth do not belong together.
+# Minimum number of matches for a measurement. With a lower ratio of consistent matches than this, poses and
+# depth do not belong together.
 _LEAST, _LEAST_NEAR = 60, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What a few couples of frames show.
+    """Agreement of colour, depth and poses on a few frame pairs.
 
     Attributes
     ----------
-    views : by the frame's place, those that were read.
-    skipped : those that could not be, and why.
-    matches : points that two of them show.
-    errors : (n,) pixels, how far from its match a point lands, of those that both measure near each other.
-    near_share : how many of the matches that both measure these are; NaN without any.
+    views : readable views by frame index.
+    skipped : unusable frames, with reasons.
+    matches : number of matches between the frames of the pairs.
+    errors : (n,) transfer errors of the consistent matches, pixels.
+    near_share : ratio of consistent matches among matches with depth in both views; NaN without depth.
     """
 
     views: Mapping[int, View]
@@ -48,28 +50,28 @@ class Look:
 
     @property
     def is_of_another(self) -> bool:
-        """Say whether enough is recognised, and hardly any of it lies where depth and poses say."""
+        """Return True if there are enough matches, but few agree in 3-D."""
         return self.matches >= _LEAST and self.near_share < _LEAST_NEAR
 
     @property
     def trouble(self) -> str:
-        """Return why nothing can be told, as the end of a sentence; empty if something can."""
+        """Return why agreement is unknown, as a clause; empty if it was measured."""
         if not self.views:
-            return "none of the frames looked at shows anything"
+            return "none of the sampled frames can be read"
         if self.matches < _LEAST:
-            return f"only {self.matches} points are recognised from frame to frame"
+            return f"only {self.matches} keypoints match between frames"
         if np.isnan(self.near_share):
-            return "no depth is measured where points are recognised"
+            return "no matched keypoint has depth"
         if self.is_of_another:
             return (
-                f"of {self.matches} points recognised from frame to frame, depth and poses bring only "
-                f"{self.near_share:.0%} together: the poses, the depth or the colour are of something else"
+                f"only {self.near_share:.0%} of {self.matches} keypoint matches agree in 3-D; poses, depth "
+                "or colour belong to another scan"
             )
         return ""
 
 
 def usable(frames: Sequence[Frame]) -> list[int]:
-    """Return the places of frames that have colour, depth and a pose."""
+    """List the indices of frames with colour, depth and a rigid pose."""
     return [
         place
         for place, frame in enumerate(frames)
@@ -78,7 +80,13 @@ def usable(frames: Sequence[Frame]) -> list[int]:
 
 
 def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
-    """Look at a few couples of frames, spread over those at these places (with poses, colour and depth)."""
+    """Measure agreement of colour, depth and poses on a few frame pairs.
+
+    Parameters
+    ----------
+    frames : frames of the scan.
+    places : indices of the frames with colour, depth and a pose.
+    """
     poses = np.stack([_pose(frames[place]) for place in places])
     chosen = sample_evenly(len(places), _LOOKS)
     skipped: list[SkippedFrame] = []

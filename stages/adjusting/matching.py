@@ -1,4 +1,4 @@
-"""Points of views that are the same, matched couple by couple."""
+"""Keypoint matches between frame pairs."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from scanloom.stages.frames.features import find_epipolar_inliers, match_descrip
 from scanloom.stages.progress import Progress, silent
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 
-# How far apart two views may measure a match, a share of its distance, for it to be of one thing.
+# Maximum distance between the two unprojected points of a consistent match, relative to their depth.
 GAP_SHARE = 0.13
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Matches of couples of views, n in all.
+    """n keypoint matches between views.
 
     Attributes
     ----------
-    couples : (n, 2) the two views.
-    points : (n, 2) which of their keypoints.
+    couples : (n, 2) indices of the two views.
+    points : (n, 2) indices of the keypoints in these views.
     """
 
     couples: NDArray[np.intp]
@@ -38,11 +38,11 @@ class Matches:
         return len(self.couples)
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Matches:
-        """Return some of them."""
+        """Select matches by mask or indices."""
         return Matches(self.couples[which], self.points[which])
 
     def pixels(self, views: Sequence[View]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the (n, 2) pixels in the first and in the second view of each match."""
+        """Return the pixels (n, 2) of the matches in their first and second views."""
         starts = np.concatenate([[0], np.cumsum([len(view.pixels) for view in views])])
         pixels = np.concatenate([view.pixels for view in views]).astype(np.float64)
         places = starts[self.couples] + self.points
@@ -50,7 +50,14 @@ class Matches:
 
 
 def match(views: Sequence[View], couples: Sequence[tuple[int, int]], progress: Progress = silent) -> Matches:
-    """Match couples of views; kept is what one motion of the camera explains."""
+    """Match keypoints of frame pairs, and keep epipolar inliers.
+
+    Parameters
+    ----------
+    views : views with keypoints.
+    couples : indices of the two views of each pair.
+    progress : called with the number of finished pairs and of all pairs.
+    """
     threads = workers()
 
     def of(couple: tuple[int, int]) -> NDArray[np.int64]:
@@ -68,7 +75,10 @@ def match(views: Sequence[View], couples: Sequence[tuple[int, int]], progress: P
 
 
 def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the matches that one motion of a camera without lens distortion explains."""
+    """Keep the matches that agree with one fundamental matrix.
+
+    Pixels are undistorted first.
+    """
     first, second = (
         (rays(one.pixels[pairs[:, side]], one.lens)[:, :2] * one.lens[:2] + one.lens[2:4]).astype(np.float32)
         for side, one in enumerate((a, b))
@@ -77,7 +87,12 @@ def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
-    """Return how far apart two views measure each match, a share of its distance; NaN where one does not."""
+    """Compute the distance between the two unprojected points of each match.
+
+    Returns
+    -------
+    (n,) relative to the smaller depth of both; NaN if a view has no depth there.
+    """
     both = list(zip(found.couples.T, found.pixels(views), strict=True))
     seen = [lifted(views, cameras, view, pixels) for view, pixels in both]
     places = [
@@ -89,5 +104,5 @@ def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.
 
 
 def errors(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
-    """Return how far from its match each point of a first view lands in the second, (n,) pixels; or NaN."""
+    """Compute the transfer errors (n,) of matches in pixels, see `transfer_errors`."""
     return transfer_errors(views, cameras, found.couples, found.pixels(views))

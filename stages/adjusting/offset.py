@@ -1,12 +1,12 @@
-"""How far photos lie beside their depth maps, by the outlines of things in both.
+"""Offset between photos and depth maps, measured at silhouettes.
 
-Where poses are fitted to matched points, a photo that lies beside its depth map by the same shift in all
-frames is hardly seen: on a surface, depth a few pixels on is nearly the same. At outlines it shows at once.
-Beside each point of an outline of the depth map, the photo's gradient is looked at along the normal; of many
-points that shift is found by which it is largest (as Levinson and Thrun, "Automatic online calibration of
-cameras and lasers", 2013, do it for a laser). Sensors make things wider or thinner on all sides alike; a
-shift moves opposite sides the same way, and is told from it. Where near and far things lie beside depth by
-different shifts, the colour camera stands elsewhere than it is said to; by how much is found with the shift.
+Feature matches barely constrain a constant photo-to-depth offset: depth changes little over a few pixels of
+a surface, and poses absorb the rest. Silhouettes show the offset directly. The photo's gradient is sampled
+along the normal of each silhouette point of the depth map. The offset is the shift with the largest mean
+gradient. Levinson and Thrun ("Automatic online calibration of cameras and lasers", 2013) do this for a lidar.
+Sensors also make objects wider or thinner on all sides. A shift moves opposite sides in the same direction,
+which separates the two effects. If near and far silhouettes shift differently, the position of the colour
+camera is wrong; its error is estimated together with the shift.
 """
 
 from __future__ import annotations
@@ -28,43 +28,44 @@ from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose
 
-# Frames that are looked at, and points of each at most; wider photos are made smaller.
+# Maximum number of sampled frames, of silhouette points per frame, and maximum photo width in pixels (wider
+# photos are downscaled).
 _FRAMES, _POINTS, _WIDE = 24, 4000, 640
-# How far photos are looked for, and by how much things may be too thin or too wide, pixels of such photos.
+# Maximum shift, and maximum change of object width on each side, pixels of the downscaled photos.
 _FARTHEST, _THINNER = 10, 4
 _REACH = _FARTHEST + _THINNER + 1
-# How much more things of twice the usual inverse depth may be shifted than those of the usual one.
+# Maximum additional shift at twice the typical inverse depth, pixels. Then the numbers of bins of silhouette
+# points, by direction and by depth.
 _FARTHEST_NEAR = 24
 _DIRECTIONS, _DEPTHS = 64, 6
-# Blur of photos before gradients are taken, pixels; gradients that are noise, levels.
+# Blur of photos before gradients are taken, pixels; gradient caused by image noise, 8-bit levels.
 _BLUR, _NOISE = 0.8, 3.0
-# Directions that fewer outlines have than this share of what the most frequent one has count for less.
+# Directions with fewer silhouette points than this ratio of the most frequent direction get a lower weight.
 _RARE = 0.2
-# Blurs along the normal, pixels, for a search of the whole range and for one that goes on from there; its
-# steps.
+# Blur of gradient profiles along the normal, pixels: in the grid search and in the refinement. Then the step
+# sizes of the refinement, pixels.
 _FIRST_BLUR, _THEN_BLUR = 1.5, 0.8
 _STEPS = (1.0, 0.5, 0.25, 0.1, 0.05)
-# An offset is clear where it is no less than so many pixels, and than what things are thinner or wider by:
-# they are not quite so on all sides alike, and depth that is matched in the photos themselves seems to be off
-# by nearly two. Either half of the frames finds it to so many pixels or such a share; and by one half's the
-# gradient of the other half is so many times what it is without.
+# Criteria of a clear offset. It has at least `_LEAST` pixels, and exceeds the change of object width, which
+# is not quite equal on all sides (depth from stereo matching seems to be off by nearly 2 px). Both halves of
+# the frames find it within `_ALIKE` pixels or the ratio `_ALIKE_SHARE`. The offset found by one half raises
+# the gradient of the other half by the factor `_GAIN`.
 _LEAST, _ALIKE, _ALIKE_SHARE, _GAIN = 2.0, 1.0, 0.25, 1.05
-# Near and far are shifted differently where that is so for what they differ by: shares of the outlines that
-# are nearer, and farther.
+# Quantiles of relative inverse depth that represent far and near silhouettes.
 _NEAR_FAR = (0.1, 0.9)
-# Fewer points of outlines say nothing.
+# Minimum number of silhouette points for a measurement.
 _LEAST_POINTS = 500
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Outlines of a depth map, and the photo beside it.
+    """Silhouettes of a depth map, with the photo of the same frame.
 
     Attributes
     ----------
-    ends, outer : (n, 3) metres, axes of the depth camera: points of outlines, and a pixel outwards of them.
-    photo : (h, w, 3) uint8 as it was taken, blurred, at most 640 wide.
-    full_size : (width, height) of the photo as it is stored.
+    ends, outer : (n, 3) silhouette points, and points one pixel further outwards; metres, depth-camera axes.
+    photo : (h, w, 3) uint8, with lens distortion, blurred, at most 640 wide.
+    full_size : (width, height) of the stored photo.
     """
 
     ends: NDArray[np.float64]
@@ -75,18 +76,16 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Offset:
-    """Where photos lie.
+    """Offset of photos relative to depth maps.
 
     Attributes
     ----------
-    pixels : (2,) of the photos as they are stored: how far to the right of and below where depth says, of
-        things at the usual depth.
-    near : (2,) how much farther of those at the tenth of the outlines that is nearest.
-    thinner : how much thinner things are in depth maps than in photos, on each side, pixels of these.
-    is_clear : both halves of the frames find it.
-    centre : (2,) pixels, what the centre of the colour camera's image is off.
-    place : (2,) metres, what the camera's place is, to the right and down in its axes: `color_from_depth` has
-        it added.
+    pixels : (2,) shift to the right and down at the typical depth, pixels of the stored photos.
+    near : (2,) additional shift of the nearest tenth of the silhouettes, same unit.
+    thinner : width that objects lose in depth maps on each side, same unit.
+    is_clear : both halves of the frames confirm the offset.
+    centre : (2,) correction of the principal point, same unit.
+    place : (2,) correction of `color_from_depth`: translation to the right and down, metres.
     """
 
     pixels: NDArray[np.float64]
@@ -98,13 +97,13 @@ class Offset:
 
     @property
     def said(self) -> str:
-        """Return words for the shift."""
+        """Return the shift as text."""
         right, down = self.pixels
         across = f"{abs(right):.1f} px to the {'right' if right >= 0 else 'left'}"
         return f"{across} and {abs(down):.1f} px {'down' if down >= 0 else 'up'}"
 
     def figures(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the offset as JSON values."""
         (right, down), (near_right, near_down) = self.pixels.tolist(), self.near.tolist()
         return {
             "right_px": right,
@@ -117,9 +116,16 @@ class Offset:
 
 
 def sights(frames: Sequence[Frame], places: Sequence[int]) -> list[Sight]:
-    """Return what some frames at these places (with colour and depth) show; those that cannot be read do not.
+    """Detect silhouettes in a sample of the frames.
 
-    None are returned unless all photos are of one size.
+    Parameters
+    ----------
+    frames : frames of the scan.
+    places : indices of the frames with colour and depth.
+
+    Returns
+    -------
+    Silhouettes of the readable frames; an empty list if photos differ in size.
     """
     chosen = sample_evenly(len(places), _FRAMES)
     threads = workers()
@@ -129,13 +135,17 @@ def sights(frames: Sequence[Frame], places: Sequence[int]) -> list[Sight]:
 
 
 def offset(seen: Sequence[Sight], camera: Camera, color_from_depth: Pose) -> Offset | None:
-    """Return where photos lie beside depth; None if less than two frames or too few outlines tell it.
+    """Estimate the offset between photos and depth maps.
 
     Parameters
     ----------
-    seen : of frames whose photos one camera took.
-    camera : that one, for any size of them.
-    color_from_depth : (4, 4).
+    seen : silhouettes of frames with one common colour camera.
+    camera : intrinsics of the colour camera, for any image size.
+    color_from_depth : (4, 4) extrinsics of the colour camera, metres.
+
+    Returns
+    -------
+    Offset, or None with fewer than two frames or too few silhouette points.
     """
     if len(seen) < 2 or sum(len(one.ends) for one in seen) < _LEAST_POINTS:
         return None
@@ -185,13 +195,13 @@ def _sight(frame: Frame) -> Sight | None:
 
 
 class _Profiles(NamedTuple):
-    """How photos change along normals of outlines.
+    """Photo gradients along silhouette normals, summed in bins of depth and direction.
 
     Attributes
     ----------
-    sums : (depths, directions, 2 reach + 1) of points of like depth and direction.
-    counts : (depths, directions) how many points those are.
-    nearness : (depths,) sums of how much their inverse depth is over the usual one, less one.
+    sums : (depths, directions, 2 reach + 1) sums of squared gradients, normalised per silhouette point.
+    counts : (depths, directions) number of points.
+    nearness : (depths,) sums of the inverse depth relative to the typical one, minus 1.
     """
 
     sums: NDArray[np.float64]
@@ -230,7 +240,7 @@ def _profiles(
     levels = cv2.remap(one.photo, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
     levels = levels.astype(np.float64)
     slopes = (((levels[:, 2:] - levels[:, :-2]) / 2) ** 2).sum(axis=2)
-    # All points have the same say: what counts is where along its normal the photo changes most.
+    # Normalised per point, so that the position of its largest gradient counts, and not the contrast.
     shares = slopes / (slopes.mean(axis=1, keepdims=True) + _NOISE**2)
     turns = np.arctan2(normals[:, 1], normals[:, 0]) / (2 * np.pi)
     direction = np.floor(turns * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
@@ -245,8 +255,7 @@ def _summed(profiles: Sequence[_Profiles]) -> _Profiles:
     return _Profiles(*(np.sum(part, axis=0) for part in zip(*profiles, strict=True)))
 
 
-# What is looked for: a shift (x, y), how much more what is near is shifted (x, y), and how much thinner
-# things are, pixels.
+# Indices of the unknowns, in pixels: shift (x, y), additional shift of near points (x, y), and thinning.
 _Axes = tuple[int, ...]
 _SHIFT: _Axes = (0, 1)
 _PLACE: _Axes = (2, 3)
@@ -255,7 +264,7 @@ _LIMITS = np.array([_FARTHEST, _FARTHEST, _FARTHEST_NEAR, _FARTHEST_NEAR, _THINN
 
 
 def _gradient(profiles: _Profiles, at: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
-    """Return the mean gradient for (n, 5) of what is looked for."""
+    """Compute the mean gradient (n,) for candidate offsets (n, 5)."""
     from scipy.ndimage import gaussian_filter1d
 
     of_direction = profiles.counts.sum(axis=0)
@@ -275,9 +284,14 @@ def _gradient(profiles: _Profiles, at: NDArray[np.float64], blur: float) -> NDAr
 
 
 def _largest(profiles: _Profiles, free: Sequence[int]) -> NDArray[np.float64]:
-    """Return where the gradient is largest; what is not free is 0."""
+    """Find the offset (5,) with the largest gradient.
+
+    Parameters
+    ----------
+    free : indices of the unknowns to estimate; all others are 0.
+    """
     best = np.zeros(5)
-    # Of the whole range shift and thickness first, then places for those.
+    # Grid search over the whole range: shift and thinning first, then the depth-dependent shift.
     for some, step in ((set(_SHIFT + _THIN) & set(free), 1.0), (set(_PLACE) & set(free), 3.0)):
         ranges = [
             np.arange(-_LIMITS[axis], _LIMITS[axis] + 1, step) if axis in some else best[axis : axis + 1]
@@ -300,7 +314,14 @@ def _largest(profiles: _Profiles, free: Sequence[int]) -> NDArray[np.float64]:
 def _found(
     together: _Profiles, halves: Sequence[_Profiles], spread: float
 ) -> tuple[NDArray[np.float64], bool]:
-    """Return what is looked for, and whether it is clear; `spread` is how much near and far differ."""
+    """Estimate the offset (5,), and check whether it is clear.
+
+    Parameters
+    ----------
+    together : profiles of all frames.
+    halves : profiles of each half of the frames.
+    spread : half the difference in relative inverse depth between near and far silhouettes.
+    """
     of_halves = {
         free: [_largest(half, free) for half in halves]
         for free in (_THIN, _SHIFT + _THIN, _SHIFT + _PLACE + _THIN)

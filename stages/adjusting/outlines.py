@@ -1,4 +1,4 @@
-"""Outlines of things in depth maps: where the near side of a jump ends, and which way is out."""
+"""Silhouettes (occlusion boundaries) of objects in depth maps."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-# Inverse depth of what is behind a thing is less by this share of it. It is looked for so many pixels beside
-# the thing, since sensors measure nothing there at first.
+# Minimum relative drop of inverse depth at a silhouette, and distance in pixels within which the background
+# is searched. Sensors often measure nothing right next to an object.
 _JUMP, _REACH = 0.08, 16
-# Blur that smooths the direction of outlines, pixels, and the least slope of what is blurred.
+# Blur of the foreground mask that smooths silhouette normals, pixels; minimum slope of the blurred mask.
 _BLUR, _LEAST_SLOPE = 1.5, 0.15
-# The thing itself is measured so many pixels inwards, and its inverse depth changes by no larger share.
+# Number of pixels inwards that must belong to the object, and maximum relative change of their inverse depth.
 _INSIDE, _SAME = 4, 0.03
-# Shorter outlines are noise, pixels.
+# Minimum extent of a silhouette, pixels; shorter ones are noise.
 _LEAST_LENGTH = 15
 
 
 class Outlines(NamedTuple):
-    """Points of outlines.
+    """Points on the silhouettes of a depth map.
 
     Attributes
     ----------
-    pixels : (n, 2) float32, x and y, of the depth map, where things end.
-    outwards : (n, 2) float32, unit vectors.
-    depths : (n,) float32 metres, of the things.
+    pixels : (n, 2) float32, x and y of the boundary.
+    outwards : (n, 2) float32 unit normals, away from the object.
+    depths : (n,) float32 depth of the object, metres.
     """
 
     pixels: Image
@@ -40,7 +40,7 @@ class Outlines(NamedTuple):
 
 
 def outlines(depth: DepthImage) -> Outlines:
-    """Return the outlines of things that have something measured behind them.
+    """Detect silhouettes of objects in front of measured background.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def outlines(depth: DepthImage) -> Outlines:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _REACH + 1,) * 2)
     nearest = np.asarray(cv2.dilate(inverse, disc), np.float32)
     known = np.where(inverse > 0, inverse, np.float32(np.inf))
-    # Where nothing is measured around, nothing is torn.
+    # Clipped, because `known` is infinite without depth; missing depth is no jump.
     farthest = np.minimum(np.asarray(cv2.erode(known, disc), np.float32), nearest)
     is_near = inverse > (nearest + farthest) / 2
     torn = nearest > farthest * np.float32(1 + _JUMP)
@@ -71,7 +71,10 @@ def outlines(depth: DepthImage) -> Outlines:
 
 
 def _without_gaps(depth: DepthImage) -> Image:
-    """Return inverse depth; depth that was brought to another camera has a lattice of gaps."""
+    """Compute inverse depth with small gaps filled.
+
+    Depth maps reprojected to another camera have a lattice of gaps.
+    """
     import cv2
 
     known = depth > 0
@@ -81,7 +84,8 @@ def _without_gaps(depth: DepthImage) -> Image:
     )
     values = np.zeros(int(nearest.max()) + 1, np.float32)
     values[nearest[known]] = inverse[known]
-    # Between what is measured, not beside it: things would grow into what they hide.
+    # Gaps are only filled between measured pixels; elsewhere, objects would grow into areas that they
+    # occlude.
     between = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
     filled = np.where(between, values[nearest], np.float32(0))
     return np.asarray(cv2.medianBlur(filled, 3), np.float32)
@@ -97,7 +101,10 @@ def _long(ends: Mask) -> Mask:
 
 
 def _ends_before_another(inverse: Image, rows: Indices, columns: Indices, outwards: Image) -> Mask:
-    """Say of which ends the thing is measured inwards, and outwards what is behind it comes first."""
+    """Check which boundary points have the object inwards and background outwards.
+
+    Returns a mask (n,). The background must come before any other surface as near as the object.
+    """
     height, width = inverse.shape
     own = inverse[rows, columns]
 
@@ -113,6 +120,6 @@ def _ends_before_another(inverse: Image, rows: Indices, columns: Indices, outwar
     for step in range(1, _REACH + 1):
         outer = beside(step)
         found |= (outer > 0) & (outer * (1 + _JUMP) < own) & ~hidden
-        # The pixel next to the end may be of the thing still.
+        # The pixel next to the boundary may still belong to the object.
         hidden |= (outer * (1 + _JUMP / 2) >= own) & (step > 1)
     return sound & found

@@ -1,4 +1,4 @@
-"""Which views show the same things, told from their poses and depth."""
+"""Selection of frame pairs to match, by overlap of their views."""
 
 from __future__ import annotations
 
@@ -13,17 +13,27 @@ from scanloom.stages.adjusting.view import View
 from scanloom.stages.frames.sampling import sample_evenly
 from scanloom.stages.scans.model.scan import Pose
 
-# Partners of a view: some that overlap most, and as many spread among those that overlap enough.
+# Partners of a view: the views with the largest overlap, and views spread evenly over all others that overlap
+# enough. Then the minimum overlap ratio.
 _NEAREST, _SPREAD = 5, 5
 _LEAST_OVERLAP = 0.3
-# Cells of a view each way that stand for what it shows.
+# Grid of sample points per view, each way, for the overlap.
 _CELLS = 12
-# Directions in which two views look may differ by this angle, degrees; beyond, SIFT recognises little.
+# Maximum angle between viewing directions, degrees; SIFT matches little beyond.
 _ANGLE = 60.0
 
 
 def partners(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Return couples of views worth matching, each once, the lower number first."""
+    """Select pairs of views to match.
+
+    Parameters
+    ----------
+    overlap : (m, m) overlap ratios, see `overlaps`.
+
+    Returns
+    -------
+    Sorted pairs of view indices, each once, the lower index first.
+    """
     couples = set()
     for number, row in enumerate(overlap):
         order = np.argsort(-row, kind="stable")
@@ -35,7 +45,10 @@ def partners(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
 
 
 def overlaps(views: Sequence[View], cameras: Cameras) -> NDArray[np.float64]:
-    """Return (m, m) shares of what views measure that others have before them, the smaller of both ways."""
+    """Compute the overlap ratios (m, m) of views.
+
+    Each is the smaller of both directions, see `overlap_of`.
+    """
     shares = np.stack(
         [overlap_of(view, pose, cameras.poses) for view, pose in zip(views, cameras.poses, strict=True)]
     )
@@ -43,9 +56,16 @@ def overlaps(views: Sequence[View], cameras: Cameras) -> NDArray[np.float64]:
 
 
 def overlap_of(view: View, pose: Pose, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the share (m,) of what a view measures that the same camera would see from other poses.
+    """Compute the overlap of a view with other poses of its camera.
 
-    Where it looks another way by more than 60 degrees, that is nothing.
+    Parameters
+    ----------
+    pose : (4, 4) world_from_camera of the view.
+    poses : (m, 4, 4) the other poses.
+
+    Returns
+    -------
+    (m,) ratio of sampled points visible from the other pose; 0 if viewing directions differ by more than 60°.
     """
     points = points_of(view, _CELLS)
     if not len(points):

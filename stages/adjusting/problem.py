@@ -1,7 +1,7 @@
-"""Bundle adjustment stated: what points, poses and the colour camera are held to, and how that changes.
+"""Bundle adjustment problem: residuals, priors and their derivatives.
 
-Residuals are in standard deviations: where a view sees a point, how deep it measures it, how far surfaces of
-two views are apart, and how far poses and camera are from what was given.
+Residuals are in standard deviations: pixel and depth of each observation, point-to-plane distance between
+surfaces of two views, and deviation of poses and colour camera from the given ones.
 """
 
 from __future__ import annotations
@@ -31,30 +31,34 @@ from scanloom.stages.adjusting.surfaces import Surfaces
 from scanloom.stages.adjusting.tracks import Tracks
 from scanloom.stages.adjusting.view import View
 
-# Pixels that a keypoint is off, and residuals from which they count by their size, not its square (Huber).
+# Standard deviation of a keypoint, pixels, and Huber thresholds of pixel and depth residuals, in standard
+# deviations.
 _PIXEL, _HUBER, _HUBER_DEPTH = 1.0, 2.0, 2.0
-# Depth is off by 3 mm at 0.5 m and 6 mm at 2 m; farther than so many deviations it is of something else.
+# Standard deviation of depth: a constant in metres, and a factor per squared metre (3 mm at 0.5 m, 6 mm at 2
+# m). Beyond `_OTHER_THING` standard deviations the depth belongs to another surface.
 _DEPTH_M, _DEPTH_PER_M = 0.0028, 0.0008
 _OTHER_THING = 12.0
-# Errors of depth go together over a surface: a point of it tells less, as if it were off so much more.
+# Factor on the standard deviation of surface points, because their depth errors are correlated.
 _MEETING = 1.5
-# What a camera may turn by while its rows are read, radians: one that is turned by 60 degrees in a second, 2.
+# Standard deviation of the rotation during readout, radians. At 60°/s a camera rotates by 2° in 1/30 s.
 _TURN_PRIOR = float(np.radians(1.5))
-# The mean of that: a camera turns one way and the other, and what is the same in all images is its lens.
+# Standard deviation of its mean over all views, radians. Cameras rotate to and fro; a rotation common to all
+# images is a lens error.
 _MEAN_TURN_PRIOR = float(np.radians(0.05))
-# What the given colour camera may be off: a share of the focal length, of the width, k1, metres, radians.
+# Standard deviations of the given colour camera: focal length (relative), principal point (relative to the
+# image width), k1, translation (metres), rotation (radians).
 _CAMERA_PRIOR = np.array([0.05, 0.005, 0.005, 0.05, *[0.015] * 3, *[np.radians(0.5)] * 3])
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is looked for.
+    """Values of all unknowns.
 
     Attributes
     ----------
-    cameras : of all views.
-    points : (p, 3) metres, in the world.
-    camera : (10,) what the colour cameras were moved by so far, in all.
+    cameras : cameras of all views.
+    points : (p, 3) metres, world.
+    camera : (10,) accumulated change of the colour cameras, see `FREE`.
     """
 
     cameras: Cameras
@@ -64,18 +68,24 @@ class State:
     def moved(
         self, poses: NDArray[np.float64], camera: NDArray[np.float64], points: NDArray[np.float64]
     ) -> State:
-        """Return it after steps of (m, 6) or (m, 9), (10,) and (p, 3)."""
+        """Return the state after a step of the unknowns.
+
+        Parameters
+        ----------
+        poses, camera : (m, 6) or (m, 9), and (10,), see `Cameras.moved`.
+        points : (p, 3) metres, world.
+        """
         return State(self.cameras.moved(poses, camera), self.points + points, self.camera + camera)
 
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Planes that views measure where they see n points, see `planes_at`.
+    """Tangent planes that views measure at n points, see `planes_at`.
 
     Attributes
     ----------
     normals : (n, 3).
-    depths, deviations : (n,) metres; a depth of 0 where the point is not held to a plane.
+    depths, deviations : (n,) metres; a depth of 0 disables the plane.
     """
 
     normals: NDArray[np.float64]
@@ -84,32 +94,51 @@ class Planes:
 
     @classmethod
     def none(cls, count: int) -> Planes:
-        """Return planes that hold no point."""
+        """Create planes that are all disabled."""
         return cls(np.zeros((count, 3)), np.zeros(count), np.ones(count))
 
     @classmethod
     def met(
         cls, views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64], share: float
     ) -> Planes:
-        """Return those of points of the views' own axes; `share` is of what depth is usually off."""
+        """Measure the planes at points, and disable planes of other surfaces.
+
+        Parameters
+        ----------
+        view : (n,) index of the view of each point.
+        points : (n, 3) metres, depth-camera axes of that view.
+        share : factor on the standard deviation of depth.
+        """
         normals, depths, slopes = planes_at(views, view, points)
         deviations = share * np.hypot(deviation(depths), slopes)
         off = np.abs((normals * points).sum(axis=1) - depths) > _OTHER_THING * deviations
         return cls(normals, np.where(off, 0, depths), deviations)
 
     def behind(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far points (n, 3) are behind their planes, standard deviations; 0 if not held to one."""
+        """Compute the distance (n,) of points (n, 3) behind their planes.
+
+        In standard deviations; 0 for disabled planes.
+        """
         far = (self.normals * points).sum(axis=1) - self.depths
         return np.asarray(np.where(self.depths > 0, far, 0) / self.deviations)
 
     def rows(self, behind: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return how that changes with the points, (n, 3), and the (n,) roots of Huber's weights."""
+        """Compute derivatives and weights of the plane residuals.
+
+        Parameters
+        ----------
+        behind : (n,) residuals, see `behind`.
+
+        Returns
+        -------
+        Derivatives by the points (n, 3), and square roots of the Huber weights (n,).
+        """
         weights = np.where(self.depths > 0, _weight(np.abs(behind), _HUBER_DEPTH), 0)
         return self.normals / self.deviations[:, None], np.sqrt(weights)
 
 
 class Frees(NamedTuple):
-    """What is looked for beside poses and points: the colour camera, how cameras turn while rows are read."""
+    """Optional unknowns: the colour camera, and rotations during readout (rolling shutter)."""
 
     camera: bool = False
     turns: bool = False
@@ -117,19 +146,19 @@ class Frees(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is measured, and what was given.
+    """Bundle adjustment problem.
 
     Attributes
     ----------
-    tracks : where views see points.
-    planes : that the views measure there.
-    surfaces : points of views that lie on what others measure.
-    meetings : the planes of these others.
-    given : the poses as they were, (m, 4, 4) world_from_camera.
-    pose_prior : (6,) standard deviations of these, metres and radians.
-    frees : what is looked for beside poses and points.
-    width : of the images, pixels.
-    anchor : what holds the colour camera beside the depth cameras, if anything does.
+    tracks : observations of points.
+    planes : tangent planes at the observations.
+    surfaces : surface points of frame pairs.
+    meetings : tangent planes of the other views at these surface points.
+    given : (m, 4, 4) given poses, world_from_camera; the centre of the pose prior.
+    pose_prior : (6,) standard deviations of the given poses, metres and radians.
+    frees : optional unknowns.
+    width : image width, pixels.
+    anchor : prior on the colour camera from silhouettes; None without.
     """
 
     tracks: Tracks
@@ -154,20 +183,20 @@ class Problem:
         width: int = 1,
         anchor: Anchor | None = None,
     ) -> Problem:
-        """Return a problem in which no depth was looked up yet."""
+        """Create a problem with all planes disabled; `looked_up` measures the planes."""
         surfaces = Surfaces.none() if surfaces is None else surfaces
         planes, meetings = Planes.none(len(tracks.view)), Planes.none(len(surfaces.couple))
         return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees or Frees(), width, anchor)
 
     def looked_up(self, views: Sequence[View], state: State) -> Problem:
-        """Return it with the depth that views measure where they now see the points."""
+        """Return the problem with planes measured at the current state."""
         planes = Planes.met(views, self.tracks.view, _seen(state, self.tracks), 1.0)
         other = self.surfaces.couples[self.surfaces.couple, 1]
         meetings = Planes.met(views, other, self.across(state).there, _MEETING)
         return replace(self, planes=planes, meetings=meetings)
 
     def across(self, state: State) -> Across:
-        """Return where the other views see the points of surfaces."""
+        """Transform the surface points to the other view of their frame pair."""
         surfaces, poses, turns = self.surfaces, state.cameras.poses, state.cameras.turns
         first, other = surfaces.couples.T
         moves = (inverted_all(poses[other]) @ poses[first])[surfaces.couple]
@@ -179,7 +208,7 @@ class Problem:
         return Across(here, middle, as_read(middle, turns[which], late), late, moves[:, :3, :3], back)
 
     def cost(self, state: State) -> float:
-        """Return half the robust sum of squares."""
+        """Compute half the robust (Huber) sum of squared residuals."""
         pixel, depth, poses, camera = self._residuals(state)
         meeting = self.meetings.behind(self.across(state).there)
         return float(
@@ -197,12 +226,15 @@ class Problem:
 
     @property
     def turn_coupling(self) -> float:
-        """Return the second derivative of the cost by two views' turns: all are held to a mean of none."""
+        """Return the coupling of the readout rotations of two views.
+
+        This second derivative of the cost comes from the prior that holds their mean rotation to 0.
+        """
         together = self.frees.turns and len(self.given) > 1
         return (_MEAN_TURN_PRIOR * len(self.given)) ** -2 if together else 0.0
 
     def pixels_off(self, state: State) -> NDArray[np.float64]:
-        """Return how far each observation is off, (n,) pixels."""
+        """Compute the reprojection errors (n,) of the observations, pixels."""
         return np.asarray(_PIXEL * np.hypot(*self._residuals(state)[0].T))
 
     def _residuals(self, state: State) -> tuple[NDArray[np.float64], ...]:
@@ -221,16 +253,19 @@ class Problem:
 
     @property
     def step_prior(self) -> NDArray[np.float64]:
-        """Return the (6,) standard deviations of the given poses, or (9,) with those of their turns."""
+        """Return the standard deviations of the pose prior, (6,) or (9,).
+
+        Metres and radians; with rolling shutter also the rotation during readout.
+        """
         return np.concatenate([self.pose_prior, [_TURN_PRIOR] * 3]) if self.frees.turns else self.pose_prior
 
     @property
     def camera_prior(self) -> NDArray[np.float64]:
-        """Return the (10,) standard deviations of the given colour camera."""
+        """Return the standard deviations (10,) of the given colour camera, see `FREE`."""
         return np.asarray(_CAMERA_PRIOR * np.array([1, self.width, self.width, *[1] * 7]))
 
     def linear(self, state: State) -> Linear:
-        """Return the residuals and how they change with a small step, weighed as Huber's loss asks."""
+        """Linearise the residuals at a state, weighted for the Huber loss."""
         tracks, cameras = self.tracks, state.cameras
         pixel, depth, moved, camera = self._residuals(state)
         seen = _seen(state, tracks)
@@ -239,7 +274,7 @@ class Problem:
         _, by_point, by_lens = derivatives(shown, cameras.lenses[tracks.view])
         apart = cameras.color_from_depth[tracks.view, :3, :3]
         count = len(seen)
-        # Rows: two of the pixel, one of the depth. A step of the pose moves the point the other way.
+        # Rows: two of the pixel, one of the depth. Signs are negative because points move against the camera.
         by_seen = np.empty((count, 3, 3))
         by_seen[:, :2] = by_point @ apart / _PIXEL
         root = np.empty((count, 3))
@@ -271,7 +306,10 @@ class Problem:
         )
 
     def _towards_no_mean(self, state: State) -> NDArray[np.float64]:
-        """Return the gradient (6,) or (9,) of what holds the mean turn, the same for each view."""
+        """Compute the gradient (6,) or (9,) of the prior on the mean readout rotation.
+
+        The gradient is the same for each view.
+        """
         gradient = np.zeros(len(self.step_prior))
         if self.frees.turns:
             gradient[STILL:] = self.turn_coupling * state.cameras.turns.sum(axis=0)
@@ -297,14 +335,14 @@ class Problem:
 
 
 class Across(NamedTuple):
-    """Where k points of surfaces are, metres.
+    """k surface points in the axes of both views of their frame pair.
 
     Attributes
     ----------
-    here, middle, there : (k, 3) in the axes of the first view and of the other one at their middle rows, and
-        of the other one as it reads them.
-    late : (k,) how late that is.
-    turns, back : (k, 3, 3) between these.
+    here, middle : (k, 3) metres, axes of the first and of the other view at their middle rows.
+    there : (k, 3) metres, axes of the other view at the readout time of its row.
+    late : (k,) that readout time, see stages/adjusting/shutter.py.
+    turns, back : (k, 3, 3) rotations from `here` to `middle`, and from `middle` to `there`.
     """
 
     here: NDArray[np.float64]
@@ -317,12 +355,12 @@ class Across(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """How far k points of surfaces are off, and how that changes with the poses of both views.
+    """Point-to-plane residuals of k surface points, with derivatives.
 
     Attributes
     ----------
-    residuals : (k,).
-    by_first, by_other : (k, 6) or (k, 9).
+    residuals : (k,) weighted, in standard deviations.
+    by_first, by_other : (k, 6) or (k, 9) derivatives by the pose of the first and of the other view.
     """
 
     residuals: NDArray[np.float64]
@@ -332,15 +370,15 @@ class Met:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A linearised problem of n observations.
+    """Linearised problem with n observations.
 
     Attributes
     ----------
-    meetings : what surfaces add.
-    residuals : (n, 3).
-    by_pose, by_camera, by_point : (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3), of the residuals.
-    poses, camera : (m, 6) or (m, 9), and (10,) gradients of what holds these to what was given.
-    pose_weights, camera_weights : (6,) or (9,), and (10, 10) second derivatives of it.
+    meetings : linearised point-to-plane residuals.
+    residuals : (n, 3) pixel x, pixel y and depth, weighted, in standard deviations.
+    by_pose, by_camera, by_point : Jacobians (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3).
+    poses, camera : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour camera, (10,).
+    pose_weights, camera_weights : second derivatives of the priors: diagonal (6,) or (9,), and (10, 10).
     """
 
     meetings: Met
@@ -355,18 +393,24 @@ class Linear:
 
 
 def deviation(depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviation of measured depth, metres; it grows with its square."""
+    """Compute the standard deviation of measured depth, metres.
+
+    It grows with the square of the depth.
+    """
     return np.asarray(_DEPTH_M + _DEPTH_PER_M * depth**2)
 
 
 def _seen(state: State, tracks: Tracks) -> NDArray[np.float64]:
-    """Return the points of all observations in the axes of the depth cameras as they are read."""
+    """Transform the points of all observations to depth-camera axes.
+
+    Axes are at the readout time of the observed row.
+    """
     middle = carried(inverted_all(state.cameras.poses)[tracks.view], state.points[tracks.point])
     return as_read(middle, state.cameras.turns[tracks.view], tracks.late)
 
 
 def _shown(cameras: Cameras, tracks: Tracks, seen: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same in the axes of the colour cameras."""
+    """Transform the points of all observations from depth-camera to colour-camera axes."""
     return carried(cameras.color_from_depth[tracks.view], seen)
 
 

@@ -1,4 +1,4 @@
-"""Poses of frames between key frames: each is placed alone, to points that the key frames around it have."""
+"""Localisation of frames between key frames, by matches with the nearest key frames."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from scanloom.stages.adjusting.view import View, view_or_none
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Frame, SkippedFrame
 
-# Fewer points do not place a frame; steps; pixels that a point may be off in the end.
+# Minimum number of matched points and of inliers, solver steps, and maximum error of an inlier in pixels.
 _LEAST, _STEPS, _OFF_PX = 30, 12, 4.0
-# Key views that a frame between them is placed to.
+# Number of nearest key views to match.
 _AROUND = 4
 
 
 class Placed(NamedTuple):
-    """Where a frame is, (4, 4) world_from_camera, and how it turns while rows are read, (3,)."""
+    """Pose (4, 4) world_from_camera, and rotation during readout (3,), of a localised frame."""
 
     pose: NDArray[np.float64]
     turn: NDArray[np.float64]
@@ -41,14 +41,19 @@ def placed_between(
     pose_prior: NDArray[np.float64],
     frees: Frees,
 ) -> Iterator[tuple[int, Placed | SkippedFrame | None]]:
-    """Give where each frame at these places is, why it cannot be used, or None if it cannot be placed.
+    """Localise frames between the adjusted key frames.
+
+    Yields the index and the pose of each frame. Unusable frames have the reason instead of the pose; frames
+    with too few matches have None.
 
     Parameters
     ----------
-    keys : the views of key frames by their places.
-    given, cameras : of these, as they were and adjusted.
-    pose_prior : (6,) standard deviations of a given pose, metres and radians.
-    frees : what was looked for in the key frames.
+    frames : frames of the scan.
+    places : indices of the frames to localise.
+    keys : views of the key frames by frame index.
+    given, cameras : cameras of the key frames, before and after adjustment.
+    pose_prior : (6,) standard deviations of the expected poses, metres and radians.
+    frees : optional unknowns of the adjustment of the key frames.
     """
     numbers, views = np.array(list(keys)), list(keys.values())
 
@@ -58,7 +63,7 @@ def placed_between(
             return view
         order = np.argsort(np.abs(numbers - place), kind="stable")
         nearest, around = order[:1], np.sort(order[:_AROUND])
-        # It stands to the nearest key frame as before.
+        # The expected pose keeps the given motion relative to the nearest key frame.
         was = Cameras.given([frames[place]], [view.lens])
         expected = cameras.poses[nearest] @ inverted_all(given.poses[nearest]) @ was.poses
         alone = replace(cameras.of(nearest), poses=expected, turns=was.turns)
@@ -76,13 +81,18 @@ def _placed(
     pose_prior: NDArray[np.float64],
     frees: Frees,
 ) -> Placed | None:
-    """Return where a view is by what it matches in a few key views; None if that is too little.
+    """Localise a view by matches with a few key views.
+
+    Returns None if too few points match.
 
     Parameters
     ----------
-    one : of the view: the pose that is expected, the adjusted colour camera.
-    cameras : of the key views, adjusted.
+    view : view to localise.
+    one : its camera: expected pose, adjusted colour camera.
+    keys : key views.
+    cameras : adjusted cameras of the key views.
     pose_prior : (6,) standard deviations of the expected pose, metres and radians.
+    frees : optional unknowns; the colour camera stays fixed.
     """
     views = [*keys, view]
     last = len(keys)
@@ -104,7 +114,10 @@ def _placed(
 
 
 def resected(views: Sequence[View], problem: Problem, state: State, steps: int) -> tuple[Problem, State]:
-    """Return the state after steps of each view alone, points staying, and the problem with their depth."""
+    """Fit the pose of each view alone, with fixed points.
+
+    Gauss-Newton with depth looked up in every step. Returns the problem with updated planes, and the state.
+    """
     still, count = np.zeros_like(state.points), len(views)
     order = np.argsort(problem.tracks.view, kind="stable")
     used, starts = np.unique(problem.tracks.view[order], return_index=True)

@@ -1,7 +1,8 @@
-"""A rolling shutter: rows are read one after the other, and the camera turns meanwhile (Hedborg et al. 2012).
+"""Rolling shutter: the camera rotates while image rows are read out (Hedborg et al. 2012).
 
-A pose is that at the middle row. A row is read later by a share of the time that all take; by then the camera
-has turned by that share of its `Cameras.turns`. Depth maps are taken to be read as colour images are.
+A pose refers to the middle row. The readout time of a row is -0.5 for the first row and 0.5 for the last row.
+Until then the camera has rotated by that fraction of its `Cameras.turns`. Depth maps are assumed to have the
+same readout as colour images.
 """
 
 from __future__ import annotations
@@ -19,18 +20,24 @@ from scanloom.stages.scans.model.rolling_shutter import late_at
 def late_of(
     views: Sequence[View], view: NDArray[np.intp], pixels: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return how late (n,) pixels of the views' colour images are read."""
+    """Compute the readout times (n,) of pixels in colour images.
+
+    Parameters
+    ----------
+    view : (n,) index of the view of each pixel.
+    pixels : (n, 2).
+    """
     heights = np.array([one.size[1] for one in views], np.float64)
     return late_at(pixels[:, 1], heights[view])
 
 
 def turned(turns: NDArray[np.float64], late: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the motions (n, 4, 4) from the axes of cameras as a row is read to those at the middle row.
+    """Compute motions (n, 4, 4) from camera axes at readout times to the middle row.
 
     Parameters
     ----------
-    turns : (n, 3) of the cameras, see `Cameras.turns`.
-    late : (n,) of the rows.
+    turns : (n, 3) rotations during readout, see `Cameras.turns`.
+    late : (n,) readout times.
     """
     if not turns.any():
         return np.broadcast_to(np.eye(4), (len(late), 4, 4))
@@ -40,12 +47,22 @@ def turned(turns: NDArray[np.float64], late: NDArray[np.float64]) -> NDArray[np.
 def as_read(
     points: NDArray[np.float64], turns: NDArray[np.float64], late: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return points (n, 3) of the axes at the middle row in those as a row is read."""
+    """Transform points from camera axes at the middle row to readout times.
+
+    Parameters
+    ----------
+    points : (n, 3) metres.
+    turns : (n, 3) rotations during readout, see `Cameras.turns`.
+    late : (n,) readout times.
+    """
     return carried(turned(turns, -late), points)
 
 
 def in_the_middle(
     points: NDArray[np.float64], turns: NDArray[np.float64], late: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return points (n, 3) of the axes as a row is read in those at the middle row."""
+    """Transform points from camera axes at readout times to the middle row.
+
+    Inverse of `as_read`, with the same parameters.
+    """
     return carried(turned(turns, late), points)

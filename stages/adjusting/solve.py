@@ -1,4 +1,4 @@
-"""Levenberg's and Marquardt's method; points are eliminated first (Schur complement; Triggs et al. 2000)."""
+"""Levenberg-Marquardt solver; points are eliminated by the Schur complement (Triggs et al. 2000)."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 from scanloom.stages.adjusting.cameras import FREE, STILL
 from scanloom.stages.adjusting.problem import Linear, Problem, State
 
-# The first damping, what a good step divides it by, a bad one multiplies it with, and where that ends.
+# Damping: initial value, divisor after a good step, factor after a bad step, minimum and maximum.
 _DAMPING, _EASED, _TIGHTENED, _LEAST, _MOST = 1e-4, 5.0, 8.0, 1e-8, 1e6
-# Steps end where one makes the cost smaller by less than this share.
+# Minimum relative decrease of the cost; a smaller decrease ends the iteration.
 _ENOUGH = 1e-4
-# Conjugate gradients solve the reduced system to this share; sums in a fixed order, whatever the threads.
+# Relative tolerance and maximum iterations of conjugate gradients. Their sums have a fixed order, so that the
+# result does not depend on the number of threads.
 _SHARE, _ITERATIONS = 1e-7, 600
 
 
 def solve(problem: Problem, state: State, steps: int) -> State:
-    """Return the state of least cost that is found in at most `steps` steps from one."""
+    """Minimise the cost from a state in at most `steps` steps."""
     cost, damping = problem.cost(state), _DAMPING
     for _ in range(steps):
         normal = _Normal.of(problem, problem.linear(state), len(state.points))
@@ -41,7 +42,11 @@ def solve(problem: Problem, state: State, steps: int) -> State:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """The normal equations, in blocks: poses and camera (a), points (p), and what joins them."""
+    """Normal equations in blocks of poses, colour camera and points.
+
+    `poses_apart` are the blocks between the two poses of a frame pair. `towards_poses`, `towards_camera` and
+    `towards_points` are the right-hand sides.
+    """
 
     problem: Problem
     poses: NDArray[np.float64]
@@ -65,7 +70,7 @@ class _Normal:
         by_point = tracks.point
 
         def of_points(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Observations stand in the order of their points.
+            # Observations are sorted by point.
             ends = np.searchsorted(by_point, np.arange(count))
             return np.asarray(np.add.reduceat(values, ends, axis=0))
 
@@ -84,7 +89,7 @@ class _Normal:
         begin = np.searchsorted(surfaces.couple, np.arange(len(first)))
 
         def of_couples(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Points of surfaces stand in the order of their couples.
+            # Surface points are sorted by frame pair.
             return np.asarray(np.add.reduceat(values, begin, axis=0) if len(begin) else values[:0])
 
         for which, by in ((first, met.by_first), (other, met.by_other)):
@@ -105,9 +110,14 @@ class _Normal:
         )
 
     def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return steps of poses (m, 6) or (m, 9), the camera (10,) and points (p, 3)."""
+        """Solve for the damped step of all unknowns.
+
+        Returns
+        -------
+        Steps of poses (m, 6) or (m, 9), of the colour camera (10,), and of points (p, 3).
+        """
         tracks, views, count = self.problem.tracks, len(self.poses), len(self.points)
-        # The inverse of a point's block is half @ half.T.
+        # half @ half.T is the inverse of the block of a point.
         half = np.linalg.inv(np.linalg.cholesky(_damped(self.points, damping))).swapaxes(1, 2)
         bridge = _sparse(self.pose_point @ half[tracks.point], tracks.view, tracks.point, (views, count))
         shared = self.camera_point @ half
@@ -143,7 +153,7 @@ class _Normal:
 
 
 def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
-    """Return (n, k, k) blocks with their diagonals raised."""
+    """Add damping to the diagonals of blocks (n, k, k)."""
     raised = np.array(blocks)
     at = np.arange(blocks.shape[1])
     raised[:, at, at] += damping * blocks[:, at, at] + 1e-9
@@ -153,7 +163,7 @@ def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
 def _sparse(
     blocks: NDArray[np.float64], rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]
 ) -> Any:
-    """Return a sparse matrix of (n, 6, 3) or (n, 9, 3) blocks."""
+    """Assemble a sparse matrix from blocks (n, 6, 3) or (n, 9, 3)."""
     from scipy.sparse import bsr_array
 
     order = np.lexsort((columns, rows))
@@ -163,7 +173,10 @@ def _sparse(
 
 
 def _solved(matrix: NDArray[np.float64], towards: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Solve a positive definite system by conjugate gradients, after inverting its diagonal blocks."""
+    """Solve a positive definite system by conjugate gradients.
+
+    Preconditioned with the inverse diagonal blocks; `size` is the number of unknowns per pose.
+    """
     from scipy.sparse import block_diag, csr_array
     from scipy.sparse.linalg import cg
 

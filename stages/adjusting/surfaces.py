@@ -1,4 +1,4 @@
-"""Surfaces of two views that must meet: some points that one measures, on the planes that the other does."""
+"""Surface points of frame pairs, for point-to-plane residuals between two views."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from numpy.typing import NDArray
 from scanloom.stages.adjusting.view import View
 from scanloom.stages.scans.model.rolling_shutter import late_at
 
-# Cells of a view each way that a point is taken from.
+# Grid of surface points per view, each way.
 _CELLS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """k points, in the order of c couples of views.
+    """k surface points, sorted by frame pair.
 
     Attributes
     ----------
-    couples : (c, 2) the view that measures points, and the one whose surface they are to meet.
-    couple : (k,) of each point.
-    points : (k, 3) metres, in the axes of the first view as they are read.
-    late : (k,) how late that is, see stages/adjusting/shutter.py.
-    rows : (m, 3) of each view's depth map, pixels: focal length and centre down its columns, and its height.
+    couples : (c, 2) indices of the view that measures the points, and of the view whose surface the points
+        should meet.
+    couple : (k,) index of the frame pair of each point.
+    points : (k, 3) metres, depth-camera axes of the first view, at the readout time of the point's row.
+    late : (k,) readout times of the rows, see stages/adjusting/shutter.py.
+    rows : (m, 3) fy, cy and height of the depth map of each view, pixels.
     """
 
     couples: NDArray[np.intp]
@@ -36,14 +37,14 @@ class Surfaces:
 
     @classmethod
     def none(cls) -> Surfaces:
-        """Return no points."""
+        """Create an empty set of points."""
         return cls(
             np.zeros((0, 2), np.intp), np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
         )
 
     @classmethod
     def of(cls, views: Sequence[View], couples: NDArray[np.intp]) -> Surfaces:
-        """Return points of the first view of each couple (c, 2)."""
+        """Sample surface points of the first view of each frame pair (c, 2)."""
         seen = [points_of(view, _CELLS) for view in views]
         points = [seen[first] for first in couples[:, 0]]
         counts = [len(some) for some in points]
@@ -55,14 +56,25 @@ class Surfaces:
         return replace(found, late=found.late_where(found.couples[couple, 0], together))
 
     def late_where(self, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how late (n,) views read points (n, 3) of their own axes; never more than all takes."""
+        """Compute the readout times (n,) at which views see points.
+
+        Times are clipped to the image, -0.5 to 0.5.
+
+        Parameters
+        ----------
+        view : (n,) index of the view of each point.
+        points : (n, 3) metres, depth-camera axes of that view.
+        """
         fy, cy, height = self.rows[view].T
         rows = points[:, 1] / np.maximum(points[:, 2], 1e-3) * fy + cy
         return np.clip(late_at(rows, height), -0.5, 0.5)
 
 
 def points_of(view: View, cells: int) -> NDArray[np.float64]:
-    """Return points (n, 3) of a view's depth, one of each of `cells` × `cells`, in its axes, metres."""
+    """Sample points (n, 3) of a depth map on a regular grid.
+
+    One point per cell of a grid of `cells` × `cells`, if it has depth; metres, depth-camera axes.
+    """
     height, width = view.depth.shape
     rows, columns = np.mgrid[0:cells, 0:cells]
     rows = ((rows.ravel() + 0.5) * height / cells).astype(int)

@@ -1,4 +1,4 @@
-"""Points that three views or more have matched to each other."""
+"""Feature tracks: keypoints matched across three or more views."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from scanloom.stages.adjusting.matching import Matches
 from scanloom.stages.adjusting.shutter import late_of
 from scanloom.stages.adjusting.view import View
 
-# A track needs so many views.
+# Minimum number of views of a track.
 _LEAST_VIEWS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """n observations of p points, in the order of the points.
+    """n observations of p points, sorted by point.
 
     Attributes
     ----------
-    view, point : (n,) which view sees which point; no view sees one twice.
-    pixels : (n, 2).
-    late : (n,) how late these are read, see stages/adjusting/shutter.py.
-    matched : (k,) of the matches, the point of each, or -1.
+    view, point : (n,) indices of view and point; a view observes a point once at most.
+    pixels : (n, 2) in the colour image.
+    late : (n,) readout times of the pixels, see stages/adjusting/shutter.py.
+    matched : (k,) index of the point of each match; -1 without.
     """
 
     view: NDArray[np.intp]
@@ -36,18 +36,21 @@ class Tracks:
 
     @property
     def count(self) -> int:
-        """Return how many points there are."""
+        """Return the number of points."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
     def of(self, chosen: NDArray[np.bool_]) -> Tracks:
-        """Return the points of which (p,) `chosen` is true, without their matches."""
+        """Select points by a mask (p,), and drop the indices of matches."""
         kept = chosen[self.point]
         _, point = np.unique(self.point[kept], return_inverse=True)
         return Tracks(self.view[kept], point, self.pixels[kept], self.late[kept], np.zeros(0, np.intp))
 
 
 def tracks(views: Sequence[View], found: Matches) -> Tracks:
-    """Join matches to tracks; those with two points of one view are wrong somewhere, and left out."""
+    """Join matches into tracks.
+
+    Tracks with two keypoints in one view contain a wrong match, and are dropped.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""A frame as adjustment needs it: points that can be recognised, and depth that can be relied on."""
+"""Frame prepared for the adjustment: keypoints and filtered depth."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
-# Wider images are made smaller; transfer errors are in pixels of what is looked at.
+# Maximum width of images; wider ones are downscaled. Transfer errors are in pixels of the downscaled image.
 WIDEST = 960
-# Wider depth maps are thinned.
+# Maximum width of depth maps, pixels (wider ones are subsampled); maximum number of keypoints per view.
 _WIDEST_DEPTH = 640
 _POINTS = 1500
-# Weaker corners count than by default: what is smooth or blurred has no others.
+# Contrast threshold of SIFT, lower than its default: smooth or blurred surfaces have no stronger keypoints.
 _CONTRAST = 0.025
-# Depth among neighbours may differ by this share of it; fewer neighbours than this say nothing.
+# Maximum relative depth range in a window of 3 × 3 pixels, and minimum number of its pixels with depth.
 _SMOOTH, _NEIGHBOURS = 0.04, 3
-# A grey image is black or white where its mean is beyond these.
+# Mean grey levels (0 to 255) below which an image is black, and above which it is over-exposed.
 _DARK, _BRIGHT = 8.0, 247.0
 BLACK, OVER_EXPOSED = "black", "over-exposed"
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A frame that was read.
+    """Keypoints, depth and cameras of a frame.
 
     Attributes
     ----------
-    name : of the frame.
-    pixels : (n, 2) float32, of recognisable points, in the image that was looked at.
-    descriptors : (n, 128) uint8, SIFT's.
-    size : (width, height) of that image.
-    full_size : of the image as it is stored.
-    depth : (h, w) float32 metres, 0 where it is missing or jumps; a mean of neighbours elsewhere.
-    lens : (9,) of the colour camera as given, see `Cameras.lenses`.
+    name : name of the frame.
+    pixels : (n, 2) float32 keypoints, pixels of the downscaled image.
+    descriptors : (n, 128) uint8 SIFT descriptors.
+    size : (width, height) of the downscaled image.
+    full_size : (width, height) of the stored image.
+    depth : (h, w) float32 metres, smoothed over 3 × 3 pixels; 0 where missing or at discontinuities.
+    lens : (9,) colour camera as given, see `Cameras.lenses`.
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
-    is_plain : the colour camera's lens is one that can be adjusted.
+    is_plain : the lens of the colour camera can be adjusted (no fisheye, at most five coefficients).
     """
 
     name: str
@@ -61,17 +61,17 @@ class View:
 
 
 def color_camera(frame: Frame) -> Camera:
-    """Return the camera of a frame's colour image, that of its depth map where none is stated."""
+    """Return the colour camera of a frame; by default the depth camera."""
     return frame.camera if frame.color_camera is None else frame.color_camera
 
 
 def place_of_color(frame: Frame) -> NDArray[np.float64]:
-    """Return (4, 4) color_from_depth, that of one place where none is stated."""
+    """Return color_from_depth (4, 4) of a frame; by default the identity."""
     return np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
 
 
 def has_one_camera(frames: Sequence[Frame]) -> bool:
-    """Say whether one colour camera took all photos, of a lens that can be adjusted."""
+    """Check whether all frames share one colour camera with an adjustable lens."""
     first = frames[0]
     camera, place = color_camera(first), place_of_color(first)
     return (
@@ -83,16 +83,16 @@ def has_one_camera(frames: Sequence[Frame]) -> bool:
 
 
 def read_view(frame: Frame) -> View:
-    """Read a frame.
+    """Read a frame, detect its keypoints and filter its depth.
 
     Raises
     ------
     InputError
-        If it has no colour or depth, cannot be read, or its image is black or over-exposed.
+        If the frame has no colour or depth, cannot be read, or its image is black or over-exposed.
     """
     import cv2
 
-    # Rows that are read one after the other are where they were read.
+    # Images are read without rolling-shutter correction, because the adjustment models the readout itself.
     frame = replace(frame, shutter_turn=None)
     depth = read_depth(frame)
     if depth is None:
@@ -129,7 +129,7 @@ def read_view(frame: Frame) -> View:
 
 
 def view_or_none(frame: Frame) -> View | SkippedFrame:
-    """Return what is read of a frame, or why it cannot be used."""
+    """Read a frame; return the reason if it is unusable."""
     try:
         return read_view(frame)
     except InputError as error:
@@ -137,19 +137,19 @@ def view_or_none(frame: Frame) -> View | SkippedFrame:
 
 
 def exposure_of(skipped: SkippedFrame) -> str | None:
-    """Return BLACK or OVER_EXPOSED for a frame that was skipped because of it, else None."""
+    """Return BLACK or OVER_EXPOSED if a frame was skipped for it; else None."""
     diagnostic = skipped.diagnostic
     return str(diagnostic.values["what"]) if diagnostic.code == REGISTER_FRAMES_UNUSABLE.name else None
 
 
 def as_taken(frame: Frame) -> ColorImage | None:
-    """Return the colour image with the distortion of its lens."""
+    """Read the colour image of a frame without undistortion."""
     camera = replace(color_camera(frame), distortion=())
     return read_color(replace(frame, color_camera=camera))
 
 
 def _sound(depth: DepthImage) -> DepthImage:
-    """Return the mean of what each pixel and its neighbours measure, 0 where these do not agree."""
+    """Average depth over 3 × 3 pixels; 0 where depths disagree."""
     import cv2
 
     known = (depth > 0).astype(np.float32)

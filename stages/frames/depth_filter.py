@@ -30,8 +30,8 @@ class OrientedDepth:
     depth : (h, w) float32 metres, 0 where missing or dropped.
     normal : three (h, w) float32 images: the surface normal in camera axes, towards the camera. The normal is
         scaled so that its product with the pixel's ray (x/z, y/z, 1) is −1.
-    obliqueness : (h, w) float32, about 1 or more: length of `normal`. This is the distance along the optical
-        axis over the distance from the surface.
+    obliqueness : (h, w) float32, about 1 or more: length of `normal`. This is the ratio of the depth to the
+        distance between camera and tangent plane.
     """
 
     depth: DepthImage
@@ -48,17 +48,18 @@ def orient_depth(
     min_depth: float = 0.0,
     max_depth: float = math.inf,
 ) -> OrientedDepth:
-    """Measure surface normals and drop pixels at discontinuities and grazing angles.
+    """Measure surface normals, and drop pixels at discontinuities and grazing angles.
 
     Sensors and matchers put "flying" pixels next to a discontinuity, between the near and the far surface.
-    Both sides of a discontinuity are therefore dropped. Depth maps warped into the view of a colour camera
-    have many gaps of one pixel. Such gaps are bridged if the depths on both sides agree.
+    Both sides of a discontinuity are therefore dropped. Depth maps reprojected to a colour camera have many
+    gaps of one pixel. Such gaps are bridged if the depths on both sides agree.
 
     Parameters
     ----------
     depth : (h, w) float32 metres, 0 where missing.
-    max_jump : largest relative change of depth between neighbouring pixels; more is a discontinuity.
-    max_angle : largest angle between the line of sight and the surface normal, degrees.
+    camera : pinhole camera of the depth map.
+    max_jump : maximum relative change of depth between neighbouring pixels; more is a discontinuity.
+    max_angle : maximum angle between the line of sight and the surface normal, degrees.
     min_depth, max_depth : metres; nearer and farther depth is dropped.
     """
     filtered, normal, obliqueness = _kernels.oriented_depth(
@@ -72,7 +73,10 @@ def orient_depth(
 
 
 def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
-    """Bridge gaps of one pixel between depths that agree; return depth and inverse depth."""
+    """Bridge gaps of one pixel between depths that agree.
+
+    Returns depth and inverse depth (h, w); 0 where missing.
+    """
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     depth = depth.copy()
     for axis in (1, 0):
@@ -81,7 +85,7 @@ def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
 
 
 def _bridge_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
-    """Fill single missing pixels between two similar depths along an axis, in place."""
+    """Fill single missing pixels between similar depths, in place."""
     # Transposed views let the same slices serve both axes.
     inverse, depth = (inverse, depth) if axis else (inverse.T, depth.T)
     before, after = inverse[:, :-2], inverse[:, 2:]
@@ -95,13 +99,22 @@ def _bridge_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float)
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Differences between neighbouring pixels along an axis; `known` is 1 where there is one, else 0."""
+    """Differences between neighbouring pixels along an axis.
+
+    Attributes
+    ----------
+    value : (h, w) float32 difference to the next pixel, 0 where unknown.
+    known : (h, w) float32, 1 where the difference is known, else 0.
+    """
 
     value: Image
     known: Image
 
     def mean(self, window: int, at: Any = ...) -> Image:
-        """Average the known differences in a window around each pixel, or around the pixels `at`."""
+        """Average the known differences in a window around each pixel.
+
+        `at` selects the pixels; by default all.
+        """
         import cv2
 
         total, count = (
@@ -112,7 +125,15 @@ class Differences:
 
 
 def inverse_depth_differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Differences:
-    """Take differences of inverse depth along `axis`, and mark discontinuities in `torn`."""
+    """Compute differences of inverse depth along an axis, and mark discontinuities.
+
+    Parameters
+    ----------
+    inverse : (h, w) inverse depth, 0 where missing.
+    axis : 0 along columns, 1 along rows.
+    max_jump : maximum relative difference; more is a discontinuity.
+    torn : (h, w) mask; pixels on both sides of discontinuities are set in place.
+    """
     first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1, :], np.s_[1:, :])
     a, b = inverse[first], inverse[second]
     difference = b - a

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Default contrast threshold of SIFT.
+# Default contrast threshold of SIFT in OpenCV.
 _CONTRAST = 0.04
-# Share of the darkest and of the brightest pixels that stretching the grey values may clip.
+# Ratio of the darkest and of the brightest pixels that stretching the contrast may clip.
 _TAILS = 0.01
-# Largest ratio of the distances of the best and the second-best match (ratio test).
+# Maximum ratio of the distances of the best and the second-best match (ratio test).
 _MAX_RATIO = 0.8
-# RANSAC of the fundamental matrix: inlier threshold, trials, and minimum number of inliers.
+# RANSAC of the fundamental matrix: inlier threshold in pixels, trials, and minimum number of inliers.
 _INLIER_PX, _TRIALS, _MIN_INLIERS = 2.0, 1000, 16
 
 
@@ -87,7 +87,7 @@ def find_epipolar_inliers(first: NDArray[np.float32], second: NDArray[np.float32
 
 
 def _stretch_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Stretch the grey values, so that dark images have keypoints too."""
+    """Stretch the contrast, so that dark images have keypoints too."""
     import cv2
 
     shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size

@@ -13,13 +13,13 @@ from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Fra
 
 
 def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
-    """Read the colour image of a frame at the pixels of its depth map.
+    """Read the colour of a frame at the pixels of its depth map.
 
     Parameters
     ----------
     frame : frame with a colour image.
-    depth : (h, w) metres, depth map of the frame. If the colour camera and the depth camera stand apart, the
-        colour of a pixel without depth is a guess.
+    depth : (h, w) metres, depth map of the frame. If the colour camera and the depth camera have different
+        positions, the colour of a pixel without depth is a guess.
 
     Raises
     ------
@@ -44,10 +44,10 @@ def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
 
 
 def _reproject_color(color: ColorImage, frame: Frame, camera: Camera, depth: DepthImage) -> ColorImage:
-    """Sample the colour image where the colour camera sees the pixels of the depth map."""
+    """Reproject the colour image to the pixels of the depth map."""
     import cv2
 
-    # Pixels of the depth map may be wider than those of the photo: the photo is averaged first.
+    # Photos with smaller pixels than the depth map are averaged first, against aliasing.
     spacing = (camera.fx / camera.width * color.shape[1]) / frame.camera.fx
     if spacing > 1:
         smaller = (max(round(color.shape[1] / spacing), 1), max(round(color.shape[0] / spacing), 1))

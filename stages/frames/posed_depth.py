@@ -16,14 +16,14 @@ from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
-# Largest angle between the line of sight and the surface normal, degrees. At grazing angles other frames see
-# the surface better; a single frame has no others.
+# Maximum angle between the line of sight and the surface normal, degrees: with several frames, and with a
+# single frame. At grazing angles other frames see the surface better.
 MAX_ANGLE, MAX_ANGLE_ALONE = 87.0, 89.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthLimits:
-    """Limits of the depth that is read; see the parameters of `fuse` with the same names."""
+    """Limits of the depth to read; see the parameters of `fuse` with the same names."""
 
     min_depth: float
     max_depth: float
@@ -38,9 +38,9 @@ class PosedDepth:
     Attributes
     ----------
     surface : depth within the limits, filtered, without lens distortion.
-    camera : without lens distortion.
+    camera : pinhole camera of the depth map.
     pose : (4, 4) world_from_camera.
-    valid : number of pixels that had a depth before the filter.
+    valid : number of pixels with depth before filtering.
     """
 
     surface: OrientedDepth
@@ -89,6 +89,10 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
         max_depth=limits.max_depth,
     )
     if not oriented.depth.any():
-        message = "no pixel has a depth." if valid == 0 else "no pixel's depth is within the limits."
+        message = (
+            "no pixel has a depth."
+            if valid == 0
+            else "no depth is within the limits of distance, depth jumps and angle."
+        )
         raise InputError(SCAN_FRAMES_SKIPPED, message, Where(frame=frame.name))
     return PosedDepth(oriented, camera, pose, valid)

@@ -9,17 +9,18 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import FRAME_POSE_MISSING, POSE_INVALID
 from scanloom.stages.scans.model.scan import Frame, Pose
 
-# Poses read from text have few digits, and the rotations of trackers drift.
+# Maximum deviation of R Rᵀ from the identity. Poses read from text have few digits, and rotations of trackers
+# drift.
 _RIGID_TOLERANCE = 1e-2
 
 
 def require_rigid_pose(frame: Frame) -> Pose:
-    """Return the camera pose of a frame as float64, checked to be rigid.
+    """Return the camera pose of a frame, checked to be rigid, as float64.
 
     Raises
     ------
     InputError
-        If the frame has no pose, or the pose is not a rotation and a shift.
+        If the frame has no pose, or its pose is not a rotation and a translation.
     """
     if frame.world_from_camera is None:
         raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", Where(frame=frame.name))
@@ -30,6 +31,6 @@ def require_rigid_pose(frame: Frame) -> Pose:
     deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if deviation > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError(
-            POSE_INVALID, "the camera pose is not a rotation and a shift.", Where(frame=frame.name)
+            POSE_INVALID, "the camera pose is not a rotation and a translation.", Where(frame=frame.name)
         )
     return pose

@@ -1,1 +1,1 @@
-"""Registration: views, alignment of two, which pairs to try, and the pose graph."""
+"""Registration of frames without poses: odometry, loop closure and pose graph."""

@@ -1,4 +1,4 @@
-"""Which views look alike: vectors of locally aggregated descriptors (Jégou et al. 2010)."""
+"""Image similarity by vectors of locally aggregated descriptors (VLAD; Jégou et al. 2010)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _SAMPLE = 20_000
 
 
 def likeness(views: Sequence[Features]) -> NDArray[np.float32]:
-    """Return (n, n) how alike views look, 1 for the same; 0 where one has no features."""
+    """Compute the similarity (n, n) of views by appearance.
+
+    The similarity is 1 for equal views, and 0 if one of both has no features.
+    """
     import cv2
 
     counts = [len(view.points) for view in views]

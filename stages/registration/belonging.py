@@ -1,9 +1,10 @@
-"""Which pixels show the thing that moved: each is asked of other frames, as part of it and as standing still.
+"""Segmentation of the object that moved between frames.
 
-What would be seen through, or looks different where it should be, is not there. What turned about an axis is
-all that is as near to it as what surely turned, but for what surely stands still, and for the table beside,
-which is of another colour than the plate and goes on beyond. Where nothing turned about one axis, what is
-not sure goes with what is around it.
+Each pixel is reprojected into other frames twice: as part of the moving object, and as part of the static
+background. The hypothesis that agrees in depth and colour gets the vote. For a turntable, the object is
+everything within the radius of the pixels that surely turned, minus surely static pixels and the table. The
+table differs from the plate in colour, and extends beyond the plate. Without a common axis, undecided pixels
+follow their neighbours.
 """
 
 from __future__ import annotations
@@ -25,51 +26,53 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 Floats = NDArray[np.float64]
 
-# Frames that are asked, spread over the scan.
+# Number of frames that vote, spread over the scan.
 _ASKED = 8
-# From this difference on colours speak against, 8-bit levels: a thing that turns is lit otherwise.
+# Colour difference from which colour contradicts a hypothesis, 8-bit levels. The tolerance is wide because
+# shading changes when an object turns.
 _OTHER_SHADE = 30.0
-# How many more frames must speak for one than for the other.
+# Minimum lead in votes for a certain pixel.
 _SURE = 1.5
-# A turn tells an axis from this on; axes of one turntable differ by less, radians, and shifts along it are
-# less, as a share of the thing's distance.
+# Minimum rotation from which an axis is estimated, and maximum deviation between axes of one turntable,
+# radians; maximum translation along the axis, relative to the distance of the object.
 _TURNED, _ONE_AXIS, _ALONG = np.radians(8), np.radians(8), 0.05
-# The thing reaches as far as nearly all pixels that surely show it, and a little.
+# Percentile of the radii of certain pixels that gives the radius of the object, and a margin as factor.
 _REACH, _MORE = 97.0, 1.03
-# Pixels that must surely show it, for that. A table is beside it where so large a share of what is so much
-# farther out is at one height.
+# Minimum number of certain pixels to estimate the extent of the object. The table is searched up to `_BESIDE`
+# object radii; it exists if at least the ratio `_FLAT` of the points there is at one height.
 _LEAST_SURE, _BESIDE, _FLAT = 50, 1.5, 0.5
-# Table and plate differ by so many 8-bit levels or cannot be told apart; the plate is within this share.
+# Minimum colour difference between table and plate, 8-bit levels. The plate's colour is sampled within this
+# ratio of the object radius.
 _TWO_COLORS, _PLATE = 15.0, 0.7
-# Frames ask each other where the thing turned by this much between them, radians.
+# Minimum rotation of the object between two frames that vote on each other, radians.
 _MOVED = np.radians(3)
-# Spots and gaps of fewer pixels, as a share of the image, are taken away.
+# Maximum area of spots and holes that are removed, as ratio of the image.
 _SPOT = 0.001
-# Names of what is flooded.
+# Marker labels of the watershed.
 _STILL, _THING = 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """What a thing turned about: a point (3,) and a direction (3,), in its own world."""
+    """Rotation axis of an object: a point (3,) and a direction (3,), in the object's world."""
 
     point: Floats
     direction: Floats
 
     def radius_and_height(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return how far points (…, 3) are from it, and where along it."""
+        """Compute the distance of points (…, 3) from the axis, and their height along it."""
         away = points - self.point
         height = away @ self.direction
         return np.linalg.norm(away - height[..., None] * self.direction, axis=-1), height
 
 
 def axis_of(poses: Sequence[Pose], distance: float) -> Axis | None:
-    """Return the axis that all motions between cameras turn about; None if there is not one.
+    """Estimate the common rotation axis of all motions; None without one.
 
     Parameters
     ----------
-    poses : world_from_camera of a camera that stands still, the world being what turns.
-    distance : of the thing from the camera, metres.
+    poses : world_from_camera of a static camera; the world turns with the object.
+    distance : distance of the object from the camera, metres.
     """
     from scipy.spatial.transform import Rotation
 
@@ -87,19 +90,23 @@ def axis_of(poses: Sequence[Pose], distance: float) -> Axis | None:
     slides = np.abs([motion[:3, 3] @ mean for motion in motions])
     if np.median(off) > _ONE_AXIS or np.median(slides) > _ALONG * distance:
         return None
-    # A point that stays where it is, in the least squares of all motions; along the axis any does.
+    # Least-squares fixed point of all motions. The last row selects one of the points along the axis.
     rows = np.concatenate([np.eye(3) - motion[:3, :3] for motion in motions] + [mean[None]])
     sides = np.concatenate([motion[:3, 3] for motion in motions] + [np.zeros(1)])
     return Axis(np.linalg.lstsq(rows, sides, rcond=None)[0], mean)
 
 
 def masks_of_thing(frames: Mapping[int, Frame]) -> dict[int, Mask]:
-    """Return which pixels (h, w), of a size of their own, show the thing in each frame that can be read.
+    """Segment the moving object in each frame.
 
     Parameters
     ----------
-    frames : by their places, all from one camera that stands still, without a mask of the thing; their poses
-        are of one world, which is the thing.
+    frames : frames of one static camera by index, without object masks. Their poses are relative to the
+        object.
+
+    Returns
+    -------
+    Masks (h, w) of the object by frame index, at the resolution of `Look`, for all readable frames.
     """
     poses = {n: frame.world_from_camera for n, frame in frames.items() if frame.world_from_camera is not None}
     places = list(poses)
@@ -127,9 +134,13 @@ def masks_of_thing(frames: Mapping[int, Frame]) -> dict[int, Mask]:
 
 @dataclass(frozen=True, eq=False)
 class _Said:
-    """How many more frames speak for a pixel (h, w) as one of the thing than as one that stands still.
+    """Votes (h, w) for each pixel.
 
-    `says` counts depth and colour, `seen_through` how many more see through it as one of the thing.
+    Attributes
+    ----------
+    says : votes for the moving object minus votes for the static background, by depth and colour.
+    seen_through : frames that see through the pixel as part of the object, minus those that see through the
+        pixel as part of the background.
     """
 
     says: Floats
@@ -138,7 +149,15 @@ class _Said:
 
 @dataclass(frozen=True, eq=False)
 class _Reach:
-    """How far the thing reaches from its axis and along it, and how high the table beside it is, metres."""
+    """Extent of the object around its rotation axis, with the table around it.
+
+    Attributes
+    ----------
+    axis : rotation axis of the object.
+    radius, low, high : maximum distance from the axis, and range of heights along the axis, metres.
+    table_at : height of the table, metres; None without a table.
+    same_m : tolerance of this height, metres.
+    """
 
     axis: Axis
     radius: float
@@ -148,12 +167,15 @@ class _Reach:
     same_m: float
 
     def holds(self, points: Floats) -> Mask:
-        """Say which points (h, w, 3) are as near to the axis as the thing is."""
+        """Check which points (h, w, 3) are within the extent of the object."""
         radius, height = self.axis.radius_and_height(points)
         return np.asarray((radius < self.radius) & (height > self.low) & (height < self.high))
 
     def table(self, look: Look, points: Floats) -> Mask:
-        """Return the table (h, w) that goes on beyond the thing's reach without an edge of colour."""
+        """Segment the table (h, w) around the plate.
+
+        The table includes pixels within the object's radius that are connected to it without a colour edge.
+        """
         import cv2
 
         if self.table_at is None:
@@ -163,7 +185,8 @@ class _Reach:
         beside, plate = flat & (radius > self.radius), flat & (radius < _PLATE * self.radius)
         if look.color is None or not beside.any() or not plate.any():
             return np.zeros(look.depth.shape, bool)
-        # Two colours, or it cannot be told where the plate ends; that of the table is taken near the plate.
+        # Without two distinct colours the edge of the plate is unknown. The table's colour is sampled near
+        # the plate.
         beside &= radius < _BESIDE * self.radius
         colors = [np.median(look.color[where], axis=0) for where in (beside, plate)]
         if not beside.any() or np.abs(colors[0] - colors[1]).max() < _TWO_COLORS:
@@ -172,12 +195,15 @@ class _Reach:
         _, labels = cv2.connectedComponents((flat & (off[0] < off[1])).astype(np.uint8), connectivity=4)
         beyond = np.unique(labels[beside])
         table = np.isin(labels, beyond[beyond > 0])
-        # The edge itself is of both.
+        # Pixels on the edge mix both colours.
         return np.asarray(cv2.dilate(table.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & flat
 
 
 def _reach(looks: Mapping[int, Look], said: Mapping[int, _Said], poses: Mapping[int, Pose]) -> _Reach | None:
-    """Return how far what surely turned reaches; None if it did not turn about one axis."""
+    """Estimate the extent of the object from pixels that surely turned.
+
+    Returns None without a common axis, or with too few certain pixels.
+    """
     distance = float(np.median([np.median(look.depth[look.depth > 0]) for look in looks.values()]))
     axis = axis_of(list(poses.values()), distance)
     if axis is None:
@@ -203,7 +229,12 @@ def _reach(looks: Mapping[int, Look], said: Mapping[int, _Said], poses: Mapping[
 
 
 def _said(look: Look, pose: Pose, others: Mapping[int, Look], poses: Mapping[int, Pose], place: int) -> _Said:
-    """Ask frames, but for the one of this place, what they see where its pixels show something."""
+    """Accumulate the votes of other frames for the pixels of a preview.
+
+    Parameters
+    ----------
+    others : previews of the voting frames by index; the frame `place` itself does not vote.
+    """
     says, through = np.zeros(look.depth.shape), np.zeros(look.depth.shape)
     points = look.points()
     for n, other in others.items():
@@ -213,7 +244,7 @@ def _said(look: Look, pose: Pose, others: Mapping[int, Look], poses: Mapping[int
         as_thing, alike_thing = _votes(look, points @ motion[:3, :3].T + motion[:3, 3], other)
         as_still, alike_still = _votes(look, points, other)
         through += (as_thing < 0).astype(float) - (as_still < 0)
-        # That one can be seen says nothing against the other where that is hidden.
+        # An occluded hypothesis gets no vote: seeing the other one does not contradict it.
         both = (as_thing != 0) & (as_still != 0)
         as_thing = np.where(as_thing > 0, both * alike_thing, as_thing)
         says += as_thing - np.where(as_still > 0, both * alike_still, as_still)
@@ -221,12 +252,16 @@ def _said(look: Look, pose: Pose, others: Mapping[int, Look], poses: Mapping[int
 
 
 def _votes(look: Look, points: Floats, other: Look) -> tuple[Floats, Floats]:
-    """Ask another frame what it sees where points (h, w, 3) are.
+    """Compare points with the depth and colour that another frame sees there.
+
+    Parameters
+    ----------
+    points : (h, w, 3) points of the pixels of `look`, metres, camera axes of the other frame.
 
     Returns
     -------
-    (h, w) 1 where it sees them, -1 where it sees through them, 0 where something hides them; and how alike
-    they look, 1 for the same and down to -1.
+    Votes (h, w): 1 visible, -1 contradicted (the other frame sees farther), 0 occluded or unknown.
+    Colour agreement (h, w): 1 for equal colours, down to -1.
     """
     rows, columns, inside = _pixels(points, other.camera)
     there = other.depth[rows, columns]
@@ -241,7 +276,7 @@ def _votes(look: Look, points: Floats, other: Look) -> tuple[Floats, Floats]:
 
 
 def _with_around(look: Look, is_thing: Mask, is_still: Mask) -> Mask:
-    """Return the thing with what goes with it: what is not sure is flooded over flat colour first."""
+    """Assign undecided pixels to object or background by a watershed on colour."""
     import cv2
 
     markers = np.zeros(look.depth.shape, np.int32)
@@ -257,14 +292,17 @@ def _with_around(look: Look, is_thing: Mask, is_still: Mask) -> Mask:
 
 
 def _core(mask: Mask) -> Mask:
-    """Return the inner part of a mask: single pixels are not sure of anything."""
+    """Open a mask, because single pixels are unreliable."""
     import cv2
 
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
 def _pixels(points: Floats, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-    """Return the row and column that see each point (h, w, 3), and which of them are in the image."""
+    """Project points (h, w, 3) to pixels.
+
+    Returns rows and columns (h, w), 0 outside the image, and a mask of points inside the image.
+    """
     columns, rows = map(np.rint, project(points, camera))
     inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     inside &= points[..., 2] > 1e-6
@@ -276,7 +314,7 @@ def _pixels(points: Floats, camera: Camera) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _smoothed(mask: Mask) -> Mask:
-    """Return a mask as its neighbourhoods say, without spots and holes."""
+    """Smooth a mask, and remove small spots and holes."""
     import cv2
 
     smooth = cv2.medianBlur(mask.astype(np.uint8), 5)

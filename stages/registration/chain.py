@@ -1,4 +1,4 @@
-"""The chain: every frame placed to the one before, and the key frames that stand for it."""
+"""Frame-to-frame odometry, and selection of key frames."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 
-# A key frame is taken where the view has moved by this much of its median depth, has turned by this much, or
-# after so many frames.
+# Thresholds for a new key frame, relative to the last one: translation in median depths, rotation in radians,
+# number of frames.
 _KEY_SHIFT = 0.08
 _KEY_TURN = np.radians(8)
 _KEY_FRAMES = 10
-# Views whose images are kept, of 0.3 MB each; others are read again when they are asked for.
+# Maximum number of views whose images stay in memory, 0.3 MB each; others are read again on demand.
 _MAX_HELD_VIEWS = 256
 
 
 class KeyViews:
-    """Views of key frames by their index in the scan. Safe to use from any thread.
+    """Cache of key-frame views by frame index; thread-safe.
 
-    All features stay in memory; images stay as long as there is room.
+    All features stay in memory. Images stay for the most recently used views only.
     """
 
     def __init__(self, frames: Sequence[Frame], max_depth: float) -> None:
@@ -52,7 +52,7 @@ class KeyViews:
         self._lock = Lock()
 
     def keep(self, number: int, view: View) -> None:
-        """Store the view of a key frame, and drop the least recently used one if too many are held."""
+        """Store the view of a key frame; drop the least recently used view."""
         with self._lock:
             self.features[number] = view.features
             self._held[number] = view
@@ -61,7 +61,7 @@ class KeyViews:
                 self._held.popitem(last=False)
 
     def view(self, number: int) -> View:
-        """Return a stored view; images that were dropped are read again."""
+        """Return the view of a key frame; dropped images are read again."""
         with self._lock:
             view = self._held.get(number)
             if view is not None:
@@ -74,7 +74,13 @@ class KeyViews:
 
 @dataclass(frozen=True)
 class Seen:
-    """What is kept of a view once its images are gone."""
+    """Values that stay after the images of a view are dropped.
+
+    Attributes
+    ----------
+    depth_m : median depth, metres.
+    mean_color : mean grey level, 0 to 255; NaN without colour.
+    """
 
     depth_m: float
     mean_color: float
@@ -82,15 +88,16 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Frames that can be used, and the motion of each to the next one that can.
+    """Usable frames with their frame-to-frame motions.
 
     Attributes
     ----------
-    views : of the key frames.
-    seen : by the frame's place in the scan, in order; of all frames that can be used.
-    motions : of the next frame that can be used to the one of this place.
-    poses : world_from_camera along the chain; after a break they start anew.
-    keys : places of the key frames, in order.
+    views : views of the key frames.
+    seen : values of all usable frames by frame index, in order.
+    motions : target_from_source by frame index: the frame is the target, the next usable frame the source.
+    poses : world_from_camera along the chain by frame index; the identity after a break.
+    keys : frame indices of the key frames, in order.
+    skipped : unusable frames, with reasons.
     """
 
     views: KeyViews
@@ -102,18 +109,20 @@ class Chain:
 
     @property
     def breaks(self) -> list[int]:
-        """Return the places after which the chain is broken, in order."""
+        """Return the frame indices after which the chain is broken, in order."""
         return [number for number, motion in self.motions.items() if isinstance(motion, NoMotion)]
 
 
 def make_chain(
     frames: Sequence[Frame], max_depth: float, progress: Progress, given: Mapping[int, Pose]
 ) -> Chain:
-    """Read all frames, place each to the one before, and choose key frames.
+    """Align each frame to its predecessor, and select key frames.
 
     Parameters
     ----------
-    given : world_from_camera of frames by their place: first guesses, and kept where no better is found.
+    frames : frames in recording order.
+    max_depth : farther depth is ignored, metres.
+    given : world_from_camera by frame index: initial guesses, kept if no better motion is found.
     """
     threads = workers()
     chain = Chain(KeyViews(frames, max_depth))
@@ -140,7 +149,8 @@ def make_chain(
 
     def place(couple: tuple[int, View, int, View]) -> tuple[int, View, int, View, Motion | NoMotion]:
         before, target, number, source = couple
-        # The motion of the later one to the earlier, so that poses are products from left to right.
+        # The motion is that from the later to the earlier frame, so that poses are products from left to
+        # right.
         if before in given and number in given:
             guess = inverted(given[before]) @ given[number]
             return *couple, refined(source, target, max_depth, guess)
@@ -152,7 +162,7 @@ def make_chain(
     ):
         is_given = before in given and number in given
         if not is_given and isinstance(last, Motion) and (isinstance(found, NoMotion) or found.points == 0):
-            # Nothing was recognised: a camera in motion goes on as it went.
+            # Nothing was matched: the previous motion (constant velocity) serves as initial guess.
             again = by_surface(source, target, max_depth, last.target_from_source)
             if isinstance(again, Motion):
                 found = again if isinstance(found, NoMotion) else max(found, again, key=_fitness)
@@ -165,10 +175,10 @@ def make_chain(
 
 
 def key_edges(chain: Chain, max_depth: float) -> Iterator[Edge]:
-    """Yield the motions between key frames that follow each other, found at once where that works.
+    """Yield the motions between consecutive key frames, aligned directly if possible.
 
-    Every alignment comes out a little short, since noise holds a surface where it is: one over many frames is
-    less short than many put together.
+    Each alignment underestimates the motion a little, because depth noise holds surfaces in place. A single
+    alignment over many frames loses less than a product of many alignments.
     """
 
     def place(edge: Edge) -> Edge:
@@ -189,10 +199,11 @@ def key_edges(chain: Chain, max_depth: float) -> Iterator[Edge]:
 def _append(
     chain: Chain, before: int, target: View, number: int, source: View, motion: Motion | NoMotion
 ) -> None:
-    """Put a frame at the end of the chain, as a key frame if it is one."""
+    """Append a frame to the chain, as a key frame if due."""
     chain.motions[before] = motion
     if isinstance(motion, NoMotion):
-        # The last one before a break too: it is the one most like what may come back.
+        # The last frame before a break becomes a key frame, because later frames match it best when the
+        # camera returns.
         if chain.keys[-1] != before:
             _take(chain, before, target)
         chain.poses[number] = np.eye(4)
@@ -215,7 +226,7 @@ def _take(chain: Chain, number: int, view: View) -> None:
 
 
 def _chain_edges(chain: Chain) -> Iterator[Edge]:
-    """Yield the motions between key frames that follow each other, put together from those between."""
+    """Yield the motions between consecutive key frames as products along the chain."""
     numbers = list(chain.motions)
     for later, (a, b) in enumerate(itertools.pairwise(chain.keys), 1):
         between = [chain.motions[n] for n in numbers[bisect_left(numbers, a) : bisect_left(numbers, b)]]

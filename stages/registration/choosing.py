@@ -1,4 +1,4 @@
-"""Which poses are taken: those that points agree with by which they were not found."""
+"""Selection of poses by points that were held out from their estimation."""
 
 from __future__ import annotations
 
@@ -21,32 +21,34 @@ from scanloom.stages.registration.points import step_of
 from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.scan import Pose
 
-# Fewer loops than this are not asked what they say of each other.
+# Minimum number of loops for a test of loops against each other.
 _FEW_LOOPS = 6
-# Where the points of loops land this near to their matches without them, the path is not bent, pixels; and
-# the times by which a median may be more without being worse: a thousand points tell it no better.
+# Median transfer error of loops along the chain, pixels, below which the chain does not need loops. Medians
+# within this factor count as equal: about a thousand points give no better precision.
 _AGREED_PX, _SAME = 1.0, 1.02
-# How much farther off points of the chain may land with loops than without: a share, and pixels.
+# Maximum rise of the transfer error along the chain that loops may cause: a factor, plus pixels.
 _BENT_SHARE, _BENT_PX = 2.0, 0.25
-# Poses are better where points land nearer by this share, or surfaces meet more; fewer points say nothing.
+# Minimum relative decrease of the error for better poses. With fewer held-out points than this, the overlap
+# of surfaces is compared instead.
 _BETTER, _POINTS = 0.02, 50
-# Poses that leave the given ones altogether must be better by this share.
+# Minimum relative decrease of the error for poses that are not tied to the given ones.
 _CLEARLY = 0.5
-# Couples of key frames, next but one to each other, whose surfaces are looked at.
+# Approximate number of key-frame pairs whose surface overlap is measured.
 _COUPLES = 40
-# The parts of a step, and the least that given poses are off by, radians and metres.
+# Rotation and translation in a step, each with the minimum standard deviation of given poses, radians and
+# metres.
 _LEAST = ((slice(0, 3), 1e-4), (slice(3, 6), 1e-4))
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Poses that were chosen.
+    """Selected poses, with the edges of the pose graph.
 
     Attributes
     ----------
-    poses : world_from_camera by the frame's place; each piece in a world of its own.
-    used, wrong : edges.
-    idle : loops that are left out, for they make nothing agree better.
+    poses : world_from_camera by frame index; each connected component has a separate world.
+    used, wrong : accepted and rejected edges.
+    idle : loops left out because they do not improve the agreement.
     """
 
     poses: dict[int, Pose]
@@ -58,12 +60,14 @@ class Placed:
 def placed(
     chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge], given: Mapping[int, Pose]
 ) -> Placed:
-    """Return the poses of all frames; of given ones, what is better than these.
+    """Compute the poses of all frames; keep given poses unless improved.
 
     Parameters
     ----------
-    groups : numbers of the key frames of each piece.
-    given : world_from_camera by the frame's place.
+    chain : odometry with key frames.
+    groups : indices of the key frames in each connected component.
+    edges : motions between key frames.
+    given : world_from_camera by frame index; may be empty.
     """
     idle, false = _unsound_loops(chain, groups, edges)
     kept = _without(edges, [*idle, *false])
@@ -78,11 +82,14 @@ def placed(
 def _unsound_loops(
     chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge]
 ) -> tuple[list[Edge], list[Edge]]:
-    """Return the loops along an unbroken chain, first those that are idle, then those that are false.
+    """Find loops that do not improve an unbroken chain, or contradict it.
 
-    They are idle if the chain brings their points together as it is, and halves of them bring those of the
-    other, or the chain's own, no nearer but farther apart; they are false if they bend the chain until its
-    own points are off.
+    The loops are split into two halves, and each half is tested on the points of the other half.
+
+    Returns
+    -------
+    idle : loops whose points agree without loop closure, while closing them makes other points worse.
+    false : loops that bend the chain until its own points disagree.
     """
     certain = [edge for edge in edges if edge.is_certain]
     part = {key: i for i, one in enumerate(pieces(len(chain.keys), certain)) for key in one}
@@ -114,9 +121,10 @@ def _held(
     given: Mapping[int, Pose],
     found: Mapping[int, Pose],
 ) -> list[Edge]:
-    """Return edges that hold key frames to where they are given, seen from the first of their piece.
+    """Create edges that tie key frames to their given poses.
 
-    They hold as firmly as steps from one to the next agree with those that were found.
+    Each edge starts at the first key frame of its component with a given pose. Its weight follows from the
+    difference between given and estimated steps.
     """
     held = []
     for group in groups:
@@ -145,7 +153,11 @@ def _between(poses: Mapping[int, Pose], first: int, second: int) -> Pose:
 def _best(
     chain: Chain, groups: Sequence[Sequence[int]], given: Mapping[int, Pose], near: Placed, free: Placed
 ) -> Placed:
-    """Return poses better than those given, free of these only if that is clearly better; else these."""
+    """Select the best of given, refined and freely estimated poses.
+
+    `near` is tied to the given poses; `free` is not, and must be clearly better than `near`. If the selected
+    poses are not better than the given ones, the given poses stay, with a warning.
+    """
     known = set(given)
     edges = [edge for edge in free.used if {chain.keys[edge.source], chain.keys[edge.target]} <= known]
     off = [_errors(chain, edges, one) for one in (given, near.poses, free.poses)]
@@ -156,15 +168,14 @@ def _best(
         measures = [1 - _meeting(chain, one, known) for one in (given, near.poses, free.poses)]
     as_given, near_off, free_off = measures
     best, found = (free, free_off) if free_off < (1 - _CLEARLY) * near_off else (near, near_off)
-    # What is asked is whether these are better, and not whether others would be.
     if found < (1 - _BETTER) * as_given:
         return best
     message = (
-        "the poses found are not better, those given are kept: points that are recognised land {found:.2f} "
-        "px from their matches, {given:.2f} px with those given"
+        "refined poses are not better, so the given poses are kept: the median error of held-out points is "
+        "{found:.2f} px, with the given poses {given:.2f} px"
         if are_enough
-        else "the poses found are not better, those given are kept: {found:.1%} of surfaces do not meet, "
-        "{given:.1%} with those given"
+        else "refined poses are not better, so the given poses are kept: {found:.1%} of the surfaces do not "
+        "overlap, with the given poses {given:.1%}"
     )
     emit(REGISTER_NOT_BETTER.warning(message, found=found, given=as_given))
     return Placed(_completed(chain, groups, given, free.poses), free.used, free.wrong)
@@ -173,7 +184,11 @@ def _best(
 def _completed(
     chain: Chain, groups: Sequence[Sequence[int]], given: Mapping[int, Pose], found: Mapping[int, Pose]
 ) -> dict[int, Pose]:
-    """Return given poses, and of frames without one that which was found beside the nearest that has one."""
+    """Complete the given poses with estimated poses of the other frames.
+
+    Frames without a given pose keep their estimated motion relative to the nearest given frame of their
+    component.
+    """
     piece_of_key = {key: i for i, group in enumerate(groups) for key in group}
     piece = {place: piece_of_key[bisect_right(chain.keys, place) - 1] for place in found}
     poses = {}
@@ -188,7 +203,7 @@ def _completed(
 
 
 def _errors(chain: Chain, edges: Sequence[Edge], poses: Mapping[int, Pose]) -> NDArray[np.float64]:
-    """Return how far held-out points of edges land from their matches, (n,) pixels."""
+    """Compute the transfer errors (n,) of the held-out points of edges, pixels."""
     errors = [np.zeros(0)]
     for edge in edges:
         if edge.motion.held is not None:
@@ -207,7 +222,7 @@ def _without(edges: Sequence[Edge], some: Sequence[Edge]) -> list[Edge]:
 
 
 def _meeting(chain: Chain, poses: Mapping[int, Pose], known: set[int]) -> float:
-    """Return the share of surfaces that meet, of key frames next but one to each other."""
+    """Compute the mean surface overlap of key frames that are two apart."""
     couples = [(a, b) for a, b in zip(chain.keys, chain.keys[2:], strict=False) if a in known and b in known]
     couples = couples[:: max(len(couples) // _COUPLES, 1)]
     shares = [

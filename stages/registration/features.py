@@ -1,4 +1,4 @@
-"""Points that are recognised from view to view, and the motion they tell (Lowe 2004; perspective-n-point)."""
+"""Keypoints with depth, and relative poses from their matches (SIFT; perspective-n-point)."""
 
 from __future__ import annotations
 
@@ -12,36 +12,38 @@ from scanloom.stages.frames.projection import project, unproject
 from scanloom.stages.registration.points import Matched, fitted
 from scanloom.stages.scans.model.scan import Camera, DepthImage, Pose
 
-# Features are looked for in images of at most so many pixels, and the strongest that have a depth are kept.
+# Maximum image size for detection, pixels; number of keypoints detected, and kept (the strongest with depth).
+# Then the grid over which keypoints are spread.
 PIXELS = 640 * 480
 _FOUND, _MOST = 2000, 800
 _CELLS = (8, 6)
-# Weaker corners count than by default: what is smooth or blurred has no others.
+# Contrast threshold of SIFT, lower than its default: smooth or blurred surfaces have no stronger keypoints.
 _CONTRAST = 0.01
-# Pixels that a point may be off where the other view sees it, and the share of its depth along it.
+# Inlier thresholds: reprojection error in pixels, and error of the depth relative to the depth.
 _OFF_PX = 4.0
 _OFF_DEPTH = 0.05
-# Depth at a point is told by neighbours within so many pixels that differ by less than this share; where they
-# are few, they are held to be level as firmly as so many squared pixels would tell.
+# Depth at a keypoint is fitted to neighbours within this many pixels whose depth differs by less than this
+# ratio. The last value, in squared pixels, regularises the slope if there are few neighbours.
 _BESIDE, _ALIKE, _FLAT = 3, 0.02, 4.0
-# Trials for the first motion, and for others, which only count where they have a fair share of the matches.
+# RANSAC trials for the first motion, and for further motions. The latter need fewer trials, because they are
+# only accepted with a substantial ratio of the matches.
 _TRIALS, _MORE_TRIALS = 1000, 300
-# Motions that may be told apart in one pair of views, the least matches that tell one, and the least share of
-# the first one's that tell another.
+# Maximum number of motions of a view pair, minimum number of inliers of a motion, and minimum ratio of
+# inliers to the first motion.
 _MOTIONS = 3
 _LEAST, _LEAST_SHARE = 8, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Recognisable points of a view that have a depth.
+    """Keypoints of a view that have depth.
 
     Attributes
     ----------
     pixels : (n, 2) float32.
-    points : (n, 3) float32, metres, axes of the camera.
-    descriptors : (n, 128) uint8, SIFT's.
-    camera : of the pixels.
+    points : (n, 3) float32 metres, camera axes.
+    descriptors : (n, 128) uint8 SIFT descriptors.
+    camera : pinhole camera of the pixels; None without colour.
     """
 
     pixels: NDArray[np.float32]
@@ -51,21 +53,21 @@ class Features:
 
     @classmethod
     def none(cls) -> Features:
-        """Return the features of a view without colour."""
+        """Create the empty features of a view without colour."""
         empty = np.zeros((0, 3), np.float32)
         return cls(empty[:, :2], empty, np.zeros((0, 128), np.uint8), None)
 
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """How a view is placed to another by what both show.
+    """Relative pose of two views from matched keypoints.
 
     Attributes
     ----------
     target_from_source : (4, 4) metres.
-    information : (6, 6) how firmly it is held, see `points.fitted`.
-    points : matched points that agree with it.
-    held : those of them that it was not found by.
+    information : (6, 6) inverse covariance, see `points.fitted`.
+    points : number of inliers, including held-out ones.
+    held : inliers held out from the estimation.
     """
 
     target_from_source: Pose
@@ -75,13 +77,13 @@ class Recognised:
 
 
 def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> Features:
-    """Return the features of an image whose camera stands where that of a depth map of the same view does.
+    """Detect keypoints with depth.
 
     Parameters
     ----------
-    grey : of any size.
-    camera : of the grey image, without distortion.
-    depth : metres, of any size.
+    grey : image from the position of the depth camera, any size.
+    camera : camera of the grey image, without distortion.
+    depth : metres, any size.
     """
     found = detect_keypoints(grey, _FOUND, contrast=_CONTRAST)
     pixels = found.pixels
@@ -96,9 +98,10 @@ def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> F
 
 
 def recognise(source: Features, target: Features) -> list[Recognised]:
-    """Return the motions that matches agree on, that of most matches first.
+    """Estimate the motions that matches agree on, most inliers first.
 
-    What stands still and what moves on its own tell a motion each; none is told by too few matches.
+    The static scene and each object that moves independently have a separate motion. Motions with too few
+    inliers are dropped.
     """
     if min(len(source.points), len(target.points)) < _LEAST or target.camera is None:
         return []
@@ -127,9 +130,9 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
 
 
 def _depth_at(depth: DepthImage, pixels: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return the depth at places between pixels (n, 2), of less noise than one of them has; 0 where none is.
+    """Interpolate depth at subpixel positions (n, 2); 0 without depth.
 
-    It is that of the plane of all near by which differ little: inverse depth is linear in the image.
+    A plane is fitted to similar neighbours (inverse depth is linear in the image), which reduces the noise.
     """
     height, width = depth.shape
     columns, rows = np.rint(pixels).astype(int).T
@@ -150,9 +153,14 @@ def _depth_at(depth: DepthImage, pixels: NDArray[np.floating]) -> NDArray[np.flo
 
 
 def _spread(places: NDArray[np.floating], strength: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the order in which cells of the image give their strongest points by turns.
+    """Order keypoints so that image cells take turns, strongest keypoints first.
 
-    One thing of much texture, which may move on its own, must not be all that is seen.
+    Otherwise a single textured object, which may move independently, could take all keypoints.
+
+    Parameters
+    ----------
+    places : (n, 2) positions in the image, 0 to 1.
+    strength : (n,) detector response.
     """
     across, down = np.minimum((places * _CELLS).astype(int), np.array(_CELLS) - 1).T
     cell = down * _CELLS[0] + across
@@ -166,7 +174,7 @@ def _spread(places: NDArray[np.floating], strength: NDArray[np.float32]) -> NDAr
 def _consensus(
     points: NDArray[np.float32], pixels: NDArray[np.float32], camera: Camera, trials: int
 ) -> Pose | None:
-    """Return the pose that brings most points to their pixels (RANSAC, perspective-n-point)."""
+    """Estimate the pose with most inliers (RANSAC, perspective-three-point)."""
     import cv2
 
     found, rotation, shift, _ = cv2.solvePnPRansac(
@@ -194,7 +202,10 @@ def _agree(
     camera: Camera,
     slack: float,
 ) -> NDArray[np.bool_]:
-    """Say which points come to where they were matched: to the pixel, and to its depth."""
+    """Check which points reproject to their matches, in pixels and in depth.
+
+    `slack` multiplies the inlier thresholds.
+    """
     moved = points @ pose[:3, :3].T + pose[:3, 3]
     columns, rows = project(moved, camera)
     near = np.hypot(columns - pixels[:, 0], rows - pixels[:, 1]) <= slack * _OFF_PX

@@ -1,8 +1,8 @@
-"""The focal length of a camera that nobody stated, from frames with depth.
+"""Focal length estimation for cameras without stated intrinsics, from frames with depth.
 
-With a wrong one, what a depth map shows is too wide or too narrow for its depth, and does not fit what
-another view shows of it. Points that are recognised in two views must keep their distances: for each focal
-length couples of views are placed to each other, and that which leaves the least error is taken.
+A wrong focal length makes a depth map too wide or too narrow for its depth, so that two views do not fit.
+Distances between matched points must be equal in both views. For each candidate focal length, frame pairs are
+aligned; the candidate with the smallest residual wins.
 """
 
 from __future__ import annotations
@@ -30,31 +30,34 @@ from scanloom.stages.scans.model.scan import Camera, Frame
 
 Floats = NDArray[np.float64]
 
-# Frames spread over the scan whose couples are asked, and how many couples, those most alike.
+# Number of sampled frames, and maximum number of frame pairs (the most similar ones).
 _FRAMES, _COUPLES = 20, 40
-# Focal lengths that are tried, as multiples of the guess, and then about the best, by logarithms.
+# Candidate focal lengths relative to the guess; then log offsets from the best candidate.
 _TRIED = np.exp(np.linspace(np.log(0.65), np.log(1.55), 15))
 _CLOSE = np.linspace(-0.12, 0.12, 13)
-# Matches that a couple must have, and that must agree on a motion; so many of each are used.
+# Minimum number of matches and of inliers of a frame pair, and maximum number of inliers used; RANSAC trials.
 _MATCHES, _AGREE, _USED = 20, 15, 80
 _TRIALS = 200
-# By how much a point may be off where another view sees it: pixels, and a share of its depth; what is usual.
+# Maximum error of an inlier, pixels and relative depth; then typical errors in the same units; then the
+# number of Gauss-Newton steps.
 _OFF_PX, _OFF_DEPTH = 4.0, 0.05
 _USUAL_PX, _USUAL_DEPTH = 1.0, 0.02
 _STEPS = 8
-# It is believed from so many couples, both ways, and up to this standard error (jackknife over groups).
+# Minimum number of frame pairs, counted in both directions, maximum relative standard error, and number of
+# groups for its estimation (jackknife).
 _LEAST_COUPLES, _MOST_ERROR, _GROUPS = 10, 0.03, 8
 
 
 @dataclass(frozen=True)
 class Focal:
-    """A focal length that was estimated.
+    """Estimated focal length.
 
     Attributes
     ----------
-    guess_px, focal_px : of the depth camera, pixels.
-    error_px : standard error by how couples of views differ; what is wrong in all of them alike is not in it.
-    couples : of views that told it.
+    guess_px, focal_px : guessed and estimated focal length of the depth camera, pixels.
+    error_px : standard error from the spread between frame pairs; errors common to all pairs are not
+        included.
+    couples : number of frame pairs used.
     """
 
     guess_px: float
@@ -63,7 +66,7 @@ class Focal:
     couples: int
 
     def figures(self) -> dict[str, Any]:
-        """Return all, ready for JSON."""
+        """Return all fields as JSON values."""
         return {
             "guess_px": self.guess_px,
             "focal_px": self.focal_px,
@@ -72,21 +75,20 @@ class Focal:
         }
 
     def __str__(self) -> str:
-        """Return it in words."""
-        return f"{self.focal_px:.1f} ± {self.error_px:.1f} px by {self.couples} couples of views"
+        """Return the focal length with its error, as text."""
+        return f"{self.focal_px:.1f} ± {self.error_px:.1f} px from {self.couples} frame pairs"
 
     def camera(self, guessed: Camera) -> Camera:
-        """Return the camera with this focal length."""
+        """Return the guessed camera with the estimated focal length."""
         return replace(guessed, fx=self.focal_px, fy=self.focal_px, is_guess=False)
 
 
 def report_focal(focal: Focal | None, guess: Camera) -> None:
-    """Warn of a focal length that nobody stated, estimated or guessed."""
+    """Warn that the focal length is estimated, or still guessed (`focal` is None)."""
     if focal is None:
         emit(
             CAMERA_INTRINSICS_GUESSED.warning(
-                "the focal length could not be estimated from what the frames show: the {guess:g} px that "
-                "were guessed stay",
+                "the focal length could not be estimated from the frames; the guess of {guess:g} px is used",
                 remedy="set scan.intrinsics=fx,fy,cx,cy",
                 guess=guess.fx,
             )
@@ -94,9 +96,9 @@ def report_focal(focal: Focal | None, guess: Camera) -> None:
         return
     emit(
         CAMERA_FOCAL_ESTIMATED.warning(
-            "the focal length is estimated to be {focal}, in place of the {guess:g} px that were guessed; "
-            "the middle of the image is taken for its centre.",
-            remedy="What is known better: scan.intrinsics=fx,fy,cx,cy",
+            "the focal length is estimated to be {focal} (guess: {guess:g} px); the principal point is "
+            "assumed at the image centre.",
+            remedy="If the intrinsics are known, set scan.intrinsics=fx,fy,cx,cy",
             focal=focal,
             guess=guess.fx,
         )
@@ -105,7 +107,13 @@ def report_focal(focal: Focal | None, guess: Camera) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Couple:
-    """Matches of two views: pixels (n, 2) of each, off the middle of the image, and depths (n,)."""
+    """Keypoint matches of a frame pair.
+
+    Attributes
+    ----------
+    pixels, there : (n, 2) pixels in the first and in the second view, relative to the image centre.
+    depth, depth_there : (n,) metres, in the first and in the second view.
+    """
 
     pixels: Floats
     depth: Floats
@@ -118,7 +126,7 @@ class _Couple:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """The motion of a couple: a turn (3, 3), a shift (3,), and which matches (n,) agree."""
+    """Relative pose of a frame pair: rotation (3, 3), translation (3,), inlier mask (n,)."""
 
     turn: Floats
     shift: Floats
@@ -126,7 +134,7 @@ class _Placed:
 
 
 def is_guess(frames: Sequence[Frame]) -> bool:
-    """Say whether the frames have one camera, for colour and depth, that nobody stated."""
+    """Check whether all frames share one camera with guessed intrinsics."""
     cameras = {frame.camera for frame in frames}
     return (
         len(cameras) == 1
@@ -136,7 +144,10 @@ def is_guess(frames: Sequence[Frame]) -> bool:
 
 
 def focal_of(frames: Sequence[Frame]) -> Focal | None:
-    """Return the focal length that fits what frames with a guessed camera show; None if they tell none."""
+    """Estimate the focal length from frames with a guessed camera.
+
+    Returns None if too few frame pairs agree, or if the standard error is too large.
+    """
     guessed = frames[0].camera
     couples, focal = _couples(frames)
     if not couples:
@@ -156,7 +167,7 @@ def focal_of(frames: Sequence[Frame]) -> Focal | None:
     problem = _Problem(rows)
     costs = np.stack([problem.costs(float(np.exp(log))) for log in logs])
     lowest = _lowest(logs, costs.sum(axis=1))
-    # A couple goes with its reverse; neighbours show the same and go together, too.
+    # Consecutive pairs share a jackknife group, because similar views are correlated.
     group = np.arange(len(rows)) * _GROUPS // len(rows)
     left_out = [_lowest(logs, costs[:, group != one].sum(axis=1)) for one in range(_GROUPS)]
     if lowest is None or any(one is None for one in left_out):
@@ -170,7 +181,12 @@ def focal_of(frames: Sequence[Frame]) -> Focal | None:
 
 
 def _couples(frames: Sequence[Frame]) -> tuple[list[_Couple], float]:
-    """Return matches of the frames that look most alike, and the guess in the pixels of the matches."""
+    """Match the most similar pairs of sampled frames.
+
+    Returns
+    -------
+    Matches of each pair, and the guessed focal length in pixels of the matched images.
+    """
 
     def features(frame: Frame) -> Features | None:
         try:
@@ -212,7 +228,12 @@ def _points(pixels: Floats, depth: Floats, focal: float) -> Floats:
 
 
 def _placed(couple: _Couple, focal: float) -> tuple[float, _Placed | None]:
-    """Return how well a couple's views can be placed to each other, and how: a turn, a shift, who agrees."""
+    """Estimate the relative pose of a frame pair for a focal length.
+
+    Returns
+    -------
+    Score (sum of robust inlier weights) and relative pose; 0 and None if RANSAC fails.
+    """
     import cv2
 
     points = _points(couple.pixels, couple.depth, focal)
@@ -239,7 +260,7 @@ def _placed(couple: _Couple, focal: float) -> tuple[float, _Placed | None]:
 
 
 class _Problem:
-    """Couples of views whose motions are found for any focal length, all at once."""
+    """Relative poses of frame pairs, fitted for any focal length in one batch."""
 
     def __init__(self, rows: Sequence[tuple[_Couple, _Placed]]) -> None:
         draw = np.random.default_rng(0)
@@ -257,7 +278,10 @@ class _Problem:
         self.shifts = np.stack([motion.shift for _, motion in rows])
 
     def costs(self, focal: float) -> Floats:
-        """Return the error (n,) that each couple is left with (Gauss-Newton, Cauchy's weights)."""
+        """Compute the residual cost (n,) of each frame pair after fitting its pose.
+
+        Gauss-Newton with Cauchy weights.
+        """
         from scipy.spatial.transform import Rotation
 
         points = _points(self.pixels, self.depth, focal)
@@ -266,7 +290,7 @@ class _Problem:
             moved = np.einsum("pij,pmj->pmi", turns, points) + shifts[:, None]
             off, slopes = self._off(moved, focal)
             weights = self.used / (1 + (off**2).sum(axis=-1))
-            # A small turn w moves a point p by w × p.
+            # A small rotation vector w moves a point p by w × p.
             x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
             o = np.zeros_like(x)
             cross = np.stack([o, z, -y, -z, o, x, y, -x, o], axis=-1).reshape(*x.shape, 3, 3)
@@ -281,7 +305,10 @@ class _Problem:
         return np.asarray((self.used * np.log1p((off**2).sum(axis=-1))).sum(axis=1))
 
     def _off(self, moved: Floats, focal: float) -> tuple[Floats, Floats]:
-        """Return by how much points (p, m, 3) are off, in what is usual, and the slope of that."""
+        """Compute residuals of points (p, m, 3), and their derivatives by the point.
+
+        Residuals are relative to the typical error.
+        """
         x, y, z = moved[..., 0], moved[..., 1], np.maximum(moved[..., 2], 1e-3)
         deep = _USUAL_DEPTH * self.depth_there
         across = np.stack([x, y], axis=-1) * (focal / z[..., None]) - self.there
@@ -291,12 +318,12 @@ class _Problem:
         slopes[..., 0, 2] = -focal * x / z**2 / _USUAL_PX
         slopes[..., 1, 2] = -focal * y / z**2 / _USUAL_PX
         slopes[..., 2, 2] = 1 / deep
-        # Half as far off again is far: Cauchy's scale.
+        # Scale of the Cauchy loss: twice the typical error.
         return off / 2, slopes / 2
 
 
 def _lowest(at: Floats, costs: Floats) -> float | None:
-    """Return where costs are lowest, between their places; None at their ends."""
+    """Interpolate the position of the minimum; None near the ends."""
     k = int(np.argmin(costs))
     if not 2 <= k <= len(at) - 3:
         return None

@@ -1,6 +1,7 @@
-"""The focal length of a camera that stands still before a sheet that turns: with it most marks agree.
+"""Focal length estimation from marks on a turning sheet, seen by a static camera.
 
-With a wrong one a plane is seen as another, and what turned on it as if it had been drawn out.
+A wrong focal length distorts the plane of the sheet, so that fewer marks coincide after a rotation. The
+focal length with most coinciding marks wins.
 """
 
 from __future__ import annotations
@@ -17,20 +18,23 @@ from scanloom.stages.registration.still import backdrop_of
 from scanloom.stages.registration.turning import couples_of, marked_links
 from scanloom.stages.scans.model.scan import Frame
 
-# Frames spread over the scan that are compared, each with each.
+# Number of sampled frames; all pairs of frames are compared.
 _FRAMES = 8
-# Focal lengths that are tried, as multiples of the guess by logarithms, and then about the best.
+# Logs of candidate focal lengths relative to the guess; then log offsets from the best candidate.
 _TRIED, _CLOSE = np.linspace(np.log(0.75), np.log(1.45), 11), np.linspace(-0.06, 0.06, 6)
-# Marks and couples that must agree for the best, and the share of these marks from which on a trial counts.
+# Minimum number of marks and of frame pairs for the best candidate, and the ratio to its marks below which a
+# candidate gets no weight.
 _LEAST_MARKS, _LEAST_COUPLES, _COUNTS = 30, 4, 0.5
 
 
 def focal_by_marks(frames: Sequence[Frame]) -> Focal | None:
-    """Return the focal length with which most marks on what turns agree; None if hardly any do.
+    """Estimate the focal length from marks on a turning support.
+
+    Returns None if too few marks coincide.
 
     Parameters
     ----------
-    frames : with one camera that is a guess, and stands still while something turns.
+    frames : frames of one static camera with guessed intrinsics, in front of which something turns.
     """
     chosen = [frames[n] for n in sample_evenly(len(frames), _FRAMES)]
     found = {log: _agreeing(chosen, float(log)) for log in _TRIED}
@@ -50,7 +54,7 @@ def focal_by_marks(frames: Sequence[Frame]) -> Focal | None:
 
 
 def _agreeing(frames: Sequence[Frame], log: float) -> tuple[int, int]:
-    """Return how many marks agree on turns, and of how many couples of frames."""
+    """Count coinciding marks and frame pairs for a log focal factor."""
     factor = float(np.exp(log))
     tried = [
         replace(frame, camera=replace(frame.camera, fx=frame.camera.fx * factor, fy=frame.camera.fy * factor))

@@ -1,4 +1,4 @@
-"""Poses that agree best with all motions between them, wrong ones left out (Choi, Zhou and Koltun 2015)."""
+"""Robust pose graph optimisation that rejects wrong edges (Choi, Zhou and Koltun 2015)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from scanloom.stages._open3d import open3d
 from scanloom.stages.registration.motion import Motion
 from scanloom.stages.scans.model.scan import Pose
 
-# What any motion is off beside its noise, for lenses, shutters and clocks are never quite as said: radians,
-# and a share of the reach.
+# Systematic error of any motion in addition to its noise, radians and ratio of the correspondence distance:
+# lenses, shutters and clocks never match their models exactly.
 _OFF_RAD, _OFF_SHARE = float(np.radians(0.05)), 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A motion between two of the poses.
+    """Edge of the pose graph: a motion between two nodes.
 
     Attributes
     ----------
-    source, target : their numbers.
-    motion : target_from_source.
-    is_certain : it is kept whatever the others say: views that follow each other.
+    source, target : indices of the nodes.
+    motion : relative pose, target_from_source.
+    is_certain : the edge is never rejected; True for consecutive key frames.
     """
 
     source: int
@@ -35,7 +35,10 @@ class Edge:
 
 
 def pieces(count: int, edges: Sequence[Edge]) -> list[list[int]]:
-    """Return the numbers below `count` in sets that edges join, the largest first, each in order."""
+    """Find the connected components of a graph with `count` nodes.
+
+    Returns lists of ascending node indices, the largest component first.
+    """
     root = list(range(count))
 
     def find(i: int) -> int:
@@ -56,13 +59,17 @@ def pieces(count: int, edges: Sequence[Edge]) -> list[list[int]]:
 def optimised(
     starts: Mapping[int, Pose], edges: Sequence[Edge], reach: float
 ) -> tuple[dict[int, Pose], list[bool]]:
-    """Return the poses of one piece, the first as it was, and which of the edges agree with them.
+    """Optimise the poses of one connected component.
 
     Parameters
     ----------
-    starts : world_from_camera of each number, metres.
-    edges : among these numbers.
-    reach : distance in metres within which surfaces count as the same.
+    starts : initial world_from_camera by node, metres.
+    edges : edges between these nodes.
+    reach : maximum distance between corresponding points of two surfaces, metres.
+
+    Returns
+    -------
+    Poses by node (the first node stays fixed), and for each edge whether it was accepted.
     """
     o3d = open3d()
     registration = o3d.pipelines.registration
@@ -99,7 +106,7 @@ def optimised(
 
 
 def _doubted(information: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
-    """Return what is known of a motion that may be off by more than its noise."""
+    """Reduce an information matrix (6, 6) by the systematic error of motions."""
     off = np.diag([_OFF_RAD**2] * 3 + [(_OFF_SHARE * reach) ** 2] * 3)
     known = np.linalg.solve(np.eye(6) + information @ off, information)
     return np.asarray(0.5 * (known + known.T))

@@ -1,4 +1,4 @@
-"""Frames as they are compared pixel by pixel: small, depth and colour of one camera that has not moved."""
+"""Downscaled previews of frames for comparison pixel by pixel."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Camera, Frame, pinhole, scaled
 
-# Wider ones are taken in blocks of pixels: masks need not be finer.
+# Maximum width, pixels; wider frames are downscaled, since masks need no finer resolution.
 _WIDEST = 320
-# Depth of one surface differs by less, as a share of it and metres: noise, and edges a pixel off.
+# Maximum depth difference on one surface, relative and in metres: noise, and edges shifted by a pixel.
 _SAME_SHARE, _SAME_M = 0.015, 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What a frame shows.
+    """Downscaled depth and colour of a frame.
 
     Attributes
     ----------
     depth : (h, w) float32 metres, 0 where missing.
-    color : (h, w, 3) float32, smoothed; None without colour.
-    camera : of both, without distortion.
+    color : (h, w, 3) float32, 8-bit levels, smoothed; None without colour.
+    camera : camera of both images, without distortion.
     """
 
     depth: NDArray[np.float32]
@@ -38,18 +38,21 @@ class Look:
     camera: Camera
 
     def points(self) -> NDArray[np.float64]:
-        """Return the point (h, w, 3) of each pixel, in axes of the camera; 0 where depth is missing."""
+        """Unproject all pixels to points (h, w, 3) in camera axes.
+
+        Pixels without depth give the origin.
+        """
         rows, columns = np.mgrid[: self.camera.height, : self.camera.width]
         return unproject(columns, rows, self.depth, self.camera)
 
 
 def same_within(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return by how much depth of one surface may differ, metres."""
+    """Compute the maximum depth difference on one surface, metres."""
     return np.asarray(_SAME_SHARE * depth + _SAME_M, np.float32)
 
 
 def read_look(frame: Frame) -> Look | None:
-    """Return what a frame shows; None if it cannot be read."""
+    """Read the preview of a frame; None if the frame is unreadable."""
     import cv2
 
     try:
@@ -72,7 +75,10 @@ def read_look(frame: Frame) -> Look | None:
 
 
 def read_looks(frames: Sequence[Frame] | Mapping[int, Frame], places: Sequence[int]) -> dict[int, Look]:
-    """Return what frames show, by their places; those that cannot be read, or are of another size, lack."""
+    """Read the previews of frames at given indices.
+
+    Unreadable frames, and frames of an unusual size, are missing from the result.
+    """
     threads = workers()
     looks = read_ahead(read_look, [frames[n] for n in places], threads=threads, ahead=threads)
     found = {n: look for n, look in zip(places, looks, strict=True) if look is not None}

@@ -1,4 +1,4 @@
-"""Loops: key frames that show the same place though they do not follow each other."""
+"""Loop closures: motions between key frames that are not consecutive but show the same place."""
 
 from __future__ import annotations
 
@@ -18,25 +18,28 @@ from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Pose
 
-# Loops are looked for with this many views that should overlap and this many that look alike.
+# Maximum number of candidates per key frame: nearest by pose, and most similar by appearance.
 _NEAR, _ALIKE = 5, 3
-# What is recognised in both for a loop to be believed, and how likely two views look alike by chance.
+# Minimum number of inlier matches of a loop.
 _LOOP_POINTS = 25
-# Where both views have so many points and none in common, surfaces alone are not believed.
+# If both views have this many features but no match, surfaces alone are not accepted. Then the minimum
+# similarity of views, above the similarity that occurs by chance.
 _RICH = 100
 _LEAST_LIKENESS = 0.15
-# Frame pairs of different parts that are tried, the most similar first. That takes little time, because pairs
-# without common features are rejected before surfaces are aligned.
+# Maximum number of frame pairs of different parts, the most similar first. Pairs take little time, because
+# those without common features are rejected before surfaces are aligned.
 _MAX_PAIRS_BETWEEN_PARTS = 500
 
 
 def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: Progress) -> list[Edge]:
-    """Return motions between key frames that do not follow each other and show the same place.
+    """Find loop closures between key frames.
 
     Parameters
     ----------
-    given : world_from_camera by the frame's place; where all key frames have one, it tells who is near whom.
-    progress : told of the second half of the work, which couples share; frames are the first.
+    chain : odometry with key frames.
+    max_depth : farther depth is ignored, metres.
+    given : world_from_camera by frame index; if complete, these poses select nearby candidates.
+    progress : called for the second half of the work; the frames are the first half.
     """
     features = [chain.views.features[key] for key in chain.keys]
     depths = np.array([chain.seen[key].depth_m for key in chain.keys])
@@ -73,7 +76,8 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
         progress(frames + frames * done // len(couples), 2 * frames)
         if edge is not None:
             edges.append(edge)
-    # Views in no order are alike by chance: what is still apart is looked at couple by couple.
+    # Similarity is unreliable for views without order, so more pairs are tried between parts still
+    # disconnected.
     apart = sorted(_pairs_between_parts(alike, _join_parts(parts, edges)) - set(couples))
     more = read_ahead(close, apart, threads=threads, ahead=2 * threads)
     return [*edges, *(edge for edge in more if edge is not None)]
@@ -82,7 +86,7 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
 def _near(
     poses: NDArray[np.float64], depths: NDArray[np.float64], parts: NDArray[np.int64]
 ) -> set[tuple[int, int]]:
-    """Return couples (later, earlier) of key frames whose poses let them look at the same place."""
+    """Select key-frame pairs (later, earlier) that may see the same place by pose."""
     axes = poses[:, :3, 2]
     focus = poses[:, :3, 3] + axes * depths[:, None]
     couples = set()
@@ -96,7 +100,10 @@ def _near(
 
 
 def _alike(alike: NDArray[np.float32], parts: NDArray[np.int64]) -> set[tuple[int, int]]:
-    """Return couples (later, earlier) of key frames that look most alike, neighbours only across a break."""
+    """Select the most similar key-frame pairs (later, earlier).
+
+    Consecutive key frames count only across a break.
+    """
     places = np.arange(len(parts))
     couples = set()
     for one in places:
@@ -108,11 +115,11 @@ def _alike(alike: NDArray[np.float32], parts: NDArray[np.int64]) -> set[tuple[in
 
 
 def _pairs_between_parts(alike: NDArray[np.float32], parts: NDArray[np.int64]) -> set[tuple[int, int]]:
-    """Return pairs (later, earlier) of key frames of different parts, the most similar ones.
+    """Select the most similar key-frame pairs (later, earlier) of different parts.
 
     Parameters
     ----------
-    alike : (n, n) similarity of views. It says little about small overlaps: few pairs are all taken.
+    alike : (n, n) similarity of views. It is unreliable for small overlaps, so few pairs are all selected.
     parts : (n,) index of the part of a broken chain for each key frame.
     """
     later, earlier = np.nonzero(np.tril(parts[:, None] != parts))
@@ -121,7 +128,7 @@ def _pairs_between_parts(alike: NDArray[np.float32], parts: NDArray[np.int64]) -
 
 
 def _join_parts(parts: NDArray[np.int64], edges: Sequence[Edge]) -> NDArray[np.int64]:
-    """Return the parts (n,) of key frames after edges have joined some."""
+    """Merge the parts (n,) that edges have connected."""
     found: NDArray[np.int64] = parts.copy()
     for edge in edges:
         found[found == found[edge.source]] = found[edge.target]

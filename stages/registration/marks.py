@@ -1,7 +1,7 @@
-"""The motion of a plate that turns: where marks on it are as seen from above, and the turn that most share.
+"""Motion of a turning plate, from marks on it seen from above.
 
-Marks look alike, and a step may be too large for anything to be recognised: that dots, corners or letters
-keep their distances is enough. A turn about the plate's normal and a shift on it are all it can do.
+Marks look alike, and steps may be too large for feature matching. Here only the distances between dots,
+corners or letters must stay equal. The plate can only rotate about its normal and shift in its plane.
 """
 
 from __future__ import annotations
@@ -19,35 +19,37 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
 Floats = NDArray[np.float64]
 
-# Tries for a plane; how far from it, as a share of its depth, a point is on it; how many are, at least.
+# RANSAC trials for a plane; maximum distance of an inlier, relative to its depth; minimum inliers, as ratio
+# of all points and as count.
 _TRIES, _ON_PLANE, _LEAST_SHARE, _LEAST_POINTS = 400, 0.008, 0.1, 100
-# Planes that are looked at: plate, table, wall.
+# Maximum number of candidate planes: plate, table, wall.
 _MOST_PLATES = 3
-# Points of each try: more say no more.
+# Maximum number of points for plane RANSAC; more do not improve the result.
 _TRIED_POINTS = 6000
-# Side of the picture from above, pixels, and the contrast and slimness of a mark as SIFT counts them.
+# Side of the top view, pixels; contrast and edge thresholds of SIFT for marks; maximum number of marks.
 _SIDE, _CONTRAST, _SLIM = 560, 0.03, 5.0
 _MOST_MARKS = 60
-# A mark that is in the same place in more of the other frames is of the table, not of the plate.
+# A mark that stays in place in more than this ratio of the other frames is on the table, not on the plate.
 _STAYS = 0.4
-# What is measured of the distances, as a share of the plate's distance: marks are the same within it.
+# Maximum distance between coinciding marks, relative to the distance of the plate.
 _SAME = 0.006
-# Nearer marks tell no turn, by the same measure.
+# Minimum distance between two marks that determine a rotation, in the same unit.
 _APART = 0.08
-# Marks that agree for a motion to be believed, and by how many more than for any other turn (radians away).
+# Minimum number of coinciding marks; minimum ratio to the marks of any other rotation, which differs by more
+# than the last value, radians. Then the maximum number of candidate motions.
 _LEAST_MARKS, _CLEARLY, _ANOTHER = 5, 1.4, np.radians(5)
 _MOST_TURNS = 6_000
 
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """The plane that a thing stands on, and the square of it that is looked at from above.
+    """Plane that supports an object, with the square region of its top view.
 
     Attributes
     ----------
-    origin : (3,) its middle, metres, axes of the camera.
-    axes : (3, 3) columns: two along it and its normal, which looks to the camera.
-    side_m : of the square.
+    origin : (3,) centre of the square, metres, camera axes.
+    axes : (3, 3) columns: two axes in the plane, and the normal towards the camera.
+    side_m : side of the square, metres.
     """
 
     origin: Floats
@@ -56,16 +58,22 @@ class Plate:
 
     @property
     def same_m(self) -> float:
-        """Return within which distance marks are the same."""
+        """Return the maximum distance between coinciding marks, metres."""
         return _SAME * self.distance
 
     @property
     def distance(self) -> float:
-        """Return how far from the camera it is, metres."""
+        """Return the distance from the camera to the origin, metres."""
         return float(np.linalg.norm(self.origin))
 
     def motion(self, angle: float, shift: Floats) -> Pose:
-        """Return the motion (4, 4) that turns what lies on it about its origin, and shifts it (2,)."""
+        """Compute the motion (4, 4) of a rotation about the origin and a shift.
+
+        Parameters
+        ----------
+        angle : rotation about the normal, radians.
+        shift : (2,) translation in the plane, metres.
+        """
         cosine, sine = np.cos(angle), np.sin(angle)
         turn = self.axes @ np.array(((cosine, -sine, 0), (sine, cosine, 0), (0, 0, 1))) @ self.axes.T
         pose = np.eye(4)
@@ -76,14 +84,17 @@ class Plate:
 
 @dataclass(frozen=True, eq=False)
 class MarkedMotion:
-    """How a plate moved: target_from_source (4, 4), and the marks that say so."""
+    """Motion of a plate, target_from_source (4, 4), with the number of coinciding marks."""
 
     target_from_source: Pose
     marks: int
 
 
 def plates_of(points: Floats) -> Iterator[Plate]:
-    """Yield planes that many of the points (n, 3) are on, that of the most first: a plate lies on a table."""
+    """Detect planes in points (n, 3), the largest first.
+
+    The plate need not be the largest plane, because it is usually on a table.
+    """
     draw = np.random.default_rng(0)
     if len(points) > _TRIED_POINTS:
         points = points[draw.choice(len(points), _TRIED_POINTS, replace=False)]
@@ -129,7 +140,10 @@ def _plate_of(points: Floats, draw: np.random.Generator) -> Plate | None:
 
 
 def marks_on(frame: Frame, plate: Plate) -> Floats:
-    """Return where marks (n, 2) are on the plate in a frame, metres."""
+    """Detect marks on a plate, in the top view of a frame.
+
+    Returns positions (n, 2) in the plane, metres from its origin.
+    """
     import cv2
 
     depth = read_depth(frame)
@@ -145,14 +159,14 @@ def marks_on(frame: Frame, plate: Plate) -> Floats:
     sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, edgeThreshold=_SLIM)
     found = sorted(sift.detect(np.asarray(grey, np.uint8), bare), key=lambda one: -one.response)
     places = np.array([one.pt for one in found], np.float64).reshape(-1, 2)
-    # One spot may be found at several scales.
+    # SIFT may detect the same mark at several scales.
     _, first = np.unique(np.round(places / 3), axis=0, return_index=True)
     places = places[np.sort(first)][:_MOST_MARKS]
     return np.asarray((places + 0.5) * (plate.side_m / _SIDE) - plate.side_m / 2)
 
 
 def moving_marks(marks: Mapping[int, Floats], plate: Plate) -> dict[int, Floats]:
-    """Return the marks of each frame but for those that stay where they are in others: of the table."""
+    """Drop marks that stay in place, because they are on the table."""
     from scipy.spatial import cKDTree
 
     trees = {n: cKDTree(places) for n, places in marks.items() if len(places)}
@@ -167,23 +181,28 @@ def moving_marks(marks: Mapping[int, Floats], plate: Plate) -> dict[int, Floats]
 
 
 def _seen_from_above(plate: Plate, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the camera's pixel (s, s, 2) for each pixel of the picture from above, and its depth."""
+    """Project the pixels of the top view into the camera.
+
+    Returns
+    -------
+    Pixels of the camera (s, s, 2), and depth (s, s), metres.
+    """
     steps = (np.arange(_SIDE) + 0.5) * (plate.side_m / _SIDE) - plate.side_m / 2
     x, y = np.meshgrid(steps, steps)
     points = plate.origin + x[..., None] * plate.axes[:, 0] + y[..., None] * plate.axes[:, 1]
     z = np.where(points[..., 2] > 0, points[..., 2], np.inf)
     pixels = np.stack(project(points, camera), axis=-1)
-    # Where the plane is behind the camera no pixel is.
+    # Points behind the camera have no pixel; they are moved outside the image.
     pixels[~np.isfinite(z)] = -1e4
     return pixels.clip(-1e4, 1e5).astype(np.float32), z.astype(np.float32)
 
 
 def marked_motion(source: Floats, target: Floats, plate: Plate) -> MarkedMotion | None:
-    """Return the motion of the plate that most marks share; None if none stands out.
+    """Estimate the motion with most coinciding marks; None if it is ambiguous.
 
     Parameters
     ----------
-    source, target : places of marks (n, 2), (m, 2), as `marks_on` returns them.
+    source, target : (n, 2) and (m, 2) positions of marks, see `marks_on`.
     """
     from scipy.spatial import cKDTree
 
@@ -215,7 +234,10 @@ def marked_motion(source: Floats, target: Floats, plate: Plate) -> MarkedMotion 
 
 
 def _turns(source: Floats, target: Floats, plate: Plate) -> Floats:
-    """Return turns (n, 3) that bring two marks to two others as far apart: an angle and a shift."""
+    """List candidate motions that map two marks to two others.
+
+    Returns (n, 3): an angle in radians and a shift in metres, for pairs of marks with equal distances.
+    """
     if min(len(source), len(target)) < _LEAST_MARKS:
         return np.zeros((0, 3))
     least = _APART * plate.distance
@@ -236,7 +258,7 @@ def _turns(source: Floats, target: Floats, plate: Plate) -> Floats:
 
 
 def _fitted(source: Floats, target: Floats) -> tuple[float, Floats]:
-    """Return the turn and shift of least squared error between points of a plane."""
+    """Fit rotation angle and shift (2,) between points of a plane (least squares)."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     angle = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -1,4 +1,4 @@
-"""The motion between two views: what is recognised in both says where to start, surfaces where to end."""
+"""Relative motion of two views: matched points initialise, surfaces refine."""
 
 from __future__ import annotations
 
@@ -17,43 +17,45 @@ from scanloom.stages.registration.view import View
 from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.scan import Pose
 
-# Matched points from which a motion is believed without a surface that agrees.
+# Number of inlier matches from which a motion is accepted without agreement of surfaces.
 _SURE_POINTS = 15
-# Below this a surface is flat, or nearly a cylinder or sphere: it slides along itself.
+# Minimum `View.firmness`. Below, the surface is nearly a plane, cylinder or sphere, and slides along itself.
 _FIRM = 2e-3
-# Least share of a view that must meet the other's surface: where the motion is nearly known; where it is not;
-# where, besides, both views have so many points and none of them in common; and where sure points say so too.
+# Minimum overlap (ratio of a view's surface that meets the other surface): with a good initial guess; with a
+# poor one; with a poor one and no match although both views have `_RICH` features; with enough inlier
+# matches.
 _LEAST_FITNESS = 0.3
 _LEAST_FROM_AFAR = 0.5
 _LEAST_UNRECOGNISED, _RICH = 0.75, 100
 _LEAST_BESIDE_POINTS = 0.1
-# How much more of the surface must meet for another motion than that of the most points.
+# Minimum overlap of another motion, relative to the motion with most inliers.
 _FIRST = 1.05
-# How much more for the motion that surfaces tell than for that which points tell.
+# Minimum overlap of a motion from surfaces, relative to the motion from matched points.
 _CLEARLY = 1.25
-# Where less of the surface meets, what was recognised may have moved on its own: surfaces are asked alone.
+# With less overlap, matches may be on an independently moving object, so surfaces are aligned separately.
 _DOUBTFUL = 0.6
-# How far two ways to find one motion may differ: in median depths and in radians.
+# Maximum difference between two estimates of one motion: translation in median depths, rotation in radians.
 _AGREED_SHIFT = 0.03
 _AGREED_TURN = 0.03
-# How far off a motion that is known roughly may be, by the same measures.
+# Maximum error of an approximately known motion, in the same units.
 _NEAR_SHIFT = 0.1
 _NEAR_TURN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How a view is placed to another.
+    """Relative pose of two views, with its quality.
 
     Attributes
     ----------
     target_from_source : (4, 4) metres.
-    information : (6, 6) inverse covariance of a turn and a shift in the axes of the source.
-    fitness : share of the source's surface that meets the target's, 0 to 1.
-    rmse_m : their distance along the normals, root mean square; None where points alone tell the motion.
-    points : recognised points that agree with it; 0 where nothing was recognised.
-    is_split : something else in view moved differently.
-    held : recognised points that it was not found by; None where nothing was recognised.
+    information : (6, 6) inverse covariance of rotation and translation, source axes.
+    fitness : overlap: ratio of the source's surface that meets the target's surface, 0 to 1.
+    rmse_m : point-to-plane distance of the overlap, root mean square, metres; None if the motion comes from
+        matched points alone.
+    points : number of inlier matches; 0 if nothing was matched.
+    is_split : another part of the view moved differently.
+    held : inlier matches held out from the estimation; None if nothing was matched.
     """
 
     target_from_source: Pose
@@ -67,7 +69,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class NoMotion:
-    """Reason why two views could not be placed to each other."""
+    """Reason why two views could not be aligned."""
 
     diagnostic: Diagnostic
 
@@ -75,12 +77,13 @@ class NoMotion:
 def motion_between(
     source: View, target: View, max_depth: float, guess: Pose | None = None
 ) -> Motion | NoMotion:
-    """Find the motion between two views.
+    """Estimate the motion between two views.
 
     Parameters
     ----------
-    guess : (4, 4) target_from_source to start from where nothing is recognised; none for nearly no motion,
-        which is then found from both sides and has to be the same.
+    source, target : views to align.
+    max_depth : farther depth is ignored, metres.
+    guess : (4, 4) initial target_from_source if nothing is matched; by default the identity.
     """
     seen = recognise(source.features, target.features)
     start = np.eye(4) if guess is None else guess
@@ -102,7 +105,7 @@ def motion_between(
 
 
 def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion:
-    """Make a motion that is known roughly better; it is kept where nothing better is found.
+    """Refine an approximate motion; keep it if no better one is found.
 
     Parameters
     ----------
@@ -122,11 +125,14 @@ def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion
 def by_surface(
     source: View, target: View, max_depth: float, guess: Pose, *, near: bool = False
 ) -> Motion | NoMotion:
-    """Find the motion between two views by their surfaces alone, from a first guess and from both sides.
+    """Align two views by their surfaces alone.
+
+    Alignments in both directions must agree.
 
     Parameters
     ----------
-    near : the guess is a good one.
+    guess : (4, 4) initial target_from_source.
+    near : the guess is good, so that no coarse alignment and less overlap are needed.
     """
     fit = align if near else align_from_afar
     rich = min(len(source.features.points), len(target.features.points)) >= _RICH
@@ -134,8 +140,8 @@ def by_surface(
     if min(source.firmness, target.firmness) < _FIRM:
         return NoMotion(
             REGISTER_PAIR_NOT_ALIGNED.warning(
-                "the surface in view is flat or slides along itself, and nothing on it is recognised: "
-                "nothing holds the motion"
+                "the surface in view is flat or slides along itself, and no keypoints match, so that nothing "
+                "constrains the motion"
             )
         )
     there = fit(source, target, guess, max_depth)
@@ -144,15 +150,24 @@ def by_surface(
         return _apart(meets, is_recognised=near or not rich)
     back = fit(target, source, inverted(guess), max_depth)
     if back is None or not agree(back[0] @ there[0], source.depth_m):
-        return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning("the surfaces fit in more than one way"))
+        return NoMotion(
+            REGISTER_PAIR_NOT_ALIGNED.warning(
+                "alignments in both directions disagree, because the surfaces fit in several ways"
+            )
+        )
     return _of(there[0], told(target, meets), meets, there[1])
 
 
 def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth: float) -> Motion | NoMotion:
-    """Find the motion between two views from what was recognised in both; `seen` is not empty.
+    """Estimate the motion from matched points, and refine it by surfaces.
 
-    Where points tell several motions, something in view moves on its own. The motion of what stands still is
-    that after which most of the surface meets; a surface that moves on its own would draw an alignment along.
+    If the matches agree on several motions, something in view moves independently. The motion with the
+    largest surface overlap is taken for the camera's motion. With enough matches, surfaces do not refine it,
+    because the surface that moves independently would bias the alignment.
+
+    Parameters
+    ----------
+    seen : motions from `recognise`, not empty.
     """
     first = inverted(seen[0].target_from_source)
     others = [one for one in seen if not agree(first @ one.target_from_source, source.depth_m)]
@@ -168,7 +183,10 @@ def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth:
 def _refined(
     source: View, target: View, seen: Recognised, max_depth: float, *, held: bool = False
 ) -> Motion | NoMotion:
-    """Return the motion that points and surfaces tell together, each as far as it can be trusted."""
+    """Combine the motions from points and surfaces, weighted by their information.
+
+    `held` uses the points alone.
+    """
     points = seen.target_from_source
     sure = seen.points >= _SURE_POINTS
     aligned = None if held else align(source, target, points, max_depth)
@@ -176,7 +194,7 @@ def _refined(
         pose, rmse = aligned
         meets = meeting(source, target, pose)
         same = agree(inverted(points) @ pose, source.depth_m)
-        # Else the points may be on something that moves on its own, and the rest of the surface tell.
+        # On disagreement, the points may be on an object that moves independently; larger overlap decides.
         if same or (sure and meets > _CLEARLY * meeting(source, target, points)):
             if meets < (_LEAST_BESIDE_POINTS if same and sure else _LEAST_FITNESS):
                 return _apart(meets)
@@ -187,7 +205,7 @@ def _refined(
     if not sure:
         return NoMotion(
             REGISTER_PAIR_NOT_ALIGNED.warning(
-                "the {points} points that are recognised and the surface do not agree on the motion",
+                "{points} matched keypoints and the surface disagree on the motion",
                 points=seen.points,
             )
         )
@@ -204,7 +222,7 @@ def _of(
     rmse: float | None,
     seen: Recognised | None = None,
 ) -> Motion:
-    """Return a motion of which something is known in the axes of the target."""
+    """Create a motion from an information matrix in target axes."""
     information = at_source(information, pose)
     if seen is None:
         return Motion(pose, information, fitness, rmse, 0)
@@ -212,19 +230,28 @@ def _of(
 
 
 def _apart(meets: float | None, *, is_recognised: bool = True) -> NoMotion:
-    message = "only {share:.0%} of the surface meets the other view's"
+    message = "only {share:.0%} of the surface overlaps with the other view"
     if not is_recognised:
-        message = f"nothing is recognised in both, and {message}"
+        message = f"no keypoints match, and {message}"
     return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning(message, share=0.0 if meets is None else meets))
 
 
 def agree(difference: Pose, depth: float) -> bool:
-    """Say whether a motion is next to none, for views of this median depth."""
+    """Check whether a motion is negligible.
+
+    Parameters
+    ----------
+    difference : (4, 4) motion, metres.
+    depth : median depth of the views, metres.
+    """
     return _is_within(difference, _AGREED_SHIFT * depth, _AGREED_TURN)
 
 
 def is_near(difference: Pose, depth: float) -> bool:
-    """Say whether a chain may have drifted by a motion, for views of this median depth."""
+    """Check whether a motion is within the drift of a chain.
+
+    The parameters are as for `agree`.
+    """
     return _is_within(difference, _NEAR_SHIFT * depth, _NEAR_TURN)
 
 
@@ -233,6 +260,6 @@ def _is_within(motion: Pose, shift: float, turn: float) -> bool:
 
 
 def angle(pose: Pose) -> float:
-    """Return how far a pose turns, in radians."""
-    # The trace hardly tells small turns: the roundings of a pose in a text file would be a tenth of a degree.
+    """Compute the rotation angle of a pose, radians."""
+    # The trace is inaccurate at small angles: poses rounded in text files would give a tenth of a degree.
     return float(2 * np.arcsin(min(np.linalg.norm(pose[:3, :3] - np.eye(3)) / np.sqrt(8), 1)))

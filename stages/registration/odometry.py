@@ -1,4 +1,4 @@
-"""Align two views by their surfaces (Open3D's projective point-to-plane odometry, coarse to fine)."""
+"""Surface alignment of two views: Open3D's projective point-to-plane odometry, coarse to fine."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from scanloom.stages.diagnostics.errors import is_lack_of_memory
 from scanloom.stages.registration.view import View
 from scanloom.stages.scans.model.scan import Pose
 
-# Iterations from the coarsest of three resolutions to the finest; and where the first guess is a mere guess.
+# Iterations from the coarsest to the finest of three resolutions, for a good and for a poor initial guess.
 _ITERATIONS = (4, 3, 2)
 _ROUGH_ITERATIONS = (12, 8, 2)
-# Surfaces are compared where they are within this share of the median depth, at least this many metres.
+# Maximum correspondence distance, relative to the median depth, for a good and for a poor initial guess; then
+# its minimum in metres.
 _REACH_SHARE = 0.015
 _ROUGH_REACH_SHARE = 0.07
 _LEAST_REACH_M = 0.01
-# Errors of depth go together over a surface: all of it tells as much as so many points of their own errors.
+# Number of independent points that a whole surface is worth, because depth errors of neighbours are
+# correlated.
 _POINTS = 200
 
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Let Open3D align on one thread, so that sums are the same every time; pairs run side by side.
+    """Limit Open3D to one thread per alignment, for reproducible sums.
 
-    OpenCV's threads, which have nothing to do then, would wait for work as fast as they can.
+    Frame pairs are aligned in parallel instead. OpenCV is limited, too: its idle threads would busy-wait.
     """
     import cv2
 
@@ -45,26 +47,32 @@ def one_thread_each() -> Iterator[None]:
 
 
 def align(source: View, target: View, start: Pose, max_depth: float) -> tuple[Pose, float] | None:
-    """Return the motion (target_from_source) that brings a view's surface onto another's, and how well.
+    """Align the surfaces of two views from a good initial guess.
 
     Parameters
     ----------
-    start : (4, 4) first guess.
+    source, target : views to align.
+    start : (4, 4) initial target_from_source.
+    max_depth : farther depth is ignored, metres.
 
     Returns
     -------
-    pose : (4, 4).
-    rmse : distance along the target's normals, metres, root mean square of what meets.
-    None, if no motion is found from this guess.
+    pose : (4, 4) target_from_source.
+    rmse : point-to-plane distance of the correspondences, root mean square, metres.
+    None instead of both, if the alignment fails.
     """
     loss = open3d().t.pipelines.odometry.OdometryLossParams(_reach(source, target))
     return _align(source, target, start, max_depth, loss, _ITERATIONS)
 
 
 def align_from_afar(source: View, target: View, start: Pose, max_depth: float) -> tuple[Pose, float] | None:
-    """Return the same from a guess that may be far off: surfaces farther apart are compared first."""
+    """Align the surfaces of two views from a poor initial guess.
+
+    A coarse alignment with a larger correspondence distance comes first. Parameters and results as for
+    `align`.
+    """
     reach = max(_ROUGH_REACH_SHARE * min(source.depth_m, target.depth_m), _LEAST_REACH_M)
-    # What is far off pulls as it is far: by Open3D's own bound on the pull fewer views come together.
+    # The second value is the Huber threshold. With Open3D's default (0.05 m) fewer views align.
     loss = open3d().t.pipelines.odometry.OdometryLossParams(reach, reach)
     rough = _align(source, target, start, max_depth, loss, _ROUGH_ITERATIONS)
     return None if rough is None else align(source, target, rough[0], max_depth)
@@ -90,15 +98,18 @@ def _align(
     except RuntimeError as error:
         if is_lack_of_memory(error):
             raise
-        # Open3D raises where no pixel meets the other surface, or the system cannot be solved.
+        # Open3D raises if there are no correspondences, or if the system is singular.
         return None
     pose = found.transformation.numpy().astype(np.float64)
-    # What Open3D calls the RMSE of odometry is its square.
+    # Open3D's `inlier_rmse` of odometry is the mean square, not its root.
     return (_orthonormal(pose), float(np.sqrt(found.inlier_rmse))) if np.isfinite(pose).all() else None
 
 
 def meeting(source: View, target: View, motion: Pose) -> float:
-    """Return the share (0 to 1) of a surface that meets another after a motion (target_from_source)."""
+    """Compute the overlap of two views after a motion (target_from_source).
+
+    The overlap is the ratio of the source's surface that meets the target's surface, 0 to 1.
+    """
     o3d = open3d()
     found = o3d.t.pipelines.odometry.compute_odometry_information_matrix(
         source.image.depth,
@@ -109,12 +120,17 @@ def meeting(source: View, target: View, motion: Pose) -> float:
         1.0,
         1e3,
     )
-    # Each point that meets adds an identity to the block of the shift.
+    # Each correspondence adds an identity to the translation block of the information matrix.
     return float(found.numpy()[3, 3]) / max(source.pixels, 1)
 
 
 def told(target: View, fitness: float) -> NDArray[np.float64]:
-    """Return what surfaces that meet tell of the motion to a view, (6, 6) inverse covariance in its axes."""
+    """Compute the information matrix (6, 6) of aligned surfaces, target axes.
+
+    Parameters
+    ----------
+    fitness : overlap, 0 to 1.
+    """
     return _POINTS * fitness * target.hold
 
 

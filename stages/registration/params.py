@@ -1,4 +1,4 @@
-"""How poses are found."""
+"""Parameters of registration."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ _HOW = "How"
 
 @dataclass(frozen=True, kw_only=True)
 class RegisterParams:
-    """How poses are found for frames that have none."""
+    """Parameters of pose estimation for frames without poses."""
 
     enabled: bool | None = param(
         None,
-        "Find poses: by default only where the scan has none; true finds them anew, false refuses such "
-        "a scan.",
+        "Estimate poses. Default: if the scan has none. true replaces existing poses, false rejects a scan "
+        "without poses.",
     )
     max_depth: float | None = param(
         None,
-        "Depth beyond this is not used to find poses. Default: 2.5 times the median depth of the scan.",
+        "Ignore depth beyond this when estimating poses. Default: 2.5 times the median depth of the scan.",
         group=_HOW,
         unit="m",
         low=0,
@@ -28,26 +28,27 @@ class RegisterParams:
     )
     refine: bool = param(
         False,
-        "Begin from the poses the scan has, and make them better; its world stays where it is. Where what is "
-        "found is not better on points it was not found by, the poses stay.",
+        "Refine the existing poses of the scan, in the same world. The existing poses are kept if the "
+        "refined poses are not better on held-out points.",
     )
     piece: int = param(
         1,
-        "Which piece of a scan that falls apart is used: 1 for the one of the most frames, 2 for the next.",
+        "Piece to use if not all frames can be connected: 1 has the most frames, 2 the second most.",
         low=1,
     )
     subject: str = param(
         "auto",
-        "What is registered, and fused: the `scene`, or the `object` alone that moves before a camera that "
-        "stands still, as on a turntable; all else is masked out. `auto` takes the object if there is one.",
+        "Subject to register and fuse: the whole `scene`, or only the `object` that moves in front of a "
+        "static camera, as on a turntable, with all else masked out. `auto` selects the object if there is "
+        "one.",
         choices=("auto", "scene", "object"),
     )
     focal: bool = param(
         True,
-        "Where nobody states the camera, estimate its focal length from points that several frames show.",
+        "Estimate the focal length from matched points if the scan has no camera intrinsics.",
         group=_HOW,
     )
-    loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
+    loops: bool = param(True, "Detect places that were seen before, and close loops.", group=_HOW)
 
     def __post_init__(self) -> None:
         check(self)

@@ -1,4 +1,4 @@
-"""Poses of all frames: first along the motions, then those that agree best, then between key frames."""
+"""Poses of all frames: initial poses, pose graph of the key frames, interpolation in between."""
 
 from __future__ import annotations
 
@@ -14,19 +14,26 @@ from scanloom.stages.registration.graph import Edge, optimised
 from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.scan import Pose
 
-# Surfaces count as the same within this share of the median depth.
+# Correspondence distance of the pose graph, relative to the median depth.
 _REACH_SHARE = 0.03
 
 
 def placed_pieces(
     chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge], held: Sequence[Edge] = ()
 ) -> tuple[dict[int, Pose], list[Edge], list[Edge]]:
-    """Return the poses of all frames, each piece in the world of its first, and edges used and refused.
+    """Compute the poses of all frames, component by component.
 
     Parameters
     ----------
-    groups : numbers of the key frames of each piece.
-    held : edges beside these, of poses that are known from elsewhere.
+    chain : odometry with key frames.
+    groups : indices of the key frames in each connected component.
+    edges : motions between key frames.
+    held : additional edges that tie key frames to known poses; not part of the results.
+
+    Returns
+    -------
+    Poses (world_from_camera) by frame index, accepted edges, and rejected edges. The world of each component
+    is the camera of its first key frame.
     """
     poses: dict[int, Pose] = {}
     used: list[Edge] = []
@@ -48,14 +55,14 @@ def placed_pieces(
 
 
 def _spread(group: Sequence[int], edges: Sequence[Edge]) -> dict[int, Pose]:
-    """Return first poses for a piece: along its certain edges where there are such, else along any."""
+    """Chain initial poses of a component, along certain edges first."""
     motions: dict[int, list[tuple[int, Pose, bool]]] = {key: [] for key in group}
     for edge in edges:
         motion = edge.motion.target_from_source
         motions[edge.target].append((edge.source, motion, edge.is_certain))
         motions[edge.source].append((edge.target, inverted(motion), edge.is_certain))
     poses: dict[int, Pose] = {}
-    # Poses cannot be compared: a number that differs ends the comparison before them.
+    # The counter decides between equal entries, because poses cannot be compared.
     order = count()
     reached = [(False, group[0], group[0], next(order), np.eye(4))]
     while reached:
@@ -70,7 +77,10 @@ def _spread(group: Sequence[int], edges: Sequence[Edge]) -> dict[int, Pose]:
 
 
 def _between(chain: Chain, placed: dict[int, Pose]) -> dict[int, Pose]:
-    """Return the poses of frames between key frames: what the chain says, bent evenly to meet both."""
+    """Interpolate the poses of frames between key frames.
+
+    Chained poses are corrected evenly, so that they meet the key frames at both ends.
+    """
     from scipy.spatial.transform import Rotation, Slerp
 
     poses = {}
@@ -80,7 +90,7 @@ def _between(chain: Chain, placed: dict[int, Pose]) -> dict[int, Pose]:
             continue
         at = bisect_left(chain.keys, number)
         before, after = chain.keys[at - 1], chain.keys[at]
-        # Key frames stand at both sides of a break, so that there is none between these two.
+        # The frames at both ends of a break are key frames, so that the chain between these two is unbroken.
         first = placed[before] @ inverted(starts[before]) @ starts[number]
         second = placed[after] @ inverted(starts[after]) @ starts[number]
         share = (number - before) / (after - before)

@@ -1,4 +1,4 @@
-"""Registration: poses for frames that have none, from what they show."""
+"""Registration: pose estimation for frames without poses."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 4
 
-# Depth is used up to so many times its median in so many frames.
+# Default maximum depth, in median depths, and number of frames sampled for the median.
 _MEDIANS, _SAMPLED = 2.5, 7
-# Fitness from which an edge needs no confirmation. Edges of fewer points need more: the keys of a keyboard
-# look alike, and a blurred view of them fits where it does not belong. Edges without points need no more:
-# their alignment started from the pose of the frame before.
+# Fitness from which an edge needs no confirmation by other edges. Edges with few matches need more fitness:
+# the keys of a keyboard look alike, and a blurred view of them fits in wrong positions. Edges without matches
+# need no more, because their alignment started from the pose of the previous frame.
 _MIN_FITNESS, _SURE_POINTS, _SURE_FITNESS = 0.4, 15, 0.6
 
 
@@ -56,33 +56,37 @@ def register(
     progress: Progress = silent,
     **changes: Unpack[RegisterKeywords],
 ) -> Registration:
-    """Find the poses of frames with depth from what they show; poses they have are used to refine them only.
+    """Estimate the poses of frames with depth.
 
-    Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
-    Key frames that may show the same place, because their poses or their looks say so, are placed to each
-    other, and a robust pose graph makes all agree. Frames that cannot be joined are pieces of their own.
-    Of a thing that moves before a camera that stands still, the poses are those of the camera to the thing,
-    and the frames get masks that leave out the rest: see `subject`.
-    Equal input gives equal bits, on any number of threads.
+    Existing poses are only used with `refine`. Each frame is aligned to its predecessor: matched keypoints
+    initialise the motion, surfaces refine it. Key frames that may show the same place, by pose or appearance,
+    are aligned as loop closures. A robust pose graph makes all motions consistent. Frames that cannot be
+    connected form separate components. If an object moves in front of a static camera, poses are relative to
+    the object, and the frames get masks of the object (see `subject`). Equal input gives bit-identical
+    results on any number of threads.
 
     Parameters
     ----------
-    scan : frames in the order they were taken, with depth; colour helps.
-    params : RegisterParams; single fields can be given by name instead.
-    progress : called with the frames that are done, and their number; where loops are looked for, with twice
-        their number, and then with as many more as stand for the couples of key frames that were looked at.
+    scan : frames with depth, in recording order; colour helps.
+    params : RegisterParams; single fields can be passed by name instead.
+    progress : called with the number of finished frames and of all frames. With loop closure, the total is
+        twice the number of frames, and the second half covers the candidate loops.
+
+    Returns
+    -------
+    Registration : posed frames of the selected component, with metrics.
 
     Raises
     ------
     InputError
-        If fewer than two frames can be used, no two of them can be placed to each other, there are fewer
-        pieces than `piece`, or `refine` finds no poses.
+        If fewer than two frames can be used, no two of them can be aligned, there are fewer components than
+        `piece`, or `refine` finds no poses to refine.
     StageError
-        If the thing that is registered alone cannot be told from the rest, or is not rigid.
+        If an object is to be registered alone, but cannot be separated from the scene or is not rigid.
 
     References
     ----------
-    Choi, Zhou and Koltun, "Robust reconstruction of indoor scenes", 2015; odometry and pose graph are
+    Choi, Zhou and Koltun, "Robust reconstruction of indoor scenes", 2015. Odometry and pose graph are
     Open3D's, features and perspective-n-point OpenCV's.
     """
     params = resolve(RegisterParams, params, changes)
@@ -143,7 +147,13 @@ def _registered(
     where: Path | None,
     progress: Progress,
 ) -> Registration:
-    """Return the poses of frames from guesses of some; what is `given` besides tells the world."""
+    """Register frames of a static subject.
+
+    Parameters
+    ----------
+    guesses : initial world_from_camera by frame index; may be empty.
+    given : world_from_camera by frame index that stay unless improved, and define the world; may be empty.
+    """
     max_depth = params.max_depth or _max_depth(frames)
     with one_thread_each():
         chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, guesses)
@@ -151,9 +161,10 @@ def _registered(
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(
                 REGISTER_FRAMES_UNUSABLE,
-                "{seen_count} frames can be used; poses need two at least{first}",
+                "{seen_count} of {count} frames can be used, but registration needs at least two{first}",
                 where,
                 seen_count=len(chain.seen),
+                count=len(frames),
                 first=first,
             )
         edges = list(key_edges(chain, max_depth))
@@ -171,7 +182,7 @@ def _drop_unconfirmed(keys: Sequence[int], edges: Sequence[Edge]) -> list[Edge]:
 
     Parameters
     ----------
-    keys : indices of the key frames in the scan. Of the chain, only edges of consecutive frames are dropped:
+    keys : frame indices of the key frames. Chain edges are only dropped between consecutive frames, because
         frames between two key frames belong to both.
     """
     kept = list(edges)
@@ -197,7 +208,10 @@ def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
 
 
 def _max_depth(frames: Sequence[Frame]) -> float:
-    """Return how far depth is used: what is far is measured worse, and tells less of the motion."""
+    """Compute the default maximum depth, metres.
+
+    Far depth is noisier, and constrains the motion less.
+    """
     medians = []
     for i in sample_evenly(len(frames), _SAMPLED):
         try:
@@ -234,12 +248,9 @@ def _result(
     if not usable:
         raise InputError(
             REGISTER_NOT_CONNECTED,
-            (
-                "no two of its {numbers_count} frames can be placed to each other (frame "
-                "{breaks_name}: {reason})"
-            ),
+            "no two of the {numbers_count} frames can be aligned (frame {breaks_name}: {reason})",
             where,
-            remedy="if poses are known, name them with scan.poses=FILE.",
+            remedy="if poses are known, set scan.poses=FILE.",
             numbers_count=len(numbers),
             breaks_name=breaks[0].name,
             reason=breaks[0].reason,
@@ -247,7 +258,7 @@ def _result(
     if piece > usable:
         raise InputError(
             REGISTER_NOT_CONNECTED,
-            "there is no piece {piece} of two frames or more; there are {usable}",
+            "register.piece={piece} does not exist; pieces of two or more frames: {usable}",
             where,
             piece=piece,
             usable=usable,
@@ -257,7 +268,7 @@ def _result(
         SkippedFrame(
             frames[n].name,
             REGISTER_NOT_CONNECTED.warning(
-                "it is in piece {own} of {count}, which could not be joined to piece {piece}",
+                "the frame is in piece {own} of {count}, which could not be connected to piece {piece}",
                 own=rank[piece_of[n]],
                 count=len(order),
                 piece=piece,
@@ -294,7 +305,10 @@ def _first_half(progress: Progress) -> Progress:
 def _in_their_world(
     frames: Sequence[Frame], members: Sequence[int], poses: Mapping[int, Pose], given: Mapping[int, Pose]
 ) -> dict[int, Frame]:
-    """Return the frames of a piece by their places, in the world of the first, or of the poses given."""
+    """Return the frames of a component by index, in their final world.
+
+    This is the world of the given poses, if any, or else the camera of the first frame.
+    """
     known = [n for n in members if n in given]
     into = inverted(poses[members[0]])
     if known and all(poses[n] is given[n] for n in known):
@@ -305,7 +319,10 @@ def _in_their_world(
 
 
 def _nearest(poses: Sequence[Pose], given: Sequence[Pose]) -> Pose:
-    """Return the rigid motion that brings cameras to others: the mean of their turns, then their centres."""
+    """Fit the rigid motion between two sets of poses.
+
+    The rotation is the mean of the relative rotations; the translation aligns the mean camera centres.
+    """
     from scipy.spatial.transform import Rotation
 
     turns = [other[:3, :3] @ pose[:3, :3].T for pose, other in zip(poses, given, strict=True)]

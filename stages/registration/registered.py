@@ -1,4 +1,4 @@
-"""What registration finds."""
+"""Result of registration."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from scanloom.stages.scans.model.scan import Frame, SkippedFrame
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Poses of a scan's frames.
+    """Posed frames of a scan, with metrics.
 
     Attributes
     ----------
-    frames : those of the piece that is used, each with a pose. The world is the first one's camera, or that
-        of the poses that were refined.
-    places : of these frames in the scan.
-    skipped : all others, and why.
-    pieces : names of the frames of each piece, the largest first: poses of different pieces say nothing
-        about each other.
-    apart : the other pieces by their numbers from 1: frames by their places, with poses in their own world.
-    edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m (None
-        where recognised points alone tell the motion), points, is_loop, is_used.
-    breaks : where a frame could not be placed to the one before: its name, and why.
-    key_frames : places in the scan.
-    focal : that of the depth camera, where nobody stated it and the frames tell it: theirs has it.
-    subject : `scene`, or `object`: the frames then have masks of it, and the world is its own.
-    seconds : of the work.
-    diagnostics : what is odd.
+    frames : posed frames of the selected component. The world is the first frame's camera, or the world of
+        the refined poses.
+    places : indices of these frames in the scan.
+    skipped : all other frames, with reasons.
+    pieces : frame names of each connected component, the largest first. Poses of different components are
+        unrelated.
+    apart : frames by index of each other component, by its number from 1, posed in separate worlds.
+    edges : accepted and rejected motions: source, target (indices in the scan), fitness, rmse_m (None if the
+        motion comes from matched points alone), points, is_loop, is_used.
+    breaks : frames that could not be aligned to their predecessor, with reasons.
+    key_frames : indices of the key frames in the scan.
+    focal : estimated focal length of the depth camera, as in `frames`; None if it was not estimated.
+    subject : `scene`, or `object`: frames then have masks of the object, and the world moves with the object.
+    seconds : run time.
+    diagnostics : warnings.
     """
 
     frames: tuple[Frame, ...]
@@ -54,7 +54,7 @@ class Registration:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what a report says of it, as JSON values."""
+        """Return the metrics for the report, as JSON values."""
         used = [edge for edge in self.edges if edge["is_used"]]
         centres = np.array(
             [pose[:3, 3] for frame in self.frames if (pose := frame.world_from_camera) is not None]

@@ -1,4 +1,4 @@
-"""Diagnostics of registered poses: pieces, moving parts, refused loops, black and repeated frames."""
+"""Diagnostics of registration: components, moving parts, rejected loops, black and repeated frames."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _DARK = 8.0
 
 
 def report_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> None:
-    """Warn if a scan fell into pieces."""
+    """Warn if the frames form several connected components."""
     if count <= 1:
         return
-    another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
+    another = f" (register.piece={1 if piece > 1 else 2} selects another)" if usable > 1 else ""
     more = f" and {len(breaks) - 1} more" if len(breaks) > 1 else ""
     emit(
         REGISTER_NOT_CONNECTED.warning(
-            "the frames fall into {count} pieces that could not be joined; piece {piece} is used{another}. "
-            "The chain broke at {first}{more}: {reason}",
+            "the frames form {count} pieces that could not be connected; piece {piece} is used{another}. "
+            "The chain broke at frame {first}{more}: {reason}",
             count=count,
             piece=piece,
             another=another,
@@ -52,15 +52,18 @@ def report_poses(
     used: Sequence[Edge],
     wrong: Sequence[Edge],
 ) -> None:
-    """Warn of doubtful poses of the piece that is used, of loops and frames of all pieces."""
+    """Warn about doubtful poses, rejected loops, and black or repeated frames.
+
+    Poses are checked for the selected component; loops and frames for all components.
+    """
     motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
     split = [motion for motion in motions if motion.is_split]
     if len(split) > 0.1 * max(len(motions), 1):
         emit(
             REGISTER_MOTION_UNCLEAR.warning(
-                "in {split} of {steps} steps parts of the view move differently: something moves on its own "
-                "(a person, a turntable), or colour and depth do not belong together. What most of the "
-                "surface does was taken for the camera's motion",
+                "in {split} of {steps} steps parts of the view move differently: something moves "
+                "independently (a person, a turntable), or colour and depth do not belong together. The "
+                "motion of most of the surface is used as the motion of the camera",
                 split=len(split),
                 steps=len(motions),
             )
@@ -69,8 +72,8 @@ def report_poses(
     if len(wrong) > max(0.5 * len(loops), 3):
         emit(
             REGISTER_AMBIGUOUS_PLACES.warning(
-                "{wrong} of {loops} places that look as if they were seen before do not fit the path: it is "
-                "bent, or the scene holds things that look the same; see path.ply",
+                "{wrong} of {loops} loop closures do not fit the path of the camera: the path has drifted, "
+                "or different places look the same; see path.ply",
                 wrong=len(wrong),
                 loops=len(loops),
             )
@@ -80,11 +83,8 @@ def report_poses(
         if turned < _STILL_RAD:
             emit(
                 REGISTER_CAMERA_STILL.warning(
-                    "the camera does not move: all frames show the scene from one place",
-                    remedy=(
-                        "a thing that was turned in front of it is registered alone with "
-                        "register.subject=object"
-                    ),
+                    "the camera does not move: all frames show the scene from one position",
+                    remedy="if an object turns in front of the camera, use register.subject=object",
                 )
             )
     _report_frames(frames, chain, motions)
@@ -95,7 +95,7 @@ def _report_frames(frames: Sequence[Frame], chain: Chain, motions: Sequence[Moti
     if dark:
         emit(
             REGISTER_FRAMES_UNUSABLE.warning(
-                "{count} colour images are black, the first is that of frame {first}",
+                "{count} colour images are black (first: frame {first})",
                 count=len(dark),
                 first=frames[dark[0]].name,
             )
@@ -106,5 +106,7 @@ def _report_frames(frames: Sequence[Frame], chain: Chain, motions: Sequence[Moti
     )
     if same:
         emit(
-            REGISTER_FRAMES_REPEATED.warning("{count} frames are the same as the one before", count=int(same))
+            REGISTER_FRAMES_REPEATED.warning(
+                "{count} frames are copies of the previous frame", count=int(same)
+            )
         )

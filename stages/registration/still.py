@@ -1,7 +1,7 @@
-"""Whether the camera stands still while something moves before it, and what then stands still with it.
+"""Detection of a static camera, of something that moves, and of the static background.
 
-A camera that moves sees no pixel at the same depth and with the same look again, but by chance; one that
-stands still sees its background so in all frames, those far apart in time, too.
+A moving camera sees a pixel with the same depth and colour again only by chance. A static camera sees its
+background unchanged in all frames, also in frames far apart in time.
 """
 
 from __future__ import annotations
@@ -20,30 +20,32 @@ from scanloom.stages.registration.view import View
 
 Mask = NDArray[np.bool_]
 
-# A camera stands still between two frames where this share of the pixels keeps its depth, and so many points
-# are recognised at the same place, in so many cells of the image: a bare floor keeps its depth under a robot.
+# Criteria for a static camera in a frame pair: minimum ratio of pixels with unchanged depth, and minimum
+# number of matched keypoints that stay in place, in a minimum number of cells of the image grid. Depth alone
+# is not enough: a bare floor below a moving robot keeps its depth.
 _STILL_SHARE, _STILL_POINTS, _STILL_CELLS = 0.25, 10, 4
 _CELLS = (8, 6)
-# Pixels, of images as wide as those features are found in, and the share of the depth, that are no motion.
+# Maximum motion of a keypoint that stays in place: pixels of the image for detection, and relative depth.
 _STILL_PX, _STILL_DEPTH = 1.5, 0.03
-# Of the couples of frames in which the camera must stand still; one may be shaken, or be hidden by a hand.
+# Minimum ratio of frame pairs with a static camera. A few pairs may be shaken, or covered by a hand.
 _MOST_COUPLES = 0.85
-# Something moves where that much of the image is at another depth, by more than this share of it.
+# Minimum ratio of the image that must change its depth, and minimum relative change.
 _MOVED_SHARE, _MOVED_DEPTH = 0.004, 0.04
-# What is behind is what is seen at the same depth in so many of the frames, at least two.
+# Minimum ratio of frames that see the background's depth at a pixel; at least two frames.
 _SEEN_SHARE = 0.2
-# A pixel has another look from this difference on, 8-bit levels.
+# Minimum colour difference of a changed pixel, 8-bit levels.
 OTHER_LOOK = 25.0
-# Spots of less than this share of the image are noise.
+# Minimum area of a change, as ratio of the image; smaller ones are noise.
 _SPOT = 0.0005
-# Gaps in what moves, of an image's width, are closed: what is plain does not change where it moves.
+# Maximum width of gaps that are closed in the moving region, as ratio of the image width. Uniform surfaces do
+# not change where they move.
 _GAP = 0.04
-# What a thing stands on is looked for so far around it, as a share of the side of a square of its size.
+# Margin around an object in which its support is searched, relative to the square root of its area.
 _AROUND = 0.5
 
 
 def stands_still(views: Sequence[View], looks: Sequence[Look]) -> bool:
-    """Say whether the camera stands still in nearly all couples of views."""
+    """Check whether the camera is static in nearly all pairs of views."""
     couples = list(itertools.combinations(range(len(views)), 2))
     still = [
         _same_depth(looks[a].depth, looks[b].depth) >= _STILL_SHARE
@@ -54,13 +56,13 @@ def stands_still(views: Sequence[View], looks: Sequence[Look]) -> bool:
 
 
 def something_moves(looks: Sequence[Look]) -> bool:
-    """Say whether a good part of what a camera sees that stands still is not where it was."""
+    """Check whether something moves in front of a static camera."""
     shares = [_moved(a.depth, b.depth) for a, b in itertools.pairwise(looks)]
     return float(np.median(shares)) >= _MOVED_SHARE
 
 
 def is_still(source: Features, target: Features, pairs: NDArray[np.int64]) -> Mask:
-    """Say which matches (n, 2) are of points that stay where they are in the image, and in depth."""
+    """Check which matches (n, 2) stay in place, in the image and in depth."""
     moved = np.linalg.norm(source.pixels[pairs[:, 0]] - target.pixels[pairs[:, 1]], axis=1)
     here, there = source.points[pairs[:, 0], 2], target.points[pairs[:, 1], 2]
     return np.asarray((moved < _STILL_PX) & (np.abs(here - there) < _STILL_DEPTH * here))
@@ -95,15 +97,15 @@ def _moved(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Backdrop:
-    """What is behind what moves, as a camera that stands still sees it.
+    """Static background behind a moving object, with the region of the motion.
 
     Attributes
     ----------
-    depth : (h, w) the farthest depth that is seen again and again, 0 where there is none.
-    color : (h, w, 3) of the median frame; None without colour.
-    is_passed : (h, w) something nearer is seen there at times.
-    moving : (h, w) where something changes, and what lies between.
-    around : (h, w) the same and what is beside it: what it stands on is in it.
+    depth : (h, w) farthest depth that is seen repeatedly, metres; 0 without.
+    color : (h, w, 3) median over the frames; None without colour.
+    is_passed : (h, w) something nearer is seen here in some frames.
+    moving : (h, w) region with changes, gaps and holes filled.
+    around : (h, w) convex hull of that region with a margin, so that it includes the support of the object.
     """
 
     depth: NDArray[np.float32]
@@ -113,23 +115,23 @@ class Backdrop:
     around: Mask
 
     def changed(self, look: Look) -> Mask:
-        """Return which pixels (h, w) of a frame have another look than usual."""
+        """Detect pixels (h, w) that differ in colour from the background."""
         if self.color is None or look.color is None:
             return np.zeros(look.depth.shape, bool)
         return np.asarray(np.abs(look.color - self.color).max(axis=2) > OTHER_LOOK)
 
     def shows_it(self, look: Look) -> Mask:
-        """Return which pixels (h, w) of a frame show the backdrop itself, where something else may pass."""
+        """Detect pixels (h, w) that show the background, where the object may pass."""
         same = np.abs(look.depth - self.depth) < same_within(self.depth)
         return np.asarray(self.is_passed & same & ~self.changed(look))
 
     def first_mask(self, look: Look) -> Mask:
-        """Return which pixels (h, w) of a frame may show what moves, before any motion is known."""
+        """Mask pixels (h, w) that may show the object, before motions are known."""
         return np.asarray(self.moving & (look.depth > 0) & ~self.shows_it(look))
 
 
 def backdrop_of(looks: Mapping[int, Look]) -> Backdrop:
-    """Return what is behind, by frames spread over the scan."""
+    """Estimate the static background from previews spread over the scan."""
     import cv2
 
     depths = np.stack([look.depth for look in looks.values()])
@@ -148,7 +150,7 @@ def backdrop_of(looks: Mapping[int, Look]) -> Backdrop:
         changes |= _without_spots(np.abs(one - color).max(axis=2) > OTHER_LOOK)
     gap = max(round(_GAP * changes.shape[1]), 3) | 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
-    # What a plain plate shows in its middle never changes: what lies between is taken in.
+    # The middle of a uniform plate never changes, so that enclosed areas are included.
     closed = cv2.morphologyEx(changes.astype(np.uint8), cv2.MORPH_CLOSE, disc)
     moving = _filled(np.asarray(closed, np.uint8)) > 0
     return Backdrop(behind, color, passed, moving, _around(moving))
@@ -165,7 +167,7 @@ def _without_spots(mask: Mask) -> Mask:
 
 
 def _around(mask: Mask) -> Mask:
-    """Return the convex hull of a mask's largest part, and a good deal more to all sides."""
+    """Compute the convex hull of the largest mask component, with a margin."""
     import cv2
 
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -180,7 +182,7 @@ def _around(mask: Mask) -> Mask:
 
 
 def _filled(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a mask with its holes filled: those of another than the outermost outline."""
+    """Fill the holes of a mask."""
     import cv2
 
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

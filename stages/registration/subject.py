@@ -1,6 +1,7 @@
-"""What of a scan is registered: all that is seen, or the thing that moves before a camera that stands still.
+"""Registration subject: the whole scene, or an object that moves in front of a static camera.
 
-Surfaces begin where recognised points and marks end: see `turning` for these, `belonging` for the masks.
+Matched points and marks give initial poses of the object (see `turning`); surfaces refine these poses. The
+final masks are computed in `belonging`.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Frame, Pose
 
-# Frames by which it is decided, and more by which the backdrop is known.
+# Number of frames sampled to detect motion, and for the static background.
 _DECIDE, _BEHIND = 7, 24
-# Less of the image than this (share of all pixels) is no thing.
+# Minimum size of an object, as ratio of the image.
 _LEAST_SHOWN = 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """A thing that moves before a camera that stands still, as far as it is known before its poses are.
+    """Moving object in front of a static camera, before registration.
 
     Attributes
     ----------
-    frames : with masks of what may be the thing.
-    poses : world_from_camera of some frames by their places, the world being the thing: first guesses.
+    frames : frames of the scan, with masks of pixels that may show the object.
+    poses : initial world_from_camera of some frames by index; the world is the object.
     """
 
     frames: list[Frame]
@@ -47,32 +48,34 @@ class Thing:
 
 
 def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing | None:
-    """Return the thing that a scan is of; None if it is of a scene.
+    """Detect the moving object of a scan; None for a scene.
 
     Parameters
     ----------
-    subject : `scene`, `object`, or `auto`: the thing if the camera stands still and something moves.
+    frames : frames of the scan.
+    subject : `scene`, `object`, or `auto`: the object if the camera is static and something moves.
+    where : folder of the scan, for messages.
 
     Raises
     ------
     StageError
-        If the thing is asked for and nothing moves before a camera that stands still.
+        If `subject` is `object`, but the camera moves, or nothing moves in front of it.
     """
     if subject == "scene" or len(frames) < 2:
         return None
     looks, is_still, moves = _decided(frames)
     if not (is_still and moves):
         if subject == "object":
-            told = "nothing moves before it" if is_still else "it moves"
+            reason = "nothing moves in front of the camera" if is_still else "the camera moves"
             raise StageError(
                 REGISTER_TURNING_OBJECT,
-                (
-                    "no thing can be told from what is around it: that needs a camera "
-                    "that stands still while the thing moves, but {told}."
-                ),
+                "cannot separate a moving object from the scene: {reason}.",
                 where,
-                remedy="register.subject=scene takes all that is seen.",
-                told=told,
+                remedy=(
+                    "register.subject=object needs a static camera and a moving object; use "
+                    "register.subject=scene to register the whole scene."
+                ),
+                reason=reason,
             )
         return None
     more = [n for n in sample_evenly(len(frames), _BEHIND).tolist() if n not in looks]
@@ -89,7 +92,10 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
 
 
 def shows_thing(frames: Sequence[Frame]) -> bool:
-    """Say whether `auto` takes the thing that moves: the camera stands still."""
+    """Check whether something moves in front of a static camera.
+
+    This is the case in which `auto` registers the object alone.
+    """
     _, is_still, moves = _decided(frames)
     return is_still and moves
 
@@ -97,20 +103,21 @@ def shows_thing(frames: Sequence[Frame]) -> bool:
 def alone(
     frames: Sequence[Frame], posed: Mapping[int, Frame], thing: Thing, where: Path | None
 ) -> dict[int, Frame]:
-    """Return posed frames with masks of the thing alone.
+    """Mask posed frames to the moving object.
 
-    Where all were joined by what is recognised, that tells the poses, not the surfaces: what turns about an
-    axis slides along itself, and the edge of a mask goes with it.
+    If matched points and marks connect all frames, their poses replace the poses from surfaces. A surface of
+    revolution slides along itself, and the edge of a mask moves with the object.
 
     Parameters
     ----------
-    frames : of the scan, as they were given.
-    posed : frames by their places among them, with poses of one world, which is the thing.
+    frames : frames of the scan, as given.
+    posed : posed frames by index; the world is the object.
+    where : folder of the scan, for messages.
 
     Raises
     ------
     StageError
-        If hardly a pixel agrees with the poses: what moves is no rigid thing.
+        If hardly a pixel agrees with the poses, because the object is not rigid.
     """
     poses = {n: frame.world_from_camera for n, frame in posed.items() if frame.world_from_camera is not None}
     if all(n in thing.poses for n in poses):
@@ -122,23 +129,31 @@ def alone(
         return found
     masks = masks_of_thing(found)
     if float(np.median([mask.mean() for mask in masks.values()])) < _LEAST_SHOWN:
-        raise thing_not_placed("no motion of it as one rigid thing fits what the frames show", where)
+        raise thing_not_placed("no motion of a rigid object fits the frames", where)
     return {n: _with_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
 
 
 def thing_not_placed(why: str, where: Path | None) -> StageError:
-    """Return the error for a thing whose poses cannot be found."""
+    """Create the error for an object whose poses cannot be estimated."""
     return StageError(
         REGISTER_TURNING_OBJECT,
-        "a thing moves before a camera that stands still, and cannot be put together ({why}).",
+        "an object moves in front of a static camera, but its poses cannot be estimated ({why}).",
         where,
-        remedy=("Turn it in smaller steps, on printed paper; register.subject=scene takes all that is seen."),
+        remedy=(
+            "Turn the object in smaller steps, on printed paper, or use register.subject=scene to register "
+            "the whole scene."
+        ),
         why=why,
     )
 
 
 def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
-    """Return what a few frames show, whether the camera stands still, and whether something moves."""
+    """Detect a static camera and a moving object in sampled frames.
+
+    Returns
+    -------
+    Previews by frame index; whether the camera is static; whether something moves.
+    """
     looks = read_looks(frames, sample_evenly(len(frames), _DECIDE).tolist())
     views = {}
     for n in looks:
@@ -151,7 +166,10 @@ def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
 
 
 def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
-    """Return the frame with a mask of what may be the thing, and what is recognised of that."""
+    """Mask a frame to candidate pixels of the object, and detect features.
+
+    Unreadable frames have no features (None).
+    """
     look = read_look(frame)
     if look is None or look.depth.shape != backdrop.depth.shape:
         return frame, None
@@ -163,7 +181,7 @@ def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
 
 
 def _with_mask(frame: Frame, mask: Mask) -> Frame:
-    """Return the frame with a mask beside its own."""
+    """Intersect the mask of a frame with another mask (h, w)."""
     import cv2
 
     both = mask.astype(np.uint8) * np.uint8(255)

@@ -1,4 +1,4 @@
-"""First motions of what moves before a camera that stands still, by all that can be recognised of it."""
+"""Initial poses of an object that moves in front of a static camera, from features and marks."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Frame, Pose
 
 Floats = NDArray[np.float64]
-# A motion (target_from_source), and how many points or marks say so.
+# Motion (target_from_source), and the number of matched points or marks that agree with it.
 Link = tuple[Pose, float]
 
-# Points that tell a motion for sure; fewer are a chance where much looks alike.
+# Minimum number of inliers of a motion; repetitive texture gives fewer by chance.
 _SURE_POINTS = 15
-# All couples are looked at up to so many frames, else those that are so near.
+# All frame pairs are tried up to this number of frames; otherwise only pairs at most this many frames apart.
 _ALL_COUPLES, _NEAR = 16, 2
-# What it stands on is looked for within so many times the distance that most of it is within from its middle.
+# Search radius for the support of the object, relative to the radius of the object (80th percentile).
 _AROUND = 2.5
-# Motions agree within this share of the thing's distance.
+# Correspondence distance of the pose graph, relative to the distance of the object.
 _REACH_SHARE = 0.03
 
 
@@ -39,12 +39,18 @@ def first_poses(
     looks: Mapping[int, Look],
     backdrop: Backdrop,
 ) -> dict[int, Pose]:
-    """Return poses (world_from_camera, the world is the thing) of frames that motions join, by places.
+    """Estimate initial poses of a moving object.
 
     Parameters
     ----------
-    features : by the frames' places, of what moves alone.
-    looks : of frames spread over the scan.
+    frames : frames of one static camera.
+    features : features of the moving region, by frame index.
+    looks : previews of frames spread over the scan, by frame index.
+    backdrop : static background of these frames.
+
+    Returns
+    -------
+    world_from_camera by frame index, of the frames that motions connect; the world is the object.
     """
     depth = float(np.median([np.median(look.depth[backdrop.first_mask(look)]) for look in looks.values()]))
     couples = couples_of(list(features))
@@ -62,9 +68,9 @@ def first_poses(
 def _agreed(
     poses: dict[int, Pose], links: Mapping[tuple[int, int], Link], points: Floats, depth: float
 ) -> dict[int, Pose]:
-    """Return the poses that agree best with all links, those that do not left out."""
+    """Optimise the poses over all links, and reject links that disagree."""
     centre = points.mean(axis=0)
-    # What points around the thing's middle tell of a motion, each alike (Choi, Zhou and Koltun 2015).
+    # Mean information matrix of one matched point of the object (Choi, Zhou and Koltun 2015).
     cross = np.array(((0, -centre[2], centre[1]), (centre[2], 0, -centre[0]), (-centre[1], centre[0], 0)))
     around = np.eye(3) * 2 / 3 * float(((points - centre) ** 2).sum(axis=1).mean())
     one_point = np.block([[around - cross @ cross, cross], [-cross, np.eye(3)]])
@@ -77,13 +83,16 @@ def _agreed(
 
 
 def couples_of(places: Sequence[int]) -> list[tuple[int, int]]:
-    """Return couples (earlier, later) of frames that may show the same side."""
+    """List frame pairs (earlier, later) that may show the same side of the object."""
     near = len(places) if len(places) <= _ALL_COUPLES else _NEAR
     return [(a, b) for i, a in enumerate(places) for b in places[i + 1 : i + 1 + near]]
 
 
 def _recognised(source: Features, target: Features, depth: float) -> Link | None:
-    """Return the motion of most points that is one at all, and how many they are."""
+    """Estimate the motion of the object from matched features.
+
+    Returns the motion with most inliers that is not negligible; None if it has too few.
+    """
     moved = [one for one in recognise(source, target) if not agree(one.target_from_source, depth)]
     sure = [one for one in moved if one.points >= _SURE_POINTS]
     return (sure[0].target_from_source, float(sure[0].points)) if sure else None
@@ -95,7 +104,10 @@ def marked_links(
     backdrop: Backdrop,
     couples: Sequence[tuple[int, int]],
 ) -> dict[tuple[int, int], Link]:
-    """Return motions by marks on the plate that the thing stands on, if there is one."""
+    """Estimate motions from marks on the plate below the object.
+
+    Returns links by frame pair; empty without a plate.
+    """
     around, own = (
         np.concatenate([look.points()[mask(look)] for look in looks.values()])
         for mask in (lambda look: backdrop.around & (look.depth > 0), backdrop.first_mask)
@@ -104,7 +116,7 @@ def marked_links(
     reach = _AROUND * float(np.percentile(np.linalg.norm(own - centre, axis=1), 80))
     near = around[np.linalg.norm(around - centre, axis=1) < reach]
     found = (_links_on(plate, frames, couples) for plate in plates_of(near))
-    # Marks on another plane than theirs are not where they seem to be, and fewer agree.
+    # On a wrong plane the positions of marks are distorted, so that fewer coincide.
     return max(found, key=lambda links: sum(count for _, count in links.values()), default={})
 
 
@@ -120,7 +132,10 @@ def _links_on(
 
 
 def _joined(links: Mapping[tuple[int, int], Link]) -> dict[int, Pose]:
-    """Return poses along the links of most points (a spanning tree), of the frames of the largest piece."""
+    """Chain initial poses along the strongest links (maximum spanning tree).
+
+    Only the largest connected component is returned.
+    """
     beside: dict[int, list[tuple[int, Pose, float]]] = {}
     for (source, target), (motion, weight) in links.items():
         beside.setdefault(target, []).append((source, motion, weight))

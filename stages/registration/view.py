@@ -1,4 +1,4 @@
-"""A frame as registration needs it: depth to align, and what can be recognised in it."""
+"""Frame prepared for registration: depth for alignment, and features."""
 
 from __future__ import annotations
 
@@ -20,28 +20,30 @@ from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
-# Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
+# Maximum width of depth maps, pixels. Wider ones are downscaled by an integer; alignment does not benefit
+# from more.
 _WIDEST = 400
-# Points from which the firmness of a view is measured.
+# Approximate number of points for the firmness of a view.
 _SAMPLED = 4000
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A frame that was read.
+    """Depth image and features of a frame.
 
     Attributes
     ----------
-    name : of the frame.
-    camera : of the depth, without distortion.
-    image : Open3D's RGB-D image on tensors, metres.
-    features : points that can be recognised in other views; none without colour.
-    firmness : how well the surface alone holds a view in place, 0 to 1/3: the least eigenvalue of the mean
-        of squared motions along the normals, for unit motions of the camera (lengths in median depths).
-    hold : (6, 6) inverse covariance of a turn and a shift that one point of the surface tells, on average.
-    depth_m : the median depth.
-    pixels : of the image, that have a depth.
-    mean_color : mean of the grey image, 0 to 255; NaN without colour.
+    name : name of the frame.
+    camera : camera of the depth image, without distortion.
+    image : RGB-D image on Open3D tensors, metres.
+    features : keypoints with depth; empty without colour.
+    firmness : constraint of the pose by the surface alone, 0 to 1/3. It is the smallest eigenvalue of the
+        mean point-to-plane information matrix, with lengths relative to the root-mean-square radius of the
+        points.
+    hold : (6, 6) information matrix of rotation and translation, averaged over the points of the surface.
+    depth_m : median depth, metres.
+    pixels : number of pixels of `image` with depth.
+    mean_color : mean grey level, 0 to 255; NaN if the colour image was not read.
     """
 
     name: str
@@ -56,12 +58,18 @@ class View:
 
 
 def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> View:
-    """Read a frame, and find its features unless they are known.
+    """Read a frame, and detect its features unless given.
+
+    Parameters
+    ----------
+    frame : frame with depth.
+    max_depth : farther depth is dropped, metres.
+    known : features detected before.
 
     Raises
     ------
     InputError
-        If it has no depth, or cannot be read.
+        If the frame has no depth, or cannot be read.
     """
     import cv2
 
@@ -96,7 +104,10 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
 
 
 def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
-    """Return the colour image in a size that is enough, and its camera; it stands where the depth's does."""
+    """Read the downscaled colour image and its camera.
+
+    The image is reprojected to the position of the depth camera if necessary.
+    """
     import cv2
 
     color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
@@ -110,14 +121,22 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
 
 
 def smaller(depth: DepthImage, step: int) -> DepthImage:
-    """Return the median of what each block of pixels holds: no mean across an edge, no hole of a pixel."""
+    """Downscale a depth map by the median of blocks.
+
+    A mean would blend depths across edges; a missing pixel leaves no hole.
+
+    Parameters
+    ----------
+    depth : (h, w) metres, 0 where missing.
+    step : side of a block, pixels.
+    """
     height, width = (side // step for side in depth.shape)
     inside = depth[: height * step, : width * step]
     values = [inside[i::step, j::step] for i in range(step) for j in range(step)]
     values = [np.where(one > 0, one, np.float32(np.inf)) for one in values]
     count = np.sum([one < np.inf for one in values], axis=0)
     median = np.zeros((height, width), np.float32)
-    # The lesser half is sorted image by image: blocks of a few pixels each are slow to sort.
+    # Whole images are sorted up to the median, because sorting many small blocks is slow.
     for rank in range((len(values) + 1) // 2):
         for i in range(len(values) - 1, rank, -1):
             values[i - 1], values[i] = np.minimum(*values[i - 1 : i + 1]), np.maximum(*values[i - 1 : i + 1])
@@ -127,14 +146,14 @@ def smaller(depth: DepthImage, step: int) -> DepthImage:
 
 def _image(depth: NDArray[np.float32]) -> Any:
     o3d = open3d()
-    # Colours are not used: surfaces alone align better where colour and depth are not registered exactly.
+    # Colours are not used: surfaces alone align better if colour and depth are not exactly registered.
     blank = np.zeros((*depth.shape, 3), np.uint8)
     color, metres = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (blank, depth))
     return o3d.t.geometry.RGBDImage(color, metres)
 
 
 def _surface(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray[np.float64]]:
-    """Return the firmness of a view, and what it tells of a motion: the point-to-plane system, see `View`."""
+    """Compute the firmness of a view and its information matrix, see `View`."""
     import cv2
 
     smooth = cv2.medianBlur(depth, 5)

@@ -85,7 +85,7 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
     # What could be joined is there, the rest beside it: a warning, which --strict makes an error.
     assert result.unmet == ()
     sentence = result.report["stages"]["register"]["diagnostics"][0]["message"]
-    assert sentence.startswith("the frames fall into 2 pieces that could not be joined; piece 1 is used")
+    assert sentence.startswith("the frames form 2 pieces that could not be connected; piece 1 is used")
     assert len(read_tum(tmp_path / "out" / "pieces" / "trajectory-2.tum").poses) == 3
     apart = read_ply(tmp_path / "out" / "pieces" / "fused-2.ply")
     assert 1000 < len(apart.triangles) < len(read_ply(tmp_path / "out" / "fused.ply").triangles)

@@ -234,7 +234,7 @@ def test_black_frames_are_told(frames):
     dark = [replace(frame, color=np.zeros((240, 320, 3), np.uint8)) for frame in frames[:4]]
     found = adjust(dark)
     assert not found.accepted
-    assert found.why.endswith("; 4 colour images black")
+    assert found.why.endswith("; 4 frames skipped: black colour image")
     assert found.diagnostics == (), "there is nothing in them that could be wrong"
 
 
@@ -245,7 +245,7 @@ def test_over_exposed_frames_are_told(frames):
 
 def test_frames_without_depth_are_told(frames):
     bare = [replace(frame, depth=np.zeros((240, 320), np.float32)) for frame in frames[:4]]
-    assert "no depth is measured" in adjust(bare).why
+    assert "no matched keypoint has depth" in adjust(bare).why
 
 
 @pytest.mark.slow
@@ -264,7 +264,7 @@ def test_colour_of_another_scene_is_told_with_numbers(frames):
     other = [replace(a, color=b.color) for a, b in zip(frames, reversed(frames), strict=True)]
     found = adjust(other)
     assert not found.accepted
-    assert "points" in found.why
+    assert "keypoint matches" in found.why
 
 
 @pytest.mark.slow

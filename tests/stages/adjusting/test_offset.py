@@ -140,7 +140,7 @@ def test_the_colour_camera_is_moved_and_poses_that_fit_stay(frames):
     assert (camera.fx, camera.fy) == (given.fx, given.fy)
     assert found.offset_before.is_clear
     assert np.hypot(*found.offset_after.pixels) < 0.3
-    assert "colour camera moved 3." in found.why
+    assert "colour camera moved by 3." in found.why
     assert all(
         np.array_equal(one.world_from_camera, was.world_from_camera)
         for one, was in zip(found.frames, frames, strict=True)

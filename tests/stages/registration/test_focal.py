@@ -100,7 +100,7 @@ def test_what_is_stated_is_not_estimated() -> None:
 def test_inspect_says_that_it_cannot_be_told() -> None:
     found = inspect(Scan("made", hidden(turned_thing.frames([0.0, 0.0]), 250)))
     assert found.figures()["focal"] is None
-    assert any("the 250 px that were guessed stay" in str(one) for one in found.diagnostics)
+    assert any("the guess of 250 px is used" in str(one) for one in found.diagnostics)
 
 
 @pytest.mark.parametrize(("size", "focal"), [((256, 192), 187), ((192, 256), 187), ((640, 480), 525)])

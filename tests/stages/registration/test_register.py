@@ -156,7 +156,9 @@ def test_another_piece_can_be_used() -> None:
     assert [frame.name for frame in found.apart[1].values()] == [frame.name for frame in here]
     assert list(found.apart[1]) == list(range(8))
     assert trajectory_error(found, [*here, *there]) < 0.002
-    with pytest.raises(InputError, match="there is no piece 3 of two frames or more; there are 2"):
+    with pytest.raises(
+        InputError, match=r"register\.piece=3 does not exist; pieces of two or more frames: 2"
+    ):
         register([*here[:3], *there], piece=3)
 
 
@@ -247,7 +249,7 @@ def test_a_corner_holds_a_view_in_all_directions() -> None:
 
 
 def test_one_frame_is_too_few() -> None:
-    with pytest.raises(InputError, match="1 frames can be used; poses need two at least"):
+    with pytest.raises(InputError, match="1 of 1 frames can be used, but registration needs at least two"):
         register(hidden(sample()[:1]))
 
 
@@ -309,7 +311,7 @@ def test_a_camera_that_stands_still_is_named() -> None:
     frame = hidden(sample())[0]
     found = register([frame, replace(frame, name="again"), replace(frame, name="and again")])
     assert any("does not move" in str(one) for one in found.diagnostics)
-    assert any("same as the one before" in str(one) for one in found.diagnostics)
+    assert any("copies of the previous frame" in str(one) for one in found.diagnostics)
 
 
 # -- files and pieces ------------------------------------------------------------------------------------
