@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of cleaning and checks, with explanations."""
+"""Diagnostic codes of cleaning and checks, with explanations."""
 
 from __future__ import annotations
 

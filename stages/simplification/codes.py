@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of simplification, with explanations."""
+"""Diagnostic codes of simplification, with explanations."""
 
 from __future__ import annotations
 

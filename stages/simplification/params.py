@@ -18,7 +18,7 @@ AUTO = "auto"
 
 
 def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
-    """Say what each method is for, and which one `auto` takes."""
+    """Build the help text of the parameter `method`."""
     asked = ", ".join(method.name for method in methods if method.auto)
     carrying = " or ".join(method.name for method in methods if method.auto and method.takes.texture)
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
@@ -33,8 +33,9 @@ def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
 class SimplifyParams(SharedParams):
     """Parameters of `simplify`.
 
-    Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends the work.
-    The field of a method has the parameters that no other method has; a change there asks for the method.
+    All given bounds apply, also together with `triangles` or `ratio`: whichever is reached first stops the
+    simplification. The nested field of a method has the parameters that only this method has. Changing one of
+    them makes `auto` select this method.
     """
 
     method: str = param(

@@ -1,4 +1,4 @@
-"""Parameters of `simplify` that all or several methods have."""
+"""Parameters of `simplify` that several or all methods share."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HOW = "How"
 
 @dataclass(frozen=True, kw_only=True)
 class SharedParams:
-    """Parameters of `simplify` that all or several methods have."""
+    """Parameters of `simplify` that several or all methods share."""
 
     triangles: int | None = param(
         None, "Stop when at most this many triangles are left.", group=HOW_FAR, low=1
@@ -120,7 +120,12 @@ class SharedParams:
             )
 
     def target(self, triangles: int) -> int | None:
-        """Return how many of so many triangles are wanted; None if there is no such wish."""
+        """Return the target triangle count; None without a target.
+
+        Parameters
+        ----------
+        triangles : triangle count of the input, for `ratio`.
+        """
         return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles
 
 

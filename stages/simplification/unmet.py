@@ -1,4 +1,4 @@
-"""Requirements of simplification: the number of triangles, and the bounds."""
+"""Requirements of simplification: the triangle count, and the bounds."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from scanloom.stages.printing import at_most
 from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COUNT_NOT_REACHED
 from scanloom.stages.simplification.params import SimplifyParams
 
-# With any of these, stopping short of a number of triangles is what was asked for.
+# With any of these, a triangle count is not required: the simplification may stop at the bound.
 _BOUNDS = ("max_shape", "max_color", "seams.max_seam_drift", "jia01.resolution")
 
 
 def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
-    """Emit a diagnostic for each requirement that is not reached.
+    """Emit a diagnostic for each unmet requirement.
 
-    A number of triangles is asked for where no bound is: with both, whichever comes first ends the work. Who
-    asked for what there is by then (`stopped_by` is "request") asked for no number any more; bounds have to
-    be proven all the same. A default bound was not asked for: a warning says how much of it is proven.
+    A triangle count is required only without a bound; with both, whichever is reached first stops the
+    simplification. It is not required after an early stop on request (`stopped_by` is "request"). Bounds must
+    be proven in any case. A default bound is not a requirement: a warning reports the proven bound instead.
 
     Parameters
     ----------
-    figures : of the result, as `Simplified.figures` returns them.
+    params : parameters of `simplify`.
+    figures : statistics of the result, from `Simplified.figures`.
     """
     details = figures["details"]
     if details.get("proven") is False and figures.get("default_max_shape_m") is None:

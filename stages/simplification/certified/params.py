@@ -1,4 +1,4 @@
-"""Parameters of method `certified` alone."""
+"""Parameters of method `certified` only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of a result whose bounds are not proven: what holds instead, where, and why."""
+"""Warning about bounds that could not be proven."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scanloom.stages.printing.rounding import rounded_up
 from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 from scanloom.stages.surface.mesh import Mesh
 
-# Places that are named.
+# Triangles listed by position in the warning.
 _NAMED = 3
 
 
@@ -22,14 +22,14 @@ def not_proven(
     shape_bound: NDArray[np.float64],
     bound: tuple[float, float | None],
 ) -> Diagnostic:
-    """Return the warning of a result whose bounds are not proven.
+    """Create the warning for a result whose bounds are not proven.
 
     Parameters
     ----------
-    light : the result.
-    fails : (q,) its triangles without a proof.
-    shape_bound : (q,) float64, metres, what is proven of each.
-    bound : metres and levels, None for no colours, that are proven instead.
+    light : simplified mesh.
+    fails : (q,) mask of the triangles without a proof.
+    shape_bound : (q,) float64, metres, proven for each triangle.
+    bound : metres and levels proven for the complete mesh; the latter None without colours.
     """
     levels = "" if bound[1] is None else f" and {rounded_up(bound[1]):.4g} levels"
     (where,) = np.nonzero(fails)

@@ -1,4 +1,4 @@
-"""Parameters of method `jia01` alone."""
+"""Parameters of method `jia01` only."""
 
 from __future__ import annotations
 

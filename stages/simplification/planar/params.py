@@ -1,4 +1,4 @@
-"""Parameters of near-planar patches, and of method `planar` alone."""
+"""Parameters of near-planar patches and of method `planar`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from scanloom.stages.params import check, param
 from scanloom.stages.simplification.shared_params import HOW_FAR, require_finite
 
-# At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
+# 8-bit levels. At 60 levels a simplified room looks like its scan; without a bound, stains and shadows
+# disappear.
 MAX_COLOR = 60.0
 
 
@@ -33,7 +34,7 @@ class PlanarParams:
         high=90,
         low_open=True,
     )
-    # The paper has none.
+    # Not in the paper.
     noise_angle: float = param(
         75.0,
         "As patch_angle, for triangles left over in patches so small that they count as noise: they join any "

@@ -1,4 +1,4 @@
-"""A record read from its file."""
+"""Loading of collapse records from files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scanloom.stages.simplification.records.stored_wedges import wedges_of
 from scanloom.stages.surface.mesh import validated
 
 _NEEDED = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
-# What the arrays of a file can raise that are not those of a record.
+# Exceptions that arrays of an invalid record cause.
 _STRANGE = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 
 

@@ -1,4 +1,4 @@
-"""Whether the collapses of a file can have taken place on its mesh."""
+"""Validation of collapse records from files."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ Shape = tuple[int, ...]
 
 
 def require_sound(record: CollapseRecord, path: Path) -> None:
-    """Refuse a record whose collapses cannot have taken place on its mesh.
+    """Reject a record whose collapses are impossible on its mesh.
 
     Parameters
     ----------
-    path : the file it is from.
+    record : record to validate.
+    path : its file, for error messages.
 
     Raises
     ------
     InputError
-        It says which array is wrong.
+        Naming the array that is wrong.
     """
     wedges, mesh = record.wedges, record.mesh
     count, triangles = len(mesh.vertices), len(mesh.triangles)
@@ -101,7 +102,7 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
     )
     if any(is_there and not 0 < scale < math.inf for is_there, scale in scales):
         raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged: a weight of attributes is no length.", path)
-    # A number beyond those of corners would make room for as many.
+    # Array sizes follow from the largest index; limit it to prevent huge allocations.
     for name, ids in (("corner_vertex", wedges.corner_vertex), ("corner_wedge", wedges.corner_wedge)):
         _require_within(f"wedges/{name}", ids, -1, corners, "a number", path)
     count = int(wedges.corner_wedge.max(initial=-1)) + 1
@@ -149,11 +150,14 @@ def _require_within(name: str, ids: Ids, low: int, end: int, thing: str, path: P
 
 
 def _require_there(step: str, removed: Ids, survivor: Ids, count: int, thing: str, path: Path) -> None:
-    """Refuse what is removed twice, or goes into what is gone or is itself."""
+    """Reject impossible merges of elements.
+
+    An element must not be removed twice, nor merged into itself or into a removed element.
+    """
     steps = np.arange(len(removed))
     when = np.full(count, len(removed))
     when[removed] = steps
-    # What is removed twice has the later number; what went into itself has its own.
+    # `when` holds the last removal of each element, so repeated removals and self-merges are out of order.
     in_order = (when[removed] == steps) & (when[survivor] > steps)
     if not in_order.all():
         wrong = int(np.flatnonzero(~in_order)[0])

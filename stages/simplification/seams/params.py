@@ -1,4 +1,4 @@
-"""Parameters of method `seams` alone."""
+"""Parameters of method `seams` only."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 from scanloom.stages.params import check, param
 
-# Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
+# Vertices within this ratio of the bounding box's diagonal are joined: the precision of 32-bit floats.
 SIMILAR_DISTANCE = 1e-6
 
-# Default bound on seam drift, in edges of the simplified mesh (their mean length in the image), and as a
-# share of the image's side. A third of it costs shape where charts are small (a foot in 2,000 charts at 3 %:
-# 353e-5 RMS against 216e-5); twice as much gains nothing.
+# Default bound on seam drift, in mean edge lengths of the simplified mesh in the image, and as a ratio of the
+# image's side. A third of it increases the shape error of meshes with small charts (a foot in 2,000 charts at
+# 3 %: RMS 353e-5 against 216e-5); twice as much gains nothing.
 SEAM_DRIFT_EDGES = 1.5
 MAX_SEAM_DRIFT_RATIO = 0.1
 
-# Side in texels of the image of a mesh that has texture coordinates but no image.
+# Image side in texels for meshes with texture coordinates but no image.
 ASSUMED_SIDE = 1024
 
 
