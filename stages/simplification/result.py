@@ -67,7 +67,7 @@ class Simplified(Generic[D_co]):
     ----------
     mesh : Mesh
     vertex_source : (p,) int32, an input vertex merged into each vertex.
-    triangle_source : (q,) int32, input triangle that each triangle remains of.
+    triangle_source : (q,) int32, input triangle that each triangle derives from.
     method : name of the method.
     stopped_by : "bounds" if no edge may collapse any more; "triangles" if the triangle count was reached;
         "request" if the caller stopped early; "unproven" if the bounds cannot be proven. Such bounds may not

@@ -60,7 +60,7 @@ class Replayed:
     ----------
     mesh : Mesh
     vertex_source : (p,) int32, an input vertex merged into each vertex.
-    triangle_source : (q,) int32, input triangle that each triangle remains of.
+    triangle_source : (q,) int32, input triangle that each triangle derives from.
     collapses : number of replayed collapses.
     diagnostics : warnings about lost attributes.
     """
