@@ -51,28 +51,40 @@ Kind = Literal["vertex", "edge", "triangle"]
 Treatment = Literal["warning", "marking"]
 
 CLASSES: dict[str, tuple[Kind, Treatment, str]] = {
-    "border_edges": ("edge", "warning", "edges of one triangle"),
-    "nonmanifold_edges": ("edge", "warning", "edges of more than two triangles"),
-    "inconsistent_edges": ("edge", "warning", "edges whose triangles are oriented against each other"),
-    "singular_vertices": ("vertex", "warning", "pinched vertices, whose triangles form more than one fan"),
+    "border_edges": ("edge", "warning", "edges with only one triangle"),
+    "nonmanifold_edges": ("edge", "warning", "edges with more than two triangles"),
+    "inconsistent_edges": ("edge", "warning", "edges between triangles of opposite orientation"),
+    "singular_vertices": (
+        "vertex",
+        "warning",
+        "vertices whose triangles form more than one fan",
+    ),
     "focal_vertices": ("vertex", "warning", "vertices where more than two border edges end"),
     "singular_border_triangles": (
         "triangle",
         "warning",
-        "triangles that are alone at a singular vertex",
+        "triangles that share no edge at a singular vertex",
     ),
-    "degenerate_triangles": ("triangle", "marking", "triangles that repeat a vertex or have no area"),
-    "duplicate_triangles": ("triangle", "marking", "triangles of the vertices of an earlier one"),
+    "degenerate_triangles": (
+        "triangle",
+        "marking",
+        "triangles that use a vertex twice or have no area",
+    ),
+    "duplicate_triangles": ("triangle", "marking", "triangles with the same vertices as an earlier one"),
     "caps": ("triangle", "marking", "triangles with an angle near 180°"),
     "needles": ("triangle", "marking", "triangles with an angle near 0° and none near 180°"),
-    "sharp_edges": ("edge", "marking", "edges where the surface is folded back onto itself"),
-    "spikes": ("vertex", "marking", "vertices that stand out like a needle's point"),
+    "sharp_edges": ("edge", "marking", "edges along which the surface is folded back onto itself"),
+    "spikes": ("vertex", "marking", "inner vertices with a small sum of angles around them"),
     "intersecting_triangles": (
         "triangle",
         "warning",
-        "triangles that touch or cross others they are not joined to",
+        "triangles that touch or cross triangles they are not connected to",
     ),
-    "thin_triangles": ("triangle", "warning", "triangles behind which the solid is thinner than asked"),
+    "thin_triangles": (
+        "triangle",
+        "warning",
+        "triangles behind which the solid is thinner than min_thickness",
+    ),
 }
 
 PROPERTIES = ("watertight", "closed", "manifold", "oriented", "outward", "one-piece")
@@ -86,30 +98,33 @@ class CheckParams:
 
     corner_angle: float = param(
         1.0,
-        "A triangle with a smaller angle is a needle; one with an angle above 180° less this is a cap. "
-        "The paper's is 0.00057.",
+        "A triangle with a smaller angle is a needle; one with an angle above 180° minus "
+        "this is a cap. The paper uses 0.00057.",
         unit="degrees",
         low=0,
         high=30,
     )
     fold_angle: float = param(
         10.0,
-        "Two triangles that lie on each other but for less than this make their edge a sharp one.",
+        "An edge is sharp if its two triangles are folded onto each other, with a smaller "
+        "angle between them.",
         unit="degrees",
         low=0,
         high=90,
     )
     spike_angle: float = param(
         60.0,
-        "A vertex around which all angles have less than this in sum is a spike; in a plane it is 360.",
+        "A vertex is a spike if the angles around it sum to less than this; in a plane they sum to 360.",
         unit="degrees",
         low=0,
         high=180,
     )
-    min_thickness: float = param(0.0, "Where the solid is thinner is told; 0 for nowhere.", unit="m", low=0)
+    min_thickness: float = param(
+        0.0, "Report triangles behind which the solid is thinner; 0 reports none.", unit="m", low=0
+    )
     threads: int | None = param(
         None,
-        "Processors to use, with the same result; all if not given.",
+        "Number of threads; the result does not depend on it. Default: one per core.",
         low=1,
         high=256,
         invalidates=False,
@@ -136,14 +151,12 @@ def require_answerable(requirements: Iterable[str], min_thickness: float) -> Non
         if word not in REQUIREMENTS:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "there is no requirement {word!r}; there are {requirements}.",
+                "unknown requirement {word!r}; valid requirements are {requirements}.",
                 word=word,
                 requirements=", ".join(REQUIREMENTS),
             )
         if word == "no-thin-triangles" and min_thickness == 0:
-            raise UsageError(
-                USAGE_OPTIONS_CONFLICT, "no-thin-triangles needs min_thickness: without it, nothing is thin."
-            )
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "no-thin-triangles needs min_thickness above 0.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +254,9 @@ class Checked:
                 return self._unmet("watertight") or self._inwards()
             case "one-piece":
                 pieces = self.topology.components
-                return None if pieces == 1 else _failed("it has {count:,} pieces.", count=pieces)
+                return (
+                    None if pieces == 1 else _failed("it has {count:,} connected components.", count=pieces)
+                )
         return self._found(requirement.removeprefix("no-").replace("-", "_"))
 
     def _found(self, *names: str) -> Diagnostic | None:
@@ -263,7 +278,7 @@ class Checked:
         if not self.inside_out:
             return None
         return _failed(
-            "{count:,} of {pieces:,} pieces look inwards.",
+            "{count:,} of {pieces:,} connected components are oriented inwards.",
             count=self.inside_out,
             pieces=self.topology.components,
         )
@@ -273,7 +288,7 @@ class Checked:
 
     def _repeating(self) -> Diagnostic | None:
         count = self.topology.repeating
-        return _failed("it has triangles that repeat a vertex: {count:,}.", count=count) if count else None
+        return _failed("it has triangles that use a vertex twice: {count:,}.", count=count) if count else None
 
 
 def _failed(message: str, **values: Any) -> Diagnostic:

@@ -61,36 +61,39 @@ class CleanParams:
 
     min_island_area: float | None = param(
         None,
-        "Loose pieces with less surface are removed; by default a thousandth of the largest piece's. "
-        "0 keeps all.",
+        "Islands (connected components) with a smaller area are removed. Default: a "
+        "thousandth of the largest component's area. 0 keeps all.",
         unit="m²",
         low=0,
     )
-    keep_largest: bool = param(False, "Keep only the piece with the largest surface.")
+    keep_largest: bool = param(False, "Keep only the connected component with the largest area.")
     fill_holes: float = param(
-        0.0, "Holes with a rim no longer than this are filled; 0 fills none.", unit="m", low=0
+        0.0, "Fill holes whose border is at most this long; 0 fills none.", unit="m", low=0
     )
-    stitch: bool = param(
-        True, "Join borders that lie exactly on each other, such as seams of textured files."
-    )
+    stitch: bool = param(True, "Join borders at exactly equal positions, such as seams of textured files.")
     weld_distance: float = param(
-        0.0, "Vertices no farther apart than this become one before all else; 0 = off.", unit="m", low=0
+        0.0,
+        "Merge vertices within this distance of each other before all other steps; 0 = off.",
+        unit="m",
+        low=0,
     )
     repair: bool = param(
         False,
-        "Repair caps, needles, folds and spikes, each where nothing else becomes irregular, no seam is torn "
-        "and the surface provably stays within max_shape; what is left is told.",
+        "Repair caps, needles, folds and spikes, if the repair creates no other defect, "
+        "tears no seam and provably keeps the surface within max_shape. Remaining defects "
+        "are reported.",
     )
     repair_angle: float = param(
         CheckParams().corner_angle,
-        "A triangle with a smaller angle is a needle; one with an angle above 180° less this is a cap.",
+        "A triangle with a smaller angle is a needle; one with an angle above 180° minus this is a cap.",
         unit="degrees",
         low=0,
         high=30,
     )
     max_shape: float | None = param(
         None,
-        "How far repairs may move the surface; by default a twentieth of the median edge.",
+        "Maximum distance by which repairs may move the surface. Default: a twentieth of the "
+        "median edge length.",
         unit="m",
         low=0,
     )
@@ -100,7 +103,7 @@ class CleanParams:
         if self.max_shape is not None and not self.repair:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "is for repairs",
+                "applies only to repairs",
                 Where(parameter="max_shape"),
                 remedy="give repair, too.",
             )
@@ -224,7 +227,11 @@ def clean(
     counts["unused_vertices"] = len(mesh.vertices) + counts["split_vertices"] - len(traced.mesh.vertices)
     progress(3, steps)
     if len(traced.mesh.triangles) == 0:
-        raise MeshError(CLEAN_NOTHING_LEFT, "has no triangle with an area; nothing is left of it.", "mesh")
+        raise MeshError(
+            CLEAN_NOTHING_LEFT,
+            "has only degenerate triangles and small islands, so nothing is left of it.",
+            "mesh",
+        )
     try:
         require_manifold(traced.mesh)
     except MeshError as error:

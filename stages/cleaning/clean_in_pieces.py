@@ -81,7 +81,7 @@ def clean_in_pieces(
     if whole_only:
         raise UsageError(
             FUSE_TOO_LARGE,
-            "{whole_only} of clean needs the whole mesh at once, which is too large for that",
+            "{whole_only} of clean needs the complete mesh in memory, but the mesh is too large",
             remedy="leave it out, or give a larger fuse.voxel_size.",
             whole_only=" and ".join(whole_only),
         )
@@ -97,7 +97,9 @@ def clean_in_pieces(
         sizes = _numbered(pieces, islands, is_kept, numbers)
         if not sizes or not sizes[-1].triangles[1]:
             raise MeshError(
-                CLEAN_NOTHING_LEFT, "has no triangle with an area; nothing is left of it.", "mesh"
+                CLEAN_NOTHING_LEFT,
+                "has only degenerate triangles and small islands, so nothing is left of it.",
+                "mesh",
             )
 
         def kept() -> Iterator[Written]:

@@ -79,7 +79,8 @@ class RepairParams:
 
     max_shape: float | None = param(
         None,
-        "How far the surface may move, which is proven; by default a twentieth of the median edge.",
+        "Maximum distance by which the surface may move, which is proven. Default: a "
+        "twentieth of the median edge length.",
         unit="m",
         low=0,
     )
@@ -324,7 +325,7 @@ def _told(
     if warned:
         emit(
             CLEAN_NOT_REPAIRED.warning(
-                "found, and nothing is done about it: {warned}.", warned=", ".join(warned)
+                "found defects that repair does not treat: {warned}.", warned=", ".join(warned)
             )
         )
     mesh, vertex_source, triangle_source = repaired_mesh(edited)
@@ -375,7 +376,8 @@ def _report_left(name: str, found: int, why: list[str], points: Vertices) -> Non
     x, y, z = points[0]
     emit(
         CLEAN_NOT_REPAIRED.warning(
-            "{left:,} of {found:,} {what} left: {reasons}; the first at ({x:.6g}, {y:.6g}, {z:.6g}) m.",
+            "{left:,} of {found:,} {what} not repaired: {reasons}; the first at ({x:.6g}, "
+            "{y:.6g}, {z:.6g}) m.",
             left=len(why),
             found=found,
             what=_spoken(name),

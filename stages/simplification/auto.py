@@ -45,7 +45,7 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
     name = min(given, key=lambda name: len(_knowing(name)))
     raise UsageError(
         USAGE_METHOD_MISMATCH,
-        "is for {why_not}",
+        "belongs to {why_not}",
         Where(parameter=name),
         why_not=_why_not(_knowing(name)[0], params, given),
     )
@@ -77,7 +77,7 @@ def require_taken(
             others = _listed([other.name for other in METHODS if getattr(other.takes, name)], "and")
             raise UsageError(
                 USAGE_METHOD_MISMATCH,
-                "{name} has no meaning for method {method_name}; it is for {others}.",
+                "{name} is not supported by method {method_name}, only by {others}.",
                 name=name,
                 method_name=method.name,
                 others=others,
@@ -98,7 +98,7 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
     if foreign is not None:
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "has no meaning for method {method_name}",
+            "is not supported by method {method_name}",
             Where(parameter=foreign),
             remedy="leave one of them out.",
             method_name=method.name,
@@ -115,7 +115,7 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
     if _has_no_count(method, params):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "{method_name} goes as far as its bounds",
+            "{method_name} stops only at its bounds",
             Where(parameter="method"),
             remedy="leave out triangles and ratio.",
             method_name=method.name,
@@ -126,12 +126,12 @@ def _why_not(method: Method[Any, Any], params: SimplifyParams, given: Collection
     """Explain why the method that a parameter belongs to was not selected."""
     foreign, need = _foreign(method, given), _lacking(method, params)
     if not method.auto:
-        return f"method {method.name}; give method too."
+        return f"method {method.name}, which auto never selects; give method {method.name}, too."
     if need is not None:
         return f"method {method.name}, which needs {_listed(need.names, 'or')}."
     if foreign is not None:
-        return f"method {method.name}, for which {foreign} has no meaning; leave one of them out."
-    return f"method {method.name}, which goes as far as its bounds; leave out triangles and ratio."
+        return f"method {method.name}, which does not support {foreign}; leave one of them out."
+    return f"method {method.name}, which stops only at its bounds; leave out triangles and ratio."
 
 
 def _foreign(method: Method[Any, Any], given: Collection[str]) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.simplification.codes import SIMPLIFY_CROWDED
+from scanloom.stages.simplification.codes import SIMPLIFY_EDGES_BLOCKED
 from scanloom.stages.simplification.result import Simplified
 from scanloom.stages.surface.edges import edges_of
 
@@ -20,11 +20,12 @@ def report_crowded_by_topology(result: Simplified[Any]) -> None:
     share = share_of_edges(result, "topology", "bridge")
     if share > _CROWDED:
         emit(
-            SIMPLIFY_CROWDED.warning(
-                "{share:.0%} of the edges that are left stand for holes, handles and loose pieces, which "
-                "all stay, so that the rest lost more than it had to",
-                remedy="fill or remove small ones first (fill_holes and min_island_area of clean), or keep "
-                "more triangles.",
+            SIMPLIFY_EDGES_BLOCKED.warning(
+                "{share:.0%} of the remaining edges belong to holes, handles and small "
+                "components, which are preserved, so the other surfaces lost more detail "
+                "than necessary",
+                remedy="fill or remove small ones first (clean.fill_holes and "
+                "clean.min_island_area), or keep more triangles.",
                 share=share,
             )
         )
@@ -35,10 +36,10 @@ def report_crowded_by_locks(result: Simplified[Any]) -> None:
     share = share_of_edges(result, "locked")
     if result.stopped_by == "bounds" and share > _CROWDED:
         emit(
-            SIMPLIFY_CROWDED.warning(
-                "{share:.0%} of the edges that are left lie where sheets touch that cannot be joined, as "
-                "doubled faces do and parts that stand on each other, or are locked; they all stay.",
-                remedy="Run clean first: it takes doubled faces away and lets the others move.",
+            SIMPLIFY_EDGES_BLOCKED.warning(
+                "{share:.0%} of the remaining edges cannot collapse, because they are locked "
+                "or at contacts between sheets, such as double faces and stacked parts.",
+                remedy="Run clean first: it removes double faces and separates other contacts.",
                 share=min(share, 1),
             )
         )

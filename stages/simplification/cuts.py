@@ -71,7 +71,7 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
     if (mesh.triangles[~is_strip] >= part.own).any():
         raise StageError(
             MESH_FILE_DAMAGED,
-            "pieces of the mesh meet farther inside than their voxels tell",
+            "chunks of the mesh share vertices farther from their faces than the voxel size allows",
             remedy="fuse again.",
         )
     all_of_it = Cut(mesh, part.numbers, np.zeros(len(near), np.bool_))
@@ -173,9 +173,7 @@ def numbers_of(cut: Cut, light: Simplified[Any]) -> Numbers:
     source = light.vertex_source
     stayed = cut.is_of_both[source]
     if not np.array_equal(light.mesh.vertices[stayed], cut.mesh.vertices[source[stayed]]):
-        raise StageError(
-            MACHINE_BUG, "a vertex that was to stay has moved, which is a defect of this program."
-        )
+        raise StageError(MACHINE_BUG, "a locked vertex has moved, which is a bug in scanloom.")
     return np.where(stayed, cut.numbers[source], -1)
 
 

@@ -141,9 +141,9 @@ def report_split(split: NDArray[np.bool_]) -> None:
     if split.any():
         emit(
             SIMPLIFY_NOT_MANIFOLD.warning(
-                "the surface is no manifold: it was split into sheets, which stay as they are at "
-                "{count:,} vertices where they touch",
-                remedy="run clean first to let these move.",
+                "the surface is not a manifold: it was split into sheets, which stay "
+                "unchanged at {count:,} vertices where they touch",
+                remedy="run clean first to simplify there, too.",
                 count=np.count_nonzero(split),
             )
         )
@@ -170,8 +170,8 @@ def _one_color(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.uint8] | None:
         return mesh.colors
     emit(
         SIMPLIFY_ATTRIBUTES_LOST.warning(
-            "copies of vertices in one place differ in colour by up to {levels:.0f} levels; their mean "
-            "was taken, while method seams of simplify keeps both.",
+            "duplicate vertices differ in colour by up to {levels:.0f} levels and were "
+            "averaged; method seams of simplify keeps their colours.",
             levels=2 * apart,
         )
     )
@@ -193,8 +193,8 @@ def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.float64] | None:
         return mesh.normals
     emit(
         SIMPLIFY_ATTRIBUTES_LOST.warning(
-            "copies of vertices in one place have normals of their own; their mean was taken, while method "
-            "seams of simplify keeps them."
+            "duplicate vertices differ in their normals and were averaged; method seams of "
+            "simplify keeps their normals."
         )
     )
     return mean

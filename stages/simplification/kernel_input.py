@@ -34,8 +34,8 @@ def texture_left_out(who: str) -> Diagnostic:
     who : name of the function.
     """
     return SIMPLIFY_TEXTURE_LEFT_OUT.warning(
-        "{who} left out: texture",
-        remedy="method seams carries it, and bake makes a new image from the old one.",
+        "{who} discards the texture",
+        remedy="method seams preserves it, and bake creates a new image from the old one.",
         who=who,
     )
 
@@ -163,15 +163,15 @@ def as_result(
         # The least-squares colour may be slightly outside the range.
         colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
     normals = None if mesh.normals is None else mesh.normals[vertex_source]
-    lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
+    lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals}
     names = [name for name, value in lost.items() if value is not None]
     if mesh.texture is not None:
         emit(texture_left_out(who))
     if names:
         emit(
             SIMPLIFY_ATTRIBUTES_LOST.warning(
-                "{who} left out: {names}",
-                remedy="method seams carries them.",
+                "{who} discards {names}",
+                remedy="method seams preserves them.",
                 who=who,
                 names=", ".join(names),
             )

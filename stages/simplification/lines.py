@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.simplification.codes import SIMPLIFY_LINES_LEFT_OUT
+from scanloom.stages.simplification.codes import SIMPLIFY_DEGENERATE_REMOVED
 from scanloom.stages.simplification.seams.similar import equal_sets, may_have_equal
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import repeats_vertex
@@ -40,9 +40,9 @@ def report_lost_lines(mesh: Mesh) -> None:
     lost = lost_lines(mesh)
     if lost.any():
         emit(
-            SIMPLIFY_LINES_LEFT_OUT.warning(
-                "triangles with two corners in one place that lie beside no other triangle were left out, "
-                "and no bound is about them: {lost:,} of {count:,}.",
+            SIMPLIFY_DEGENERATE_REMOVED.warning(
+                "isolated degenerate triangles were removed, and no bound covers them: "
+                "{lost:,} of {count:,}.",
                 lost=np.count_nonzero(lost),
                 count=len(lost),
             )

@@ -49,8 +49,8 @@ class Need:
     advice: str
 
 
-COUNT = Need("a number of triangles", ("triangles", "ratio"), "give triangles or ratio")
-BOUND = Need("a bound", ("max_shape", "max_color"), "give max_shape, max_color or both")
+COUNT = Need("a triangle count", ("triangles", "ratio"), "give triangles or ratio")
+BOUND = Need("an error bound", ("max_shape", "max_color"), "give max_shape, max_color or both")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +125,7 @@ class Method(Generic[P, D]):
 METHODS: tuple[Method[Any, Any], ...] = (
     Method(
         name="quadric",
-        text="to a number of triangles, with the least squared error of shape and colour.",
+        text="to a triangle count, with minimum squared error of shape and colour.",
         params=None,
         details=QuadricDetails,
         run=quadric.run,
@@ -134,8 +134,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="certified",
-        text="as far as bounds on the distance and on the difference of colour are proven for every point, "
-        "or to a number of triangles within them.",
+        text="as far as bounds on distance and colour difference are proven for every point, or "
+        "to a triangle count within the bounds.",
         params=CertifiedParams,
         details=CertifiedDetails,
         run=certified.run,
@@ -146,8 +146,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="seams",
-        text="to a number of triangles, with the texture coordinates, colours and normals of every corner, "
-        "and no crack along texture seams.",
+        text="to a triangle count, preserving texture coordinates, colours and normals of every "
+        "corner, without cracks along texture seams.",
         params=SeamsParams,
         details=SeamsDetails,
         run=seams.run,
@@ -157,7 +157,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="jia01",
-        text="within bounds on the summed change of shape and texture.",
+        text="within bounds on the accumulated changes of shape and texture.",
         params=Jia01Params,
         details=Jia01Details,
         run=jia01.run,
@@ -166,8 +166,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="planar",
-        text="near-planar patches with as few triangles as their borders need, within bounds; fast, for "
-        "walls, floors and machined parts.",
+        text="near-planar patches, retriangulated with as few triangles as their borders need, "
+        "within bounds; fast, for walls, floors and machined parts.",
         params=PlanarParams,
         details=PlanarDetails,
         run=planar.run,

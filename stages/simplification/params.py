@@ -23,9 +23,9 @@ def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
     carrying = " or ".join(method.name for method in methods if method.auto and method.takes.texture)
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
     return (
-        f"{texts} {AUTO}: the first of {asked} that has all parameters that are given, and is given what it "
-        f"needs; {carrying} comes first if the mesh has materials, parts or normals of corners, or keep_uv "
-        "is given. A textured model without a goal is simplified within 1/1000 of its size."
+        f"{texts} {AUTO}: the first of {asked} that supports all given parameters and has everything it "
+        f"requires; {carrying} is preferred if the mesh has materials, parts or corner normals, or if "
+        "keep_uv is given. A textured model without a target is simplified within 1/1000 of its size."
     )
 
 

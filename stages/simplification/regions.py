@@ -88,7 +88,7 @@ class Box(_Region):
         if not all(low <= high for low, high in zip(self.low, self.high, strict=True)):
             raise UsageError(
                 USAGE_REGION_INVALID,
-                "{self}: the first corner must be the lowest one, the second the highest.",
+                "{self}: the first corner must be the minimum, the second the maximum.",
                 self=self,
             )
         self._check_effect()
@@ -109,7 +109,7 @@ def _check_point(region: Region, point: Sequence[float]) -> None:
     if len(point) != 3 or not all(map(math.isfinite, point)):
         raise UsageError(
             USAGE_REGION_INVALID,
-            "{region_name} at {point!r}: a place is three finite numbers, in metres.",
+            "{region_name} at {point!r}: a position must be three finite numbers, in metres.",
             region_name=type(region).__name__,
             point=point,
         )
@@ -190,7 +190,7 @@ def resolve_control(
         if not inside.any():
             raise UsageError(
                 USAGE_REGION_INVALID,
-                "{region} holds no vertex of the mesh; places are in metres.",
+                "{region} contains no vertex of the mesh; coordinates are in metres.",
                 region=region,
             )
         if region.lock:
@@ -215,12 +215,14 @@ def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
     if lock.size == 0:
         return locked
     if lock.ndim != 1 or lock.dtype.kind not in "iu":
-        raise UsageError(USAGE_REGION_INVALID, "lock must be one bool a vertex, or a list of vertex indices.")
+        raise UsageError(
+            USAGE_REGION_INVALID, "lock must be one bool per vertex, or a list of vertex indices."
+        )
     if lock.min() < 0 or lock.max() >= count:
         wrong = next(int(v) for v in lock if not 0 <= v < count)
         raise UsageError(
             USAGE_REGION_INVALID,
-            "lock names vertex {wrong}, but there are only {count}.",
+            "lock contains vertex index {wrong}, but the mesh has {count} vertices.",
             wrong=wrong,
             count=count,
         )

@@ -18,9 +18,9 @@ from scanloom.stages.progress import Progress, silent
 from scanloom.stages.simplification.auto import chosen, has_no_goal, require_taken
 from scanloom.stages.simplification.codes import (
     SIMPLIFY_ATTRIBUTES_LOST,
-    SIMPLIFY_COORDINATES_UNWEIGHABLE,
+    SIMPLIFY_COORDINATES_UNUSABLE,
     SIMPLIFY_IMAGES_KEPT,
-    SIMPLIFY_IMAGES_REMADE,
+    SIMPLIFY_IMAGES_REBAKED,
 )
 from scanloom.stages.simplification.corner_attributes import is_in_pieces
 from scanloom.stages.simplification.dropping import drop_small
@@ -247,10 +247,10 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
             return found
         emit(
             *of_remade,
-            SIMPLIFY_IMAGES_REMADE.warning(
-                "with its own images the model keeps {count:,} triangles along texture seams and differs "
-                "more from the input: new images are baked",
-                remedy="keep_uv=True keeps the old.",
+            SIMPLIFY_IMAGES_REBAKED.warning(
+                "new images are baked: with its own images, the model would keep {count:,} "
+                "triangles along texture seams and differ more from the input",
+                remedy="keep_uv=True keeps the old images.",
                 count=len(found.mesh.triangles),
             ),
         )
@@ -268,12 +268,13 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
             emit(
                 *diagnostics,
                 SIMPLIFY_ATTRIBUTES_LOST.warning(
-                    "the images are left out, as they could not be baked anew: {reason}", reason=str(error)
+                    "the images are discarded, because new ones could not be baked: {reason}",
+                    reason=str(error),
                 ),
             )
             return found
         failure = SIMPLIFY_IMAGES_KEPT.warning(
-            "the images are kept with their seams, as they could not be baked anew: {reason}",
+            "the images are kept with their seams, because new ones could not be baked: {reason}",
             reason=str(error),
         )
     if baked is not None and not _has_alternative(mesh, params, baked):
@@ -354,13 +355,13 @@ def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Contr
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
-                SIMPLIFY_COORDINATES_UNWEIGHABLE,
+                SIMPLIFY_COORDINATES_UNUSABLE,
                 (
-                    "{error}: its texture coordinates or normals are too large or too small to "
-                    "be weighed against its shape"
+                    "{error}: texture coordinates or normals are too large or too small to "
+                    "be weighted against the shape"
                 ),
                 "mesh",
-                remedy="make a new texture, or leave them out.",
+                remedy="create a new texture, or remove them.",
                 error=error,
             ) from error
         raise MeshError(MESH_NO_SURFACE, "{error}.", "mesh", error=error) from error

@@ -156,7 +156,7 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
     if params.bake:
         raise UsageError(
             FUSE_TOO_LARGE,
-            "is for meshes that are simplified in one piece",
+            "is not supported for a mesh that is too large to be simplified at once",
             Where(parameter="bake"),
             remedy="leave it out, and enable the stage bake.",
         )
@@ -190,7 +190,7 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
     if params.drop_below is not None:
         emit(
             SIMPLIFY_DROP_BELOW_UNUSED.warning(
-                "has no effect on this mesh: it has {total:,} triangles, which are simplified in parts",
+                "has no effect, because the mesh has {total:,} triangles and is simplified in parts",
                 Where(parameter="drop_below"),
                 remedy="remove small components with clean.min_island_area.",
                 total=total,
@@ -200,9 +200,9 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
         goal = replace(goal, triangles=MOST_AT_ONCE)
         emit(
             SIMPLIFY_DEFAULT_COUNT.warning(
-                "within the default bounds {left:,} triangles would be left, more than what follows takes at "
-                "once; {most_at_once:,} are.",
-                remedy="Give simplify.triangles, ratio or max_shape for another number.",
+                "the default bounds would leave {left:,} triangles, more than later stages "
+                "process at once; {most_at_once:,} are kept.",
+                remedy="Give simplify.triangles, simplify.ratio or simplify.max_shape for another count.",
                 left=left,
                 most_at_once=MOST_AT_ONCE,
             )

@@ -330,14 +330,14 @@ def _find_reason(mesh: Mesh) -> Diagnostic | None:
         return None
     if shown.sum() > _MAX_REPEATS * total:
         return SIMPLIFY_IMAGES_KEPT.warning(
-            "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as "
-            "few texels would lose detail",
-            remedy="bake=True makes one all the same.",
+            "the images repeat on the surface, and an atlas with as few texels would lose "
+            "detail: texture coordinates and images are kept",
+            remedy="bake=True bakes an atlas anyway.",
         )
     if area[shown < 1].sum() > _MAX_PALETTE * area.sum():
         return SIMPLIFY_IMAGES_KEPT.warning(
-            "the images are palettes, of which triangles show single texels: texture coordinates and images "
-            "are kept",
-            remedy="bake=True makes an atlas all the same.",
+            "the images are palettes with a single texel per triangle: texture coordinates "
+            "and images are kept",
+            remedy="bake=True bakes an atlas anyway.",
         )
     return None

@@ -27,7 +27,7 @@ from scanloom.stages.printing import by_figures, rows_table, table
 from scanloom.stages.progress import Progress, silent
 from scanloom.stages.simplification.codes import (
     SIMPLIFY_COUNT_NOT_REACHED,
-    SIMPLIFY_CROWDED,
+    SIMPLIFY_EDGES_BLOCKED,
     SIMPLIFY_SEAM_DRIFT,
     SIMPLIFY_TRADEOFF,
 )
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 _PERCENT = 95
 # Diagnostics that only concern the smallest triangle count.
-_OF_FEWEST = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_CROWDED.name, SIMPLIFY_SEAM_DRIFT.name)
+_OF_FEWEST = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_EDGES_BLOCKED.name, SIMPLIFY_SEAM_DRIFT.name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,26 +55,30 @@ class TradeoffParams:
     """Parameters of `tradeoff`."""
 
     steps: int = param(
-        12, "How many numbers of triangles, each the same share of the one before.", low=2, high=1000
+        12, "Number of triangle counts to measure, in a geometric progression.", low=2, high=1000
     )
     least: float = param(
-        0.01, "The smallest of them, as a share of the input's triangles.", low=0, high=1, low_open=True
+        0.01,
+        "Smallest triangle count to measure, as a fraction of the input's triangles.",
+        low=0,
+        high=1,
+        low_open=True,
     )
     within: float | None = param(
         None,
-        "Suggest the smallest number at which 95 % of both surfaces are this near to the other. Not given: "
-        "the one where the curve of the distance over the logarithm of the number bends most.",
+        "Suggest the smallest triangle count at which 95 % of both surfaces are within this "
+        "distance of the other. Default: suggest the count where the curve of distance over "
+        "the logarithm of the count bends most.",
         unit="m",
         low=0,
     )
     samples: int = param(
         100_000,
-        "Points sampled on each surface, spread evenly over its area; every vertex counts besides, for the "
-        "maximum.",
+        "Points sampled on each surface, uniformly by area; the maximum also includes every vertex.",
         low=1,
         high=100_000_000,
     )
-    glb_bytes: bool = param(False, "Also tell how large each is as a GLB file.")
+    glb_bytes: bool = param(False, "Also report the size of each mesh as a GLB file.")
 
     def __post_init__(self) -> None:
         check(self)
@@ -218,7 +222,7 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
     if fewest > wanted[-1]:
         emit(
             SIMPLIFY_TRADEOFF.warning(
-                "no edge may collapse any more at {fewest:,} triangles, which holes and pieces need",
+                "no edge can collapse below {fewest:,} triangles, which holes, handles and components need",
                 fewest=fewest,
             )
         )
@@ -226,8 +230,8 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
     if record.wedges is not None:
         emit(
             SIMPLIFY_TRADEOFF.info(
-                "distances are those before the fit that simplify ends with, which a record of textured "
-                "meshes cannot repeat: simplify to a number comes nearer"
+                "distances are measured before the final fit, which a record of a textured "
+                "mesh cannot repeat; simplify with a triangle count comes closer to the input"
             )
         )
     measure = _Measure(reference, params.samples)
@@ -254,7 +258,7 @@ def _wanted(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[
         if min(counts) < 1:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "counts has {counts}; a number of triangles must be at least 1.",
+                "counts contains {counts}; a triangle count must be at least 1.",
                 counts=min(counts),
             )
         return sorted({min(count, before) for count in counts}, reverse=True)

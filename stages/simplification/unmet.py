@@ -34,15 +34,16 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
             most += f" and {at_most(details['color_bound_levels'])} levels"
         emit(
             SIMPLIFY_BOUND_NOT_PROVEN.unmet(
-                "the bounds that were asked for are not proven; proven are {most}.", most=most
+                "the requested bounds are not proven; {most} are proven instead.", most=most
             )
         )
     measured, max_color = details.get("color_measured_levels"), details.get("max_color_levels")
     if measured is not None and max_color is not None and measured > max_color:
         emit(
             SIMPLIFY_BOUND_NOT_PROVEN.unmet(
-                "colours differ by up to {measured:.3g} levels, which is more than was asked for.",
+                "colours differ by up to {measured:.3g} levels, more than max_color ({max_color:g} levels).",
                 measured=measured,
+                max_color=max_color,
             )
         )
     wanted, left = params.target(figures["triangles_before"]), figures["triangles"]
@@ -50,7 +51,7 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
     if wanted is not None and is_alone and left > wanted and figures["stopped_by"] != "request":
         emit(
             SIMPLIFY_COUNT_NOT_REACHED.unmet(
-                "{left:,} triangles are left, not {wanted:,} as asked: {why}.",
+                "{left:,} triangles are left instead of {wanted:,}: {why}.",
                 left=left,
                 wanted=wanted,
                 why=_why(figures["refused_edges"]),
@@ -61,5 +62,5 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
 def _why(refused: Mapping[str, int]) -> str:
     rule = max(refused, key=lambda name: refused[name], default=None)
     if rule is None or not refused[rule]:
-        return "no other edge may collapse"
-    return f"no other edge may collapse, for {rule} most often"
+        return "no other edge can collapse"
+    return f'no other edge can collapse, mostly because of the rule "{rule}"'

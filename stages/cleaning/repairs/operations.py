@@ -31,11 +31,11 @@ REASONS = (
     "",
     "at a border",
     "where the texture, the material, the part or the colour changes",
-    "where the surface is no manifold",
-    "where a triangle would turn over",
-    "where another irregularity would come of it",
+    "where the surface is not a manifold",
+    "where a triangle would flip",
+    "where the repair would create another defect",
     "where the distance is not proven to be within max_shape",
-    "for which there is no operation",
+    "without an applicable repair",
 )
 BORDER, SEAM, TANGLED, TURNS, WORSE, TOO_FAR, HELPLESS = range(1, len(REASONS))
 # Codes without a text. RIM: the neighbourhood must grow before the operation can be validated.

@@ -163,8 +163,8 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
         return result
     emit(
         SIMPLIFY_COLORS_NOT_COMPARED.warning(
-            "colours are not compared at {count:,} triangles, where the model itself has several colours in "
-            "one place.",
+            "colours are not compared at {count:,} triangles, where surfaces of different "
+            "colours coincide in the input.",
             count=np.count_nonzero(asked.ambiguous),
         )
     )
@@ -328,7 +328,8 @@ def _result(
     if too_far:
         emit(
             SIMPLIFY_BOUND_NOT_PROVEN.warning(
-                "simplify could not keep colours within max_color; {measured:.3g} levels were measured.",
+                "simplify could not keep colours within max_color; the largest measured "
+                "difference is {measured:.3g} levels.",
                 measured=measured,
             )
         )

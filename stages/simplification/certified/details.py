@@ -85,7 +85,7 @@ class CertifiedDetails(Details):
             return text
         own, original = self.unproven_triangles
         return (
-            f"{text}\nNot proven: the bounds that were asked for, at {own:,} triangles of the result and "
+            f"{text}\nNot proven: the requested bounds, at {own:,} triangles of the result and "
             f"{original:,} of the original."
         )
 

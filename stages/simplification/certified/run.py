@@ -58,7 +58,8 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     if not (np.isfinite(task.importance).all() and (task.importance >= 1).all()):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "importance has values below 1 or not finite; bounds are divided by it, and never grow.",
+            "importance has values below 1 or not finite; method certified divides its "
+            "bounds by it, so it must be at least 1.",
         )
     shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if task.max_shape is None else float(task.max_shape)
     if along_seams:

@@ -35,17 +35,17 @@ def not_proven(
     (where,) = np.nonzero(fails)
     if not len(where):
         return SIMPLIFY_BOUND_NOT_PROVEN.warning(
-            "simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}.",
+            "simplify could not prove the requested bounds; {shape:.4g} m{levels} are proven instead.",
             shape=rounded_up(bound[0]),
             levels=levels,
         )
     worst = where[np.argsort(-shape_bound[where], kind="stable")][:_NAMED]
     places = ", ".join(_place(light.vertices[light.triangles[t]].mean(axis=0)) for t in worst)
     needles = int(_is_needle(light, where).sum())
-    thin = f", {needles:,} of them too thin for a closer proof" if needles else ""
+    thin = f", {needles:,} of them too thin for a tighter proof" if needles else ""
     return SIMPLIFY_BOUND_NOT_PROVEN.warning(
-        "simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}, at "
-        "{triangles}{thin}, the worst about {places}.",
+        "simplify could not prove the requested bounds at {triangles}{thin}; {shape:.4g} "
+        "m{levels} are proven instead. The largest deviations are near {places} m.",
         shape=rounded_up(bound[0]),
         levels=levels,
         triangles=counted(len(where), "triangle"),

@@ -59,9 +59,9 @@ def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     except _kernels.LimitError as error:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "is {scales:g} m, and with edges no longer than that {error}",
+            "is {scales:g} m; at this edge length, {error}",
             Where(parameter="jia01.resolution"),
-            remedy="give a coarser one.",
+            remedy="give a larger value.",
             scales=limits.scales[0],
             error=error,
         ) from error

@@ -73,7 +73,7 @@ def read_arrays(path: Path) -> Arrays:
             if sum(entry.file_size for entry in entries) > _MOST_UNPACKED * path.stat().st_size:
                 raise InputError(
                     SIMPLIFY_RECORD_INVALID,
-                    "is no record of collapses: it would unpack to far more than it is.",
+                    "is not a collapse record: it would unpack to many times its size.",
                     path,
                 )
             return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
@@ -82,7 +82,7 @@ def read_arrays(path: Path) -> Arrays:
             FILE_UNREADABLE, "cannot be read: {detail}.", path, detail=error.strerror or error
         ) from error
     except _DAMAGE as error:
-        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged, or no record of collapses.", path) from error
+        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged, or not a collapse record.", path) from error
 
 
 def json_object(text: NDArray[Any]) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def json_object(text: NDArray[Any]) -> dict[str, Any]:
     """
     words = json.loads(str(text)) if text.dtype.kind == "U" and not text.shape else None
     if not isinstance(words, dict):
-        raise ValueError("a text is no JSON object")
+        raise ValueError("the metadata is not a JSON object")
     return words
 
 

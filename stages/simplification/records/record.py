@@ -112,8 +112,8 @@ class CollapseRecord:
         if params.fit:
             raise UsageError(
                 SIMPLIFY_RECORD_INVALID,
-                "a record of method seams cannot be fitted",
-                remedy="simplify to that number instead.",
+                "a record of method seams cannot be fitted to the input",
+                remedy="run simplify with that triangle count instead.",
             )
         return self._wedges_after(self.wedges, self._steps.after(self._steps.wanted(params)))
 

@@ -53,11 +53,11 @@ def require_sound(record: CollapseRecord, path: Path) -> None:
     ):
         if source is not None and (source < 0).any():
             raise InputError(
-                SIMPLIFY_RECORD_INVALID, "is damaged: {name} names what is not there.", path, name=name
+                SIMPLIFY_RECORD_INVALID, "is damaged: {name} has negative indices.", path, name=name
             )
     if not np.isfinite(record.path).all():
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "is damaged: a vertex goes to a place that is not finite.", path
+            SIMPLIFY_RECORD_INVALID, "is damaged: path has positions or colours that are not finite.", path
         )
     vertices = count
     if wedges is not None:
@@ -101,10 +101,12 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
         (attributes.has_normals, attributes.normal_scale),
     )
     if any(is_there and not 0 < scale < math.inf for is_there, scale in scales):
-        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged: a weight of attributes is no length.", path)
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "is damaged: an attribute scale is not positive and finite.", path
+        )
     # Array sizes follow from the largest index; limit it to prevent huge allocations.
     for name, ids in (("corner_vertex", wedges.corner_vertex), ("corner_wedge", wedges.corner_wedge)):
-        _require_within(f"wedges/{name}", ids, -1, corners, "a number", path)
+        _require_within(f"wedges/{name}", ids, -1, corners, "an index", path)
     count = int(wedges.corner_wedge.max(initial=-1)) + 1
     _require_within("wedges/removed", wedges.removed, 0, count, "a wedge", path)
     _require_within("wedges/survivor", wedges.survivor, 0, count, "a wedge", path)
@@ -113,7 +115,7 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
     for name, when in (("when", wedges.when), ("changed_when", wedges.changed_when)):
         if (np.diff(when) < 0).any():
             raise InputError(
-                SIMPLIFY_RECORD_INVALID, "is damaged: wedges/{name} is not in order.", path, name=name
+                SIMPLIFY_RECORD_INVALID, "is damaged: wedges/{name} is not sorted.", path, name=name
             )
         _require_within(f"wedges/{name}", when, 0, collapses, "a collapse", path)
     left_out = wedges.corner_vertex.reshape(-1, 3) < 0
@@ -122,7 +124,7 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
         raise InputError(
             SIMPLIFY_RECORD_INVALID, "is damaged: a triangle has corners without vertices or wedges.", path
         )
-    _require_there("change", wedges.removed, wedges.survivor, count, "a wedge", path)
+    _require_there("wedge merge", wedges.removed, wedges.survivor, count, "a wedge", path)
 
 
 def _require_arrays(expected: dict[str, tuple[NDArray[Any] | None, type, Shape]], path: Path) -> None:
@@ -130,7 +132,7 @@ def _require_arrays(expected: dict[str, tuple[NDArray[Any] | None, type, Shape]]
         if array is not None and (array.dtype != kind or array.shape != shape):
             raise InputError(
                 SIMPLIFY_RECORD_INVALID,
-                "is damaged: {name} is {array_dtype} of shape {array_shape}.",
+                "is damaged: {name} has type {array_dtype} and shape {array_shape}.",
                 path,
                 name=name,
                 array_dtype=array.dtype,
@@ -142,7 +144,7 @@ def _require_within(name: str, ids: Ids, low: int, end: int, thing: str, path: P
     if len(ids) and not (ids.min() >= low and ids.max() < end):
         raise InputError(
             SIMPLIFY_RECORD_INVALID,
-            "is damaged: {name} names {thing} that is not there.",
+            "is damaged: {name} refers to {thing} that does not exist.",
             path,
             name=name,
             thing=thing,
@@ -163,7 +165,7 @@ def _require_there(step: str, removed: Ids, survivor: Ids, count: int, thing: st
         wrong = int(np.flatnonzero(~in_order)[0])
         raise InputError(
             SIMPLIFY_RECORD_INVALID,
-            "is damaged: {step} {wrong} has {thing} that is gone already.",
+            "is damaged: {step} {wrong} refers to {thing} that was already removed.",
             path,
             step=step,
             wrong=wrong,

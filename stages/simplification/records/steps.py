@@ -30,14 +30,14 @@ class ReplayParams:
     triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
     ratio: float | None = param(
         None,
-        "Replay until at most this share of the input's triangles is left.",
+        "Replay until at most this fraction of the input's triangles is left.",
         low=0,
         high=1,
         low_open=True,
     )
     collapses: int | None = param(None, "Replay this many collapses.", low=0)
     fit: bool = param(
-        False, "Move vertices and colours to fit the input by least squares at the end, as simplify does."
+        False, "Fit vertices and colours to the input by least squares at the end, as simplify does."
     )
 
     def __post_init__(self) -> None:

@@ -80,13 +80,13 @@ def _direction(given: Any) -> tuple[float, float, float]:
 
 def _bytes(array: NDArray[Any]) -> bytes:
     if array.dtype != np.uint8:
-        raise ValueError(f"an image is {array.dtype}")
+        raise ValueError(f"an image has type {array.dtype} instead of uint8")
     return array.tobytes()
 
 
 def _material(images: list[Image], name: Any, image: int | None, color: Any, wrap: Any) -> Material:
     if not set(wrap) <= set(WRAPS):
-        raise ValueError(f"a texture goes on as {wrap}")
+        raise ValueError(f"unknown texture wrap mode {wrap}")
     if color is not None:
         red, green, blue, alpha = map(float, color)
         color = red, green, blue, alpha

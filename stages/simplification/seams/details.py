@@ -38,8 +38,8 @@ class SeamsDetails(Details):
     _repr_html_ = table
 
     headline: ClassVar[str] = (
-        "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} copies of vertices joined, "
-        "seams moved by up to {seam_drift:.2%} of the image's side"
+        "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} duplicate "
+        "vertices joined, seams moved by up to {seam_drift:.2%} of the image's side"
     )
 
     attribute_scale_m_per_level: float
@@ -62,16 +62,16 @@ class SeamsDetails(Details):
         if result.stopped_by == "bounds" and is_main:
             emit(
                 SIMPLIFY_SEAM_DRIFT.warning(
-                    "there are more triangles than were asked for, since texture seams would move too far in "
-                    "the image",
-                    remedy="give a larger max_seam_drift to go on.",
+                    "the triangle count was not reached, because texture seams would move "
+                    "too far in the image",
+                    remedy="give a larger max_seam_drift.",
                 )
             )
         elif self.seam_drift_texels is not None and self.seam_drift_texels > _VISIBLE_DRIFT_TEXELS:
             emit(
                 SIMPLIFY_SEAM_DRIFT.warning(
-                    "texture seams moved by up to {texels:.0f} texels in the image, so the texture may be "
-                    "shifted beside them",
+                    "texture seams moved by up to {texels:.0f} texels in the image, so the "
+                    "texture may be visibly shifted next to seams",
                     remedy="give a smaller max_seam_drift, or keep more triangles.",
                     texels=self.seam_drift_texels,
                 )

@@ -25,44 +25,49 @@ class SeamsParams:
 
     similar_distance: float | None = param(
         None,
-        "Vertices closer than this are one, unless an edge would get more than two triangles. A larger "
+        "Join vertices closer than this, unless an edge would get more than two triangles. A larger "
         "distance closes cracks between parts. Default: "
-        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median side of "
-        "triangles.",
+        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median edge "
+        "length.",
         unit="m",
         low=0,
     )
     texture_weight: float = param(
         1.2,
-        "Weight of a shift of the texture along the surface against a shift of the surface itself.",
+        "Weight of a shift of the texture along the surface, relative to a shift of the surface itself.",
         low=0,
     )
     normal_weight: float = param(
         1.0,
-        "Weight of normals, if the mesh has any, against 1 where an edge that is left turns as much by them "
-        "as by its shape.",
+        "Weight of normals, if the mesh has any. With 1, the normals along an edge of the "
+        "simplified mesh weigh as much as the deviation of its shape.",
         low=0,
     )
     shape_weight: float = param(
         0.3,
-        "Weight of the quadric of shape alone against that of shape and attributes, where a seam is near.",
+        "Weight of the shape-only quadric near seams, relative to the quadric of shape and attributes.",
         low=0,
     )
     across_textures: float = param(
-        0.5, "Penalty for a collapse where several materials meet, as a share of its cost.", low=0
+        0.5, "Penalty for a collapse where several materials meet, as a fraction of its cost.", low=0
     )
     across_parts: float = param(
-        0.5, "Penalty for a collapse where several parts meet, as a share of its cost.", low=0
+        0.5, "Penalty for a collapse where several parts meet, as a fraction of its cost.", low=0
     )
     valence_penalty: float = param(
-        0.1, "Penalty for each edge beyond eight that a vertex would have, as a share of its cost.", low=0
+        0.1,
+        "Penalty for each edge beyond eight at the new vertex, as a fraction of the cost of the collapse.",
+        low=0,
     )
     set_penalty: float = param(
-        0.1, "Penalty for each copy of the ends of an edge beyond two, as a share of its cost.", low=0
+        0.1,
+        "Penalty for each duplicate of an edge's end points beyond two, as a fraction of the "
+        "cost of the collapse.",
+        low=0,
     )
     max_seam_drift: float | None = param(
         None,
-        "Largest distance in the image between a texture seam and its position in the input. Default: "
+        "Maximum distance in the image between a texture seam and its position in the input. Default: "
         f"{SEAM_DRIFT_EDGES:g} edges of the simplified mesh, at most {MAX_SEAM_DRIFT_RATIO:g} of the image's "
         "side.",
         unit="texels",

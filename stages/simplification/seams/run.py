@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
+from scanloom.stages.simplification.codes import SIMPLIFY_COORDINATES_UNUSABLE
 from scanloom.stages.simplification.color_weight import color_weight
 from scanloom.stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from scanloom.stages.simplification.records.record import CollapseRecord
@@ -175,10 +175,10 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
         uv_scale = max(params.texture_weight, 1e-9) * _metres_per_image(mesh, positions)
         if not np.isfinite(uv_scale):
             raise MeshError(
-                SIMPLIFY_COORDINATES_UNWEIGHABLE,
-                "its texture coordinates are too small to be weighed against its shape",
+                SIMPLIFY_COORDINATES_UNUSABLE,
+                "texture coordinates are too small to be weighted against the shape",
                 "mesh",
-                remedy="make a new texture, or leave it out.",
+                remedy="create a new texture, or remove it.",
             )
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
     else:

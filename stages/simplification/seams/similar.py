@@ -199,10 +199,10 @@ def _pairs_in_tree(positions: Vertices, distance: float) -> NDArray[np.integer[A
         if pairs_in_all > _MOST_PAIRS * count:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "{distance:g} m is far more than the distance between vertices: {pairs_in_all:,} pairs of "
-                "{count:,} vertices are closer",
+                "is {distance:g} m, far more than the distance between vertices: "
+                "{pairs_in_all:,} pairs of {count:,} vertices are closer",
                 Where(parameter="seams.similar_distance"),
-                remedy="give a smaller one.",
+                remedy="give a smaller value.",
                 distance=distance,
                 pairs_in_all=pairs_in_all,
                 count=count,
