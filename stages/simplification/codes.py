@@ -82,8 +82,8 @@ keep more triangles.
 """,
     (
         "62% of the remaining edges belong to holes, handles and small components, which are preserved, so "
-        "the other surfaces lost more detail than necessary; fill or remove small ones first (clean.fill_holes "
-        "and clean.min_island_area), or keep more triangles."
+        "the other surfaces lost more detail than necessary; fill or remove small ones first "
+        "(clean.fill_holes and clean.min_island_area), or keep more triangles."
     ),
 )
 SIMPLIFY_DEGENERATE_REMOVED = Code(

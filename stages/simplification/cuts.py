@@ -1,7 +1,7 @@
-"""Cuts: parts of a mesh that are simplified independently and joined afterwards.
+"""Subsets of a mesh that are simplified independently and joined afterwards.
 
-A cut stores the global index of each vertex, and the vertices that it shares with other cuts. Shared vertices
-stay fixed, so the joined mesh has no cracks.
+A subset stores the global index of each vertex, and the vertices that it shares with other subsets. Shared
+vertices stay fixed, so the joined mesh has no cracks.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Cut:
     ----------
     mesh : these triangles and their vertices.
     numbers : (n,) int64, global index of each vertex.
-    is_of_both : (n,) bool, vertices shared with other cuts.
+    is_of_both : (n,) bool, vertices shared with other subsets.
     """
 
     mesh: Mesh
@@ -50,7 +50,7 @@ class Cut:
 
 
 def whole_cut(mesh: Mesh) -> Cut:
-    """Create a cut that contains a complete mesh."""
+    """Create a subset that contains a complete mesh."""
     count = len(mesh.vertices)
     return Cut(mesh, np.arange(count), np.zeros(count, np.bool_))
 
@@ -80,7 +80,7 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
 
 
 def joined_cuts(cuts: Sequence[Cut]) -> Cut:
-    """Join one or more cuts into one.
+    """Join one or more subsets into one.
 
     Shared vertices stay marked as shared.
     """
@@ -92,9 +92,9 @@ def joined_cuts(cuts: Sequence[Cut]) -> Cut:
 
 
 def split(cut: Cut, most: int) -> Iterator[Cut]:
-    """Split a cut into cuts of at most `most` triangles.
+    """Split a subset into subsets of at most `most` triangles.
 
-    The splitting planes cross few triangles. The cuts are yielded one by one to limit memory.
+    The splitting planes cross few triangles. The subsets are yielded one by one to limit memory.
     """
     mesh = cut.mesh
     if len(mesh.triangles) <= most:
@@ -109,7 +109,7 @@ def split(cut: Cut, most: int) -> Iterator[Cut]:
 
 
 def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cut]:
-    """Split a cut into groups of triangles that partition it."""
+    """Split a subset by groups of triangles that partition it."""
     mesh = cut.mesh
     seen, is_of_both = np.zeros(len(mesh.vertices), np.bool_), cut.is_of_both.copy()
     for rows in groups:

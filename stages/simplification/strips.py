@@ -61,7 +61,7 @@ class Strips:
             _write(path, cut)
 
     def cells(self) -> Iterator[Cut]:
-        """Yield the strips of each cell as one cut."""
+        """Yield the strips of each cell as one subset."""
         for files in self._files:
             cut = joined_cuts([_read(file) for file in files])
             yield Cut(cut.mesh, cut.numbers, cut.is_of_both | self._in_several[cut.numbers])

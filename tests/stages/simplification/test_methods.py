@@ -137,7 +137,10 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
             "method planar stops only at its bounds; leave out triangles",
         ),
         ({"method": "seams"}, "method seams needs a triangle count; give triangles or ratio."),
-        ({"method": "certified"}, "method certified needs an error bound; give max_shape, max_color or both."),
+        (
+            {"method": "certified"},
+            "method certified needs an error bound; give max_shape, max_color or both.",
+        ),
     ],
 )
 def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> None:

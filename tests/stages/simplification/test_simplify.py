@@ -267,7 +267,8 @@ def test_attributes_that_follow_and_that_do_not() -> None:
     assert result.texture is None
     assert result.diagnostics == (read,)
     assert [str(one) for one in found.diagnostics] == [
-        "simplify discards the texture; method seams preserves it, and bake creates a new image from the old one."
+        "simplify discards the texture; method seams preserves it, and bake creates a new image from the old "
+        "one."
     ]
     assert result.normals is not None
     assert (np.einsum("ij,ij->i", result.normals, result.vertices) > 0.9).all()
