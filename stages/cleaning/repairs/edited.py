@@ -125,7 +125,7 @@ class Edited:
 
         Parameters
         ----------
-        seen, written, moved : as in `Round`, but with the new corners and positions. Edits count from 0.
+        seen, written, moved : as in `Round`, with the new corners and positions. Edit indices start at 0.
         count : number of edits.
         """
         numbers = np.arange(self.edits, self.edits + count)

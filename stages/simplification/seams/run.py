@@ -61,8 +61,8 @@ def simplified(
     ----------
     task : arguments of the method.
     expected : expected triangle count, from which the weights of colours and normals are derived.
-    within : bound on the distance in metres, ratio of it that vertices may use, and factors (n,) on it per
-        vertex; None for no bound.
+    within : bound on the distance in metres, ratio of the bound that vertices may use, and factors (n,) on
+        the bound per vertex; None for no bound.
 
     Returns
     -------
