@@ -56,7 +56,7 @@ EXPECTED: tuple[Expected, ...] = (
     Expected("*", "new *is called*", "a former name says the new one"),
     Expected("*", "new *details.largest_patches*", "of two alike it is not told which one moved"),
     Expected("*", "gone *largest_patches*", "of two alike it is not told which one moved"),
-    Expected("*", "*no meaning for method*", "the table of methods says what each takes"),
+    Expected("*", "*is not supported by method*", "the table of methods says what each takes"),
     Expected("*", "*collapses no edges*", "the table of methods says what each takes"),
     Expected("*", "changed *:error", "the table of methods says what each takes"),
     Expected(

@@ -1,1 +1,4 @@
-"""Cleaning: one kind of defect a module, `clean` puts them right in turn."""
+"""Mesh cleaning: one module per kind of defect.
+
+`clean` runs all of them in turn.
+"""

@@ -1,4 +1,4 @@
-"""Whether a mesh is sound, and where it is not: what to ask first of any mesh."""
+"""Mesh validation: topology, irregular elements and wall thickness."""
 
 from __future__ import annotations
 
@@ -36,79 +36,95 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import CheckKeywords
 
-# Angles of a triangle below this are what Wang, Lu and Pan (2012) take by default: arcsin(1e-5), in degrees.
+# Default minimum corner angle of Wang, Lu and Pan (2012), in degrees: arcsin(1e-5).
 PAPERS_CORNER_ANGLE = float(np.degrees(np.arcsin(1e-5)))
 
-# Places that figures name of each class.
+# Elements listed per defect class in the statistics.
 _NAMED = 10
 
-# Share of the bounding box's diagonal that a ray begins inside. The ray caster resolves no smaller lengths.
+# Offset of thickness rays from the surface, as a ratio of the bounding box's diagonal. The ray caster cannot
+# resolve shorter lengths.
 _RAY_START = 1e-6
 
 Kind = Literal["vertex", "edge", "triangle"]
-# What is done about a class, as in table 1 of the paper: it is left alone, or it can be repaired.
+# Table 1 of the paper: a defect class is only reported ("warning"), or `repair` can treat it ("marking").
 Treatment = Literal["warning", "marking"]
 
 CLASSES: dict[str, tuple[Kind, Treatment, str]] = {
-    "border_edges": ("edge", "warning", "edges of one triangle"),
-    "nonmanifold_edges": ("edge", "warning", "edges of more than two triangles"),
-    "inconsistent_edges": ("edge", "warning", "edges whose triangles are oriented against each other"),
-    "singular_vertices": ("vertex", "warning", "pinched vertices, whose triangles form more than one fan"),
+    "border_edges": ("edge", "warning", "edges with only one triangle"),
+    "nonmanifold_edges": ("edge", "warning", "edges with more than two triangles"),
+    "inconsistent_edges": ("edge", "warning", "edges between triangles of opposite orientation"),
+    "singular_vertices": (
+        "vertex",
+        "warning",
+        "vertices whose triangles form more than one fan",
+    ),
     "focal_vertices": ("vertex", "warning", "vertices where more than two border edges end"),
     "singular_border_triangles": (
         "triangle",
         "warning",
-        "triangles that are alone at a singular vertex",
+        "triangles that share no edge at a singular vertex",
     ),
-    "degenerate_triangles": ("triangle", "marking", "triangles that repeat a vertex or have no area"),
-    "duplicate_triangles": ("triangle", "marking", "triangles of the vertices of an earlier one"),
+    "degenerate_triangles": (
+        "triangle",
+        "marking",
+        "triangles that use a vertex twice or have no area",
+    ),
+    "duplicate_triangles": ("triangle", "marking", "triangles with the same vertices as an earlier one"),
     "caps": ("triangle", "marking", "triangles with an angle near 180°"),
     "needles": ("triangle", "marking", "triangles with an angle near 0° and none near 180°"),
-    "sharp_edges": ("edge", "marking", "edges where the surface is folded back onto itself"),
-    "spikes": ("vertex", "marking", "vertices that stand out like a needle's point"),
+    "sharp_edges": ("edge", "marking", "edges along which the surface is folded back onto itself"),
+    "spikes": ("vertex", "marking", "inner vertices with a small sum of angles around them"),
     "intersecting_triangles": (
         "triangle",
         "warning",
-        "triangles that touch or cross others they are not joined to",
+        "triangles that touch or cross triangles they are not connected to",
     ),
-    "thin_triangles": ("triangle", "warning", "triangles behind which the solid is thinner than asked"),
+    "thin_triangles": (
+        "triangle",
+        "warning",
+        "triangles behind which the solid is thinner than min_thickness",
+    ),
 }
 
 PROPERTIES = ("watertight", "closed", "manifold", "oriented", "outward", "one-piece")
-# All that can be required.
+# All values that `scanloom check --require` accepts.
 REQUIREMENTS = (*PROPERTIES, *(f"no-{name.replace('_', '-')}" for name in CLASSES))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckParams:
-    """From where on something is irregular."""
+    """Thresholds of the defect classes."""
 
     corner_angle: float = param(
         1.0,
-        "A triangle with a smaller angle is a needle; one with an angle above 180° less this is a cap. "
-        "The paper's is 0.00057.",
+        "A triangle with a smaller angle is a needle; one with an angle above 180° minus "
+        "this is a cap. The paper uses 0.00057.",
         unit="degrees",
         low=0,
         high=30,
     )
     fold_angle: float = param(
         10.0,
-        "Two triangles that lie on each other but for less than this make their edge a sharp one.",
+        "An edge is sharp if its two triangles are folded onto each other, with a smaller "
+        "angle between them.",
         unit="degrees",
         low=0,
         high=90,
     )
     spike_angle: float = param(
         60.0,
-        "A vertex around which all angles have less than this in sum is a spike; in a plane it is 360.",
+        "A vertex is a spike if the angles around it sum to less than this; in a plane they sum to 360.",
         unit="degrees",
         low=0,
         high=180,
     )
-    min_thickness: float = param(0.0, "Where the solid is thinner is told; 0 for nowhere.", unit="m", low=0)
+    min_thickness: float = param(
+        0.0, "Report triangles behind which the solid is thinner; 0 reports none.", unit="m", low=0
+    )
     threads: int | None = param(
         None,
-        "Processors to use, with the same result; all if not given.",
+        "Number of threads; the result does not depend on it. Default: one per core.",
         low=1,
         high=256,
         invalidates=False,
@@ -119,42 +135,47 @@ class CheckParams:
 
 
 def require_answerable(requirements: Iterable[str], min_thickness: float) -> None:
-    """Refuse words that are no REQUIREMENTS, and what always holds for want of a limit.
+    """Reject unknown requirements, and requirements that need an unset parameter.
+
+    Parameters
+    ----------
+    requirements : names out of REQUIREMENTS.
+    min_thickness : metres; "no-thin-triangles" needs a value above 0.
 
     Raises
     ------
     UsageError
-        Naming the first such word.
+        Naming the first invalid requirement.
     """
     for word in requirements:
         if word not in REQUIREMENTS:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "there is no requirement {word!r}; there are {requirements}.",
+                "unknown requirement {word!r}; valid requirements are {requirements}.",
                 word=word,
                 requirements=", ".join(REQUIREMENTS),
             )
         if word == "no-thin-triangles" and min_thickness == 0:
-            raise UsageError(
-                USAGE_OPTIONS_CONFLICT, "no-thin-triangles needs min_thickness: without it, nothing is thin."
-            )
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "no-thin-triangles needs min_thickness above 0.")
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What a mesh is like.
+    """Result of `check`: topology, defects and thickness of a mesh.
+
+    Vertices at equal positions count as one vertex, because files duplicate vertices along texture seams.
 
     Attributes
     ----------
-    topology : its counts. Vertices of equal position are one: files have several along seams of a texture.
-    places : of each class in CLASSES the vertices (k,), the edges (k, 2) by their vertices, or the triangles
-        (k,) that belong to it. Numbers are those of the mesh as it was given; of vertices in one place, the
-        first.
-    points : of each class a point (k, 3) for each place, metres: the vertex, or the middle.
-    thickness : (m,) of the solid behind each triangle, metres; NaN where there is none.
-    min_thickness : metres, below which a place is thin.
-    inside_out : closed pieces whose triangles look inwards.
-    triangles : (m, 3) those of the mesh, with one number for vertices in one place.
+    topology : element counts and topological properties.
+    places : per class in CLASSES, the defective vertices (k,), edges (k, 2) as vertex pairs, or triangles
+        (k,). Indices refer to the given mesh. Duplicate vertices are represented by the first one.
+    points : per class, one point (k, 3) per defect, in metres: the vertex, or the centre of the edge or
+        triangle.
+    thickness : (m,) thickness of the solid behind each triangle, metres; NaN where it is undefined.
+    min_thickness : metres; triangles below this thickness are reported as thin.
+    inside_out : number of closed components whose triangles face inwards.
+    triangles : (m, 3) triangles of the mesh, with duplicate vertices replaced by the first one.
     """
 
     topology: Topology
@@ -170,23 +191,32 @@ class Checked:
 
     @property
     def is_watertight(self) -> bool:
-        """Whether it is closed, manifold and oriented, and so has an inside."""
+        """True if the mesh is closed, manifold and oriented.
+
+        Such a mesh encloses a volume.
+        """
         return self.topology.is_closed and self.topology.is_manifold and self.topology.is_oriented
 
     def unmet(self, requirements: Iterable[str]) -> list[Diagnostic]:
-        """Return a diagnostic for each of REQUIREMENTS that does not hold; nothing is emitted.
+        """Return a diagnostic for each requirement that the mesh does not meet.
+
+        The diagnostics are returned, not emitted.
+
+        Parameters
+        ----------
+        requirements : names out of REQUIREMENTS.
 
         Raises
         ------
         UsageError
-            As `require_answerable`.
+            For an invalid requirement, see `require_answerable`.
         """
         wanted = list(requirements)
         require_answerable(wanted, self.min_thickness)
         return [diagnostic for name in wanted if (diagnostic := self._unmet(name))]
 
     def figures(self) -> dict[str, Any]:
-        """Return what it is, the counts of all classes, and where the first of each are."""
+        """Return metrics for reports: topology, thickness and defects per class."""
         measured = self.thickness[np.isfinite(self.thickness)]
         least, low, middle = np.percentile(measured, (0, 5, 50)) if len(measured) else (None, None, None)
         return {
@@ -224,11 +254,13 @@ class Checked:
                 return self._unmet("watertight") or self._inwards()
             case "one-piece":
                 pieces = self.topology.components
-                return None if pieces == 1 else _failed("it has {count:,} pieces.", count=pieces)
+                return (
+                    None if pieces == 1 else _failed("it has {count:,} connected components.", count=pieces)
+                )
         return self._found(requirement.removeprefix("no-").replace("-", "_"))
 
     def _found(self, *names: str) -> Diagnostic | None:
-        """Return a diagnostic of the first of some classes that has any."""
+        """Return a diagnostic for the first named class that has defects."""
         for name in names:
             if count := len(self.places[name]):
                 x, y, z = self.points[name][0]
@@ -246,7 +278,7 @@ class Checked:
         if not self.inside_out:
             return None
         return _failed(
-            "{count:,} of {pieces:,} pieces look inwards.",
+            "{count:,} of {pieces:,} connected components are oriented inwards.",
             count=self.inside_out,
             pieces=self.topology.components,
         )
@@ -256,7 +288,7 @@ class Checked:
 
     def _repeating(self) -> Diagnostic | None:
         count = self.topology.repeating
-        return _failed("it has triangles that repeat a vertex: {count:,}.", count=count) if count else None
+        return _failed("it has triangles that use a vertex twice: {count:,}.", count=count) if count else None
 
 
 def _failed(message: str, **values: Any) -> Diagnostic:
@@ -270,22 +302,26 @@ def check(
     progress: Progress = silent,
     **changes: Unpack[CheckKeywords],
 ) -> Checked:
-    """Find every place where a mesh is irregular, and say what kind of surface it is.
+    """Find the irregular elements of a mesh, and determine its topological properties.
 
-    The classes are those of Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
-    hierarchies" (2012, section 2.1.2), in the field's use of their names, and borders, duplicates,
-    triangles that intersect and thin ones. Nothing is changed.
+    The defect classes follow Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
+    hierarchies" (2012, section 2.1.2). Cap and needle have their usual meaning. Borders, duplicate triangles,
+    intersecting triangles and thin triangles are reported in addition. The mesh is not changed.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres.
-    params : CheckParams; single fields can be given by name instead.
-    progress : called with (triangles tested for intersections, all).
+    params : CheckParams; single fields can be given as keywords instead.
+    progress : called with (triangles tested for intersections, all triangles).
+
+    Returns
+    -------
+    Checked
 
     Raises
     ------
     MeshError
-        If it is no valid mesh, or its coordinates are too large.
+        If the mesh is invalid, or its coordinates are too large.
     UsageError
         If a parameter is out of range.
     """
@@ -298,7 +334,7 @@ def check(
     places = irregular(joined.vertices, joined.triangles, limits, params.threads or 0, progress)
     thick = _measure_thickness(joined) if len(joined.triangles) else np.empty(0)
     places["thin_triangles"] = np.flatnonzero(thick < params.min_thickness)
-    # Copies of a vertex are no vertices that nothing uses.
+    # Duplicate vertices must not count as unused vertices.
     counted = topology(_without_copies(joined, first))
     return Checked(
         topology=counted,
@@ -318,7 +354,10 @@ def _without_copies(mesh: Mesh, first: Ids) -> Mesh:
 
 
 def _points(mesh: Mesh, kind: Kind, ids: Ids) -> Vertices:
-    """Return a point (k, 3) for each vertex, edge or triangle."""
+    """Compute a point (k, 3) for each vertex, edge or triangle.
+
+    Edges and triangles are represented by their centre.
+    """
     if kind == "vertex":
         return mesh.vertices[ids]
     corners = ids if kind == "edge" else mesh.triangles[ids]
@@ -326,7 +365,7 @@ def _points(mesh: Mesh, kind: Kind, ids: Ids) -> Vertices:
 
 
 def _inside_out(mesh: Mesh) -> int:
-    """Count the pieces that are closed and enclose a negative volume."""
+    """Count the closed components that enclose a negative volume."""
     triangles = mesh.triangles[~repeats_vertex(mesh.triangles)]
     if len(triangles) == 0:
         return 0
@@ -334,17 +373,18 @@ def _inside_out(mesh: Mesh) -> int:
     _, labels = components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
     is_open = np.zeros(labels.max(initial=-1) + 1, bool)
     is_open[labels[edges.ends[(edges.count != 2) | (edges.forward != 1), 0]]] = True
-    # About the middle, so that nothing is lost far from the origin.
+    # Relative to the centre, to avoid cancellation far from the origin.
     a, b, c = (mesh.vertices[triangles] - bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
     volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))
     return int(np.count_nonzero(~is_open & (volumes < 0)))
 
 
 def _measure_thickness(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the thickness (m,) of the solid behind each triangle, in metres, by rays along inward normals.
+    """Measure the thickness (m,) of the solid behind each triangle, in metres.
 
-    NaN where a ray meets nothing or first an outside, or the triangle has no area. The error is about 1e-6 of
-    the bounding box's diagonal. A mesh without a closed component has no inside, and so no thickness.
+    A ray is cast from each triangle's centre along the inward normal. The result is NaN if the ray misses the
+    surface or hits a front face first, and for degenerate triangles. The error is about 1e-6 of the bounding
+    box's diagonal.
     """
     found = np.full(len(mesh.triangles), np.nan)
     (proper,) = np.nonzero(~is_degenerate(mesh.vertices, mesh.triangles))

@@ -1,9 +1,15 @@
-"""Clean a mesh: what comes out is an oriented manifold without islands, with its colours.
+"""Mesh cleaning: an oriented manifold without small islands, with attributes preserved.
 
-In order: borders that lie on each other are stitched, triangles without area and duplicates removed,
-neighbours oriented alike, non-manifold edges and vertices taken apart, small islands dropped, small holes
-filled on request, unused vertices dropped; then, on request, what is irregular is repaired. A mesh that is
-clean comes back as it is.
+The steps, in order:
+
+1. Stitch coincident borders, remove degenerate and duplicate triangles, orient neighbours consistently, and
+   split non-manifold edges and vertices.
+2. Remove small islands.
+3. Fill small holes, on request.
+4. Remove unused vertices.
+5. Repair irregular elements, on request.
+
+A mesh that is already clean is returned unchanged.
 """
 
 from __future__ import annotations
@@ -41,50 +47,53 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 1
 
-# An island smaller than this share of the largest piece is noise by default. In 7-Scenes redkitchen at 2 cm
-# that is 198 of 205 pieces, which hold 0.7 % of the triangles.
+# Default area limit of islands, as a ratio of the largest component's area. In 7-Scenes redkitchen at 2 cm,
+# this removes 198 of 205 components, which contain 0.7 % of the triangles.
 _ISLAND_SHARE = 1e-3
-# Each round stitches what the one before made possible; more than two are for soups only.
+# Maximum iterations of stitching and splitting. Only triangle soups need more than two.
 _ROUNDS = 4
 _STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class CleanParams:
-    """What is removed and what is repaired."""
+    """Parameters of `clean`."""
 
     min_island_area: float | None = param(
         None,
-        "Loose pieces with less surface are removed; by default a thousandth of the largest piece's. "
-        "0 keeps all.",
+        "Islands (connected components) with a smaller area are removed. Default: a "
+        "thousandth of the largest component's area. 0 keeps all.",
         unit="m²",
         low=0,
     )
-    keep_largest: bool = param(False, "Keep only the piece with the largest surface.")
+    keep_largest: bool = param(False, "Keep only the connected component with the largest area.")
     fill_holes: float = param(
-        0.0, "Holes with a rim no longer than this are filled; 0 fills none.", unit="m", low=0
+        0.0, "Fill holes whose border is at most this long; 0 fills none.", unit="m", low=0
     )
-    stitch: bool = param(
-        True, "Join borders that lie exactly on each other, such as seams of textured files."
-    )
+    stitch: bool = param(True, "Join borders at exactly equal positions, such as seams of textured files.")
     weld_distance: float = param(
-        0.0, "Vertices no farther apart than this become one before all else; 0 = off.", unit="m", low=0
+        0.0,
+        "Merge vertices within this distance of each other before all other steps; 0 = off.",
+        unit="m",
+        low=0,
     )
     repair: bool = param(
         False,
-        "Repair caps, needles, folds and spikes, each where nothing else becomes irregular, no seam is torn "
-        "and the surface provably stays within max_shape; what is left is told.",
+        "Repair caps, needles, folds and spikes, if the repair creates no other defect, "
+        "tears no seam and provably keeps the surface within max_shape. Remaining defects "
+        "are reported.",
     )
     repair_angle: float = param(
         CheckParams().corner_angle,
-        "A triangle with a smaller angle is a needle; one with an angle above 180° less this is a cap.",
+        "A triangle with a smaller angle is a needle; one with an angle above 180° minus this is a cap.",
         unit="degrees",
         low=0,
         high=30,
     )
     max_shape: float | None = param(
         None,
-        "How far repairs may move the surface; by default a twentieth of the median edge.",
+        "Maximum distance by which repairs may move the surface. Default: a twentieth of the "
+        "median edge length.",
         unit="m",
         low=0,
     )
@@ -94,7 +103,7 @@ class CleanParams:
         if self.max_shape is not None and not self.repair:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "is for repairs",
+                "applies only to repairs",
                 Where(parameter="max_shape"),
                 remedy="give repair, too.",
             )
@@ -102,18 +111,18 @@ class CleanParams:
 
 @dataclass(frozen=True)
 class Removed:
-    """What cleaning changed.
+    """Counts of the changes that `clean` made.
 
     Attributes
     ----------
-    degenerate_triangles, duplicate_triangles : removed.
-    nonmanifold_triangles : removed because two sheets stayed joined at both ends of an edge.
-    islands, island_triangles : loose pieces removed, and their triangles.
-    unused_vertices : removed, those of removed triangles included.
-    stitched_edges : pairs of border edges made one.
-    flipped_triangles : turned over to agree with their neighbours.
-    split_vertices : vertices added to take sheets apart.
-    filled_holes, fill_triangles : holes closed, and the triangles added for it.
+    degenerate_triangles, duplicate_triangles : triangles removed.
+    nonmanifold_triangles : triangles removed because two sheets stayed connected at both ends of an edge.
+    islands, island_triangles : small components removed, and their triangles.
+    unused_vertices : vertices removed, including vertices of removed triangles.
+    stitched_edges : pairs of border edges joined.
+    flipped_triangles : triangles flipped to agree with their neighbours.
+    split_vertices : vertices added to separate sheets.
+    filled_holes, fill_triangles : holes filled, and the triangles added for it.
     """
 
     degenerate_triangles: int
@@ -133,17 +142,17 @@ class Removed:
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """A clean mesh and where it came from.
+    """Result of `clean`: the mesh, and the source of its elements.
 
     Attributes
     ----------
-    mesh : an oriented manifold, border allowed.
-    vertex_source : (n,) the vertex of the input each vertex was.
-    triangle_source : (m,) the triangle of the input each one was, or lies on; -1 where a hole was filled.
-    changes : the counts of what was changed.
-    min_island_area : m², as used.
-    repaired : what repairs did to the mesh that was clean, by whose vertices and triangles places are told;
-        None if they were not asked for.
+    mesh : oriented manifold, possibly with borders.
+    vertex_source : (n,) input vertex of each vertex.
+    triangle_source : (m,) input triangle of each triangle, or the triangle that contains it; -1 in filled
+        holes.
+    changes : counts of the changes.
+    min_island_area : m², the limit that was applied.
+    repaired : result of the repairs, None without repairs. Its indices refer to the mesh before the repairs.
     """
 
     mesh: Mesh
@@ -157,7 +166,7 @@ class Cleaned:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return sizes and what was changed, for reports."""
+        """Return statistics for reports: mesh size and counts of the changes."""
         figures = {
             "vertices": len(self.mesh.vertices),
             "triangles": len(self.mesh.triangles),
@@ -176,21 +185,26 @@ def clean(
 ) -> Cleaned:
     """Make a mesh an oriented manifold without islands, degenerate or duplicate triangles.
 
-    Surface is taken apart rather than removed: a fin on a wall becomes a sheet of its own that touches the
-    wall, a Möbius strip is cut along a seam. Colours, normals and texture stay with their vertices and
-    corners. The same input gives the same bytes.
+    Non-manifold surface is separated rather than removed. A fin on a wall becomes a separate sheet that
+    touches the wall; a Möbius strip is cut along a seam. Colours, normals and texture coordinates stay with
+    their vertices and corners. The result is deterministic.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays.
-    params : see CleanParams; single ones can be given by name.
+    params : CleanParams; single fields can be given as keywords instead.
+    progress : called with (steps done, all steps).
+
+    Returns
+    -------
+    Cleaned
 
     Raises
     ------
     MeshError
-        If the mesh is not valid, or nothing of it is left.
+        If the mesh is invalid, or no triangle is left.
     StageError
-        If the result is not an oriented manifold, which would be a defect of this program.
+        If the result is not an oriented manifold, which would be a bug.
     """
     params = resolve(CleanParams, params, changes)
     mesh = as_mesh(mesh)
@@ -213,7 +227,11 @@ def clean(
     counts["unused_vertices"] = len(mesh.vertices) + counts["split_vertices"] - len(traced.mesh.vertices)
     progress(3, steps)
     if len(traced.mesh.triangles) == 0:
-        raise MeshError(CLEAN_NOTHING_LEFT, "has no triangle with an area; nothing is left of it.", "mesh")
+        raise MeshError(
+            CLEAN_NOTHING_LEFT,
+            "has only degenerate triangles and small islands, so nothing is left of it.",
+            "mesh",
+        )
     try:
         require_manifold(traced.mesh)
     except MeshError as error:
@@ -227,7 +245,10 @@ def clean(
 
 
 def _with_repairs(cleaned: Cleaned, params: CleanParams, alive: Callable[[], object]) -> Cleaned:
-    """Return it with what can be repaired, whose result is as much a manifold; ask now and then to go on."""
+    """Repair the cleaned mesh, which stays an oriented manifold.
+
+    `alive` is called regularly; an exception from it stops the work.
+    """
     repaired = repair(
         cleaned.mesh,
         corner_angle=params.repair_angle,
@@ -244,7 +265,10 @@ def _with_repairs(cleaned: Cleaned, params: CleanParams, alive: Callable[[], obj
 
 
 def _repaired(traced: Traced, join: bool, counts: dict[str, int]) -> Traced:
-    """Return an oriented manifold without flat and duplicate triangles; add to the counts."""
+    """Make the mesh an oriented manifold without degenerate or duplicate triangles.
+
+    `counts` is updated in place.
+    """
     for _ in range(_ROUNDS):
         if join:
             traced, stitched = stitch(traced)
@@ -259,14 +283,17 @@ def _repaired(traced: Traced, join: bool, counts: dict[str, int]) -> Traced:
         counts["flipped_triangles"] += manifold.flipped
         counts["split_vertices"] += manifold.split_vertices
         traced = manifold.traced
-        # Borders may come to face each other where triangles were turned or removed.
+        # Flipped or removed triangles may create new pairs of opposite border edges.
         if not join or stitch(traced)[1] == 0:
             break
     return traced
 
 
 def _without_islands(traced: Traced, params: CleanParams, counts: dict[str, int]) -> tuple[Traced, float]:
-    """Return what is left and the area a piece had to have; add to the counts."""
+    """Remove small islands; return the mesh and the area limit (m²).
+
+    `counts` is updated in place.
+    """
     triangles = traced.mesh.triangles
     tails, heads = triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
     _, labels = components(len(traced.mesh.vertices), tails, heads)
@@ -279,7 +306,13 @@ def _without_islands(traced: Traced, params: CleanParams, counts: dict[str, int]
 
 
 def is_large(area: NDArray[np.float64], params: CleanParams) -> tuple[NDArray[np.bool_], float]:
-    """Return which pieces (k,) stay, by their areas in m², and the area they had to have."""
+    """Select the components to keep by their areas (k,) in m².
+
+    Returns
+    -------
+    kept : (k,) bool.
+    min_area : m², the applied limit.
+    """
     min_area = params.min_island_area
     if min_area is None:
         min_area = _ISLAND_SHARE * float(area.max(initial=0.0))

@@ -1,7 +1,8 @@
-"""Clean a mesh in pieces: islands are joined over all pieces before any is judged small.
+"""Out-of-core island removal for chunked PLY files.
 
-What fusion leaves is an oriented manifold whose triangles have areas, so that islands are all there is to
-remove: the result is, to the byte, that of `clean` on the whole.
+Islands are connected across all chunks before their area is judged. Fusion output is already an oriented
+manifold without degenerate triangles, so no other cleaning step is needed. The result is byte-identical to
+`clean` on the complete mesh.
 """
 
 from __future__ import annotations
@@ -29,15 +30,17 @@ Ids = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class _Islands:
-    """Loose parts of each piece, numbered through all, and which island each is of.
+    """Connected components of all chunks, and the islands they merge into.
+
+    A component is local to a chunk; an island may span several chunks.
 
     Attributes
     ----------
-    of_vertex : (n,) of each vertex, in a file.
-    first : of each piece, the number of its first part; one more at the end.
-    island : (k,) of each part.
-    in_part : (k,) triangles of each part.
-    area, triangles : of each island, m² and how many.
+    of_vertex : (n,) component of each vertex, memory-mapped.
+    first : index of the first component of each chunk, plus the total count at the end.
+    island : (k,) island of each component.
+    in_part : (k,) triangle count of each component.
+    area, triangles : area in m² and triangle count of each island.
     """
 
     of_vertex: Ids
@@ -51,34 +54,34 @@ class _Islands:
 def clean_in_pieces(
     fused: Path, result: Path, params: CleanParams, *, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Remove small islands of a PLY file in pieces, and write what is left, in pieces again.
+    """Remove small islands from a chunked PLY file.
 
     Parameters
     ----------
-    fused, result : PLY files, each with its table of pieces beside it.
-    params : of them, those that islands are judged by.
-    progress : called after each piece, twice.
+    fused, result : input and output PLY file, each next to its chunk table.
+    params : only `min_island_area` and `keep_largest` apply.
+    progress : called with (chunks done, all chunks); each chunk counts twice, once per pass.
 
     Returns
     -------
-    Figures, as of `Cleaned`.
+    Statistics, as `Cleaned.figures` returns them.
 
     Raises
     ------
     InputError
         If a file is damaged.
     MeshError
-        If nothing is left.
+        If no triangle is left.
     StageError
-        If the system refuses to write.
+        If a file cannot be written.
     UsageError
-        For what cannot be done piece by piece.
+        For parameters that need the complete mesh in memory.
     """
     whole_only = [name for name in ("repair", "fill_holes", "weld_distance") if getattr(params, name)]
     if whole_only:
         raise UsageError(
             FUSE_TOO_LARGE,
-            "{whole_only} of clean needs the whole mesh at once, which is too large for that",
+            "{whole_only} of clean needs the complete mesh in memory, but the mesh is too large",
             remedy="leave it out, or give a larger fuse.voxel_size.",
             whole_only=" and ".join(whole_only),
         )
@@ -94,7 +97,9 @@ def clean_in_pieces(
         sizes = _numbered(pieces, islands, is_kept, numbers)
         if not sizes or not sizes[-1].triangles[1]:
             raise MeshError(
-                CLEAN_NOTHING_LEFT, "has no triangle with an area; nothing is left of it.", "mesh"
+                CLEAN_NOTHING_LEFT,
+                "has only degenerate triangles and small islands, so nothing is left of it.",
+                "mesh",
             )
 
         def kept() -> Iterator[Written]:
@@ -120,7 +125,7 @@ def clean_in_pieces(
 
 
 def _islands(pieces: Pieces, labels: Ids, told: Any) -> _Islands:
-    """Find the loose parts of each piece, and join them where pieces meet."""
+    """Label connected components per chunk, and merge them across chunks."""
     first, area, count, meetings = [0], [], [], []
     for number in range(len(pieces)):
         part = pieces.part(number)
@@ -131,7 +136,7 @@ def _islands(pieces: Pieces, labels: Ids, told: Any) -> _Islands:
         area.append(np.bincount(of_triangle, areas(part.mesh.vertices, triangles), found))
         count.append(np.bincount(of_triangle, minlength=found))
         labels[slice(*pieces.extents[number].vertices)] = first[-1] + label[: part.own]
-        # Where others' vertices are known only once all have their parts.
+        # Labels of vertices of other chunks are final only after all chunks are labelled.
         meetings.append((part.numbers[part.own :], first[-1] + label[part.own :]))
         first.append(first[-1] + found)
         told(number + 1)
@@ -150,7 +155,12 @@ def _islands(pieces: Pieces, labels: Ids, told: Any) -> _Islands:
 
 
 def _numbered(pieces: Pieces, islands: _Islands, is_kept: NDArray[np.bool_], numbers: Ids) -> list[Extent]:
-    """Give the vertices that stay their new numbers, −1 to all others; return how large the pieces become."""
+    """Write the new index of each vertex to `numbers`; −1 if removed.
+
+    Returns
+    -------
+    Extents of the chunks of the result.
+    """
     stays_in = is_kept[islands.island]
     at = (0, 0)
     sizes = []

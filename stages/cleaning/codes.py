@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of cleaning and checks, with explanations."""
+"""Diagnostic codes of cleaning and checks, with explanations."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ CLEAN_NOTHING_LEFT = Code(
     "clean.nothing-left",
     "Nothing left after cleaning",
     """
-The mesh has triangles without area only. If a whole scan vanishes, `clean.min_island_area` is larger than
-all its components.
+The mesh contains only degenerate triangles and small islands. If a whole scan vanishes,
+`clean.min_island_area` is larger than all its components. Give a smaller area.
 """,
-    "mesh: has no triangle with an area; nothing is left of it.",
+    "mesh: has only degenerate triangles and small islands, so nothing is left of it.",
 )
 CLEAN_CHECK_FAILED = Code(
     "clean.check-failed",
-    "Requirements of `check` that a mesh does not meet",
+    "Unmet requirements of `check`",
     """
-Exit code 1 if it was asked for by `--require`. Each sentence names the first place by a point;
+Exit code 1 for requirements given with `--require`. Each message contains the position of the first defect;
 [checking](../checking.md) explains each class. `scanloom clean` makes any mesh an oriented manifold,
-`--fill-holes` closes borders, `--repair` repairs places where that does no harm.
+`--fill-holes` closes borders, and `--repair` repairs defects where this creates no others.
 """,
-    "chair.ply: it has edges of one triangle: 96, the first at (0.12, -0.4, 1.01) m.",
+    "chair.ply: it has edges with only one triangle: 96, the first at (0.12, -0.4, 1.01) m.",
 )
 CLEAN_NOT_REPAIRED = Code(
     "clean.not-repaired",
-    "Places that repairs leave alone",
+    "Defects that are not repaired",
     """
-Warnings: irregular places that are left, with the reason. `max_shape` of repairs bounds how far the
-surface may move.
+Warnings about defects that remain, with the reasons. `max_shape` limits how far repairs may move the surface;
+a larger value allows more repairs.
 """,
     (
-        "3 of 41 caps left: 3 where the distance is not proven to be within max_shape; the first at (0.12, "
-        "-0.4, 1.01) m."
+        "3 of 41 caps not repaired: 3 where the distance is not proven to be within max_shape; the first at "
+        "(0.12, -0.4, 1.01) m."
     ),
 )

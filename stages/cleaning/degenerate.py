@@ -1,8 +1,8 @@
-r"""Triangles without area, removed so that no slit opens where they were.
+r"""Removal of degenerate triangles without opening cracks.
 
-A flat triangle is a needle, one of whose edges has no length: that edge is collapsed. Or it is a cap, whose
-middle vertex lies on the longest edge: dropping it would leave that vertex hanging on the neighbour's edge,
-so the neighbour is split there instead.
+A degenerate triangle is a needle, with one edge of zero length, or a cap, with a vertex on its longest edge.
+The short edge of a needle is collapsed. Removing a cap would leave a T-junction on the neighbour's edge, so
+the neighbour is split instead:
 
         w                      w
        / \                    /|\
@@ -20,13 +20,13 @@ from scanloom.stages.surface.mesh import Triangles, Vertices
 from scanloom.stages.surface.topology import FLAT, is_degenerate, repeats_vertex
 from scanloom.stages.surface.traced import Traced
 
-# Each round removes a layer of flat triangles; real scans need two. What is left after this many, a heap
-# of collinear triangles, is dropped.
+# Maximum iterations, each of which removes one layer of degenerate triangles. Scans need two. Stacks of
+# collinear triangles that remain are deleted.
 _ROUNDS = 32
 
 
 def without_degenerate(traced: Traced) -> Traced:
-    """Return the surface without triangles that repeat a vertex or have no area."""
+    """Remove triangles that use a vertex twice or have no area."""
     for _ in range(_ROUNDS):
         traced = traced.keep(~repeats_vertex(traced.mesh.triangles))
         flat = np.flatnonzero(is_degenerate(traced.mesh.vertices, traced.mesh.triangles))
@@ -41,7 +41,12 @@ def without_degenerate(traced: Traced) -> Traced:
 
 
 def _ends_of_short_edges(traced: Traced, flat: Ids) -> Ids | None:
-    """Return the vertex that stands for each after collapsing the short edges, None if there are none."""
+    """Map each vertex to its representative after collapsing all short edges.
+
+    Returns
+    -------
+    (n,) representative of each vertex; None if there is no short edge.
+    """
     triangles = traced.mesh.triangles[flat]
     lengths = _edge_lengths(traced.mesh.vertices, triangles)
     short = lengths <= FLAT * lengths.max(axis=1, keepdims=True)
@@ -54,7 +59,10 @@ def _ends_of_short_edges(traced: Traced, flat: Ids) -> Ids | None:
 
 
 def _split_neighbours(traced: Traced, flat: Ids) -> Traced:
-    """Split the neighbour across the longest edge of each cap; of caps that touch, one goes first."""
+    """Split the neighbour across the longest edge of each cap.
+
+    Of caps that share a neighbour, only the first is processed in this iteration.
+    """
     triangles = traced.mesh.triangles.astype(np.int64)
     count = len(triangles)
     edges = edges_of(traced.mesh.triangles, len(traced.mesh.vertices))
@@ -62,8 +70,8 @@ def _split_neighbours(traced: Traced, flat: Ids) -> Traced:
     halfedge = 3 * flat + longest
     edge = edges.of_halfedge[halfedge]
     paired = edges.count[edge] == 2
-    # On the border nothing hangs on the longest edge. Beside three or more triangles the cap is dropped
-    # too: what meets there is taken apart anyway.
+    # A border cap leaves no T-junction when it is deleted. Caps at edges of three or more triangles are
+    # deleted too, because such edges are split later anyway.
     keep = np.ones(count, bool)
     keep[flat[~paired]] = False
 
@@ -97,7 +105,10 @@ def _split_neighbours(traced: Traced, flat: Ids) -> Traced:
 def _split_corners(
     values: Vertices, cap: Ids, neighbour: Ids, columns: Ids, share: Vertices, *, unit: bool = False
 ) -> Vertices:
-    """Return values per corner after the split; at v lies what lies between those at p and q."""
+    """Interpolate corner attributes for the two triangles after the split.
+
+    The value at v is interpolated linearly between the values at p and q, and normalised if `unit` is set.
+    """
     values = values.copy()
     corner = np.take_along_axis(values[neighbour], columns[..., None], axis=1)
     middle = corner[:, 0] * (1 - share) + corner[:, 1] * share
@@ -110,13 +121,16 @@ def _split_corners(
 
 
 def _share(vertices: Vertices, p: Ids, q: Ids, v: Ids) -> Vertices:
-    """Return (k, 1) how far v, which lies between p and q, is on the way from p."""
+    """Compute the position (k, 1) of v between p (0) and q (1)."""
     from_p = np.linalg.norm(vertices[v] - vertices[p], axis=1, keepdims=True)
     from_q = np.linalg.norm(vertices[v] - vertices[q], axis=1, keepdims=True)
     return np.asarray(from_p / (from_p + from_q))
 
 
 def _edge_lengths(vertices: Vertices, triangles: Triangles | Ids) -> Vertices:
-    """Return (m, 3) lengths, the first of the edge from corner 0 to corner 1."""
+    """Compute the edge lengths (m, 3) of triangles.
+
+    Column 0 is the edge from corner 0 to corner 1.
+    """
     corners = vertices[triangles]
     return np.asarray(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2))

@@ -1,9 +1,10 @@
-"""Make any set of triangles an oriented manifold, keeping as much surface as possible.
+"""Conversion of any triangle set to an oriented manifold.
 
-Neighbours are turned to agree on the outside; at each edge at most two triangles are linked; then every
-vertex is split into one vertex for each fan of linked corners. Sheets that touch come apart, and nothing is
-removed unless two sheets stay joined at both ends of an edge: there the smallest triangle goes.
-Splitting vertices by their fans follows Guéziec, Taubin, Lazarus and Horn, "Cutting and stitching", 2001.
+Triangles are flipped so that neighbours are oriented consistently. At most two triangles are linked at each
+edge. Each vertex is then split into one vertex per fan of linked corners. Touching sheets are separated
+without removing triangles. The only exception is an edge at which two sheets stay connected at both ends: its
+smallest triangle is removed. Vertex splitting follows Guéziec, Taubin, Lazarus and Horn, "Cutting and
+stitching", 2001.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import areas
 from scanloom.stages.surface.traced import Traced
 
-# Edges of more triangles are not matched but taken apart; the pairs to compare grow with the square.
+# Edges with more triangles are split without pairing triangles, because the number of candidate pairs grows
+# quadratically.
 _MOST_TO_MATCH = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Manifold:
-    """An oriented manifold and what it took: triangles turned, vertices added, triangles removed."""
+    """Oriented manifold, with counts of flipped triangles, added vertices and removed triangles."""
 
     traced: Traced
     flipped: int
@@ -33,7 +35,10 @@ class Manifold:
 
 
 def make_manifold(traced: Traced) -> Manifold:
-    """Return the surface as an oriented manifold; no triangle may repeat a vertex or another triangle."""
+    """Make the surface an oriented manifold.
+
+    No triangle of the input may use a vertex twice or duplicate another triangle.
+    """
     flipped = split_vertices = removed = 0
     while True:
         count = len(traced.mesh.vertices)
@@ -54,11 +59,11 @@ def make_manifold(traced: Traced) -> Manifold:
 
 
 def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
-    """Choose triangles to turn over so that neighbours agree, as few as possible in each sheet.
+    """Select the triangles (m,) to flip so that neighbours agree.
 
-    A sheet is what edges of exactly two triangles hold together. It can be oriented if its two-sheeted
-    orientation cover falls into two parts; if not (a Möbius strip), a seam is left along which
-    neighbours disagree.
+    A sheet is a component connected by edges of exactly two triangles; as few triangles as possible are
+    flipped per sheet. A sheet is orientable if its orientation double cover has two components. On a
+    non-orientable sheet, such as a Möbius strip, neighbours disagree along a seam.
     """
     a, b = (halfedge // 3 for halfedge in neighbours(edges, edges.count == 2))
     differ = edges.forward[edges.count == 2] != 1
@@ -87,17 +92,22 @@ def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
 def _parity_of_tree(
     count: int, a: Ids, b: Ids, differ: NDArray[np.bool_], chosen: NDArray[np.bool_], sheet: Ids
 ) -> NDArray[np.bool_]:
-    """Return whether to turn each triangle so that all agree along a breadth-first tree of each sheet."""
+    """Select triangles (m,) to flip along a spanning tree per sheet.
+
+    The tree is breadth-first.
+
+    After the flips, all neighbours along tree edges agree.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import breadth_first_order
 
-    # Of several edges between the same two triangles the tree takes the first.
+    # Two triangles may share several edges; the tree uses the first.
     _, first = np.unique(np.minimum(a, b) * count + np.maximum(a, b), return_index=True)
     a, b, differ = a[first], b[first], differ[first]
     members = np.flatnonzero(chosen)
     _, roots = np.unique(sheet[members], return_index=True)
     root = members[roots]
-    # A node beside the triangles joins all sheets, so that one search visits them all.
+    # An extra root node connects all sheets, so that one search visits all of them.
     rows, columns = np.concatenate((a, root)), np.concatenate((b, np.full(len(root), count)))
     weights = np.concatenate((1 + differ, np.ones(len(root))))
     graph = csr_matrix((weights, (rows, columns)), shape=(count + 1, count + 1))
@@ -115,7 +125,10 @@ def _parity_of_tree(
 
 
 def _links(mesh: Mesh, edges: Edges) -> tuple[Ids, Ids]:
-    """Return the pairs of halfedges to link: those of a plain edge, and of others the flattest pairs."""
+    """Return the pairs of halfedges to link.
+
+    Regular edges link their two halfedges. Non-manifold edges link the flattest pairs.
+    """
     a, b = neighbours(edges, (edges.count == 2) & (edges.forward == 1))
     crowded = np.flatnonzero((edges.count > 2) & (edges.count <= _MOST_TO_MATCH))
     pairs = [pair for edge in crowded.tolist() for pair in _flattest_pairs(mesh, edges, edge)]
@@ -124,7 +137,7 @@ def _links(mesh: Mesh, edges: Edges) -> tuple[Ids, Ids]:
 
 
 def _flattest_pairs(mesh: Mesh, edges: Edges, edge: int) -> list[tuple[int, int]]:
-    """Match the triangles of an edge, flattest continuation first; only pairs that agree on the outside."""
+    """Pair consistently oriented triangles at an edge, flattest pair first."""
     start = edges.start[edge]
     halfedges = edges.halfedges[start : start + edges.count[edge]]
     corners = mesh.triangles.reshape(-1)
@@ -146,7 +159,10 @@ def _flattest_pairs(mesh: Mesh, edges: Edges, edge: int) -> list[tuple[int, int]
 
 
 def _offenders(mesh: Mesh) -> NDArray[np.bool_]:
-    """Return the smallest triangle of each edge that still breaks the rule."""
+    """Select the smallest triangle at each edge that is still invalid.
+
+    Invalid edges are non-manifold or have inconsistent triangles. The result is a mask (m,).
+    """
     edges = edges_of(mesh.triangles, len(mesh.vertices))
     bad = (edges.count > 2) | ((edges.count == 2) & (edges.forward != 1))
     offenders = np.zeros(len(mesh.triangles), bool)

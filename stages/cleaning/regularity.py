@@ -1,8 +1,8 @@
-"""Where a mesh is not regular: what the next program may stumble over, class by class.
+"""Irregular elements of a mesh, by defect class.
 
-The classes are those of Wang, Lu and Pan (2012, section 2.1.2), with the field's names where theirs are
-exchanged (a cap has one angle near 180°, a needle none and one near 0°), and three more: borders,
-duplicates and triangles that meet where the mesh does not say so.
+The classes follow Wang, Lu and Pan (2012, section 2.1.2). The names are the usual ones where the paper swaps
+them: a cap has an angle near 180°, a needle has an angle near 0° and none near 180°. Borders, duplicate
+triangles and intersecting triangles are added.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from scanloom.stages.surface.topology import (
     repeats_vertex,
 )
 
-# What the kernel says of a triangle that meets none.
+# Value of the kernel for a triangle that intersects no other.
 NO_OTHER = np.uint32(2**32 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What counts as irregular; all in degrees.
+    """Angle thresholds of the defect classes, in degrees.
 
     Attributes
     ----------
-    corner : an angle of a triangle is too small below this, and too large above 180 − this.
-    fold : two triangles are folded onto each other where their normals are apart by more than 180 − this.
-    spike : a vertex inside the surface is a spike if the angles around it have less than this in sum.
+    corner : corner angles of a triangle below this, or above 180 − this, are irregular.
+    fold : neighbours are folded if the angle between their normals is above 180 − this.
+    spike : an inner vertex is a spike if its corner angles sum to less than this.
     """
 
     corner: float
@@ -46,7 +46,10 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """A mesh without copies of vertices, its triangles that repeat no vertex, and their edges."""
+    """Mesh without duplicate vertices, and its edges.
+
+    `proper` are the triangles with three distinct vertices; `edges` are edges of these triangles.
+    """
 
     vertices: Vertices
     triangles: Triangles
@@ -55,23 +58,26 @@ class _Surface:
 
     @property
     def corners(self) -> Triangles:
-        """The vertices of the proper triangles, (p, 3)."""
+        """Vertices (p, 3) of the triangles with three distinct vertices."""
         return self.triangles[self.proper]
 
 
 def irregular(
     vertices: Vertices, triangles: Triangles, limits: Limits, threads: int, progress: Progress
 ) -> dict[str, Ids]:
-    """Return the places of each class.
+    """Find the irregular elements of each class.
 
     Parameters
     ----------
-    vertices, triangles : (n, 3) float64 m and (m, 3) int32; vertices of equal position have one number.
-    threads : 0 for one a core.
+    vertices, triangles : (n, 3) float64, metres, and (m, 3) int32, without duplicate vertices.
+    limits : angle thresholds.
+    threads : 0 for one per core.
+    progress : called with (triangles tested for intersections, all triangles).
 
     Returns
     -------
-    dict : vertices (k,), edges (k, 2) by their vertices, the smaller first, or triangles (k,); ascending.
+    dict : per class, vertices (k,), edges (k, 2) with the smaller vertex index first, or triangles (k,),
+        ascending.
     """
     places = irregular_neighbourhoods(vertices, triangles, limits)
     other = intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
@@ -79,9 +85,10 @@ def irregular(
 
 
 def irregular_neighbourhoods(vertices: Vertices, triangles: Triangles, limits: Limits) -> dict[str, Ids]:
-    """Return, as `irregular`, the places of all classes but that of triangles that intersect.
+    """Find the irregular elements of all classes except intersecting triangles.
 
-    Each is seen from the triangles around it alone.
+    Each of these classes depends only on the triangles around an element. The result has the form of
+    `irregular`.
     """
     (proper,) = np.nonzero(~repeats_vertex(triangles))
     surface = _Surface(vertices, triangles, proper, edges_of(triangles[proper], len(vertices)))
@@ -108,7 +115,7 @@ def irregular_neighbourhoods(vertices: Vertices, triangles: Triangles, limits: L
 
 
 def corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
-    """Return the angles (m, 3) at the corners of triangles, degrees."""
+    """Compute the corner angles (m, 3) of triangles, in degrees."""
     places = vertices[triangles]
     found = np.empty(triangles.shape)
     for k in range(3):
@@ -119,13 +126,16 @@ def corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.
 
 
 def _focal(surface: _Surface) -> Ids:
-    """Return the vertices at which more than two edges of one triangle end."""
+    """Find the vertices at which more than two border edges end."""
     border = surface.edges.ends[surface.edges.count == 1]
     return np.flatnonzero(np.bincount(border.reshape(-1), minlength=len(surface.vertices)) > 2)
 
 
 def _alone_at(surface: _Surface, singular: Ids) -> Ids:
-    """Return the triangles at singular vertices with twice as many neighbours: each is alone there."""
+    """Find triangles that share no edge at a singular vertex.
+
+    They are recognised by the vertex having twice as many neighbours as triangles.
+    """
     count = len(surface.vertices)
     triangles_at = np.bincount(surface.corners.reshape(-1), minlength=count)
     neighbours_at = np.bincount(surface.edges.ends.reshape(-1), minlength=count)
@@ -135,7 +145,7 @@ def _alone_at(surface: _Surface, singular: Ids) -> Ids:
 
 
 def _folded(surface: _Surface, degenerate: NDArray[np.bool_], fold: float) -> Ids:
-    """Return the edges whose two triangles lie nearly on each other."""
+    """Find the edges (k, 2) whose triangles are folded onto each other."""
     edges = surface.edges
     (chosen,) = np.nonzero(edges.count == 2)
     both = surface.proper[edges.halfedges[edges.start[chosen][:, None] + np.arange(2)] // 3]
@@ -143,14 +153,14 @@ def _folded(surface: _Surface, degenerate: NDArray[np.bool_], fold: float) -> Id
     corners = surface.vertices[surface.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     one, other = normals[both[:, 0]], normals[both[:, 1]]
-    # Of two that run against each other one looks the wrong way.
+    # For inconsistently oriented neighbours, one normal is reversed.
     sign = np.where(inconsistent(edges)[chosen], -1.0, 1.0)
     apart = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), sign * np.einsum("ij,ij->i", one, other))
     return np.asarray(edges.ends[chosen[np.degrees(apart) > 180 - fold]])
 
 
 def _spikes(surface: _Surface, singular: Ids, angles: NDArray[np.float64], least: float) -> Ids:
-    """Return the vertices inside the surface around which there is little of it."""
+    """Find inner vertices whose corner angles sum to less than `least`."""
     count = len(surface.vertices)
     corners = surface.corners.reshape(-1)
     around = np.bincount(corners, angles[surface.proper].reshape(-1), minlength=count)

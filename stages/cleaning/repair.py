@@ -1,13 +1,13 @@
-"""Repair what is irregular, as far as the surface provably stays where it is, and leave all else untouched.
+"""Repair of irregular elements within a proven distance; everything else stays unchanged.
 
-The repairs are those of Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
-hierarchies" (2012, table 1): the longest side of a cap is flipped, the shortest of a needle collapsed, an
-edge the surface is folded along flipped, a spike smoothed. Where the surface is no manifold, nothing is done.
+The operations follow Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies"
+(2012, table 1). They flip the longest edge of caps and folded edges, collapse the shortest edge of needles,
+and smooth spikes. Non-manifold regions are left alone.
 
-    make every repair after which nothing new is irregular, in rounds
+    apply every repair that creates no new defect, in rounds
     repeat:
-        prove the distance of all that was written, both ways, and undo what passes max_shape
-        compare what is irregular with what was, in all classes, and undo what made something so
+        prove the two-sided distance of all changed triangles, and undo those beyond max_shape
+        compare the defects of all classes with the input, and undo repairs that created new ones
     until nothing is undone
 """
 
@@ -45,23 +45,23 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import RepairKeywords
 
-# Of the median edge: what a repair may move the surface by default. A needle of one degree that is as long as
-# an edge is 0.017 of it wide.
+# Default `max_shape` as a ratio of the median edge length. A needle of 1° with edges of median length is
+# 0.017 edges wide.
 SHAPE_SHARE = 0.05
 
-# Places that figures name of each class.
+# Elements listed per defect class in the statistics.
 _NAMED = 10
 _STEPS = 3
-# Rings around written triangles that are part of their proof; a nearest point may lie there.
+# Rings of triangles around changed ones that take part in the proof, because the nearest point may lie there.
 _PROOF_RINGS = 1
-# Pieces per triangle in a proof. More do not tighten bounds, which are limited by what needles add.
+# Subdivisions per triangle in a proof. More do not tighten the bounds, because needles dominate them.
 _PROOF_EFFORT = 1.0
 _DEGENERATE = REPAIRABLE.index("degenerate_triangles")
 _CHECKED = described(CheckParams)
 
 
 def _as_checked(name: str) -> Any:
-    """Return a parameter that is that of `check`."""
+    """Declare a parameter identical to the one of `check`."""
     about = _CHECKED[name]
     return param(
         CheckParams.__dataclass_fields__[name].default,
@@ -75,11 +75,12 @@ def _as_checked(name: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class RepairParams:
-    """From where on something is irregular, and how far the surface may move."""
+    """Thresholds of the defect classes, and the distance limit of repairs."""
 
     max_shape: float | None = param(
         None,
-        "How far the surface may move, which is proven; by default a twentieth of the median edge.",
+        "Maximum distance by which the surface may move, which is proven. Default: a "
+        "twentieth of the median edge length.",
         unit="m",
         low=0,
     )
@@ -94,23 +95,25 @@ class RepairParams:
 
 @dataclass(frozen=True, eq=False)
 class Repaired:
-    """A repaired mesh, and what was and was not done.
+    """Result of `repair`: the mesh, and what was and was not repaired.
+
+    Indices of elements refer to the input mesh.
 
     Attributes
     ----------
-    mesh : the mesh; what was not irregular is as it was.
-    vertex_source : (n,) vertex of the input each vertex was.
-    triangle_source : (m,) triangle of the input in whose place each one is.
-    found : of each class in `scanloom.stages.cleaning.check.CLASSES` that looks at neighbours or
-        intersections, the vertices (k,), edges (k, 2) or triangles (k,) that belong to it, by their numbers
-        in the input.
-    repaired : of those, the ones that are no longer irregular; some may have gone with others.
-    left : of those, the ones that still are; why : in words, for each.
-    points : of what is left, a point (k, 3) for each, metres: the vertex, or the middle.
-    rolled_back : of each class the places where a repair was made and undone.
-    bound_m : what is proven: no point of either surface is farther from the other, metres.
-    max_shape_m : metres, as used.
-    diagnostics : what is left.
+    mesh : repaired mesh; regular elements are unchanged.
+    vertex_source : (n,) input vertex of each vertex.
+    triangle_source : (m,) input triangle that each triangle replaces.
+    found : defects of the input: per class in `scanloom.stages.cleaning.check.CLASSES` except thin triangles,
+        vertices (k,), edges (k, 2) or triangles (k,).
+    repaired : defects that no longer exist; some disappear through repairs of others.
+    left : defects that remain.
+    why : reason in words for each remaining defect.
+    points : per class, a point (k, 3) per remaining defect, metres: the vertex, or the centre.
+    rolled_back : per class, the number of repairs that were made and undone.
+    bound_m : proven two-sided distance between input and result, metres.
+    max_shape_m : applied distance limit, metres.
+    diagnostics : warnings about remaining defects.
     """
 
     mesh: Mesh
@@ -130,7 +133,7 @@ class Repaired:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return the counts of all classes, why something is left, and the first of these places."""
+        """Return statistics for reports, with remaining defects per class."""
         return {
             "bound_m": self.bound_m,
             "max_shape_m": self.max_shape_m,
@@ -159,31 +162,34 @@ def repair(
     progress: Progress = silent,
     **changes: Unpack[RepairKeywords],
 ) -> Repaired:
-    """Repair caps, needles, folds, spikes, degenerate and duplicate triangles where nothing is lost by it.
+    """Repair caps, needles, folds, spikes, degenerate and duplicate triangles.
 
-    A repair is made only if nothing is irregular after it that was not before, in any class of `check`, no
-    triangle is turned over, on the surface or in a texture, and no border, seam, material or part changes.
-    It stays only if the surface around is proven to be within `max_shape` of what it was, both ways. All
-    else keeps its bits, numbers and order, but for the numbers that removed ones leave. The same input gives
-    the same bytes.
+    A repair is made only if it creates no new defect in any class of `check`. It must not flip a triangle, in
+    3-D or in the texture. Borders, seams, materials and parts do not change. A repair is kept only if the
+    two-sided distance to the input is proven to be within `max_shape`. All other elements stay bit-identical
+    and in order. The result is deterministic.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres.
-    params : RepairParams; single fields can be given by name instead.
-    progress : called with (steps done, all).
+    params : RepairParams; single fields can be given as keywords instead.
+    progress : called with (steps done, all steps).
+
+    Returns
+    -------
+    Repaired
 
     Raises
     ------
     MeshError
-        If it is no valid mesh, or its coordinates are too large.
+        If the mesh is invalid, or its coordinates are too large.
     UsageError
         If a parameter is out of range.
 
     References
     ----------
-    Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies", 2012, for the
-    classes and their repairs.
+    Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies", 2012: defect
+    classes and repair operations.
     """
     with collecting() as diagnostics:
         repaired = _repair(as_mesh(mesh), resolve(RepairParams, params, changes), progress)
@@ -227,7 +233,7 @@ def _default_max_shape(mesh: Mesh) -> float:
 
 
 def _drop_repeating(edited: Edited, account: Account) -> None:
-    """Leave triangles out that repeat a vertex: nothing hangs on them."""
+    """Delete triangles that use a vertex index twice, which leaves no T-junction."""
     given = edited.mesh.triangles
     (rows,) = np.nonzero(repeats_vertex(given))
     number = np.arange(len(rows))
@@ -235,13 +241,13 @@ def _drop_repeating(edited: Edited, account: Account) -> None:
     gone = np.full((len(rows), 3), GONE)
     edited.make((number, rows), (number, rows, gone), (none, none, np.zeros((0, 3))), len(rows))
     account.made += [(_DEGENERATE, int(row)) for row in rows]
-    # Of others it is two vertices that are in one place: something may hang on these.
+    # Triangles with two vertices at one position stay: deleting them could leave a T-junction at a seam.
     for row in np.flatnonzero(repeats_vertex(edited.first[given]) & ~repeats_vertex(given)):
         account.refused[_DEGENERATE, int(row)] = SEAM
 
 
 def _rows_of(triangles: Ids, found: dict[str, Ids]) -> Ids:
-    """Return the triangles at places that have a repair."""
+    """Return the triangles at repairable defects."""
     vertices = np.zeros(triangles.max(initial=-1) + 1, bool)
     rows = np.zeros(len(triangles), bool)
     for name in REPAIRABLE:
@@ -251,13 +257,16 @@ def _rows_of(triangles: Ids, found: dict[str, Ids]) -> Ids:
 
 
 def _find_unproven(edited: Edited, limit: float, threads: int) -> tuple[Ids, float]:
-    """Return the triangles whose distance is not proven to be within a limit, and the bound proven for all.
+    """Find changed triangles whose distance is not proven within `limit`.
 
-    A triangle that no edit wrote is at distance zero from itself. So only written triangles are certified,
-    each against its surroundings before or after: the distance to part of a surface bounds the distance to
-    the entire surface.
+    An unchanged triangle has distance zero to itself. So only changed triangles are certified, against their
+    neighbourhood before or after the repairs. The distance to part of a surface is an upper bound of the
+    distance to the complete surface.
 
-    Both are in metres, and the proof holds in both directions.
+    Returns
+    -------
+    far : triangles without a proof, in either direction.
+    bound : metres, the bound proven for all changed triangles.
     """
     changed = edited.changed()
     if len(changed) == 0:
@@ -286,12 +295,12 @@ def _used_mesh(vertices: Vertices, triangles: Ids) -> Mesh:
 
 
 def _undo(edited: Edited, account: Account, rows: Ids, reason: int) -> None:
-    """Undo what wrote some triangles, and what rests on it."""
+    """Undo the edits that wrote some triangles, and dependent edits."""
     edits, restored = edited.undo(edited.writers(rows))
     places = [account.made[edit] for edit in edits]
     account.refused |= dict.fromkeys(places, reason)
     account.undone.update(places)
-    # What else had gone with these is back, too.
+    # Defects that disappeared as a side effect of these edits exist again.
     account.restored |= dict.fromkeys(restored.tolist(), reason)
 
 
@@ -316,7 +325,7 @@ def _told(
     if warned:
         emit(
             CLEAN_NOT_REPAIRED.warning(
-                "found, and nothing is done about it: {warned}.", warned=", ".join(warned)
+                "found defects that repair does not treat: {warned}.", warned=", ".join(warned)
             )
         )
     mesh, vertex_source, triangle_source = repaired_mesh(edited)
@@ -336,7 +345,10 @@ def _told(
 
 
 def _reason(account: Account, name: str, key: int) -> int:
-    """Return why a place is left: what spoke against its repair last, or undid what it had gone with."""
+    """Return the reason code of a remaining defect.
+
+    This is the last rejection of its repair, or the reason for undoing a repair that had removed it.
+    """
     if name not in REPAIRABLE:
         return HELPLESS
     of_triangle = CLASSES[name][0] == "triangle"
@@ -349,7 +361,10 @@ def _keys(edited: Edited, places: Ids) -> Ids:
 
 
 def _points(edited: Edited, name: str, places: Ids) -> Vertices:
-    """Return a point (k, 3) of the given mesh for each vertex, edge or triangle."""
+    """Compute an input point (k, 3) for each vertex, edge or triangle.
+
+    Edges and triangles are represented by their centre.
+    """
     vertices = edited.mesh.vertices
     if CLASSES[name][0] == "vertex":
         return vertices[places]
@@ -361,7 +376,8 @@ def _report_left(name: str, found: int, why: list[str], points: Vertices) -> Non
     x, y, z = points[0]
     emit(
         CLEAN_NOT_REPAIRED.warning(
-            "{left:,} of {found:,} {what} left: {reasons}; the first at ({x:.6g}, {y:.6g}, {z:.6g}) m.",
+            "{left:,} of {found:,} {what} not repaired: {reasons}; the first at ({x:.6g}, "
+            "{y:.6g}, {z:.6g}) m.",
             left=len(why),
             found=found,
             what=_spoken(name),
@@ -374,7 +390,10 @@ def _report_left(name: str, found: int, why: list[str], points: Vertices) -> Non
 
 
 def _is_told(name: str) -> bool:
-    """Return whether to warn of a class without a repair; a border is what every open scan has."""
+    """Return True for classes without a repair that need a warning.
+
+    Borders need none, because every open scan has them.
+    """
     return name not in REPAIRABLE and name != "border_edges"
 
 

@@ -1,4 +1,4 @@
-"""Join borders that lie on each other."""
+"""Stitching of coincident borders, and welding of close vertices."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from scanloom.stages.surface.welding import same_rows
 
 
 def stitch(traced: Traced) -> tuple[Traced, int]:
-    """Unite the ends of border edges that lie exactly on each other and run in opposite directions.
+    """Join pairs of border edges at equal positions and in opposite directions.
 
-    So the seams of textured files and soups of single triangles become one surface, while sheets that
-    touch in a point or run together along an edge stay as they are. The first vertex gives the colour.
+    This connects surfaces along texture seams, and triangle soups. Sheets that only touch at a point, or
+    along edges of more than two triangles, stay separate. The joined vertex keeps the colour of the first
+    one.
 
     Returns
     -------
-    The mesh, and the number of pairs of edges that were joined.
+    The mesh, and the number of joined pairs of edges.
     """
     mesh = traced.mesh
     corners = mesh.triangles.reshape(-1)
@@ -48,14 +49,14 @@ def stitch(traced: Traced) -> tuple[Traced, int]:
 
 
 def _places(vertices: Vertices, chosen: Ids) -> Ids:
-    """Return for each chosen vertex the first chosen one at its position."""
+    """Map each selected vertex to the first selected vertex at its position."""
     place = np.arange(len(vertices))
     place[chosen] = chosen[same_rows(list(vertices[chosen].T))]
     return place
 
 
 def weld(traced: Traced, distance: float) -> Traced:
-    """Unite vertices no farther apart than `distance` metres, chains of them included."""
+    """Merge vertices within `distance` metres of each other, transitively."""
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(traced.mesh.vertices).query_pairs(distance, output_type="ndarray")

@@ -1,1 +1,1 @@
-"""Simplification: one folder a method, and what all methods share."""
+"""Mesh simplification: one package per method, and the code they share."""

@@ -1,4 +1,4 @@
-"""Which method does what is asked, and why none does."""
+"""Selection of the simplification method from the given parameters."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from scanloom.stages.simplification.params import AUTO, SimplifyParams
 
 
 def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, Any]:
-    """Return the method that is given, or the one that `auto` stands for here.
+    """Select the given method, or resolve `auto`.
 
-    That is the first of the table that has all parameters that are given, and is given what it needs.
+    `auto` selects the first method of the table that supports all given parameters and has everything it
+    requires.
 
     Parameters
     ----------
-    in_pieces : whether the mesh has texture, materials, parts or normals of corners; methods that carry these
-        are asked first.
+    params : parameters of `simplify`.
+    in_pieces : True if the mesh has texture, materials, parts or corner normals. Methods that preserve these
+        are then tried first.
 
     Raises
     ------
     UsageError
-        If the parameters do not suit the method, or any.
+        If the parameters do not fit the given method, or no method supports them.
     """
     given = _given(params)
     if params.method != AUTO:
@@ -39,18 +41,18 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
     for method in candidates:
         if not (_foreign(method, given) or _lacking(method, params) or _has_no_count(method, params)):
             return method
-    # The parameter that fewest methods have says best what was meant.
+    # The parameter supported by the fewest methods indicates the intended method best.
     name = min(given, key=lambda name: len(_knowing(name)))
     raise UsageError(
         USAGE_METHOD_MISMATCH,
-        "is for {why_not}",
+        "belongs to {why_not}",
         Where(parameter=name),
         why_not=_why_not(_knowing(name)[0], params, given),
     )
 
 
 def has_no_goal(params: SimplifyParams) -> bool:
-    """Return whether the parameters leave open how far to go, and with which method."""
+    """Return True if the parameters specify neither a target nor a method."""
     has_goal = params.triangles is not None or params.ratio is not None
     return params.method == AUTO and not has_goal and not _given(params)
 
@@ -58,7 +60,13 @@ def has_no_goal(params: SimplifyParams) -> bool:
 def require_taken(
     method: Method[Any, Any], *, lock: bool, importance: bool, record: bool, partial: bool
 ) -> None:
-    """Raise UsageError for the first of these that is wanted, and that the method cannot be given."""
+    """Reject the first requested feature that the method does not support.
+
+    Raises
+    ------
+    UsageError
+        Naming the feature and the methods that support it.
+    """
     for name, wanted in {
         "lock": lock,
         "importance": importance,
@@ -69,7 +77,7 @@ def require_taken(
             others = _listed([other.name for other in METHODS if getattr(other.takes, name)], "and")
             raise UsageError(
                 USAGE_METHOD_MISMATCH,
-                "{name} has no meaning for method {method_name}; it is for {others}.",
+                "{name} is not supported by method {method_name}, only by {others}.",
                 name=name,
                 method_name=method.name,
                 others=others,
@@ -77,7 +85,7 @@ def require_taken(
 
 
 def _given(params: SimplifyParams) -> list[str]:
-    """Return the parameters that differ from their defaults, of those that only some methods have."""
+    """Return the method-specific parameters that differ from their defaults."""
     return [name for name in find_changed(params) if _knowing(name)]
 
 
@@ -90,7 +98,7 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
     if foreign is not None:
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "has no meaning for method {method_name}",
+            "is not supported by method {method_name}",
             Where(parameter=foreign),
             remedy="leave one of them out.",
             method_name=method.name,
@@ -107,7 +115,7 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
     if _has_no_count(method, params):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "{method_name} goes as far as its bounds",
+            "{method_name} stops only at its bounds",
             Where(parameter="method"),
             remedy="leave out triangles and ratio.",
             method_name=method.name,
@@ -115,30 +123,30 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
 
 
 def _why_not(method: Method[Any, Any], params: SimplifyParams, given: Collection[str]) -> str:
-    """Say of a method that would be taken for one of its parameters why it is not."""
+    """Explain why the method that a parameter belongs to was not selected."""
     foreign, need = _foreign(method, given), _lacking(method, params)
     if not method.auto:
-        return f"method {method.name}; give method too."
+        return f"method {method.name}, which auto never selects; give method {method.name}, too."
     if need is not None:
         return f"method {method.name}, which needs {_listed(need.names, 'or')}."
     if foreign is not None:
-        return f"method {method.name}, for which {foreign} has no meaning; leave one of them out."
-    return f"method {method.name}, which goes as far as its bounds; leave out triangles and ratio."
+        return f"method {method.name}, which does not support {foreign}; leave one of them out."
+    return f"method {method.name}, which stops only at its bounds; leave out triangles and ratio."
 
 
 def _foreign(method: Method[Any, Any], given: Collection[str]) -> str | None:
-    """Return the first of the parameters that the method does not have."""
+    """Return the first given parameter that the method does not support."""
     return next((name for name in given if not method.knows(name)), None)
 
 
 def _lacking(method: Method[Any, Any], params: SimplifyParams) -> Need | None:
-    """Return what the method needs and is not given."""
+    """Return the requirement of the method that is not met, or None."""
     need = method.needs
     return None if need is None or any(get_value(params, name) is not None for name in need.names) else need
 
 
 def _has_no_count(method: Method[Any, Any], params: SimplifyParams) -> bool:
-    """Return whether a number of triangles is wanted of a method that stops at none."""
+    """Return True if the method does not support a given triangle count."""
     return not method.takes.count and (params.triangles is not None or params.ratio is not None)
 
 

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of simplification, with explanations."""
+"""Diagnostic codes of simplification, with explanations."""
 
 from __future__ import annotations
 
@@ -6,118 +6,120 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 SIMPLIFY_NOT_MANIFOLD = Code(
     "simplify.not-manifold",
-    "A surface that is no manifold",
+    "Non-manifold surface",
     """
-A warning: sheets stay as they are where they touch. `scanloom clean` first lets these places move.
+A warning: the surface was split into manifold sheets, which are not simplified where they touch. Run
+`scanloom clean` first to simplify these regions, too.
 """,
     (
-        "the surface is no manifold: it was split into sheets, which stay as they are at 214 vertices where "
-        "they touch; run clean first to let these move."
+        "the surface is not a manifold: it was split into sheets, which stay unchanged at 214 vertices where "
+        "they touch; run clean first to simplify there, too."
     ),
 )
 SIMPLIFY_BOUND_NOT_PROVEN = Code(
     "simplify.bound-not-proven",
-    "Bounds that are not proven, or not kept",
+    "Bounds that are not proven or not met",
     """
-Exit code 1: the file is written, and the bounds that are proven instead are named. Where sheets of
-different colours touch, no small bound on colour is true even of the mesh and itself. Give a larger
-bound, or leave the bound on colour out.
+Exit code 1: the file is written, and the message contains the bounds that are proven instead. Where surfaces
+of different colours touch, no small colour bound can be proven, not even for an unchanged mesh. Give a larger
+bound, or omit the bound on colour.
 """,
-    "the bounds that were asked for are not proven; proven are 0.00213 m and 31.5 levels.",
+    "the requested bounds are not proven; 0.00213 m and 31.5 levels are proven instead.",
 )
 SIMPLIFY_COLORS_NOT_COMPARED = Code(
     "simplify.colors-not-compared",
-    "Colours that are not compared",
+    "Colours that cannot be compared",
     """
-A warning of `simplify` with `max_color`. Where sheets of different colours lie on each other, a point has
-several colours, and a difference of colour has no meaning. `scanloom clean` takes doubled faces away.
+A warning of `simplify` with `max_color`. Where surfaces of different colours coincide, a point has several
+colours, and a colour difference is not defined. `scanloom clean` removes double faces.
 """,
-    ("colours are not compared at 1,204 triangles, where the model itself has several colours in one place."),
+    "colours are not compared at 1,204 triangles, where surfaces of different colours coincide in the input.",
 )
 SIMPLIFY_TRADEOFF = Code(
     "simplify.tradeoff",
     "Error against triangles",
     """
-Of `tradeoff`. Exit code 1 if the bound is below the error of all numbers of triangles: give larger
-numbers, or a larger bound. The others are remarks: why a curve ends, and which meshes its distances
-belong to.
+Messages of `tradeoff`. Exit code 1 if the error exceeds the bound at every triangle count: give larger counts
+or a larger bound. The other messages explain why a curve ends, and which meshes the distances refer to.
 """,
-    "none of these numbers keeps 95 % of the surface within 0.001 m; give more triangles with --counts.",
+    (
+        "at none of these triangle counts is 95 % of the surface within 0.001 m; give larger counts with "
+        "--counts."
+    ),
 )
 SIMPLIFY_DEFAULT_COUNT = Code(
     "simplify.default-count",
-    "Fewer triangles than the default bounds would leave",
+    "Default bounds that leave too many triangles",
     """
-A warning about a large mesh for which neither a number nor a bound was given. A number or a bound that is
-given is kept to.
+A warning about a large mesh, if neither a triangle count nor a bound is given. A count or bound that is given
+applies unchanged.
 """,
     (
-        "within the default bounds 6,120,331 triangles would be left, more than what follows takes at once; "
-        "5,000,000 are. Give simplify.triangles, ratio or max_shape for another number."
+        "the default bounds would leave 6,120,331 triangles, more than later stages process at once; "
+        "5,000,000 are kept. Give simplify.triangles, simplify.ratio or simplify.max_shape for another count."
     ),
 )
 SIMPLIFY_COUNT_NOT_REACHED = Code(
     "simplify.count-not-reached",
-    "Not as few triangles as asked",
+    "Triangle count not reached",
     """
-Exit code 1: the file is written. The remaining edges may not collapse: locked vertices, borders, a
-topology of many holes and handles (which all stay), or a bound that was given too. `scanloom clean
---fill-holes 0.05` and a larger `clean.min_island_area` before simplifying take small holes and islands
-away.
-""",
-    "2,418 triangles are left, not 1,000 as asked: no other edge may collapse, for topology most often.",
-)
-SIMPLIFY_CROWDED = Code(
-    "simplify.crowded",
-    "Little left to collapse",
-    """
-A warning: most of the remaining edges stand for holes, handles and small components, or are locked, so
-that all accuracy is lost elsewhere. Fill or remove small ones with `scanloom clean` first, or keep more
-triangles.
+Exit code 1: the file is written. The remaining edges cannot collapse because of locked vertices, borders,
+bounds, or the topology: holes, handles and components are preserved. Before simplifying, run `scanloom clean`
+with `--fill-holes 0.05` and a larger `--min-island-area` to remove small holes and islands.
 """,
     (
-        "62% of the edges that are left stand for holes, handles and loose pieces, which all stay, so that "
-        "the rest lost more than it had to; fill or remove small ones first (fill_holes and min_island_area "
-        "of clean), or keep more triangles."
+        "2,418 triangles are left instead of 1,000: no other edge can collapse, mostly because of the rule "
+        '"topology".'
     ),
 )
-SIMPLIFY_LINES_LEFT_OUT = Code(
-    "simplify.lines-left-out",
-    "Triangles that are lines or points",
+SIMPLIFY_EDGES_BLOCKED = Code(
+    "simplify.edges-blocked",
+    "Few edges left to collapse",
     """
-A warning. A triangle with two corners in one place has no area, and no method keeps it. Where it lies
-beside no other triangle, bounds on shape do not cover it.
+A warning: most of the remaining edges belong to holes, handles and small components, or are locked. Therefore
+the other surfaces lose accuracy. Fill or remove small holes and components with `scanloom clean` first, or
+keep more triangles.
 """,
     (
-        "triangles with two corners in one place that lie beside no other triangle were left out, and no "
-        "bound is about them: 2 of 81,204."
+        "62% of the remaining edges belong to holes, handles and small components, which are preserved, so "
+        "the other surfaces lost more detail than necessary; fill or remove small ones first "
+        "(clean.fill_holes and clean.min_island_area), or keep more triangles."
     ),
+)
+SIMPLIFY_DEGENERATE_REMOVED = Code(
+    "simplify.degenerate-removed",
+    "Isolated degenerate triangles",
+    """
+A warning. Triangles with two vertices at one position have no area and are removed by every method. If such a
+triangle is isolated, bounds on shape do not cover its removal.
+""",
+    "isolated degenerate triangles were removed, and no bound covers them: 2 of 81,204.",
 )
 SIMPLIFY_RECORD_INVALID = Code(
     "simplify.record-invalid",
-    "Records of collapses",
+    "Invalid collapse records",
     """
-A record is the `.npz` file that `--save-record` writes. A damaged one cannot be used: simplify again with
-`--save-record`. A record of method `seams` cannot be fitted.
+A record is the `.npz` file that `--save-record` writes. If it is damaged, simplify again with
+`--save-record`. `replay --fit` does not support records of method `seams`.
 """,
-    "a record of method seams cannot be fitted; simplify to that number instead.",
+    "a record of method seams cannot be fitted to the input; run simplify with that triangle count instead.",
 )
 SIMPLIFY_RECORD_TOO_SHORT = Code(
     "simplify.record-too-short",
-    "Records that end before what is asked",
+    "Records that end too early",
     """
-`replay` goes from the whole mesh to where the record ends, not beyond. Simplify further with
+`replay` restores meshes between the input and the end of the record. Simplify to fewer triangles with
 `--save-record`.
 """,
     "triangles asks for 100 triangles, but the record ends at 2418.",
 )
 SIMPLIFY_COMPONENTS_REMOVED = Code(
     "simplify.components-removed",
-    "Small components and holes",
+    "Removed components and holes",
     """
-`--drop-below` was given. A warning names the counts; check that the number and the area are what you
-meant. Give a smaller length if something is missing. A length that would remove every component is
-refused.
+`--drop-below` was given. The warning reports the number and area of the removed components and holes; check
+that they are as intended. Give a smaller length if something is missing. A length that would remove every
+component is an error.
 """,
     (
         "drop_below removed 37 connected components smaller than 0.05 m (4,410 triangles, 0.0213 m²) and "
@@ -126,101 +128,101 @@ refused.
 )
 SIMPLIFY_DROP_BELOW_UNUSED = Code(
     "simplify.drop-below-unused",
-    "A mesh that is too large for the removal of small components",
+    "Mesh too large for the removal of small components",
     """
-A warning. A mesh that is simplified in parts keeps its small components. `clean.min_island_area` removes
-them before.
+A warning. A mesh that is simplified in parts keeps its small components. Remove them before with
+`clean.min_island_area`.
 """,
     (
-        "drop_below has no effect on this mesh: it has 7,412,306 triangles, which are simplified in parts; "
+        "drop_below has no effect, because the mesh has 7,412,306 triangles and is simplified in parts; "
         "remove small components with clean.min_island_area."
     ),
 )
-SIMPLIFY_COORDINATES_UNWEIGHABLE = Code(
-    "simplify.coordinates-unweighable",
-    "Texture coordinates that cannot be weighed",
+SIMPLIFY_COORDINATES_UNUSABLE = Code(
+    "simplify.coordinates-unusable",
+    "Unusable texture coordinates",
     """
-Coordinates far outside 0 to 1, or all in one place, come from broken exporters. Make a new texture
-(`scanloom texture` from photos, `scanloom bake` from the mesh's colours), or leave it out.
+Coordinates far outside 0 to 1, or all at one position, come from broken exporters. Create a new texture
+(`scanloom texture` from photos, `scanloom bake` from the mesh's colours), or remove it.
 """,
     (
-        "mesh: its texture coordinates are too small to be weighed against its shape; make a new texture, or "
-        "leave it out."
+        "mesh: texture coordinates are too small to be weighted against the shape; create a new texture, or "
+        "remove it."
     ),
 )
 SIMPLIFY_SEAM_DRIFT = Code(
     "simplify.seam-drift",
-    "Texture shifted beside seams",
+    "Texture shifted next to seams",
     """
 `simplify.seams.max_seam_drift` limits how far seams move in the image, in texels. A smaller limit keeps more
-triangles beside seams. Without a limit given, seams move by at most 1.5 edges of the simplified mesh, and
-a warning appears from 16 texels on.
+triangles next to seams. By default, seams move by at most 1.5 edges of the simplified mesh. A warning appears
+above 16 texels.
 """,
     (
-        "texture seams moved by up to 23 texels in the image, so the texture may be shifted beside them; "
-        "give a smaller max_seam_drift, or keep more triangles."
+        "texture seams moved by up to 23 texels in the image, so the texture may be visibly shifted next to "
+        "seams; give a smaller max_seam_drift, or keep more triangles."
     ),
 )
 SIMPLIFY_ATTRIBUTES_LOST = Code(
     "simplify.attributes-lost",
-    "Attributes that a method does not carry",
+    "Attributes that a method does not preserve",
     """
-Warnings. Images are baked anew, unless `--no-bake` is given or the format holds none. `--keep-uv` keeps
-them. Normals and colours of corners are carried by `seams`.
+Warnings. New images are baked, unless `--no-bake` is given or the file format has no images. `--keep-uv`
+keeps the old images. Method `seams` preserves normals and colours of corners.
 """,
-    "model.obj: simplify left out: parts; method seams carries them.",
+    "model.obj: simplify discards parts; method seams preserves them.",
 )
 SIMPLIFY_TEXTURE_LEFT_OUT = Code(
     "simplify.texture-left-out",
-    "A texture that is left out",
+    "Discarded texture",
     """
-A warning. The method works on the shape alone, and no new image was asked for. `--bake` bakes the images of
-the input anew, and `--keep-uv` keeps them with their texture coordinates.
+A warning. The method simplifies the shape only, and no new image was requested. `--bake` bakes new images,
+and `--keep-uv` keeps the images of the input with their texture coordinates.
 """,
-    "model.glb: simplify left out: texture; method seams carries it, and bake makes a new image.",
+    "model.glb: simplify discards the texture; method seams preserves it, and bake creates a new image from "
+    "the old one.",
 )
 SIMPLIFY_IMAGES_KEPT = Code(
     "simplify.images-kept",
-    "Images that are kept with their seams",
+    "Images kept with their seams",
     """
-A warning. An atlas has as many texels as the images that it replaces: one brick that repeats over a wall,
-or a palette of colours, has too few. Seams then stay, and hold the shape in place; `--bake` bakes
-regardless.
+A warning. An atlas has as many texels as the images that it replaces. For a brick that repeats over a wall,
+or a palette of colours, this is too few, and the images are kept. Their seams then restrict the
+simplification. `--bake` bakes an atlas anyway.
 """,
     (
-        "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as few "
-        "texels would lose detail; bake=True makes one all the same."
+        "the images repeat on the surface, and an atlas with as few texels would lose detail: texture "
+        "coordinates and images are kept; bake=True bakes an atlas anyway."
     ),
 )
-SIMPLIFY_IMAGES_REMADE = Code(
-    "simplify.images-remade",
-    "Images that are baked anew",
+SIMPLIFY_IMAGES_REBAKED = Code(
+    "simplify.images-rebaked",
+    "Images replaced by baked ones",
     """
-A warning. The model's own images would hold more triangles along texture seams than were asked for, and
-images that are baked anew are nearer to the input with fewer triangles. `--keep-uv` keeps the old ones.
+A warning. With its own images, the model would exceed the triangle count along texture seams. With newly
+baked images it is closer to the input and has fewer triangles. `--keep-uv` keeps the old images.
 """,
     (
-        "with its own images the model keeps 5,120 triangles along texture seams and differs more from the "
-        "input: new images are baked; keep_uv=True keeps the old."
+        "new images are baked: with its own images, the model would keep 5,120 triangles along texture seams "
+        "and differ more from the input; keep_uv=True keeps the old images."
     ),
 )
 USAGE_METHOD_MISMATCH = Code(
     "usage.method-mismatch",
-    "A method of `simplify` that does not fit what was asked",
+    "Parameters that do not fit the method of `simplify`",
     """
-Each [method](../simplification.md) has parameters of its own. `--method auto`, the default, takes the
-first that knows all that were given; leave the method out, or leave out a parameter that belongs to
-another.
+Each [method](../simplification.md) supports different parameters. `--method auto`, the default, selects the
+first method that supports all given parameters. Omit the method, or omit parameters of another method.
 """,
-    "planar.patch_angle has no meaning for method quadric; leave one of them out.",
+    "planar.patch_angle is not supported by method quadric; leave one of them out.",
 )
 USAGE_REGION_INVALID = Code(
     "usage.region-invalid",
-    "Regions, locks and importance",
+    "Invalid regions, locks or importance",
     """
-Places are in metres and in the axes of the mesh's own file: look one up with *Measure* in the page of
-`scanloom view`, or in any viewer that shows coordinates. `--region "sphere x y z radius 5"` counts
-squared errors there five times; `lock` leaves all vertices in it as they are.
+Coordinates are in metres, in the axes of the mesh file. Look up a position with *Measure* in the page of
+`scanloom view`, or in any viewer that shows coordinates. `--region "sphere x y z radius 5"` multiplies
+squared errors in the region by five; `lock` keeps all its vertices unchanged.
 """,
-    "sphere at (0.1, 0.2, 5) holds no vertex of the mesh; places are in metres.",
+    "sphere about (0.1, 0.2, 5) of radius 0.5 m contains no vertex of the mesh; coordinates are in metres.",
 )

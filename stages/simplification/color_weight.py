@@ -1,4 +1,4 @@
-"""How many metres one level of colour counts as when a mesh is simplified to a number of triangles."""
+"""Weight of colour against shape, in metres per level."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
-    """Return a weight that follows from the mesh and the number of triangles wanted.
+    """Compute the colour weight for a mesh and a target triangle count.
 
-    It is the balanced one, or less: on a sample of the mesh that is simplified alike, the error of shape is
-    at most a fifth larger than without colours.
+    The result is the balanced weight or a smaller one: the largest tested at which colours increase the shape
+    error by at most a fifth. The test simplifies a sample of the mesh with and without colours.
 
     Parameters
     ----------
-    mesh : with colours; without them the weight is 0.
-    triangles : wanted of the result, at least 1.
-    threads : 0 for one a core; the weight is the same.
+    mesh : mesh with colours; without colours the weight is 0.
+    triangles : target triangle count, at least 1.
+    threads : 0 for one per core; the weight does not depend on it.
 
     Returns
     -------
     float
-        Metres a level (8 bit, Euclidean over the channels).
+        Metres per level (8 bit, Euclidean over the channels).
 
     Raises
     ------
@@ -33,13 +33,15 @@ def color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
 
 
 def balanced_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
-    """Return the weight at which shape and colour count alike, with some preference for shape.
+    """Compute the weight at which shape and colour errors balance.
 
-    Over pieces of surface as large as a triangle of the result, the mesh's distance to its best plane is
-    about the error of shape to expect, and its colours' difference to their best linear fit about that of
-    colour.
+    Shape gets a slight preference.
 
-    Parameters, result and errors are those of `color_weight`.
+    The surface is divided into patches as large as a triangle of the result. Their distance to the best-fit
+    plane estimates the shape error. The deviation of their colours from the best linear fit estimates the
+    colour error.
+
+    Parameters, result and errors are the same as for `color_weight`.
     """
     return _weight(mesh, triangles, threads, tried=False)
 

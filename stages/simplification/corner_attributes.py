@@ -1,6 +1,6 @@
-"""A mesh whose corners have attributes of their own as kernels take it, and their results as meshes again.
+"""Conversion between meshes with corner attributes and kernel arrays.
 
-Beside `kernel_input`, where colours belong to vertices and everything else stays behind.
+`kernel_input` is the counterpart for meshes whose only attribute is vertex colours.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ Ids = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class LightCorners:
-    """What is left of a mesh, with the attributes of its corners.
+    """Kernel result: a simplified mesh with corner attributes.
 
     Attributes
     ----------
-    places : (p, 3) float64, metres, from the origin of the attributes.
+    places : (p, 3) float64, vertex positions in metres, relative to `CornerAttributes.origin`.
     triangles : (q, 3) int32.
-    corners : (3 q, k) float64, as the columns of the attributes.
-    corner_source : (3 q,) int32, the corner of the input with the same attributes to the bit; −1 for none.
-    vertex_source, triangle_source : (p,) and (q,) int32.
+    corners : (3 q, k) float64, corner attributes, in the columns of `CornerAttributes.columns`.
+    corner_source : (3 q,) int32, input corner with bit-identical attributes; −1 for none.
+    vertex_source, triangle_source : (p,) and (q,) int32, indices into the input.
     """
 
     places: Floats
@@ -40,16 +40,16 @@ class LightCorners:
 
 @dataclass(frozen=True, eq=False)
 class CornerAttributes:
-    """Where vertices are, and what corners carry.
+    """Vertex positions and scaled corner attributes of a mesh.
 
     Attributes
     ----------
-    origin : (3,) float64, metres; places count from there.
-    positions : (n, 3) float64, metres, of the vertices, equal for those that are one.
-    columns : (3 m, k) float64, metres: texture coordinates (2, zeros if there are none), colours (3) and
-        normals (3) of each corner, if they are there.
-    uv_scale, color_scale, normal_scale : metres for the image's side, a level, and a length of 1.
-    has_uvs, has_colors, has_normals : which of them are there.
+    origin : (3,) float64, metres; subtracted from positions that kernels see.
+    positions : (n, 3) float64, metres; equal for vertices that were joined.
+    columns : (3 m, k) float64, metres, per corner: texture coordinates (2 columns, zeros without any), and if
+        present colours (3) and normals (3).
+    uv_scale, color_scale, normal_scale : metres per image side, per level, and per unit of normal length.
+    has_uvs, has_colors, has_normals : attributes that the mesh has.
     """
 
     origin: Floats
@@ -63,7 +63,7 @@ class CornerAttributes:
     has_normals: bool
 
     def split(self, corners: Floats) -> tuple[Floats | None, Floats | None, Floats | None]:
-        """Return texture coordinates, colours and normals of rows like those of `columns`, in their units."""
+        """Split scaled attributes into texture coordinates, colours and normals, unscaled."""
         uvs = corners[:, :2] / self.uv_scale if self.has_uvs else None
         others = corners[:, 2:]
         colors = others[:, :3] / self.color_scale if self.has_colors else None
@@ -71,9 +71,15 @@ class CornerAttributes:
         return uvs, colors, normals
 
     def as_mesh(self, mesh: Mesh, left: LightCorners) -> tuple[Mesh, Ids]:
-        """Return what `mesh` has become, and the vertex of it that each vertex was.
+        """Build the simplified mesh, and map its vertices to the input.
 
-        What has not changed has its value to the bit. A vertex whose corners differ in colour is doubled.
+        Unchanged values are bit-identical to the input. A vertex whose corners differ in colour is
+        duplicated.
+
+        Parameters
+        ----------
+        mesh : the input.
+        left : kernel result.
         """
         uvs, colors, normals = self.split(left.corners)
         kept = left.corner_source >= 0
@@ -97,7 +103,7 @@ class CornerAttributes:
 
 
 def is_in_pieces(mesh: Mesh) -> bool:
-    """Return whether corners and triangles carry anything: image, materials, parts, normals of corners."""
+    """Return True if a mesh has materials, texture, parts or corner normals."""
     texture = mesh.texture
     has_texture = texture is not None and ((texture.material_ids >= 0).any() or texture.has_uvs().any())
     has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
@@ -105,9 +111,14 @@ def is_in_pieces(mesh: Mesh) -> bool:
 
 
 def _shared(left: LightCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Return which vertices there are, and the triangles between them.
+    """Merge coincident vertices that came from one input vertex.
 
-    Where sheets touch without being joined, each has a vertex of its own; they share it if the input's did.
+    The kernel gives each touching sheet a separate vertex.
+
+    Returns
+    -------
+    own : representative of each merged vertex.
+    triangles : (q, 3) int32, indices of merged vertices.
     """
     _, first, inverse = np.unique(left.vertex_source, return_index=True, return_inverse=True)
     same = first[inverse.reshape(-1)]
@@ -119,7 +130,14 @@ def _shared(left: LightCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
 def _one_color_each(
     triangles: NDArray[np.int32], levels: NDArray[np.uint8]
 ) -> tuple[NDArray[Any], NDArray[np.int32], NDArray[np.uint8]]:
-    """Double the vertices whose corners differ in colour: return which each was, triangles and colours."""
+    """Duplicate the vertices whose corners differ in colour.
+
+    Returns
+    -------
+    source : previous vertex of each vertex.
+    triangles : (q, 3) int32.
+    colors : uint8, colour of each vertex.
+    """
     red, green, blue = levels.astype(np.int64).T
     corners = triangles.reshape(-1).astype(np.int64)
     packed = corners << 24 | red << 16 | green << 8 | blue
@@ -128,8 +146,8 @@ def _one_color_each(
 
 
 def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
-    """Give corners their normals, and vertices where all corners of one agree."""
-    with np.errstate(over="ignore"):  # One that somebody made endless is none.
+    """Set corner normals, or vertex normals if all corners agree."""
+    with np.errstate(over="ignore"):  # A normal with infinite length becomes zero.
         length = np.linalg.norm(normals, axis=1, keepdims=True)
     unit = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     corners = mesh.triangles.reshape(-1)

@@ -1,7 +1,7 @@
-"""Parts of a mesh that are simplified each by itself, and fit each other afterwards.
+"""Subsets of a mesh that are simplified independently and joined afterwards.
 
-A cut knows which of its vertices others name, too, and what number each has in all; joined again, cuts whose
-such vertices stayed where they were are one mesh without a crack.
+A subset stores the global index of each vertex, and the vertices that it shares with other subsets. Shared
+vertices stay fixed, so the joined mesh has no cracks.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scanloom.stages.surface.codes import MESH_FILE_DAMAGED
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.pieces import Extent, Part
 
-# Where a part may be divided, as shares of its triangles.
+# Candidate planes for halving, as quantiles of the triangles' centres.
 _SHARES = np.linspace(0.2, 0.8, 13)
 
 Numbers = NDArray[np.int64]
@@ -29,13 +29,13 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Some triangles of a mesh.
+    """Subset of the triangles of a mesh.
 
     Attributes
     ----------
-    mesh : them alone.
-    numbers : (n,) of its vertices in all.
-    is_of_both : (n,) which of them others name, too.
+    mesh : these triangles and their vertices.
+    numbers : (n,) int64, global index of each vertex.
+    is_of_both : (n,) bool, vertices shared with other subsets.
     """
 
     mesh: Mesh
@@ -43,20 +43,27 @@ class Cut:
     is_of_both: Mask
 
     def lock(self) -> Mask:
-        """Return which vertices (n,) are to stay: those that others name, and their neighbours."""
+        """Return a mask (n,) of shared vertices and their neighbours."""
         near, triangles = self.is_of_both.copy(), self.mesh.triangles
         near[triangles[self.is_of_both[triangles].any(axis=1)]] = True
         return np.asarray(near)
 
 
 def whole_cut(mesh: Mesh) -> Cut:
-    """Return all of a mesh."""
+    """Create a subset that contains a complete mesh."""
     count = len(mesh.vertices)
     return Cut(mesh, np.arange(count), np.zeros(count, np.bool_))
 
 
 def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
-    """Cut a piece in its inside and the strip along its faces."""
+    """Split a chunk into its interior and the strip along its faces.
+
+    Parameters
+    ----------
+    part : chunk of a mesh.
+    extent : bounding box of the chunk.
+    rim : width of the strip, metres.
+    """
     mesh = part.mesh
     low, high = np.array(extent.low) + rim, np.array(extent.high) - rim
     near = np.asarray(((mesh.vertices < low) | (mesh.vertices > high)).any(axis=1), np.bool_)
@@ -64,7 +71,7 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
     if (mesh.triangles[~is_strip] >= part.own).any():
         raise StageError(
             MESH_FILE_DAMAGED,
-            "pieces of the mesh meet farther inside than their voxels tell",
+            "chunks of the mesh share vertices farther from their faces than the voxel size allows",
             remedy="fuse again.",
         )
     all_of_it = Cut(mesh, part.numbers, np.zeros(len(near), np.bool_))
@@ -73,7 +80,10 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
 
 
 def joined_cuts(cuts: Sequence[Cut]) -> Cut:
-    """Make one of some cuts, one at least."""
+    """Join one or more subsets into one.
+
+    Shared vertices stay marked as shared.
+    """
     all_numbers = np.concatenate([cut.numbers for cut in cuts])
     numbers, first, place = np.unique(all_numbers, return_index=True, return_inverse=True)
     both = np.zeros(len(numbers), bool)
@@ -82,7 +92,10 @@ def joined_cuts(cuts: Sequence[Cut]) -> Cut:
 
 
 def split(cut: Cut, most: int) -> Iterator[Cut]:
-    """Yield a cut in parts of at most so many triangles, one by one, divided where few of them are."""
+    """Split a subset into subsets of at most `most` triangles.
+
+    The splitting planes cross few triangles. The subsets are yielded one by one to limit memory.
+    """
     mesh = cut.mesh
     if len(mesh.triangles) <= most:
         yield cut
@@ -96,7 +109,7 @@ def split(cut: Cut, most: int) -> Iterator[Cut]:
 
 
 def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cut]:
-    """Yield the triangles of each group, which have all of a cut's, one after the other."""
+    """Split a subset by groups of triangles that partition it."""
     mesh = cut.mesh
     seen, is_of_both = np.zeros(len(mesh.vertices), np.bool_), cut.is_of_both.copy()
     for rows in groups:
@@ -112,7 +125,7 @@ def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cu
 
 
 def _used(mesh: Mesh, rows: NDArray[np.integer[Any]]) -> Mask:
-    """Return which vertices (n,) some triangles have."""
+    """Return a mask (n,) of the vertices that some triangles use."""
     used = np.zeros(len(mesh.vertices), np.bool_)
     used[mesh.triangles[rows]] = True
     return used
@@ -121,9 +134,15 @@ def _used(mesh: Mesh, rows: NDArray[np.integer[Any]]) -> Mask:
 def _halved(
     lows: NDArray[np.float32], highs: NDArray[np.float32], rows: NDArray[np.int32], most: int
 ) -> Iterator[NDArray[np.int32]]:
-    """Yield the rows of some triangles, (m, 3) lows to highs, divided by planes that few of them cross.
+    """Halve triangles recursively, by planes that cross few of them.
 
-    What is divided along a floor, through its noise, would have nothing but borders there.
+    A plane along a noisy floor would create borders everywhere.
+
+    Parameters
+    ----------
+    lows, highs : (m, 3) bounding boxes of all triangles.
+    rows : triangles to divide.
+    most : maximum number of triangles per group.
     """
     if len(rows) <= most:
         yield rows
@@ -132,10 +151,10 @@ def _halved(
     middles = (low + high) / 2
     planes = [(axis, at) for axis in range(3) for at in np.quantile(middles[:, axis], _SHARES)]
     crossed = np.array([np.count_nonzero((low[:, i] < at) & (high[:, i] > at)) for i, at in planes])
-    # A plane beside all of them divides nothing.
+    # A plane with all triangles on one side does not divide them.
     crossed[[not 0 < np.count_nonzero(middles[:, i] < at) < len(rows) for i, at in planes]] = len(rows)
     axis, at = planes[int(crossed.argmin())]
-    # Of many in one place by their numbers.
+    # Triangles whose centres coincide cannot be separated by a plane.
     is_first = np.arange(len(rows)) < len(rows) // 2
     before = is_first if crossed.min() == len(rows) else middles[:, axis] < at
     del low, high, middles
@@ -144,25 +163,35 @@ def _halved(
 
 
 def numbers_of(cut: Cut, light: Simplified[Any]) -> Numbers:
-    """Return the numbers in all of the vertices that stayed because others name them, −1 for all else."""
+    """Return the global index of each shared vertex, −1 for others.
+
+    Raises
+    ------
+    StageError
+        If a shared vertex has moved, which would be a bug.
+    """
     source = light.vertex_source
     stayed = cut.is_of_both[source]
     if not np.array_equal(light.mesh.vertices[stayed], cut.mesh.vertices[source[stayed]]):
-        raise StageError(
-            MACHINE_BUG, "a vertex that was to stay has moved, which is a defect of this program."
-        )
+        raise StageError(MACHINE_BUG, "a locked vertex has moved, which is a bug in scanloom.")
     return np.where(stayed, cut.numbers[source], -1)
 
 
 def joined(found: Sequence[tuple[Mesh, Numbers]], count: int) -> Mesh:
-    """Join meshes at the vertices that have a number in all, below `count`."""
+    """Join meshes at vertices with equal global indices.
+
+    Parameters
+    ----------
+    found : meshes, and the global index of each vertex, −1 for unshared vertices.
+    count : number of global indices.
+    """
     if not found:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     given = np.concatenate([numbers for _, numbers in found])
-    # A vertex without one is its own.
+    # Unshared vertices get unique keys beyond the global indices.
     own = np.where(given < 0, count + np.arange(len(given)), given)
     _, first, place = np.unique(own, return_index=True, return_inverse=True)
-    # In the order in which they come.
+    # Number vertices in order of first occurrence.
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
@@ -171,12 +200,12 @@ def joined(found: Sequence[tuple[Mesh, Numbers]], count: int) -> Mesh:
 
 
 def _merged(meshes: Sequence[Mesh], first: NDArray[np.intp], place: NDArray[np.intp]) -> Mesh:
-    """Make one of some meshes.
+    """Concatenate meshes and merge vertices.
 
     Parameters
     ----------
-    first : of each of its vertices, where it is first among those of all meshes, one mesh after the other.
-    place : of each of these, which vertex it is.
+    first : for each merged vertex, its first occurrence in the concatenated vertices.
+    place : merged vertex of each concatenated vertex.
     """
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     triangles = [place[mesh.triangles + start] for mesh, start in zip(meshes, offsets, strict=True)]

@@ -1,7 +1,9 @@
-"""Removal of small components and holes before simplification, with counts of everything removed.
+"""Removal of small components and holes before simplification.
 
-A method keeps the topology of its input. At 1 % of the triangles, hundreds of small components and holes take
-triangles that the large surfaces need. Removal is an option, because no bound covers what is removed.
+Everything removed is counted and reported.
+
+Methods preserve the topology of their input. At 1 % of the triangles, hundreds of small components and holes
+take triangles that the large surfaces need. Removal is optional, because no bound covers removed surface.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ class Dropped:
 
     Attributes
     ----------
-    size_m : limit, the diagonal of a bounding box.
+    size_m : limit on the bounding box's diagonal, metres.
     components, component_triangles, component_area_m2 : connected components removed.
     holes, hole_triangles, hole_area_m2 : holes filled, and the triangles added for it.
     """
@@ -66,14 +68,14 @@ class Dropped:
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """A mesh without its small components and holes.
+    """Mesh without its small components and holes.
 
     Attributes
     ----------
     mesh : Mesh
-    vertex_source, triangle_source : indices into the mesh that was given; for triangles that fill a hole, a
-        triangle beside the hole.
-    dropped : what was removed.
+    vertex_source, triangle_source : indices into the input. A triangle that fills a hole has the index of a
+        triangle next to the hole.
+    dropped : counts of removed components and holes.
     """
 
     mesh: Mesh
@@ -83,12 +85,13 @@ class Remainder:
 
 
 def drop_small(mesh: Mesh, size: float, lock: NDArray[np.bool_]) -> Remainder:
-    """Remove connected components smaller than a size and fill holes smaller than a size.
+    """Remove connected components and fill holes smaller than a size.
 
     Parameters
     ----------
+    mesh : the input.
     size : metres, diagonal of the bounding box of a component or of the border of a hole.
-    lock : (n,) vertices whose components stay.
+    lock : (n,) bool, vertices whose components stay.
 
     Raises
     ------
@@ -127,9 +130,15 @@ def drop_small(mesh: Mesh, size: float, lock: NDArray[np.bool_]) -> Remainder:
 
 
 def _fill_small_holes(kept: Traced, size: float) -> tuple[Traced, Ids, int]:
-    """Fill holes; return the mesh, a triangle beside each added triangle, and the number of holes.
+    """Fill small holes.
 
-    Vertices at one position count as one, or each texture seam would be a border.
+    Vertices at equal positions count as one. Otherwise each texture seam would be a border.
+
+    Returns
+    -------
+    traced : the mesh with fill triangles at the end.
+    neighbours : a triangle next to each fill triangle.
+    holes : number of filled holes.
     """
     mesh = kept.mesh
     position = same_rows(list(mesh.vertices.T))

@@ -1,4 +1,4 @@
-"""Where sheets that only touch have become more of one: edges of more triangles, and triangles twice."""
+"""Contacts between sheets: non-manifold edges and duplicate triangles created by simplification."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ Ids = NDArray[np.integer[Any]]
 
 
 def grown_together(mesh: Mesh, light: Simplified[Any]) -> NDArray[np.bool_]:
-    """Return the vertices (n,) of sheets that must stay with all their neighbours, or the surface changes.
+    """Find vertices (n,) to lock so that touching sheets stay separate.
 
-    Each sheet is an oriented manifold, and simplifying it leaves it one. But where sheets touch at two
-    vertices, each can come to have an edge between these, or where at three, a triangle: seen by place, that
-    is an edge of four triangles, or a triangle upon another, which `mesh` has not.
+    Simplification keeps each sheet an oriented manifold. But two sheets that touch at two vertices may both
+    get an edge between them. After welding, this is a non-manifold edge with four triangles. Sheets that
+    touch at three vertices may get coincident triangles. The result marks vertices of contacts that `mesh`
+    does not have, and their neighbours.
 
     Parameters
     ----------
-    mesh : the sheets, each with vertices of its own.
-    light : what became of them; its sources are vertices of `mesh`.
+    mesh : the sheets, with separate vertices.
+    light : simplified sheets; its sources are vertices of `mesh`.
     """
     left = light.mesh
     stays = np.zeros(len(mesh.vertices), bool)
@@ -33,7 +34,7 @@ def grown_together(mesh: Mesh, light: Simplified[Any]) -> NDArray[np.bool_]:
         return stays
     place = equal_sets(mesh.vertices)
     own = equal_sets(left.vertices)
-    # What has not moved is at the place it had; only there can sheets touch.
+    # Sheets touch only at vertices that have not moved.
     of_source = np.zeros(int(own.max(initial=-1)) + 1, np.int64)
     of_source[own] = place[light.vertex_source]
     joined = np.zeros(len(of_source), bool)
@@ -53,30 +54,33 @@ def grown_together(mesh: Mesh, light: Simplified[Any]) -> NDArray[np.bool_]:
 
 
 def _where_shared(place: Ids, triangles: Triangles) -> Ids:
-    """Return the places of the corners (k, 3) of triangles that have one where several vertices are."""
+    """Return the triangles (k, 3) with a vertex at a shared position.
+
+    Corners are given as position indices.
+    """
     is_shared = (np.bincount(place) > 1)[place]
     corners = place[triangles[is_shared[triangles].any(axis=1)]]
     return np.asarray(corners[~repeats_vertex(corners)])
 
 
 def _edges(corners: Ids) -> Ids:
-    """Return the sides (3 k, 2) of triangles."""
+    """Return the edges (3 k, 2) of triangles, smaller index first."""
     return np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
 
 
 def _whole(corners: Ids) -> Ids:
-    """Return triangles with their corners in ascending order."""
+    """Return triangles (k, 3) with sorted vertices."""
     return np.sort(corners, axis=1)
 
 
 def _counted(rows: Ids) -> tuple[Ids, NDArray[np.int64]]:
-    """Return the different rows in lexicographic order, and how often each occurs."""
+    """Count distinct rows, in lexicographic order."""
     found, count = np.unique(rows, axis=0, return_counts=True)
     return found, count
 
 
 def _looked_up(rows: Ids, count: NDArray[np.int64], wanted: Ids) -> NDArray[np.int64]:
-    """Return how often each of `wanted` occurs among counted rows, 0 for those that do not."""
+    """Look up the counts of the `wanted` rows; 0 if missing."""
     both, number = np.unique(np.concatenate([rows, wanted]), axis=0, return_inverse=True)
     times = np.zeros(len(both), np.int64)
     times[number.reshape(-1)[: len(rows)]] = count

@@ -1,8 +1,8 @@
-"""Simplifying the surface a file means, rather than the copies of vertices that the file has.
+"""Manifold-only methods on arbitrary meshes.
 
-Formats double a vertex where it has two texture coordinates, normals or colours, and scans pinch surfaces
-where there is no manifold. Methods that want one get it: vertices in one place are one, and the surface is
-taken apart where sheets touch, at vertices that then stay.
+Files duplicate vertices that have several texture coordinates, normals or colours, and scans contain
+non-manifold vertices and edges. Methods that require a manifold get one: vertices at equal positions are
+welded, and the surface is split into sheets at non-manifold vertices, which are then locked.
 """
 
 from __future__ import annotations
@@ -27,25 +27,43 @@ from scanloom.stages.surface.sheets import Sheets, taken_apart
 P = TypeVar("P")
 D = TypeVar("D", bound=Details)
 
-# Copies whose colours (levels) or normals (cosine) differ by more lose something when they become one.
+# Larger differences of colour (levels) or normals (cosine) between duplicates are reported when they are
+# averaged.
 _SAME_COLOR = 1
 _SAME_NORMAL = 0.999
 
 
 def run_in_sheets(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
-    """Return what `run` makes of a task whose mesh may have copies of vertices, or be no manifold."""
+    """Run a manifold-only method on a mesh.
+
+    The mesh may have duplicate vertices or be non-manifold.
+
+    Parameters
+    ----------
+    task : arguments of the method.
+    run : the method, which may require a manifold.
+    """
     sheets = joined(task.mesh)
     if sheets is None:
         try:
             return run(task)
         except _kernels.InvalidMeshError:
-            # Not a manifold: the sheets it is made of are.
+            # The mesh is not a manifold; its sheets are.
             sheets = sheets_of(task.mesh)
     return run_on(sheets, task, run)
 
 
 def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
-    """Return what `run` makes of a task whose mesh is taken for these sheets."""
+    """Run a method on the sheets of a mesh.
+
+    The sources of the result refer to the mesh again.
+
+    Parameters
+    ----------
+    sheets : sheets of `task.mesh`.
+    task : arguments of the method.
+    run : the method.
+    """
     mesh = in_sheets(task.mesh, sheets)
     split = is_split(task.mesh, sheets)
     report_split(split)
@@ -71,10 +89,10 @@ def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]
 
 
 def _run_apart(task: Task[P], run: Callable[[Task[P]], Simplified[D]], *, may_touch: bool) -> Simplified[D]:
-    """Return what `run` makes of sheets that touch: where they would grow together, all stays as it is."""
+    """Run a method on touching sheets; lock and repeat if they merge."""
     with collecting(forward=False) as diagnostics:
         found = run(task)
-    # It has been told then that all is done; what is done once more does not go back.
+    # The first run has reported 100 %. Repetitions must not move progress backwards.
     again = replace(task, progress=lambda _done, total: task.progress(total, total))
     while may_touch and found.stopped_by != "request":
         stays = grown_together(task.mesh, found) & ~again.lock
@@ -88,7 +106,10 @@ def _run_apart(task: Task[P], run: Callable[[Task[P]], Simplified[D]], *, may_to
 
 
 def joined(mesh: Mesh) -> Sheets | None:
-    """Return the sheets of a mesh if its file has copies of vertices that they join; else None."""
+    """Weld duplicate vertices and split a mesh into sheets.
+
+    Returns None if the mesh has no duplicate vertices.
+    """
     if not may_have_equal(mesh.vertices):
         return None
     sheets = sheets_of(mesh)
@@ -97,14 +118,15 @@ def joined(mesh: Mesh) -> Sheets | None:
 
 
 def sheets_of(mesh: Mesh) -> Sheets:
-    """Return the sheets of a mesh, vertices in one place being one."""
+    """Split a mesh into manifold sheets, after welding vertices at equal positions."""
     return taken_apart(mesh.triangles, equal_sets(mesh.vertices))
 
 
 def is_split(mesh: Mesh, sheets: Sheets) -> NDArray[np.bool_]:
-    """Return which vertices of sheets (p,) were one vertex of the mesh with others: apart, they would gape.
+    """Return a mask (p,) of vertices that splitting into sheets created.
 
-    What has a vertex of its own in the mesh, and only lies where another does, may move away from that.
+    They must stay fixed, or cracks would open. Vertices that are separate in the mesh and only touch another
+    vertex may move.
     """
     corners = mesh.triangles[sheets.triangle_source].reshape(-1).astype(np.int64)
     key = np.unique(corners << 32 | sheets.triangles.reshape(-1))
@@ -119,16 +141,16 @@ def report_split(split: NDArray[np.bool_]) -> None:
     if split.any():
         emit(
             SIMPLIFY_NOT_MANIFOLD.warning(
-                "the surface is no manifold: it was split into sheets, which stay as they are at "
-                "{count:,} vertices where they touch",
-                remedy="run clean first to let these move.",
+                "the surface is not a manifold: it was split into sheets, which stay "
+                "unchanged at {count:,} vertices where they touch",
+                remedy="run clean first to simplify there, too.",
                 count=np.count_nonzero(split),
             )
         )
 
 
 def in_sheets(mesh: Mesh, sheets: Sheets) -> Mesh:
-    """Return a mesh with the vertices of its sheets; copies that lose something are reported."""
+    """Build a mesh from sheets, and report attributes lost by welding."""
     source = sheets.vertex_source
     colors, normals = _one_color(mesh, sheets.sets), _one_normal(mesh, sheets.sets)
     return mesh.with_triangles(sheets.triangles, sheets.triangle_source).with_(
@@ -139,7 +161,7 @@ def in_sheets(mesh: Mesh, sheets: Sheets) -> Mesh:
 
 
 def _one_color(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.uint8] | None:
-    """Return the mean colour of the copies of each vertex (n, 3)."""
+    """Average the colours (n, 3) of duplicate vertices."""
     if mesh.colors is None:
         return None
     mean = _means(mesh.colors, sets)
@@ -148,8 +170,8 @@ def _one_color(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.uint8] | None:
         return mesh.colors
     emit(
         SIMPLIFY_ATTRIBUTES_LOST.warning(
-            "copies of vertices in one place differ in colour by up to {levels:.0f} levels; their mean "
-            "was taken, while method seams of simplify keeps both.",
+            "duplicate vertices differ in colour by up to {levels:.0f} levels and were "
+            "averaged; method seams of simplify keeps their colours.",
             levels=2 * apart,
         )
     )
@@ -157,7 +179,10 @@ def _one_color(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.uint8] | None:
 
 
 def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.float64] | None:
-    """Return the mean normal of the copies of each vertex (n, 3), of length 1 or 0."""
+    """Average the normals (n, 3) of duplicate vertices.
+
+    Their length is 1, or 0 where they cancel out.
+    """
     if mesh.normals is None:
         return None
     mean: NDArray[np.float64] = _means(mesh.normals, sets)
@@ -168,8 +193,8 @@ def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.float64] | None:
         return mesh.normals
     emit(
         SIMPLIFY_ATTRIBUTES_LOST.warning(
-            "copies of vertices in one place have normals of their own; their mean was taken, while method "
-            "seams of simplify keeps them."
+            "duplicate vertices differ in their normals and were averaged; method seams of "
+            "simplify keeps their normals."
         )
     )
     return mean

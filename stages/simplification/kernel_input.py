@@ -1,4 +1,4 @@
-"""A mesh as the kernels of `simplify` take it, and their results as meshes again."""
+"""Conversion between meshes and kernel arrays, for methods without corner attributes."""
 
 from __future__ import annotations
 
@@ -27,23 +27,30 @@ Levels = NDArray[np.uint8]
 
 
 def texture_left_out(who: str) -> Diagnostic:
-    """Return the warning of a function that leaves out the texture."""
+    """Create the warning of a function that discards the texture.
+
+    Parameters
+    ----------
+    who : name of the function.
+    """
     return SIMPLIFY_TEXTURE_LEFT_OUT.warning(
-        "{who} left out: texture",
-        remedy="method seams carries it, and bake makes a new image from the old one.",
+        "{who} discards the texture",
+        remedy="method seams preserves it, and bake creates a new image from the old one.",
         who=who,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class KernelInput:
-    """A mesh about the middle of its bounding box: far from the origin, products of coordinates lose digits.
+    """Mesh with coordinates relative to its bounding box's centre.
+
+    This avoids cancellation far from the origin.
 
     Attributes
     ----------
-    mesh : as it was given.
-    origin : (3,) float64, metres, the middle of its bounding box.
-    vertices : (n, 3) float64, metres, from there.
+    mesh : the mesh as given.
+    origin : (3,) float64, metres, centre of the bounding box.
+    vertices : (n, 3) float64, metres, relative to `origin`.
     attributes : (n, 3) uint8, colours; (n, 0) without colours.
     """
 
@@ -53,16 +60,21 @@ class KernelInput:
     attributes: Levels
 
     def placed_back(self, points: Floats, source: Ids) -> Floats:
-        """Return points (p, 3) from `origin` in the mesh's own coordinates.
+        """Transform points (p, 3) back to mesh coordinates.
 
-        A point that is still where its `source` vertex (p,) was gets that vertex's coordinates to the bit.
+        Points at the position of their source vertex get its coordinates bit for bit.
+
+        Parameters
+        ----------
+        points : (p, 3) metres, relative to `origin`.
+        source : (p,) source vertex of each point.
         """
         moved = (points != self.vertices.take(source, axis=0)).any(axis=1, keepdims=True)
         return np.where(moved, points + self.origin, self.mesh.vertices.take(source, axis=0))
 
 
 def kernel_input(mesh: Mesh) -> KernelInput:
-    """Return the mesh about the middle of its bounding box."""
+    """Move the mesh to the centre of its bounding box."""
     if len(mesh.triangles):
         low, high = bounding_box(mesh)
         origin = 0.5 * low + 0.5 * high
@@ -72,7 +84,7 @@ def kernel_input(mesh: Mesh) -> KernelInput:
 
 
 def require_colors(mesh: Mesh, max_color: float | None) -> None:
-    """Raise UsageError for a bound on the colours of a mesh that has none."""
+    """Raise UsageError for a colour bound on a mesh without vertex colours."""
     if max_color is not None and mesh.colors is None:
         raise UsageError(
             USAGE_METHOD_MISMATCH,
@@ -84,15 +96,15 @@ def require_colors(mesh: Mesh, max_color: float | None) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """What is left of a mesh.
+    """Kernel result: a simplified mesh without corner attributes.
 
     Attributes
     ----------
     vertices : (p, 3) float64, metres.
-    attributes : (p, k) float64.
+    attributes : (p, k) float64, colours in levels.
     triangles : (q, 3) int32.
-    vertex_source : (p,) int32, the vertex of the input that each one was.
-    became : (n,) int32, the vertex here that each vertex of the input became part of; −1 for none.
+    vertex_source : (p,) int32, input vertex of each vertex.
+    became : (n,) int32, vertex that each input vertex was merged into; −1 for none.
     """
 
     vertices: Floats
@@ -105,13 +117,20 @@ class Light:
 def fitted(
     light: Light, given: KernelInput, lock: NDArray[np.bool_], threads: int, progress: Progress
 ) -> tuple[Floats, Floats]:
-    """Return vertices and attributes of `light`, moved to fit the mesh it was made from by least squares.
+    """Fit a simplified mesh to its input by least squares.
 
     Parameters
     ----------
-    lock : (n,) bool, vertices of the input that stay as they are.
-    threads : 0 for one a core.
-    progress : raising from it stops the work.
+    light : simplified mesh.
+    given : the input.
+    lock : (n,) bool, input vertices that stay unchanged.
+    threads : 0 for one per core.
+    progress : called with (steps done, all steps); an exception stops the fit.
+
+    Returns
+    -------
+    vertices : (p, 3) float64, metres.
+    attributes : (p, k) float64.
     """
     vertices, attributes = _kernels.fit(
         light.vertices - given.origin,
@@ -131,28 +150,28 @@ def fitted(
 def as_result(
     mesh: Mesh, vertices: Floats, attributes: Floats, triangles: Ids, vertex_source: Ids, who: str
 ) -> Mesh:
-    """Return what `mesh` has become, with what can follow of its attributes.
-
-    Attributes that are lost are reported.
+    """Build the simplified mesh, and report attributes that it cannot keep.
 
     Parameters
     ----------
+    mesh : the input.
+    vertices, attributes, triangles, vertex_source : see `Light`.
     who : name of the function in diagnostics.
     """
     colors = None
     if mesh.colors is not None:
-        # The best colour at a place can lie outside the range of colours a little.
+        # The least-squares colour may be slightly outside the range.
         colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
     normals = None if mesh.normals is None else mesh.normals[vertex_source]
-    lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
+    lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals}
     names = [name for name, value in lost.items() if value is not None]
     if mesh.texture is not None:
         emit(texture_left_out(who))
     if names:
         emit(
             SIMPLIFY_ATTRIBUTES_LOST.warning(
-                "{who} left out: {names}",
-                remedy="method seams carries them.",
+                "{who} discards {names}",
+                remedy="method seams preserves them.",
                 who=who,
                 names=", ".join(names),
             )

@@ -1,4 +1,4 @@
-"""Keywords of `simplify` by method, for editors and type checkers."""
+"""Keyword arguments of `simplify` by method, for editors and type checkers."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ if TYPE_CHECKING:
         progress: Progress
 
     class QuadricCall(_Call, total=False):
-        """All that `simplify` takes for method `quadric`."""
+        """Keyword arguments of `simplify` for method `quadric`."""
 
     class CertifiedCall(_Call, total=False):
-        """All that `simplify` takes for method `certified`."""
+        """Keyword arguments of `simplify` for method `certified`."""
 
         certified: CertifiedParams | CertifiedKeywords
 
     class SeamsCall(_Call, total=False):
-        """All that `simplify` takes for method `seams`."""
+        """Keyword arguments of `simplify` for method `seams`."""
 
         seams: SeamsParams | SeamsKeywords
 
     class Jia01Call(_Call, total=False):
-        """All that `simplify` takes for method `jia01`."""
+        """Keyword arguments of `simplify` for method `jia01`."""
 
         jia01: Jia01Params | Jia01Keywords
 
     class PlanarCall(_Call, total=False):
-        """All that `simplify` takes for method `planar`."""
+        """Keyword arguments of `simplify` for method `planar`."""
 
         planar: PlanarParams | PlanarKeywords

@@ -1,4 +1,4 @@
-"""Triangles that are lines or points, which no method keeps: what is lost with them."""
+"""Isolated degenerate triangles, which no method keeps."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.simplification.codes import SIMPLIFY_LINES_LEFT_OUT
+from scanloom.stages.simplification.codes import SIMPLIFY_DEGENERATE_REMOVED
 from scanloom.stages.simplification.seams.similar import equal_sets, may_have_equal
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import repeats_vertex
 
 
 def lost_lines(mesh: Mesh) -> NDArray[np.bool_]:
-    """Return which triangles (m,) have two corners in one place, and lie beside no other triangle.
+    """Return a mask (m,) of isolated degenerate triangles.
 
-    Those at the poles of a ball are edges of others; these may be far from all that is left.
+    Two of their vertices are at one position, and no regular triangle shares their edge. Degenerate triangles
+    at the poles of a sphere share their edge, so nothing is lost with them. Isolated ones may be far from the
+    remaining surface.
     """
     lost = np.zeros(len(mesh.triangles), np.bool_)
     if not (repeats_vertex(mesh.triangles).any() or may_have_equal(mesh.vertices)):
@@ -34,13 +36,13 @@ def lost_lines(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def report_lost_lines(mesh: Mesh) -> None:
-    """Warn of triangles that are lost."""
+    """Warn about isolated degenerate triangles, which are lost."""
     lost = lost_lines(mesh)
     if lost.any():
         emit(
-            SIMPLIFY_LINES_LEFT_OUT.warning(
-                "triangles with two corners in one place that lie beside no other triangle were left out, "
-                "and no bound is about them: {lost:,} of {count:,}.",
+            SIMPLIFY_DEGENERATE_REMOVED.warning(
+                "isolated degenerate triangles were removed, and no bound covers them: "
+                "{lost:,} of {count:,}.",
                 lost=np.count_nonzero(lost),
                 count=len(lost),
             )

@@ -1,8 +1,8 @@
-"""The table of methods: what each needs and takes, its parameters, its call, and what it has to tell.
+"""Registry of simplification methods: capabilities, parameters, entry points and result types.
 
-A new method is a folder next to this file and a row below. If it has parameters that no other method has,
-they are a field of SimplifyParams. The help of `method` and the choice of `auto` follow from the rows. Type
-checkers read no tables: for them `keywords.py` lists the keywords of `simplify` for each method.
+To add a method, create a package next to this file and add a row below. Parameters that only this method has
+are a field of SimplifyParams. The help of `method` and the selection by `auto` are derived from the rows.
+Type checkers cannot evaluate the table, so `keywords.py` lists the keyword arguments for each method.
 """
 
 from __future__ import annotations
@@ -35,28 +35,35 @@ D = TypeVar("D", bound=Details)
 
 @dataclass(frozen=True)
 class Need:
-    """What a method cannot do without: at least one of these parameters, and how to ask for it."""
+    """Requirement of a method: at least one of some parameters.
+
+    Attributes
+    ----------
+    what : requirement in words.
+    names : parameters, any of which meets the requirement.
+    advice : remedy for error messages.
+    """
 
     what: str
     names: tuple[str, ...]
     advice: str
 
 
-COUNT = Need("a number of triangles", ("triangles", "ratio"), "give triangles or ratio")
-BOUND = Need("a bound", ("max_shape", "max_color"), "give max_shape, max_color or both")
+COUNT = Need("a triangle count", ("triangles", "ratio"), "give triangles or ratio")
+BOUND = Need("an error bound", ("max_shape", "max_color"), "give max_shape, max_color or both")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Takes:
-    """What a method can be given besides its parameters.
+    """Capabilities of a method, apart from its parameters.
 
     Attributes
     ----------
-    count : a number of triangles to stop at.
-    texture : carries texture, materials, parts and normals of corners, rather than leave them out.
-    lock, importance : vertices that stay, and a factor of the error of each.
-    record : keeps its collapses.
-    partial : gives out what there is when it is interrupted.
+    count : can stop at a triangle count.
+    texture : preserves texture, materials, parts and corner normals.
+    lock, importance : supports locked vertices, and a factor on the error of each vertex.
+    record : can record its collapses.
+    partial : returns the mesh simplified so far when interrupted.
     """
 
     count: bool = True
@@ -69,20 +76,20 @@ class Takes:
 
 @dataclass(frozen=True, kw_only=True)
 class Method(Generic[P, D]):
-    """A row of the table.
+    """Row of the method registry.
 
     Attributes
     ----------
-    name, text : what people call it, and what it is for, as the help says it.
-    params : the class of the parameters that it alone has; None without any. SimplifyParams has them in the
-        field of its name.
-    shared : the parameters of several methods that it has, too.
-    details : the class of what it alone has to tell.
-    run : the call.
-    needs : what it cannot do without, if there is such a thing.
-    takes : what it can be given besides.
-    auto : whether `auto` may take it; otherwise it is there when it is asked for.
-    proves : whether its details have `shape_bound` and `color_bound`, proven for every triangle.
+    name, text : name of the method, and its description in the help.
+    params : class of the parameters that only this method has, stored in the field of SimplifyParams with the
+        method's name; None without any.
+    shared : supported parameters that several methods share.
+    details : class of the result details.
+    run : entry point.
+    needs : requirement, None without any.
+    takes : capabilities.
+    auto : False if `auto` never selects the method.
+    proves : True if the details have `shape_bound` and `color_bound`, proven for every triangle.
     """
 
     name: str
@@ -98,12 +105,15 @@ class Method(Generic[P, D]):
 
     @property
     def result_version(self) -> int:
-        """The RESULT_VERSION beside its call, which is raised by hand when its results change."""
+        """RESULT_VERSION of the module of `run`; increased manually when results change."""
         version: int = sys.modules[self.run.__module__].RESULT_VERSION
         return version
 
     def knows(self, name: str) -> bool:
-        """Tell if the method has a parameter, such as `max_shape` or `planar.crease_angle`."""
+        """Return True if the method supports a parameter.
+
+        Nested parameters are written as `planar.crease_angle`.
+        """
         return name in self.shared or name.startswith(f"{self.name}.")
 
     def own(self, params: Any) -> Any:
@@ -111,11 +121,11 @@ class Method(Generic[P, D]):
         return None if self.params is None else getattr(params, self.name)
 
 
-# In the order in which `auto` asks them.
+# `auto` tries the methods in this order.
 METHODS: tuple[Method[Any, Any], ...] = (
     Method(
         name="quadric",
-        text="to a number of triangles, with the least squared error of shape and colour.",
+        text="to a triangle count, with minimum squared error of shape and colour.",
         params=None,
         details=QuadricDetails,
         run=quadric.run,
@@ -124,8 +134,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="certified",
-        text="as far as bounds on the distance and on the difference of colour are proven for every point, "
-        "or to a number of triangles within them.",
+        text="as far as bounds on distance and colour difference are proven for every point, or "
+        "to a triangle count within the bounds.",
         params=CertifiedParams,
         details=CertifiedDetails,
         run=certified.run,
@@ -136,8 +146,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="seams",
-        text="to a number of triangles, with the texture coordinates, colours and normals of every corner, "
-        "and no crack along texture seams.",
+        text="to a triangle count, preserving texture coordinates, colours and normals of every "
+        "corner, without cracks along texture seams.",
         params=SeamsParams,
         details=SeamsDetails,
         run=seams.run,
@@ -147,7 +157,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="jia01",
-        text="within bounds on the summed change of shape and texture.",
+        text="within bounds on the accumulated changes of shape and texture.",
         params=Jia01Params,
         details=Jia01Details,
         run=jia01.run,
@@ -156,8 +166,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
     ),
     Method(
         name="planar",
-        text="near-planar patches with as few triangles as their borders need, within bounds; fast, for "
-        "walls, floors and machined parts.",
+        text="near-planar patches, retriangulated with as few triangles as their borders need, "
+        "within bounds; fast, for walls, floors and machined parts.",
         params=PlanarParams,
         details=PlanarDetails,
         run=planar.run,

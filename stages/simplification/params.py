@@ -18,14 +18,14 @@ AUTO = "auto"
 
 
 def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
-    """Say what each method is for, and which one `auto` takes."""
+    """Build the help text of the parameter `method`."""
     asked = ", ".join(method.name for method in methods if method.auto)
     carrying = " or ".join(method.name for method in methods if method.auto and method.takes.texture)
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
     return (
-        f"{texts} {AUTO}: the first of {asked} that has all parameters that are given, and is given what it "
-        f"needs; {carrying} comes first if the mesh has materials, parts or normals of corners, or keep_uv "
-        "is given. A textured model without a goal is simplified within 1/1000 of its size."
+        f"{texts} {AUTO}: the first of {asked} that supports all given parameters and has everything it "
+        f"requires; {carrying} is preferred if the mesh has materials, parts or corner normals, or if "
+        "keep_uv is given. A textured model without a target is simplified within 1/1000 of its size."
     )
 
 
@@ -33,8 +33,9 @@ def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
 class SimplifyParams(SharedParams):
     """Parameters of `simplify`.
 
-    Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends the work.
-    The field of a method has the parameters that no other method has; a change there asks for the method.
+    All given bounds apply, also together with `triangles` or `ratio`: whichever is reached first stops the
+    simplification. The nested field of a method has the parameters that only this method has. Changing one of
+    them makes `auto` select this method.
     """
 
     method: str = param(

@@ -1,4 +1,4 @@
-"""Where a simplifier takes more care or changes nothing: values a vertex, and regions that stand for them."""
+"""Locked vertices and importance, given per vertex or by regions in space."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class _Region:
 
 @dataclass(frozen=True)
 class Sphere(_Region):
-    """All vertices within a ball.
+    """Region of all vertices inside a sphere.
 
     Attributes
     ----------
     center : (x, y, z), metres.
     radius : metres.
-    importance : factor of the squared error around its vertices; 1 is everywhere else.
-    lock : its vertices stay as they are.
+    importance : factor on the squared error around the vertices; 1 everywhere else.
+    lock : True to keep the vertices unchanged.
     """
 
     center: tuple[float, float, float]
@@ -63,20 +63,20 @@ class Sphere(_Region):
         return f"sphere about {_words(self.center)} of radius {self.radius:g} m"
 
     def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of the points (n, 3), in metres, lie within it: (n,)."""
+        """Return a mask of the points (n, 3), metres, inside the sphere."""
         away = points - np.asarray(self.center)
         return np.asarray(np.einsum("ij,ij->i", away, away) <= self.radius**2)
 
 
 @dataclass(frozen=True)
 class Box(_Region):
-    """All vertices within a box whose sides are parallel to the axes.
+    """Region of all vertices inside an axis-aligned box.
 
     Attributes
     ----------
-    low, high : (x, y, z), metres, its lowest and its highest corner.
-    importance : factor of the squared error around its vertices; 1 is everywhere else.
-    lock : its vertices stay as they are.
+    low, high : (x, y, z), metres, minimum and maximum corner.
+    importance : factor on the squared error around the vertices; 1 everywhere else.
+    lock : True to keep the vertices unchanged.
     """
 
     low: tuple[float, float, float]
@@ -88,7 +88,7 @@ class Box(_Region):
         if not all(low <= high for low, high in zip(self.low, self.high, strict=True)):
             raise UsageError(
                 USAGE_REGION_INVALID,
-                "{self}: the first corner must be the lowest one, the second the highest.",
+                "{self}: the first corner must be the minimum, the second the maximum.",
                 self=self,
             )
         self._check_effect()
@@ -97,7 +97,7 @@ class Box(_Region):
         return f"box from {_words(self.low)} to {_words(self.high)}"
 
     def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of the points (n, 3), in metres, lie within it: (n,)."""
+        """Return a mask of the points (n, 3), metres, inside the box."""
         inside = (points >= np.asarray(self.low)) & (points <= np.asarray(self.high))
         return np.asarray(inside.all(axis=1))
 
@@ -109,7 +109,7 @@ def _check_point(region: Region, point: Sequence[float]) -> None:
     if len(point) != 3 or not all(map(math.isfinite, point)):
         raise UsageError(
             USAGE_REGION_INVALID,
-            "{region_name} at {point!r}: a place is three finite numbers, in metres.",
+            "{region_name} at {point!r}: a position must be three finite numbers, in metres.",
             region_name=type(region).__name__,
             point=point,
         )
@@ -120,12 +120,14 @@ def _words(point: Sequence[float]) -> str:
 
 
 def parse_region(text: str) -> Region:
-    """Read a region: `sphere x y z radius` or `box x y z x y z`, then an importance, `lock` or both.
+    """Parse a region from text.
+
+    Forms are `sphere x y z radius` and `box x y z x y z`, followed by an importance, `lock` or both.
 
     Raises
     ------
     UsageError
-        If it is neither, or its numbers make no region.
+        If the text has another form, or its values are invalid.
     """
 
     def refuse(why: str) -> NoReturn:
@@ -160,22 +162,24 @@ def parse_region(text: str) -> Region:
 def resolve_control(
     mesh: Mesh, lock: ArrayLike | None, importance: ArrayLike | None, regions: Sequence[Region]
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Turn what the user says of places into values a vertex.
+    """Convert locks, importance and regions to values per vertex.
 
     Parameters
     ----------
+    mesh : the input.
     lock : (n,) bool, or indices of vertices; None for no vertex.
     importance : (n,) numbers above 0; None for 1 everywhere.
-    regions : add their locks; of several factors for a vertex, theirs and its own, the largest counts.
+    regions : regions that add locks and importance. The maximum of all factors for a vertex applies.
 
     Returns
     -------
-    tuple of (n,) bool and (n,) float64, the latter (0,) where all importance is 1
+    locked : (n,) bool.
+    factors : (n,) float64; (0,) if all are 1.
 
     Raises
     ------
     UsageError
-        For a wrong shape or value, and for a region without a vertex.
+        For a wrong shape or value, or a region without vertices.
     """
     count = len(mesh.vertices)
     locked = np.zeros(count, bool) if lock is None else _locked(np.asarray(lock), count)
@@ -186,7 +190,7 @@ def resolve_control(
         if not inside.any():
             raise UsageError(
                 USAGE_REGION_INVALID,
-                "{region} holds no vertex of the mesh; places are in metres.",
+                "{region} contains no vertex of the mesh; coordinates are in metres.",
                 region=region,
             )
         if region.lock:
@@ -211,12 +215,14 @@ def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
     if lock.size == 0:
         return locked
     if lock.ndim != 1 or lock.dtype.kind not in "iu":
-        raise UsageError(USAGE_REGION_INVALID, "lock must be one bool a vertex, or a list of vertex indices.")
+        raise UsageError(
+            USAGE_REGION_INVALID, "lock must be one bool per vertex, or a list of vertex indices."
+        )
     if lock.min() < 0 or lock.max() >= count:
         wrong = next(int(v) for v in lock if not 0 <= v < count)
         raise UsageError(
             USAGE_REGION_INVALID,
-            "lock names vertex {wrong}, but there are only {count}.",
+            "lock contains vertex index {wrong}, but the mesh has {count} vertices.",
             wrong=wrong,
             count=count,
         )

@@ -1,4 +1,7 @@
-"""Simplifying a mesh in an order that suits the caches, with a result in the order of the input."""
+"""Cache-friendly vertex and triangle order during simplification.
+
+The result is in the order of the input.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,22 @@ D = TypeVar("D", bound=Details)
 
 
 def run_reordered(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
-    """Return what `run` makes of a task, in an order that suits the caches where the mesh is scattered."""
-    # A record names the vertices of the input all along.
+    """Run a method on a spatially reordered mesh.
+
+    Meshes that already have spatial locality are not reordered.
+
+    Parameters
+    ----------
+    task : arguments of the method.
+    run : the method.
+    """
+    # Records must refer to vertices of the input.
     if task.record or not is_scattered(task.mesh):
         return run(task)
     try:
         return _reordered(task, run)
     except _kernels.InvalidMeshError:
-        # The message has to name what is wrong as the caller knows it.
+        # Run on the original order, so that the error names the caller's indices.
         return run(task)
 
 
@@ -35,7 +46,7 @@ def _reordered(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simpli
     importance = task.importance[rows] if len(task.importance) else task.importance
     found = run(replace(task, mesh=order.mesh, lock=task.lock[rows], importance=importance))
     sources = rows[found.vertex_source], order.triangles[found.triangle_source]
-    # Several vertices can have one source.
+    # The sort is stable, because several vertices may have one source.
     vertices, triangles = (np.argsort(source, kind="stable") for source in sources)
     return replace(
         found,

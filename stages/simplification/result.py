@@ -1,4 +1,4 @@
-"""What `simplify` returns: what every method has to tell, and details of the method's own type."""
+"""Result of `simplify`, with details of the method."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scanloom.stages.texturing.bake import Baked
 
 @dataclass(frozen=True)
 class KeptImages:
-    """Colour errors that led to a model's own images being kept.
+    """Colour errors that led to keeping the model's own images.
 
     Attributes
     ----------
@@ -32,19 +32,19 @@ class KeptImages:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Details:
-    """What a method alone has to tell of its result; each method derives a class from this one.
+    """Base class for the result details of a method.
 
     Attributes
     ----------
-    headline : the line that a run prints of it: a format string over the figures.
-    arrays : the fields that are no figures.
+    headline : format string over the statistics, for the summary line of a run.
+    arrays : names of array fields, which statistics omit.
     """
 
     headline: ClassVar[str] = "{triangles:,} triangles, stopped by {stopped_by}"
     arrays: ClassVar[tuple[str, ...]] = ()
 
     def figures(self) -> dict[str, Any]:
-        """Return everything but the arrays, ready for JSON."""
+        """Return all fields except arrays, ready for JSON."""
         names = (field.name for field in fields(self) if field.name not in self.arrays)
         return {name: _plain(getattr(self, name)) for name in names}
 
@@ -52,7 +52,7 @@ class Details:
         """Emit warnings about the result; none by default."""
 
     def text(self) -> str:
-        """Return what else to say to a person who has seen the figures; nothing if there is nothing."""
+        """Return additional explanations for the user; empty by default."""
         return ""
 
 
@@ -61,33 +61,33 @@ D_co = TypeVar("D_co", bound=Details, covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Simplified(Generic[D_co]):
-    """A simplified mesh, where its parts came from, and what limited it.
+    """Simplified mesh, its relation to the input, and the reasons for stopping.
 
     Attributes
     ----------
     mesh : Mesh
-    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
-    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    method : the name of the method.
-    stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
-        "request" when the caller was content with less, "unproven" when the bounds cannot be proven: they do
-        not even hold between the input and itself, as where sheets of different colours touch.
-    refused : edges of the result by the rule that refused them last: "length", "shape", "texture" and "color"
-        are bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
-        between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
-        for a proof, "seam" for an edge that would cut or join texture seams, "chart" for one that would turn
-        a triangle over in the image or take a texture coordinate out of its chart, "drift" for the bound
-        max_seam_drift, "locked" for an edge between two vertices that must stay. Edges whose turn had not
-        come are not counted. A method that collapses no edges has rules of its own.
-    collapses, attempts : edges that collapsed; edges whose turn came, some repeatedly.
-    triangles_before : triangles of the input.
-    details : what only this method has to tell.
-    record : all collapses, if that was asked for.
+    vertex_source : (p,) int32, an input vertex merged into each vertex.
+    triangle_source : (q,) int32, input triangle that each triangle derives from.
+    method : name of the method.
+    stopped_by : "bounds" if no edge may collapse any more; "triangles" if the triangle count was reached;
+        "request" if the caller stopped early; "unproven" if the bounds cannot be proven. Such bounds may not
+        even hold between the input and itself, for example where sheets of different colours touch.
+    refused : edges of the result, by the rule that last refused their collapse. The rules "length", "shape",
+        "texture" and "color" are bounds. "topology" stands for a change of topology, "bridge" for an edge
+        across the interior between two border vertices, "fold" for a flipped or degenerate triangle. "needle"
+        stands for a triangle too thin for a proof, "seam" for cutting or joining texture seams. "chart"
+        stands for a triangle that would flip in the image or leave its chart, "drift" for the bound
+        `max_seam_drift`, "locked" for an edge between locked vertices. Edges that were not tried are not
+        counted. Methods without edge collapses have other rules.
+    collapses, attempts : collapsed edges; tried edges, some of them repeatedly.
+    triangles_before : triangle count of the input.
+    details : result details of the method.
+    record : all collapses, if requested; else None.
     dropped : small components and holes removed before simplification, with `drop_below`; else None.
-    kept_images : colour errors, where the model's own images were chosen over baked ones; else None.
-    baked : Baked, where images were baked for the mesh, with their colour error; None where none were.
-    default_max_shape : metres, the bound that was derived from the model as nothing was asked; else None.
-    diagnostics : what was left out or changed, and requirements that are not reached.
+    kept_images : colour errors, if the model's own images were preferred to baked ones; else None.
+    baked : images baked for the mesh, with their colour error; else None.
+    default_max_shape : metres, bound derived from the model because no target was given; else None.
+    diagnostics : warnings about changed or lost data, and unmet requirements.
     """
 
     __repr__ = by_figures
@@ -111,11 +111,11 @@ class Simplified(Generic[D_co]):
     diagnostics: tuple[Diagnostic, ...] = ()
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
+        """Map vertex values (n, …) of the input to the result (p, …)."""
         return values[self.vertex_source]
 
     def figures(self) -> dict[str, Any]:
-        """Everything but the arrays, ready for JSON; what the method alone has to tell is under "details"."""
+        """Return statistics ready for JSON; the method's own statistics are under "details"."""
         triangles = len(self.mesh.triangles)
         of_baking = {} if self.baked is None else {"baked": self.baked.figures()}
         derived = {} if self.default_max_shape is None else {"default_max_shape_m": self.default_max_shape}

@@ -1,4 +1,4 @@
-"""Parameters of `simplify` that all or several methods have."""
+"""Parameters of `simplify` that several or all methods share."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check, param
 
 # Headings of the help.
-HOW_FAR = "How far: a number, bounds or both"
-HOW = "How"
+HOW_FAR = "Target: a triangle count, bounds or both"
+HOW = "Method"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SharedParams:
-    """Parameters of `simplify` that all or several methods have."""
+    """Parameters of `simplify` that several or all methods share."""
 
     triangles: int | None = param(
         None, "Stop when at most this many triangles are left.", group=HOW_FAR, low=1
     )
     ratio: float | None = param(
         None,
-        "Stop when at most this share of the input's triangles is left.",
+        "Stop when at most this fraction of the input's triangles is left.",
         group=HOW_FAR,
         low=0,
         high=1,
@@ -33,11 +33,12 @@ class SharedParams:
     )
     max_shape: float | None = param(
         None,
-        "certified: largest distance of any point of either surface from the other. Default: 0.5 % of the "
-        "bounding box's diagonal, as colours alone do not hold a shape. jia01: largest shape change, summed "
-        "over the collapses around an edge. Default: 0.1 of the resolution, but at most 0.5 % of the "
-        "diagonal. planar: largest distance between a mesh and what simplify makes of its patches; a patch "
-        "is at most 0.8 of that thick. Default: 0.5 % of the bounding box's diagonal.",
+        "certified: maximum distance of any point of either surface from the other surface. "
+        "Default: 0.5 % of the bounding box's diagonal, because a colour bound alone does "
+        "not preserve the shape. jia01: maximum shape change, accumulated over the collapses "
+        "around an edge. Default: 0.1 of the resolution, but at most 0.5 % of the diagonal. "
+        "planar: maximum distance between a mesh and its simplified patches; the thickness "
+        "of a patch is at most 0.8 of it. Default: 0.5 % of the bounding box's diagonal.",
         unit="m",
         group=HOW_FAR,
         low=0,
@@ -45,13 +46,13 @@ class SharedParams:
     )
     max_color: float | None = param(
         None,
-        "certified: largest difference, Euclidean over the channels, between the colour at any point of "
-        "either surface and that at any nearest point of the other. Default: no bound. jia01: the strongest "
-        "contrast in the neighbourhood of a collapse, summed over the collapses around an edge, which far "
-        "exceeds the colour error that results. Default: 400. planar: largest difference between the colours "
-        "of a point and of its counterpart on the other surface, Euclidean over the channels; the colours of "
-        "a patch are within 0.4 of that of a linear function. Default for coloured meshes: 60; 1000 is no "
-        "bound in effect.",
+        "certified: maximum colour difference, Euclidean over the channels, between any "
+        "point of either surface and any nearest point of the other. Default: no bound. "
+        "jia01: maximum contrast in the neighbourhood of a collapse, accumulated over the "
+        "collapses around an edge; it far exceeds the resulting colour error. Default: 400. "
+        "planar: maximum colour difference, Euclidean over the channels, between a point and "
+        "its counterpart on the other surface; the colours of a patch are within 0.4 of it "
+        "of a linear function. Default for coloured meshes: 60; 1000 is effectively no bound.",
         unit="8-bit levels",
         group=HOW_FAR,
         low=0,
@@ -67,34 +68,36 @@ class SharedParams:
     )
     attribute_scale: float | None = param(
         None,
-        "Length that weighs as much as one level of colour, for quadric, certified, seams and jia01. "
-        "Default: derived from the mesh and the number of triangles; for jia01 max_shape / max_color.",
+        "Length that weighs as much as one level of colour, for quadric, certified, seams "
+        "and jia01. Default: derived from the mesh and the triangle count; for jia01 "
+        "max_shape / max_color.",
         unit="m per level",
         group=HOW,
         low=0,
     )
     fit: bool = param(
         True,
-        "Move vertices (quadric: colours too) to fit the input by least squares at the end; boundaries stay. "
-        "For quadric and seams.",
+        "Fit vertices (quadric: colours, too) to the input by least squares at the end; "
+        "borders stay. For quadric and seams.",
         group=HOW,
     )
     keep_uv: bool = param(
         False,
-        "Keep the model's own texture coordinates and images, rather than bake new ones: seams then hold the "
-        "shape in place.",
+        "Keep the model's own texture coordinates and images instead of baking new ones; "
+        "texture seams then restrict the simplification.",
         group=HOW,
     )
     bake: bool | None = param(
         None,
-        "Bake new images for the simplified mesh, in the format and no more texels than those of the input; "
-        "vertex colours go into an image too. Off: textures are lost. Default: where the input has images, "
-        "unless keep_uv or a method that carries them is given.",
+        "Bake new images for the simplified mesh, in the format of the input's images and "
+        "with at most their number of texels; vertex colours are baked, too. Off: textures "
+        "are discarded. Default: on if the input has images, unless keep_uv or a method that "
+        "preserves them is given.",
         group=HOW,
     )
     threads: int | None = param(
         None,
-        "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
+        "Number of threads; the result does not depend on it. Default: one per core.",
         group=HOW,
         low=1,
         high=256,
@@ -120,7 +123,12 @@ class SharedParams:
             )
 
     def target(self, triangles: int) -> int | None:
-        """Return how many of so many triangles are wanted; None if there is no such wish."""
+        """Return the target triangle count; None without a target.
+
+        Parameters
+        ----------
+        triangles : triangle count of the input, for `ratio`.
+        """
         return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles
 
 

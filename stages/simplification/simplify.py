@@ -1,4 +1,4 @@
-"""Simplification that keeps colours: to a number of triangles, or within bounds on shape and colour."""
+"""Colour-preserving mesh simplification to a triangle count or within bounds."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from scanloom.stages.progress import Progress, silent
 from scanloom.stages.simplification.auto import chosen, has_no_goal, require_taken
 from scanloom.stages.simplification.codes import (
     SIMPLIFY_ATTRIBUTES_LOST,
-    SIMPLIFY_COORDINATES_UNWEIGHABLE,
+    SIMPLIFY_COORDINATES_UNUSABLE,
     SIMPLIFY_IMAGES_KEPT,
-    SIMPLIFY_IMAGES_REMADE,
+    SIMPLIFY_IMAGES_REBAKED,
 )
 from scanloom.stages.simplification.corner_attributes import is_in_pieces
 from scanloom.stages.simplification.dropping import drop_small
@@ -102,7 +102,7 @@ def simplify(
     method: Literal["planar"],
     **changes: Unpack[keywords.PlanarCall],
 ) -> Simplified[PlanarDetails]: ...
-# Where `auto` chooses, only the caller knows which details to expect.
+# With method `auto`, the type of the details is known only at run time.
 @overload
 def simplify(
     mesh: MeshLike,
@@ -128,48 +128,48 @@ def simplify(
     progress: Progress = silent,
     **changes: Unpack[SimplifyKeywords],
 ) -> Simplified[Any]:
-    """Simplify a mesh to a triangle count, or as far as bounds on shape and colour allow.
+    """Simplify a mesh to a triangle count or within error bounds.
 
-    The result has the topology, the boundary loops and the orientation of the input; a boundary shrinks only
-    along itself, and no triangle turns over. Equal input gives equal bytes, on any number of threads. The
-    methods stand in the table `scanloom.stages.simplification.methods`, and each explains itself in its own
-    package: `scanloom.stages.simplification.certified` and so on.
+    The result has the topology, the border loops and the orientation of the input. Borders shrink only along
+    themselves, and no triangle flips. The result is bit-identical for any number of threads. The methods are
+    listed in `scanloom.stages.simplification.methods`; each is described in its package, such as
+    `scanloom.stages.simplification.certified`.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices in one place
-        are one; where that is no oriented manifold, the surface is split into sheets, which stay as they are
-        where they touch, and a warning says so. Vertices without triangles and triangles that name a vertex
-        twice are left out.
-    params : SimplifyParams; single fields can be given by name instead, and fields of one method as a dict:
-        `planar={"crease_angle": 30}`. `triangles` or `ratio`, and bounds,
-        `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first. `drop_below`
-        (metres) removes small components and holes first, and `dropped` of the result says which; a record
-        begins with the mesh after that.
-    lock : (n,) bool or vertex indices: these vertices stay to the bit. Others may collapse into them.
-    importance : (n,) float above 0, factor of the squared error around each vertex; or, where bounds are
-        proven, at least 1, which they are divided by.
-    regions : `scanloom.Sphere` and `scanloom.Box`: they lock their vertices, or give them importance.
-    record : keep all collapses, so that every mesh on the way can be had again.
-    partial : Ctrl-C gives out what there is by then, instead of raising KeyboardInterrupt.
-    progress : called about ten times a second with the triangles that are gone and those that have to go;
-        returning False gives out what there is by then, raising stops the work.
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices at equal
+        positions are welded. A non-manifold surface is split into sheets with a warning; it stays unchanged
+        where sheets touch. Unused vertices and triangles that use a vertex twice are removed.
+    params : SimplifyParams; single fields can be given as keywords instead, and fields of one method as a
+        dict: `planar={"crease_angle": 30}`. The target is `triangles` or `ratio`, and the bounds `max_shape`
+        (metres) and `max_color` (8-bit levels); whichever is reached first stops the simplification.
+        `drop_below` (metres) removes small components and holes first, reported as `dropped` of the result. A
+        record then begins with the mesh after the removal.
+    lock : (n,) bool or vertex indices: these vertices stay bit-identical. Others may collapse into them.
+    importance : (n,) float above 0, factor on the squared error around each vertex. With proven bounds it
+        must be at least 1, and divides them.
+    regions : `scanloom.Sphere` and `scanloom.Box`, which lock their vertices or give them importance.
+    record : record all collapses, so that every intermediate mesh can be restored.
+    partial : on Ctrl-C, return the mesh simplified so far instead of raising KeyboardInterrupt.
+    progress : called about ten times per second with the numbers of removed triangles and of triangles to
+        remove. If it returns False, the mesh simplified so far is returned; an exception stops the
+        simplification.
 
     Returns
     -------
     Simplified
-        With `details` of the method's own type. Images of the input are baked anew (`baked`, see
-        `scanloom.stages.simplification.textured`), unless `keep_uv` or a method that carries them is given.
-        Otherwise the mesh has colours if the input has. `diagnostics` name what was left out, and
-        requirements that are not reached: a number of triangles without a bound, and bounds that are not
-        proven.
+        With `details` of the method's type. Images of the input are baked anew (`baked`, see
+        `scanloom.stages.simplification.textured`), unless `keep_uv` or a method that preserves them is given.
+        Without images, the mesh has vertex colours if the input has. `diagnostics` contain lost attributes
+        and unmet requirements: a triangle count without a bound, and bounds that are not proven.
 
     Raises
     ------
     MeshError
         For an index out of range or a value that is not finite.
     UsageError
-        For a parameter out of range or of another method, or what the method cannot do with this mesh.
+        For a parameter out of range or of another method, or a request that the method does not support for
+        this mesh.
     """
     with collecting() as diagnostics:
         params = resolve(SimplifyParams, params, dict(changes))
@@ -183,13 +183,13 @@ def simplify(
 
 @dataclass(frozen=True, eq=False)
 class _Control:
-    """Arguments of `simplify` beside mesh and parameters.
+    """Arguments of `simplify` other than mesh and parameters, after validation.
 
     Attributes
     ----------
     lock : (n,) bool.
-    importance : (n,) float64; (0,) where it is 1 everywhere.
-    record, partial, progress : as `simplify` takes them.
+    importance : (n,) float64; (0,) if it is 1 everywhere.
+    record, partial, progress : see `simplify`.
     """
 
     lock: NDArray[np.bool_]
@@ -200,7 +200,7 @@ class _Control:
 
 
 def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simplified[Any]:
-    """Simplify with parameters and control that are checked; unmet requirements are not reported."""
+    """Simplify with validated arguments, without reporting unmet requirements."""
     if params.drop_below is not None:
         return _simplified_remainder(mesh, params, params.drop_below, control)
     plan, reason = plan_baking(mesh, params, record=control.record)
@@ -209,9 +209,10 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
         bound = derive_max_shape(mesh)
         params = resolve(SimplifyParams, params, {"max_shape": bound})
     if plan is not None and params.max_shape is not None:
-        # The proof is about joined copies of vertices; the smaller bound makes it hold for the given mesh.
+        # The bound is proven for the shape with joined duplicates. Reducing it by their shift makes it hold
+        # for the given mesh.
         params = resolve(SimplifyParams, params, {"max_shape": max(params.max_shape - plan.shift, 0.0)})
-    # Results of attempts may be dropped, and their diagnostics with them.
+    # The result of an attempt may be discarded, and its diagnostics with it.
     with collecting(forward=False) as diagnostics:
         report_lost_lines(mesh)
         if reason is not None:
@@ -246,10 +247,10 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
             return found
         emit(
             *of_remade,
-            SIMPLIFY_IMAGES_REMADE.warning(
-                "with its own images the model keeps {count:,} triangles along texture seams and differs "
-                "more from the input: new images are baked",
-                remedy="keep_uv=True keeps the old.",
+            SIMPLIFY_IMAGES_REBAKED.warning(
+                "new images are baked: with its own images, the model would keep {count:,} "
+                "triangles along texture seams and differ more from the input",
+                remedy="keep_uv=True keeps the old images.",
                 count=len(found.mesh.triangles),
             ),
         )
@@ -267,12 +268,13 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
             emit(
                 *diagnostics,
                 SIMPLIFY_ATTRIBUTES_LOST.warning(
-                    "the images are left out, as they could not be baked anew: {reason}", reason=str(error)
+                    "the images are discarded, because new ones could not be baked: {reason}",
+                    reason=str(error),
                 ),
             )
             return found
         failure = SIMPLIFY_IMAGES_KEPT.warning(
-            "the images are kept with their seams, as they could not be baked anew: {reason}",
+            "the images are kept with their seams, because new ones could not be baked: {reason}",
             reason=str(error),
         )
     if baked is not None and not _has_alternative(mesh, params, baked):
@@ -282,7 +284,7 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
         with collecting(forward=False) as of_kept:
             kept = simplify_again(keep_uv=True)
     except MeshError:
-        # Texture coordinates that cannot be weighed against the shape do not matter to baked images.
+        # Invalid texture coordinates only matter if the images are kept.
         if baked is None:
             raise
         emit(*diagnostics)
@@ -300,7 +302,7 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
 def _simplified_remainder(
     mesh: Mesh, params: SimplifyParams, size: float, control: _Control
 ) -> Simplified[Any]:
-    """Simplify without components and holes that are smaller than a size in metres."""
+    """Simplify after removing components and holes smaller than `size` metres."""
     remainder = drop_small(mesh, size, control.lock)
     remainder.dropped.report()
     target = params.target(len(mesh.triangles))
@@ -324,7 +326,7 @@ def _simplified_remainder(
 
 
 def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Control) -> Simplified[Any]:
-    """Simplify with the method that the parameters name, or that suits the mesh."""
+    """Simplify with the given method, or the one that `auto` selects."""
     method = chosen(params, in_pieces=is_in_pieces(mesh))
     require_taken(
         method,
@@ -353,13 +355,13 @@ def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Contr
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
-                SIMPLIFY_COORDINATES_UNWEIGHABLE,
+                SIMPLIFY_COORDINATES_UNUSABLE,
                 (
-                    "{error}: its texture coordinates or normals are too large or too small to "
-                    "be weighed against its shape"
+                    "{error}: texture coordinates or normals are too large or too small to "
+                    "be weighted against the shape"
                 ),
                 "mesh",
-                remedy="make a new texture, or leave them out.",
+                remedy="create a new texture, or remove them.",
                 error=error,
             ) from error
         raise MeshError(MESH_NO_SURFACE, "{error}.", "mesh", error=error) from error
@@ -368,7 +370,7 @@ def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Contr
 
 
 def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any]) -> bool:
-    """Return whether the model's own images may turn out better than baked ones."""
+    """Return True if the model's own images may beat baked ones."""
     is_count = params.triangles is not None or params.ratio is not None
     is_open = params.method == AUTO and params.bake is None
     is_bounded = params.max_shape is not None
@@ -379,7 +381,7 @@ def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any])
 
 
 def _contented(progress: Progress) -> Progress:
-    """Take Ctrl-C for a wish for what there is also while progress is being told."""
+    """Make Ctrl-C during progress callbacks a request to stop early."""
 
     def tell(done: int, total: int) -> object:
         try:

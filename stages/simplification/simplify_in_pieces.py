@@ -1,12 +1,13 @@
-"""Simplify a mesh in pieces: their insides, the strips along the faces where they meet, and then the whole.
+"""Out-of-core simplification of chunked meshes.
 
-While a part is simplified, the vertices that other parts name stay as they are, and so do those next to them,
-so that parts always fit: nothing cracks, and no edge comes to have more than two triangles. The insides come
-one after the other, then the strips along all faces, a few voxels wide. What they leave is simplified once
-more, which makes the surface as light where parts were joined as elsewhere. Whatever of this is still large
-is halved until its parts are not: those of a round meet elsewhere than those before, so that what stays of
-their borders is light. Both rounds share out the bounds, which add up: what is proven for each is proven for
-both together, since the distance of surfaces obeys the triangle inequality.
+The order is: chunk interiors, strips between chunks, then the joined mesh.
+
+While a part is simplified, the vertices that it shares with other parts are locked, with their neighbours. So
+the parts always fit together without cracks or non-manifold edges. The interiors of all chunks come first,
+one by one, then the strips along chunk faces, which are a few voxels wide. The joined result is simplified
+once more, so that former part borders become as coarse as the remaining surface. Anything that is still too
+large is halved; the halves meet at other positions than in the previous round. Both rounds share the bounds.
+By the triangle inequality, the bounds proven for each round add up to the bound of the result.
 """
 
 from __future__ import annotations
@@ -46,21 +47,21 @@ from scanloom.stages.surface.codes import FUSE_TOO_LARGE
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.pieces import MOST_AT_ONCE, Pieces
 
-# Of meshes that are too large to be simplified at once: part of their key alone.
+# Version of results for meshes too large to be simplified at once; included only in their cache keys.
 RESULT_VERSION = 1
 
-# Times the spacing: a vertex farther inside than this is named by no other piece's triangles, nor are those
-# it is joined to.
+# In units of the voxel spacing: vertices farther inside a chunk are not used by other chunks' triangles, nor
+# are their neighbours.
 _RIM = 4.0
-# Of bounds, the share that is for the parts; the rest is for the whole.
+# Ratio of the bounds for the parts; the joined mesh gets the remainder.
 _FOR_PARTS = 0.6
-# Of a number of triangles, how many times as many parts keep for the whole to choose from.
+# Factor on the triangle count for the parts, so that the joined mesh has edges to choose from.
 _SPARE = 1.5
-# Triangles that are simplified at a time, which takes up to about 400 bytes for each.
+# Triangles simplified at a time; each needs up to about 400 bytes.
 AT_ONCE = 1_500_000
-# Of its share of a number of triangles, what a part is asked for at least, however much others have kept.
+# Minimum count of a part, as a ratio of its proportional share, even if earlier parts exceeded theirs.
 _LEAST_SHARE = 0.5
-# Figures of bounds, which add up.
+# Bounds, and metrics that add up over both rounds.
 _BOUNDS = ("max_shape", "max_color")
 _ADD_UP = (
     "shape_bound_m",
@@ -76,15 +77,15 @@ _ADD_UP = (
 
 @dataclass(frozen=True, eq=False)
 class InPieces:
-    """What `simplify_in_pieces` returns.
+    """Result of `simplify_in_pieces`.
 
     Attributes
     ----------
-    mesh : all of it.
-    parts : figures of each inside, and of the strips; see `Simplified.figures`.
-    whole : of the round over all of it, by parts again where it is large; none where what is left of the
-        bounds is too little for one.
-    diagnostics : of the round over all of it, and requirements that are not reached.
+    mesh : simplified mesh.
+    parts : statistics of each interior and strip; see `Simplified.figures`.
+    whole : statistics of the joined round, one entry per part if the mesh is large; empty if the remaining
+        bounds are too small to simplify further.
+    diagnostics : diagnostics of the joined round, and unmet requirements.
     """
 
     mesh: Mesh
@@ -93,7 +94,10 @@ class InPieces:
     diagnostics: tuple[Diagnostic, ...] = ()
 
     def figures(self) -> dict[str, Any]:
-        """Return sums of counts; of bounds the worst of the parts' and the whole's together."""
+        """Return statistics for JSON.
+
+        Counts are summed over all parts. For bounds, the maxima of the two rounds are added.
+        """
         rounds = (*self.parts, *self.whole)
         before, after = sum(part["triangles_before"] for part in self.parts), len(self.mesh.triangles)
         details = dict(rounds[-1]["details"])
@@ -121,17 +125,21 @@ class InPieces:
 def simplify_in_pieces(
     path: Path, params: SimplifyParams, *, scratch: Path | None = None, progress: Progress = silent
 ) -> InPieces:
-    """Make a PLY file in pieces light.
+    """Simplify a chunked PLY file.
 
-    Memory holds 1.5 times the result, and what AT_ONCE triangles take to be simplified.
+    Memory usage is 1.5 times the result, plus the memory to simplify AT_ONCE triangles.
 
     Parameters
     ----------
-    path : of the file, with its table of pieces beside it: what fusion and cleaning left.
-    params : see SimplifyParams. A number of triangles is shared out by the triangles each part has. Without a
-        number or a bound no more than MOST_AT_ONCE are left.
-    scratch : folder for a while, on a disk with room for a share of the mesh; the system's by default.
-    progress : called with the triangles that are done and all.
+    path : PLY file next to its chunk table, as written by fusion and cleaning.
+    params : see SimplifyParams. A triangle count is distributed in proportion to the triangles of each part.
+        Without a count or a bound, at most MOST_AT_ONCE triangles are left.
+    scratch : folder for temporary files on a disk with enough space; the system's default if None.
+    progress : called with (triangles done, all triangles).
+
+    Returns
+    -------
+    InPieces
 
     Raises
     ------
@@ -148,7 +156,7 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
     if params.bake:
         raise UsageError(
             FUSE_TOO_LARGE,
-            "is for meshes that are simplified in one piece",
+            "is not supported for a mesh that is too large to be simplified at once",
             Where(parameter="bake"),
             remedy="leave it out, and enable the stage bake.",
         )
@@ -161,7 +169,7 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
             strips.add(strip)
             yield inside
 
-    # The whole counts as much as a tenth.
+    # The joined round counts as a tenth of the work.
     steps = total + total // 10
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         strips = Strips(Path(folder), pieces.extents, pieces.vertex_count)
@@ -182,7 +190,7 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
     if params.drop_below is not None:
         emit(
             SIMPLIFY_DROP_BELOW_UNUSED.warning(
-                "has no effect on this mesh: it has {total:,} triangles, which are simplified in parts",
+                "has no effect, because the mesh has {total:,} triangles and is simplified in parts",
                 Where(parameter="drop_below"),
                 remedy="remove small components with clean.min_island_area.",
                 total=total,
@@ -192,9 +200,9 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
         goal = replace(goal, triangles=MOST_AT_ONCE)
         emit(
             SIMPLIFY_DEFAULT_COUNT.warning(
-                "within the default bounds {left:,} triangles would be left, more than what follows takes at "
-                "once; {most_at_once:,} are.",
-                remedy="Give simplify.triangles, ratio or max_shape for another number.",
+                "the default bounds would leave {left:,} triangles, more than later stages "
+                "process at once; {most_at_once:,} are kept.",
+                remedy="Give simplify.triangles, simplify.ratio or simplify.max_shape for another count.",
                 left=left,
                 most_at_once=MOST_AT_ONCE,
             )
@@ -206,7 +214,7 @@ def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progres
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """Meshes of a round with the numbers of their vertices in all, and figures of those made light."""
+    """Simplified meshes of one round with global vertex indices, and their statistics."""
 
     meshes: list[tuple[Mesh, Numbers]]
     figures: list[Mapping[str, Any]]
@@ -220,15 +228,16 @@ def _simplified(
     *,
     is_last: bool = False,
 ) -> _Round:
-    """Make parts light, few triangles at a time.
+    """Simplify parts one by one, at most AT_ONCE triangles at a time.
 
     Parameters
     ----------
-    total : triangles of all of them.
-    progress : called with the triangles that are done.
-    is_last : what one part cannot do without, its border perhaps, those after it do, as far as that leaves
-        them half of their share, so that a number of triangles is kept to; and what a bound is too little for
-        stays as it is.
+    cuts : parts to simplify.
+    total : triangles of all parts.
+    params : parameters of `simplify`.
+    progress : called with the number of triangles done.
+    is_last : True in the joined round. If a part keeps more triangles than its share, later parts get fewer,
+        but at least half of their share. Parts whose remaining bound is too small to prove stay unchanged.
     """
     made, passed = _Round([], []), 0
     target = params.target(total) if is_last else None
@@ -248,7 +257,8 @@ def _simplified(
             made.meshes.append((light.mesh, numbers_of(cut, light)))
             made.figures.append(light.figures())
             if is_last:
-                # Those of parts are mostly about where they were cut. Requirements are about all of it.
+                # Warnings of earlier rounds mostly concern artificial borders. Requirements are checked for
+                # the complete result.
                 emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
         passed += count
         left = max(left - len(made.meshes[-1][0].triangles), 0)

@@ -1,7 +1,7 @@
-"""The strips along the faces where pieces of a mesh meet, on disk until all pieces have been looked at.
+"""Strips along chunk faces, stored on disk until all chunks are read.
 
-A floor may lie along such faces as a whole, so that strips are as large as pieces are. They are simplified in
-cells: cubes as large as the pieces, half of one away from them, so that no face is where another was.
+A floor may lie along chunk faces entirely, so strips can be as large as chunks. Strips are simplified in
+cells: cubes of the chunk size, offset by half a chunk, so that cell faces do not coincide with chunk faces.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ _NONE = np.iinfo(np.uint16).max
 
 
 class Strips:
-    """Strips by their cells.
+    """Strips, grouped by cells.
 
     Parameters
     ----------
-    folder : for files, which whoever made it removes.
-    extents : of all pieces.
-    vertex_count : of all pieces; memory holds three bytes for each.
+    folder : folder for temporary files; the caller removes it.
+    extents : bounding boxes of all chunks.
+    vertex_count : total number of vertices; memory usage is three bytes per vertex.
     """
 
     def __init__(self, folder: Path, extents: Sequence[Extent], vertex_count: int) -> None:
         self._folder = folder
         sizes = [np.subtract(one.high, one.low).max() for one in extents]
         self._size = float(max(sizes, default=1.0))
-        # By their places, in the order in which they are met; and the files of each.
+        # Cell index by grid position, in order of first occurrence, and the files of each cell.
         self._cells: dict[tuple[int, ...], int] = {}
         self._files: list[list[Path]] = []
-        # The first cell that each vertex is in, and whether it is in others, too.
+        # First cell of each vertex, and whether other cells use it too.
         self._cell = np.full(vertex_count, _NONE, np.uint16)
         self._in_several = np.zeros(vertex_count, np.bool_)
 
     def add(self, strip: Cut) -> None:
-        """Add the strip of a piece."""
+        """Add the strip of a chunk."""
         mesh = strip.mesh
         if not len(mesh.triangles):
             return
@@ -61,7 +61,7 @@ class Strips:
             _write(path, cut)
 
     def cells(self) -> Iterator[Cut]:
-        """Yield what is in each cell, as one mesh."""
+        """Yield the strips of each cell as one subset."""
         for files in self._files:
             cut = joined_cuts([_read(file) for file in files])
             yield Cut(cut.mesh, cut.numbers, cut.is_of_both | self._in_several[cut.numbers])

@@ -1,4 +1,4 @@
-"""What a method of `simplify` is given, whichever it is."""
+"""Arguments of a simplification method."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ P = TypeVar("P")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task(Generic[P]):
-    """One call of a method.
+    """Arguments for one call of a simplification method.
 
     Attributes
     ----------
-    mesh : what is to be made light; checked, as it was given.
-    params : parameters that no other method has; None without any.
-    triangles : stop when at most this many are left; None if no number is wanted.
+    mesh : validated input mesh.
+    params : parameters that only this method has; None without any.
+    triangles : stop when at most this many triangles are left; None without a target.
     max_shape, max_color, attribute_scale, fit : see SharedParams.
-    lock : (n,) bool, vertices that stay.
-    importance : (n,) float64 above 0, factor of the squared error; (0,) for 1 everywhere.
-    threads : 0 for one a core.
-    record : keep all collapses.
-    partial : Ctrl-C, or a `progress` that returns False, gives out what there is.
-    progress : called about ten times a second; raising from it stops the work.
+    lock : (n,) bool, vertices to keep unchanged.
+    importance : (n,) float64 above 0, factor on the squared error; (0,) for 1 everywhere.
+    threads : 0 for one per core.
+    record : record all collapses.
+    partial : on Ctrl-C, or if `progress` returns False, return the mesh simplified so far.
+    progress : called about ten times per second; an exception stops the simplification.
     """
 
     mesh: Mesh
@@ -48,7 +48,12 @@ class Task(Generic[P]):
     progress: Progress = silent
 
     def running(self, region_triangles: int) -> _kernels.Running:
-        """Return how a kernel that collapses edges runs, on regions of so many triangles."""
+        """Build the options of a collapse kernel.
+
+        Parameters
+        ----------
+        region_triangles : triangles per region of the collapse engine.
+        """
         return _kernels.Running(
             target_triangles=self.triangles or 0,
             threads=self.threads,

@@ -1,7 +1,7 @@
-"""Simplification of textured models without texture seams, and baking of their images.
+"""Simplification of textured models without texture seams, and baking of new images.
 
-Texture coordinates would hold every seam in place. Without them only what must not mix stays apart: classes
-of materials that need images of their own, parts, and sharp edges.
+Texture coordinates would restrict collapses at every seam. Without them, only three kinds of borders remain:
+between material classes that need separate images, between parts, and at sharp edges.
 """
 
 from __future__ import annotations
@@ -36,54 +36,56 @@ from scanloom.stages.texturing.bake import bake
 from scanloom.stages.texturing.bake_materials import bake_materials
 from scanloom.stages.texturing.material_classes import MaterialClass, material_classes
 
-# Parameters that only mean something for texture coordinates, or colours of an image, that stay.
+# Parameters that only apply to preserved texture coordinates or images.
 _OF_KEPT_UVS = frozenset(
     ("max_color", "seams.max_seam_drift", "seams.texture_weight", "seams.across_textures")
 )
-# An image that repeats more often than this, as bricks on a wall, would lose detail in an atlas of its size.
+# Images that repeat more often on the surface, such as brick walls, would lose detail in an atlas of their
+# size.
 _MAX_REPEATS = 2.0
-# Share of the surface that shows less than one texel for each triangle, as with palettes, from which an atlas
-# of as few texels would lose the colours.
+# Maximum ratio of the surface with less than one texel per triangle, as with palettes. Above it, an atlas
+# with the same number of texels would lose the colours.
 _MAX_PALETTE = 0.5
-# The default bound on shape, as a share of the size of the model: not visible at a thousand pixels.
+# Default bound on shape, as a ratio of the model's size: invisible in a rendering of 1000 pixels.
 _SHAPE_PER_SIZE = 1e-3
-# Length of the mean of the normals at a vertex from which they are one: about 5 degrees between them.
+# Minimum length of the mean normal at a vertex to treat its normals as one: about 5 degrees between them.
 _SMOOTH = 0.996
-# Copies of a vertex are nearer than this share of the median side.
+# Maximum distance between duplicate vertices, as a ratio of the median triangle side.
 _SIMILAR_PER_SIDE = 0.01
-# To a count, the model's own texture is kept where baking loses visibly (an RMS of more levels than this),
-# its colour error is below this share of the baked one, and its shape error is at most this many times as
-# large, or below this share of the diagonal. A can with small print on it has 44 dB with its own images at
-# 10 %, and 34 dB with as many new texels.
+# For a triangle count, the model's own images are kept under three conditions. Baking loses visibly (RMS
+# above `_VISIBLE_COLOR` levels). The colour error is below `_MAX_COLOR_RATIO` of the baked one. The shape
+# error is at most `_MAX_SHAPE_RATIO` of the baked one, or below `_INVISIBLE_SHAPE` of the diagonal. For
+# example, a can with small print has 44 dB with its own images at 10 %, and 34 dB with the same number of new
+# texels.
 _VISIBLE_COLOR = 3.0
 _MAX_COLOR_RATIO = 0.35
 _MAX_SHAPE_RATIO = 2.5
 _INVISIBLE_SHAPE = 2e-4
-# Triangles that the result along seams may have for one of the other.
+# Maximum ratio of the triangle counts with own and with baked images.
 _MAX_COUNT_RATIO = 1.02
-# Points of each surface at which the two are compared, and of the original at which their own colours are
-# tried before; the error that is clear there, relative to the largest one.
+# Samples per surface for the comparison, and samples of the original for a cheaper test before it; the factor
+# on the colour limit above which the cheaper test decides.
 _COMPARED, _TRIED = 20_000, 5_000
 _CLEARLY = 1.5
-# Vertices on texture seams for each triangle of the result, from which the model's own images are not tried.
-# The can has 0.08; of 35 models that have more than 0.2, at ratios 0.1 and 0.03, none would keep its images.
+# Maximum number of vertices on texture seams per triangle of the result, to try the model's own images. The
+# can has 0.08; of 35 models above 0.2, none would keep its images at ratios 0.1 and 0.03.
 _MAX_SEAM_RATIO = 0.2
-# Texture coordinates that differ by no more are equal.
+# Tolerance for equal texture coordinates.
 _SAME_UV = 1e-6
-# Share of the surface at each end of each axis that does not count for the size.
+# Ratio of the surface at each end of each axis that is ignored as outliers when measuring the size.
 _OUTSIDE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class BakePlan:
-    """Shape to simplify, and the classes of materials that are baked afterwards.
+    """Shape to simplify, and material classes to bake afterwards.
 
     Attributes
     ----------
-    original : mesh as it was given.
-    shape : mesh without texture coordinates; where there are several classes, they are its "materials".
-    class_ids : (m,) of the triangles of the original.
-    classes : of the materials; empty where vertex colours are baked.
+    original : mesh as given.
+    shape : mesh without texture coordinates. If there are several classes, they are its materials.
+    class_ids : (m,) int32, class of each triangle of the original.
+    classes : material classes; empty if vertex colours are baked.
     """
 
     original: Mesh
@@ -93,11 +95,11 @@ class BakePlan:
 
     @property
     def shift(self) -> float:
-        """Return how far vertices of `shape` are from those of the original, in metres."""
+        """Maximum distance between vertices of `shape` and of the original, in metres."""
         return float(np.linalg.norm(self.shape.vertices - self.original.vertices, axis=1).max(initial=0.0))
 
     def bake(self, found: Simplified[Any]) -> Simplified[Any]:
-        """Return the simplified mesh with its new images."""
+        """Bake images for the simplified mesh."""
         mesh = found.mesh
         if not areas(mesh.vertices, mesh.triangles).any():
             emit(texture_left_out("simplify"))
@@ -119,7 +121,7 @@ class BakePlan:
 
 
 def has_texture_images(mesh: Mesh) -> bool:
-    """Return whether a mesh has texture coordinates, and images that can be decoded."""
+    """Return True if a mesh has texture coordinates and decodable images."""
     texture = mesh.texture
     if texture is None or not texture.has_uvs().any():
         return False
@@ -131,11 +133,18 @@ def has_texture_images(mesh: Mesh) -> bool:
 def plan_baking(
     mesh: Mesh, params: SimplifyParams, *, record: bool
 ) -> tuple[BakePlan | None, Diagnostic | None]:
-    """Plan the baking of a mesh; return None and a reason if images are kept.
+    """Plan the baking of a mesh, or decide to keep its images.
 
     Parameters
     ----------
-    record : whether all collapses are kept, which holds for one set of texture coordinates only.
+    mesh : the input.
+    params : parameters of `simplify`.
+    record : True if collapses are recorded, which is possible with one set of texture coordinates only.
+
+    Returns
+    -------
+    plan : BakePlan, or None if nothing is baked.
+    reason : warning about images that are kept; None if the parameters determine the choice.
     """
     if params.keep_uv or params.bake is False:
         return None, None
@@ -155,22 +164,22 @@ def plan_baking(
 
 
 def is_visibly_different(found: Simplified[Any]) -> bool:
-    """Return whether baked images differ visibly from the model's own."""
+    """Return True if baked images differ visibly from the model's own."""
     return found.baked is not None and found.baked.color.rmse > _VISIBLE_COLOR
 
 
 def misses_count(found: Simplified[Any], triangles: int) -> bool:
-    """Return whether a result has visibly more triangles than a goal."""
+    """Return True if a result clearly exceeds a target triangle count."""
     return len(found.mesh.triangles) > _MAX_COUNT_RATIO * triangles
 
 
 def is_better_baked(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> bool:
-    """Return whether a mesh with baked images has fewer triangles and no larger errors.
+    """Return True if baking gives fewer triangles and no larger errors.
 
     Parameters
     ----------
     mesh : the input.
-    baked, kept : with baked images, and with the model's own.
+    baked, kept : results with baked images, and with the model's own.
     """
     if len(baked.mesh.triangles) >= len(kept.mesh.triangles):
         return False
@@ -181,12 +190,12 @@ def is_better_baked(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -
 
 
 def has_few_seams(mesh: Mesh, triangles: int) -> bool:
-    """Return whether texture seams leave room for so many triangles to be placed freely."""
+    """Return True if few vertices are on seams for a triangle count."""
     texture = mesh.texture
     assert texture is not None
     sets, first = equal_positions(mesh.vertices)
     corners = sets[mesh.triangles].reshape(-1)
-    # Any corner of each vertex, with which the others are compared.
+    # Representative corner of each vertex, with which its other corners are compared.
     one = np.zeros(len(first), np.int64)
     one[corners] = np.arange(len(corners))
     other = one[corners]
@@ -200,12 +209,12 @@ def has_few_seams(mesh: Mesh, triangles: int) -> bool:
 
 
 def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> Simplified[Any]:
-    """Choose between baked images and the model's own by colour and shape error.
+    """Choose baked images or the model's own by their errors.
 
     Parameters
     ----------
     mesh : the input.
-    baked, kept : both simplified to the same number of triangles.
+    baked, kept : results with the same target triangle count.
     """
     if len(kept.mesh.triangles) > _MAX_COUNT_RATIO * len(baked.mesh.triangles) or baked.baked is None:
         return baked
@@ -227,10 +236,10 @@ def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) ->
 
 
 def derive_max_shape(mesh: Mesh) -> float:
-    """Derive the default bound on shape of a model, in metres, from its size.
+    """Derive the default bound on shape, in metres, from the model's size.
 
-    The size is the diagonal of the box that holds all of the surface but the outermost 0.5 % at each side, so
-    that a stray triangle does not count.
+    The size is the diagonal of the bounding box. The outermost 0.5 % of the surface on each side are ignored,
+    so that stray triangles have no effect.
     """
     corners = mesh.triangles.reshape(-1)
     weights = np.repeat(areas(mesh.vertices, mesh.triangles), 3)
@@ -265,7 +274,7 @@ def _strip_texture(mesh: Mesh, class_ids: NDArray[np.int32], classes: tuple[Mate
 
 
 def _join_copies(mesh: Mesh) -> Mesh:
-    """Move copies of vertices that rounding separates to one position."""
+    """Move duplicate vertices that rounding has separated to one position."""
     sides = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], 1, axis=1)
     lengths = np.linalg.norm(sides, axis=2)
     if not lengths.any():
@@ -282,7 +291,7 @@ def _join_copies(mesh: Mesh) -> Mesh:
 def _smooth_normals(mesh: Mesh) -> Mesh:
     """Replace corner normals by vertex normals if no edge is sharp.
 
-    Files have several copies of a vertex along seams of the image, whose normals differ by rounding.
+    Files duplicate vertices along texture seams, with normals that differ by rounding.
     """
     if mesh.corner_normals is None:
         return mesh
@@ -300,7 +309,7 @@ def _smooth_normals(mesh: Mesh) -> Mesh:
 
 
 def _find_reason(mesh: Mesh) -> Diagnostic | None:
-    """Find a reason to keep the images of a mesh; None if there is none."""
+    """Return a warning if baking would degrade the images; else None."""
     texture = mesh.texture
     assert texture is not None
     spread = np.abs(signed_areas(texture.uvs))
@@ -321,14 +330,14 @@ def _find_reason(mesh: Mesh) -> Diagnostic | None:
         return None
     if shown.sum() > _MAX_REPEATS * total:
         return SIMPLIFY_IMAGES_KEPT.warning(
-            "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as "
-            "few texels would lose detail",
-            remedy="bake=True makes one all the same.",
+            "the images repeat on the surface, and an atlas with as few texels would lose "
+            "detail: texture coordinates and images are kept",
+            remedy="bake=True bakes an atlas anyway.",
         )
     if area[shown < 1].sum() > _MAX_PALETTE * area.sum():
         return SIMPLIFY_IMAGES_KEPT.warning(
-            "the images are palettes, of which triangles show single texels: texture coordinates and images "
-            "are kept",
-            remedy="bake=True makes an atlas all the same.",
+            "the images are palettes with a single texel per triangle: texture coordinates "
+            "and images are kept",
+            remedy="bake=True bakes an atlas anyway.",
         )
     return None

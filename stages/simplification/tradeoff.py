@@ -1,7 +1,7 @@
-"""What triangles buy: how far a mesh is off at any number of them, from one simplification.
+"""Error of a mesh as a function of its triangle count.
 
-The collapses of one run are kept, and replayed to each number on the way (Hoppe, "Progressive meshes", 1996);
-each mesh is measured against the input both ways, as `compare` does it.
+The collapses of one simplification are recorded and replayed to each count (Hoppe, "Progressive meshes",
+1996). Each mesh is compared with the input in both directions, as `compare` does.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scanloom.stages.printing import by_figures, rows_table, table
 from scanloom.stages.progress import Progress, silent
 from scanloom.stages.simplification.codes import (
     SIMPLIFY_COUNT_NOT_REACHED,
-    SIMPLIFY_CROWDED,
+    SIMPLIFY_EDGES_BLOCKED,
     SIMPLIFY_SEAM_DRIFT,
     SIMPLIFY_TRADEOFF,
 )
@@ -46,35 +46,39 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import TradeoffKeywords
 
 _PERCENT = 95
-# Codes of diagnostics about a number of triangles alone.
-_OF_FEWEST = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_CROWDED.name, SIMPLIFY_SEAM_DRIFT.name)
+# Diagnostics that only concern the smallest triangle count.
+_OF_FEWEST = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_EDGES_BLOCKED.name, SIMPLIFY_SEAM_DRIFT.name)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TradeoffParams:
-    """At which numbers of triangles a mesh is measured, and which of them is suggested."""
+    """Parameters of `tradeoff`."""
 
     steps: int = param(
-        12, "How many numbers of triangles, each the same share of the one before.", low=2, high=1000
+        12, "Number of triangle counts to measure, in a geometric progression.", low=2, high=1000
     )
     least: float = param(
-        0.01, "The smallest of them, as a share of the input's triangles.", low=0, high=1, low_open=True
+        0.01,
+        "Smallest triangle count to measure, as a fraction of the input's triangles.",
+        low=0,
+        high=1,
+        low_open=True,
     )
     within: float | None = param(
         None,
-        "Suggest the smallest number at which 95 % of both surfaces are this near to the other. Not given: "
-        "the one where the curve of the distance over the logarithm of the number bends most.",
+        "Suggest the smallest triangle count at which 95 % of both surfaces are within this "
+        "distance of the other. Default: suggest the count where the curve of distance over "
+        "the logarithm of the count bends most.",
         unit="m",
         low=0,
     )
     samples: int = param(
         100_000,
-        "Points sampled on each surface, spread evenly over its area; every vertex counts besides, for the "
-        "maximum.",
+        "Points sampled on each surface, uniformly by area; the maximum also includes every vertex.",
         low=1,
         high=100_000_000,
     )
-    glb_bytes: bool = param(False, "Also tell how large each is as a GLB file.")
+    glb_bytes: bool = param(False, "Also report the size of each mesh as a GLB file.")
 
     def __post_init__(self) -> None:
         check(self)
@@ -82,14 +86,15 @@ class TradeoffParams:
 
 @dataclass(frozen=True, kw_only=True)
 class TradeoffPoint:
-    """A mesh on the way, and how far it is from the input.
+    """Error of the mesh at one triangle count.
 
     Attributes
     ----------
-    triangles : of it; share, of the input's.
-    rms_m, percentile_95_m, maximum_m : distances, both ways together, metres.
+    triangles : triangle count.
+    share : ratio of the input's triangle count.
+    rms_m, percentile_95_m, maximum_m : distances over both directions, metres.
     color_rmse_levels : colour difference of corresponding points, 8-bit levels; None without colours.
-    glb_bytes : of its GLB file; None if that was not asked for.
+    glb_bytes : size as a GLB file; None if not requested.
     """
 
     triangles: int
@@ -103,23 +108,23 @@ class TradeoffPoint:
     __repr__ = by_figures
 
     def figures(self) -> dict[str, Any]:
-        """Return all of it, units in the names."""
+        """Return all fields, with units in the names."""
         return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tradeoff:
-    """The curve of error against triangles.
+    """Error as a function of the triangle count.
 
     Attributes
     ----------
-    method : of simplification, whose collapses were kept.
-    points : from most triangles to fewest.
-    suggested : triangles; None where no number is within what was asked for, or there are too few to tell.
-    why : what that number is suggested for.
-    mesh : with so many triangles, or else with the fewest.
-    record : replays to any other number.
-    diagnostics : of the simplification and of the figures.
+    method : simplification method.
+    points : errors, by decreasing triangle count.
+    suggested : triangle count; None if no count is within the requested error, or there are too few counts.
+    why : criterion of the suggestion, in words.
+    mesh : mesh at the suggested count, or at the smallest one without a suggestion.
+    record : collapses, which restore the mesh at any other count.
+    diagnostics : warnings of the simplification and of the comparison.
     """
 
     method: str
@@ -133,7 +138,7 @@ class Tradeoff:
     __repr__ = by_figures
 
     def figures(self) -> dict[str, Any]:
-        """Return the curve for JSON, units in the names."""
+        """Return the curve for JSON, with units in the names."""
         return {
             "method": self.method,
             "suggested_triangles": self.suggested,
@@ -142,7 +147,7 @@ class Tradeoff:
         }
 
     def rows(self) -> list[list[str]]:
-        """Return the curve as words, a heading first; columns that say nothing are left out."""
+        """Return the curve as text rows, header first, without empty columns."""
         head = ["triangles", "share", "RMS m", "95 % m", "maximum m", "colour levels", "GLB bytes"]
         rows = [
             [
@@ -169,28 +174,32 @@ def tradeoff(
     progress: Progress = silent,
     **changes: Unpack[TradeoffKeywords],
 ) -> Tradeoff:
-    """Measure how far a mesh is off at each of several numbers of triangles, and suggest one of them.
+    """Measure a mesh's error at several triangle counts, and suggest one.
 
-    What `simplify` gives out for a number alone, by method `quadric` or, with texture, `seams`: the same
-    but for the weight of colours, which it derives from the number that is asked for.
+    The meshes equal the results of `simplify` with a triangle count, by method `quadric`, or `seams` for
+    textured meshes. Only the colour weight differs, because `simplify` derives it from the requested count.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres.
-    params : TradeoffParams; single fields can be given by name instead.
-    counts : numbers of triangles, in place of `steps` and `least`.
-    progress : told of meshes that are measured.
+    params : TradeoffParams; single fields can be given as keywords instead.
+    counts : triangle counts, instead of `steps` and `least`.
+    progress : called with (meshes measured, all meshes).
+
+    Returns
+    -------
+    Tradeoff
 
     Raises
     ------
     MeshError
         If the mesh has no area.
     UsageError
-        If a parameter is out of range, or a number of triangles below 1.
+        If a parameter is out of range, or a triangle count below 1.
 
     References
     ----------
-    The bend after Satopää, Albrecht, Irwin and Raghavan, "Finding a kneedle in a haystack", 2011.
+    The suggestion follows Satopää, Albrecht, Irwin and Raghavan, "Finding a kneedle in a haystack", 2011.
     """
     with collecting() as diagnostics:
         found = _tradeoff(mesh, resolve(TradeoffParams, params, changes), counts, progress)
@@ -204,7 +213,7 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
     progress(0, len(wanted) + 1)
     with collecting(forward=False):
         light = simplify(reference, triangles=wanted[-1], record=True)
-    # Nobody asked for the fewest triangles, so that nothing about them alone counts.
+    # The smallest count was not requested by the user, so diagnostics about it alone are dropped.
     emit(*(one for one in light.diagnostics if one.code not in _OF_FEWEST))
     progress(1, len(wanted) + 1)
     record = light.record
@@ -213,7 +222,7 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
     if fewest > wanted[-1]:
         emit(
             SIMPLIFY_TRADEOFF.warning(
-                "no edge may collapse any more at {fewest:,} triangles, which holes and pieces need",
+                "no edge can collapse below {fewest:,} triangles, which holes, handles and components need",
                 fewest=fewest,
             )
         )
@@ -221,8 +230,8 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
     if record.wedges is not None:
         emit(
             SIMPLIFY_TRADEOFF.info(
-                "distances are those before the fit that simplify ends with, which a record of textured "
-                "meshes cannot repeat: simplify to a number comes nearer"
+                "distances are measured before the final fit, which a record of a textured "
+                "mesh cannot repeat; simplify with a triangle count comes closer to the input"
             )
         )
     measure = _Measure(reference, params.samples)
@@ -244,12 +253,12 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
 
 
 def _wanted(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[int]:
-    """Return numbers of triangles, from most to fewest."""
+    """Return the triangle counts to measure, in decreasing order."""
     if len(counts):
         if min(counts) < 1:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "counts has {counts}; a number of triangles must be at least 1.",
+                "counts contains {counts}; a triangle count must be at least 1.",
                 counts=min(counts),
             )
         return sorted({min(count, before) for count in counts}, reverse=True)
@@ -258,11 +267,11 @@ def _wanted(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[
 
 
 class _Measure:
-    """Distances and colour differences from a mesh, whose surface is made ready once for all."""
+    """Measurement of meshes against one reference, whose search structures are built once."""
 
     def __init__(self, reference: Mesh, samples: int) -> None:
         self._reference, self._samples = reference, samples
-        # Simplified meshes may stand out of the box by as little as they are off.
+        # The box of the reference suffices, because simplified meshes exceed it only slightly.
         self._box = bounding_box(reference)
         self._surface = WithNeedles(Surface(reference, self._box), self._box)
         self._points = _spread(reference, samples, 0)
@@ -294,7 +303,7 @@ def _spread(mesh: Mesh, count: int, seed: int) -> Located:
 
 
 def _differences(mesh: Mesh, at: Located, other: WithNeedles) -> tuple[Floats, Floats | None]:
-    """Return the distances of points from a surface, and the mean squared differences of colour there."""
+    """Measure distances and mean squared colour differences of points to a surface."""
     nearest = other.closest(interpolated(mesh.vertices, mesh, at))
     if not (has_color(mesh) and has_color(other.mesh)):
         return nearest.distances, None
@@ -311,7 +320,7 @@ def _glb_bytes(mesh: Mesh) -> int:
 
 
 def _suggested(points: Sequence[TradeoffPoint], within: float | None) -> tuple[int | None, str]:
-    """Return which point to take, and why."""
+    """Select the suggested point; return its index, or None, and the criterion."""
     if within is not None:
         near = [k for k, point in enumerate(points) if point.percentile_95_m <= within]
         return (near[-1] if near else None), f"95 % of the surface within {within:g} m"
@@ -325,6 +334,6 @@ def _suggested(points: Sequence[TradeoffPoint], within: float | None) -> tuple[i
 
 
 def _share_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far each value is from the least to the greatest; 0 where all are equal."""
+    """Scale values linearly to 0 … 1; all 0 if equal."""
     above = values - values.min()
     return np.asarray(above / max(float(above.max()), np.finfo(np.float64).tiny))

@@ -1,4 +1,4 @@
-"""Requirements of simplification: the number of triangles, and the bounds."""
+"""Requirements of simplification: the triangle count, and the bounds."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from scanloom.stages.printing import at_most
 from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COUNT_NOT_REACHED
 from scanloom.stages.simplification.params import SimplifyParams
 
-# With any of these, stopping short of a number of triangles is what was asked for.
+# With any of these, a triangle count is not required: the simplification may stop at the bound.
 _BOUNDS = ("max_shape", "max_color", "seams.max_seam_drift", "jia01.resolution")
 
 
 def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
-    """Emit a diagnostic for each requirement that is not reached.
+    """Emit a diagnostic for each unmet requirement.
 
-    A number of triangles is asked for where no bound is: with both, whichever comes first ends the work. Who
-    asked for what there is by then (`stopped_by` is "request") asked for no number any more; bounds have to
-    be proven all the same. A default bound was not asked for: a warning says how much of it is proven.
+    A triangle count is required only without a bound; with both, whichever is reached first stops the
+    simplification. It is not required after an early stop on request (`stopped_by` is "request"). Bounds must
+    be proven in any case. A default bound is not a requirement: a warning reports the proven bound instead.
 
     Parameters
     ----------
-    figures : of the result, as `Simplified.figures` returns them.
+    params : parameters of `simplify`.
+    figures : statistics of the result, from `Simplified.figures`.
     """
     details = figures["details"]
     if details.get("proven") is False and figures.get("default_max_shape_m") is None:
@@ -33,15 +34,16 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
             most += f" and {at_most(details['color_bound_levels'])} levels"
         emit(
             SIMPLIFY_BOUND_NOT_PROVEN.unmet(
-                "the bounds that were asked for are not proven; proven are {most}.", most=most
+                "the requested bounds are not proven; {most} are proven instead.", most=most
             )
         )
     measured, max_color = details.get("color_measured_levels"), details.get("max_color_levels")
     if measured is not None and max_color is not None and measured > max_color:
         emit(
             SIMPLIFY_BOUND_NOT_PROVEN.unmet(
-                "colours differ by up to {measured:.3g} levels, which is more than was asked for.",
+                "colours differ by up to {measured:.3g} levels, more than max_color ({max_color:g} levels).",
                 measured=measured,
+                max_color=max_color,
             )
         )
     wanted, left = params.target(figures["triangles_before"]), figures["triangles"]
@@ -49,7 +51,7 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
     if wanted is not None and is_alone and left > wanted and figures["stopped_by"] != "request":
         emit(
             SIMPLIFY_COUNT_NOT_REACHED.unmet(
-                "{left:,} triangles are left, not {wanted:,} as asked: {why}.",
+                "{left:,} triangles are left instead of {wanted:,}: {why}.",
                 left=left,
                 wanted=wanted,
                 why=_why(figures["refused_edges"]),
@@ -60,5 +62,5 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
 def _why(refused: Mapping[str, int]) -> str:
     rule = max(refused, key=lambda name: refused[name], default=None)
     if rule is None or not refused[rule]:
-        return "no other edge may collapse"
-    return f"no other edge may collapse, for {rule} most often"
+        return "no other edge can collapse"
+    return f'no other edge can collapse, mostly because of the rule "{rule}"'

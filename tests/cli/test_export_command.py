@@ -48,7 +48,7 @@ def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) ->
 def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -> None:
     ran = scanloom("export", model, tmp_path / "a.stl", "--preset", "print")
     assert ran.exit_code == 1
-    assert "edges of one triangle" in ran.stderr
+    assert "edges with only one triangle" in ran.stderr
     assert "geometry only" in ran.stderr
     write_mesh(tmp_path / "ball.ply", ball())
     ran = scanloom("export", tmp_path / "ball.ply", tmp_path / "b.stl", "--preset", "print", "--up", "-y")

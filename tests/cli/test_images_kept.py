@@ -71,7 +71,7 @@ def test_where_no_image_is_wanted_a_warning_says_what_keeps_it(
     target = tmp_path / "light.glb"
     ran = scanloom("simplify", textured, target, *METHODS[method], "--no-bake")
     assert ran.exit_code == 0
-    assert "left out: texture; method seams carries it, and bake makes a new image" in ran.stderr
+    assert "discards the texture; method seams preserves it, and bake creates a new image" in ran.stderr
     assert read_mesh(target).texture is None
 
 
@@ -93,7 +93,7 @@ def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tm
     assert edge_counts(welded(light))[0] <= edge_counts(welded(read_mesh(textured)))[0]
     assert ran.json["baked"]["charts"] > 0
     ran = scanloom("remesh", textured, target, "--no-bake")
-    assert "remesh left out: texture" in ran.stderr
+    assert "remesh discards the texture" in ran.stderr
 
 
 def test_transparency_is_told(scanloom: Run, tmp_path: Path) -> None:

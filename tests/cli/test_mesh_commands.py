@@ -51,7 +51,7 @@ def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: P
     assert needles["reasons"] == {"at a border": 1}
     assert figures["bound_m"] <= figures["max_shape_m"] == 0.01
     assert len(read_mesh(target).vertices) == 35
-    assert "1 of 3 needles left: 1 at a border; the first at (" in ran.stderr
+    assert "1 of 3 needles not repaired: 1 at a border; the first at (" in ran.stderr
     ran = scanloom("clean", source, target, "--repair", "--repair-angle", 0.1)
     assert re.search(r"^repair bound +0 m$", ran.stdout, re.M)
     assert "needles" not in ran.stdout
@@ -170,14 +170,14 @@ def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_pa
     ran = scanloom("simplify", source, light, "--max-color", 20)
     assert ran.exit_code == 1
     assert light.exists()
-    assert f"scanloom: {source}: the bounds that were asked for are not proven; proven are" in ran.stderr
-    assert "Not proven: the bounds that were asked for, at 4 triangles of the result and 4 of" in ran.stdout
+    assert f"scanloom: {source}: the requested bounds are not proven; " in ran.stderr
+    assert "Not proven: the requested bounds, at 4 triangles of the result and 4 of" in ran.stdout
 
 
 def test_simplify_warns_when_too_few_triangles_are_wanted(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     light = tmp_path / "light.ply"
     ran = scanloom("simplify", ball, light, "--triangles", 1)
-    assert f"warning: {ball}: 100% of the edges that are left stand for holes" in ran.stderr
+    assert f"warning: {ball}: 100% of the remaining edges belong to holes" in ran.stderr
     assert "diagnostics" not in ran.stdout
     (warning,) = scanloom("simplify", ball, light, "--triangles", 1, "--json").warnings
     assert "warning: " + warning in ran.stderr
@@ -306,7 +306,7 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
         (
             ("simplify", "ball.ply", "out.ply", "--method", "jia01", "--crease-angle", "30"),
             2,
-            "--crease-angle has no meaning for method jia01; leave one of them out.",
+            "--crease-angle is not supported by method jia01; leave one of them out.",
         ),
         (("simplify", "ball.ply", "out.ply", "--crease-angle", "95"), 2, "--crease-angle is 95 degrees"),
         (
@@ -317,7 +317,7 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
         (("simplify", "ball.ply", "out.ply", "--max-shape", "1", "--save-bounds", "b.npz"), 2, "use .ply"),
         (("certify", "ball.ply", "missing.ply"), 3, "missing.ply: there is no such file."),
         (("certify", "ball.ply", "ball.ply", "--effort", "-1"), 2, "--effort is -1"),
-        (("replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or no record of collapses."),
+        (("replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or not a collapse record."),
         (("replay", "missing.npz", "out.ply"), 3, "missing.npz: there is no such file."),
         (("replay", "ball.ply", "out.ply", "--ratio", "0.5", "--collapses", "3"), 2, "give one of them"),
         (("compare", "ball.ply", "ball.ply", "--samples", "0"), 2, "--samples is 0"),
@@ -358,7 +358,7 @@ def test_a_mesh_that_is_not_manifold_is_split_and_a_warning_says_so(scanloom: Ru
     write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))
     ran = scanloom("simplify", fan, tmp_path / "light.ply")
     assert ran.exit_code == 0
-    assert ran.stderr.count(f"warning: {fan}: the surface is no manifold: it was split into sheets") == 1
+    assert ran.stderr.count(f"warning: {fan}: the surface is not a manifold: it was split into sheets") == 1
     assert "run clean first" in ran.stderr
     assert scanloom("simplify", fan, tmp_path / "light.ply", "--strict").exit_code == 1
 

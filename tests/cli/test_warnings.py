@@ -98,7 +98,7 @@ def test_textures_that_a_method_leaves_out_are_warned_of(scanloom: Run, tmp_path
     model.write_text(rows)
     words = ("simplify", model, tmp_path / "out.ply", "--method", "quadric", "--ratio", 0.9, "--quiet")
     assert (
-        f"warning: {model}: simplify left out: parts; method seams carries them." in scanloom(*words).stderr
+        f"warning: {model}: simplify discards parts; method seams preserves them." in scanloom(*words).stderr
     )
 
 

@@ -205,7 +205,7 @@ def test_a_result_says_how_many_diagnostics_it_has_and_a_notebook_which():
     result = stages.simplify(mesh, ratio=0.5, method="quadric")
     assert repr(result).endswith(", 1 diagnostic)")
     table = result._repr_html_()
-    assert "<th style='text-align:left'>warning</th><td>simplify left out: parts; method seams" in table
+    assert "<th style='text-align:left'>warning</th><td>simplify discards parts; method seams" in table
 
 
 def test_other_results_say_what_matters(results):

@@ -1,1 +1,4 @@
-"""What `repair` is made of: a mesh whose edits can be undone, the edits, who judges them, who proves them."""
+"""Building blocks of `repair`.
+
+They are a mesh with undoable edits, repair operations, their validation, and the comparison of defects.
+"""

@@ -1,4 +1,4 @@
-"""What is irregular after repairs and was not before, and what no longer is."""
+"""Comparison of the defects before and after repairs."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from scanloom.stages.progress import silent
 from scanloom.stages.surface.edges import Ids
 from scanloom.stages.surface.mesh import Vertices
 
-# Whatever a written triangle can change the class of shares a vertex with it, or has a neighbour that does.
+# A changed triangle affects the class only of elements within two rings.
 _RINGS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """The difference that repairs make.
+    """Defects that repairs removed, and triangles of repairs that created defects.
 
     Attributes
     ----------
-    gone : of each class the places that are not irregular any more.
-    guilty : triangles that were written, and something irregular came of it.
+    gone : per class, the elements that are no longer irregular.
+    guilty : changed triangles that caused new defects.
     """
 
     gone: dict[str, Ids]
@@ -34,11 +34,14 @@ class Difference:
 
 
 def difference(edited: Edited, limits: Limits, intersecting: Ids, threads: int) -> Difference:
-    """Compare what is irregular now with what was.
+    """Compare the defects of the edited mesh and of the input.
 
     Parameters
     ----------
-    intersecting : the triangles of the given mesh that intersect others.
+    edited : mesh under repair.
+    limits : angle thresholds.
+    intersecting : triangles of the input that intersect others.
+    threads : 0 for one per core.
     """
     changed = edited.changed()
     given = edited.given_triangles()
@@ -60,7 +63,7 @@ def difference(edited: Edited, limits: Limits, intersecting: Ids, threads: int) 
     )
     gone = {name: missing_in(was[name], now[name]) for name in was}
     guilty = [_written_at(edited, changed, missing_in(now[name], was[name]), name) for name in now]
-    # That a border is gone is as bad as a new one.
+    # Closing a border changes the topology, and is rejected like opening one.
     guilty.append(_written_at(edited, changed, gone["border_edges"], "border_edges"))
     met, free = _intersections(edited, changed, intersecting, threads)
     guilty.append(met)
@@ -69,12 +72,12 @@ def difference(edited: Edited, limits: Limits, intersecting: Ids, threads: int) 
 
 
 def _named(found: dict[str, Ids], vertices: Ids, rows: Ids) -> dict[str, Ids]:
-    """Return places by the numbers of the mesh."""
+    """Translate local indices of defects to indices of the mesh."""
     return {name: (rows if is_of_triangles(name) else vertices)[ids] for name, ids in found.items()}
 
 
 def _written_at(edited: Edited, changed: Ids, places: Ids, name: str) -> Ids:
-    """Return the written triangles that are irregular, or have irregular vertices or both ends of edges."""
+    """Return the changed triangles that contain some defects."""
     if is_of_triangles(name):
         return np.intersect1d(changed, places)
     marked = np.zeros(len(edited.first) + 1, bool)
@@ -87,12 +90,18 @@ def _written_at(edited: Edited, changed: Ids, places: Ids, name: str) -> Ids:
 
 
 def _intersections(edited: Edited, changed: Ids, intersecting: Ids, threads: int) -> tuple[Ids, Ids]:
-    """Return the written triangles by which there are new intersections, and those that intersect no more."""
+    """Compare intersections before and after the repairs.
+
+    Returns
+    -------
+    guilty : changed triangles with new intersections.
+    gone : triangles of the input that intersect no longer.
+    """
     near, other = _meeting(edited, changed[edited.is_there(changed)], threads)
     meets = other >= 0
     new = meets & ~np.isin(near, intersecting)
     guilty = np.intersect1d(changed, np.concatenate([near[new], other[new]]))
-    # What is near those written may still meet what is not.
+    # A triangle near changed ones may still intersect an unchanged one.
     in_doubt = np.intersect1d(intersecting, near[~meets])
     beyond, other = _meeting(edited, in_doubt, threads)
     gone = intersecting[~edited.is_there(intersecting)]
@@ -100,9 +109,12 @@ def _intersections(edited: Edited, changed: Ids, intersecting: Ids, threads: int
 
 
 def _meeting(edited: Edited, rows: Ids, threads: int) -> tuple[Ids, Ids]:
-    """Return the triangles near some, these among them, and for each another of them that it meets, or −1.
+    """Find intersections of some triangles with all others.
 
-    All that meet any of those named are near.
+    Returns
+    -------
+    near : `rows` and all triangles that may intersect them.
+    other : for each of `near`, another triangle of `near` that it intersects, or −1.
     """
     from scipy.spatial import cKDTree
 
@@ -111,7 +123,7 @@ def _meeting(edited: Edited, rows: Ids, threads: int) -> tuple[Ids, Ids]:
     (there,) = np.nonzero(edited.is_there(np.arange(len(edited.corner))))
     centres, reach = _spheres(edited.places, edited.triangles[there])
     is_one = np.isin(there, rows)
-    # No farther than this can one be that meets any of them.
+    # Upper bound of the distance between the centres of intersecting triangles.
     apart, _ = cKDTree(centres[is_one]).query(centres)
     near = there[apart <= (reach + reach[is_one].max()) * (1 + 1e-9)]
     vertices, index = np.unique(edited.triangles[near], return_inverse=True)
@@ -126,7 +138,7 @@ def _meeting(edited: Edited, rows: Ids, threads: int) -> tuple[Ids, Ids]:
 
 
 def _spheres(places: Vertices, triangles: Ids) -> tuple[Vertices, Vertices]:
-    """Return for each triangle the centre (k, 3) and radius (k,) of a sphere that holds it."""
+    """Compute bounding spheres of triangles: centres (k, 3) and radii (k,)."""
     corners = places[triangles]
     centres = corners.mean(axis=1)
     return centres, np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))

@@ -1,8 +1,8 @@
-"""A mesh under repair: its triangles keep their numbers, and every edit can be undone.
+"""Mesh under repair, with edits that can be undone.
 
-A corner of a triangle is always one of the corners that were given, with its vertex, texture coordinate and
-normal: repairs invent none, so one number a corner says all. An edit remembers which triangles it looked at;
-undoing it undoes those later ones that looked at what it wrote, and leaves what would be had it never been.
+Triangles keep their indices. Each corner always refers to a corner of the input, with its vertex, texture
+coordinate and normal. Repairs create no new corners. Each edit records the triangles it depends on. Undoing
+an edit also undoes all later edits that depend on triangles it wrote.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from scanloom.stages.surface.mesh import Mesh, Vertices
 from scanloom.stages.surface.vertex_normals import vertex_normals
 from scanloom.stages.surface.welding import same_rows
 
-# The number of the corners of a triangle that is gone.
+# Corner index in deleted triangles.
 GONE = -1
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """Edits that were made at once, none of which looks at what another writes.
+    """Independent edits that were made at once.
+
+    No edit depends on a triangle that another one writes.
 
     Attributes
     ----------
-    seen : (k,) edits and (k,) triangles they looked at.
-    written : (w,) edits, (w,) triangles, which are among those seen, and their corners (w, 3) before.
-    moved : (v,) edits, (v,) vertices they moved, and their places (v, 3) before.
+    seen : edits (k,) and the triangles (k,) they depend on.
+    written : edits (w,), triangles (w,) they wrote, a subset of `seen`, and the previous corners (w, 3).
+    moved : edits (v,), vertices (v,) they moved, and the previous positions (v, 3) in metres.
     """
 
     seen: tuple[Ids, Ids]
@@ -37,7 +39,7 @@ class Round:
     moved: tuple[Ids, Ids, Vertices]
 
     def without(self, undone: NDArray[np.bool_]) -> Round:
-        """Return what is left of it without some edits, given as a mask of all."""
+        """Return a copy without the edits in a mask."""
         seen, written, moved = self.seen, self.written, self.moved
         a, b, c = (~undone[edits[0]] for edits in (seen, written, moved))
         return replace(
@@ -50,15 +52,17 @@ class Round:
 
 @dataclass(eq=False)
 class Edited:
-    """A mesh and the edits of it.
+    """Mesh under repair, with the history of its edits.
 
     Attributes
     ----------
-    first : (n,) for each vertex the first one in its place; vertices in one place are one here.
-    corner : (m, 3) the given corner that each corner is; GONE in triangles that are gone.
-    triangles : (m, 3) by the first vertex in each place; GONE in triangles that are gone.
-    places : (n, 3) m, of the first vertex in each place.
-    edits : how many were made, those undone included.
+    mesh : the input.
+    first : (n,) first vertex at each vertex's position; duplicate vertices count as one.
+    corner : (m, 3) input corner of each corner; GONE in deleted triangles.
+    triangles : (m, 3) vertices, as first vertex at each position; GONE in deleted triangles.
+    places : (n, 3) positions in metres, up to date only for the first vertex at each position.
+    rounds : edits that are in effect, in order.
+    edits : number of edits ever made, including undone ones.
     """
 
     mesh: Mesh
@@ -71,33 +75,42 @@ class Edited:
 
     @classmethod
     def start(cls, mesh: Mesh) -> Edited:
-        """Return a mesh without edits."""
+        """Create the editable mesh, without edits."""
         corner = np.arange(3 * len(mesh.triangles)).reshape(-1, 3)
         first = same_rows(list(mesh.vertices.T))
         return cls(mesh, first, corner, first[mesh.triangles], mesh.vertices.copy())
 
     def given_triangles(self) -> Ids:
-        """Return the triangles (m, 3) before all edits, by the first vertex in each place."""
+        """Return the triangles (m, 3) before all edits.
+
+        Vertices are represented by the first one at each position.
+        """
         return np.asarray(self.first[self.mesh.triangles])
 
     def vertex_of(self, corner: Ids) -> Ids:
-        """Return the first vertex in the place of each given corner; GONE stays."""
+        """Return the first vertex at each input corner's position.
+
+        GONE stays GONE.
+        """
         vertex = self.first[self.mesh.triangles.reshape(-1)[corner]]
         return np.where(corner == GONE, GONE, vertex)
 
     def is_there(self, rows: Ids) -> NDArray[np.bool_]:
-        """Return which triangles are not gone."""
+        """Return a mask of the triangles that are not deleted."""
         return np.asarray(self.corner[rows, 0] != GONE)
 
     def is_moved(self) -> NDArray[np.bool_]:
-        """Return (n,) which vertices are elsewhere; of several in one place, the first."""
+        """Return a mask (n,) of the moved vertices.
+
+        Only the first of several duplicates is marked.
+        """
         moved = np.zeros(len(self.first), bool)
         for made in self.rounds:
             moved[made.moved[1]] = True
         return moved
 
     def changed(self) -> Ids:
-        """Return the triangles that some edit has written, ascending."""
+        """Return the triangles that edits have written, ascending."""
         written = [made.written[1] for made in self.rounds]
         return np.unique(np.concatenate([np.zeros(0, np.int64), *written]))
 
@@ -108,9 +121,12 @@ class Edited:
         moved: tuple[Ids, Ids, Vertices],
         count: int,
     ) -> Ids:
-        """Make `count` edits, numbered from 0 in what is given, and return the numbers they get.
+        """Apply `count` independent edits, and return their indices.
 
-        `written` has the triangles' corners after the edits, `moved` the new places.
+        Parameters
+        ----------
+        seen, written, moved : as in `Round`, with the new corners and positions. Edit indices start at 0.
+        count : number of edits.
         """
         numbers = np.arange(self.edits, self.edits + count)
         self.edits += count
@@ -126,14 +142,19 @@ class Edited:
         return numbers
 
     def writers(self, rows: Ids) -> Ids:
-        """Return the edits that wrote some of these triangles."""
+        """Return the edits that wrote any of the given triangles."""
         wanted = np.zeros(len(self.corner), bool)
         wanted[rows] = True
         found = [made.written[0][wanted[made.written[1]]] for made in self.rounds]
         return np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
 
     def undo(self, edits: Ids) -> tuple[Ids, Ids]:
-        """Undo edits and those that rest on them; return all of these, and the triangles they wrote."""
+        """Undo edits, and all edits that depend on them.
+
+        Returns
+        -------
+        Indices of the undone edits, and the triangles they had written.
+        """
         undone = np.zeros(self.edits, bool)
         undone[edits] = True
         tainted = np.zeros(len(self.corner), bool)
@@ -153,9 +174,12 @@ class Edited:
 
 
 def repaired_mesh(edited: Edited) -> tuple[Mesh, Ids, Ids]:
-    """Return the repaired mesh, and the given vertex and triangle of each of its vertices and triangles.
+    """Build the repaired mesh, with the attributes of vertices, corners and triangles.
 
-    Attributes of vertices, corners and triangles are carried over.
+    Returns
+    -------
+    mesh : Mesh
+    vertex_source, triangle_source : input vertex of each vertex, and input triangle of each triangle.
     """
     given = edited.mesh
     (rows,) = np.nonzero(edited.is_there(np.arange(len(edited.corner))))
@@ -166,7 +190,7 @@ def repaired_mesh(edited: Edited) -> tuple[Mesh, Ids, Ids]:
     normals = None if given.corner_normals is None else given.corner_normals.reshape(-1, 3)[corner]
     triangles = given.triangles.reshape(-1)[corner]
     mesh = _with_moved(edited, given.with_triangles(triangles, rows, uvs=uvs, corner_normals=normals))
-    # Vertices that were unused before stay; those that a collapse leaves unused are removed.
+    # Vertices that the input does not use stay; vertices that repairs made unused are removed.
     used, still = np.zeros((2, len(given.vertices)), bool)
     used[given.triangles] = True
     still[triangles] = True
@@ -182,7 +206,7 @@ def repaired_mesh(edited: Edited) -> tuple[Mesh, Ids, Ids]:
 
 
 def _with_moved(edited: Edited, mesh: Mesh) -> Mesh:
-    """Return the mesh with its moved vertices in their new positions, and normals to match."""
+    """Apply vertex positions that smoothing changed, and recompute the normals there."""
     (moved,) = np.nonzero(edited.is_moved()[edited.first])
     if len(moved) == 0:
         return mesh

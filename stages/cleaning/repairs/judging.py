@@ -1,7 +1,7 @@
-"""Whether an operation leaves nothing irregular that was not so before.
+"""Validation of repair operations: reject those that would create new defects.
 
-Each is tried out on a small mesh of its own, the triangles around all vertices of what it writes, and what is
-irregular there is found before and after by the functions that found it in the whole mesh.
+Each operation is applied to a small copy of the mesh: all triangles around the vertices of its written
+triangles. Defects are found there before and after, by the functions used for the complete mesh.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from scanloom.stages.surface.edges import Ids
 from scanloom.stages.surface.mesh import Vertices
 from scanloom.stages.surface.texture import Texture, signed_areas
 
-# Triangles of no use: one may become another of these on the way to being none.
+# Defects that may turn into one another, because a repair may need several operations.
 FLAWS = ("degenerate_triangles", "caps", "needles")
 _OF_CAPS = [REPAIRABLE.index(name) for name in ("degenerate_triangles", "caps")]
-# No operation changes anything at these.
+# No operation may write triangles at these defects.
 _TANGLES = ("nonmanifold_edges", "inconsistent_edges", "singular_vertices", "focal_vertices")
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What is known of operations.
+    """Outcome of the validation of k operations.
 
     Attributes
     ----------
-    refused : (k,) why one cannot be done, or FINE.
-    seen : (s,) operations and (s,) triangles around them, by their numbers in the neighbourhood.
+    refused : (k,) reason of rejection, or FINE.
+    seen : operations (s,) and the triangles (s,) they depend on, as indices in the neighbourhood.
     """
 
     refused: Ids
@@ -43,15 +43,16 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The small meshes of all operations as one that hangs together nowhere.
+    """Test meshes of all operations, merged into one mesh of disjoint parts.
 
     Attributes
     ----------
-    owner, row : (s,) of each of its triangles, the operation and its number in the neighbourhood.
+    owner : (s,) operation of each triangle.
+    row : (s,) index of each triangle in the neighbourhood.
     of_vertex : (v,) operation of each vertex.
-    before, after : (s, 3) triangles; after, GONE where they are.
-    places, moved : (v, 3) m, before and after.
-    written : (w,) which triangles are written, in the order of the operations' lists.
+    before, after : (s, 3) triangles before and after; GONE where deleted.
+    places, moved : (v, 3) positions before and after, metres.
+    written : (w,) triangles that operations write, in the order of `Operations.row`.
     """
 
     owner: Ids
@@ -71,12 +72,15 @@ def judge(
     texture: Texture | None,
     limits: Limits,
 ) -> Judged:
-    """Return what speaks against operations, which are done one by one.
+    """Validate operations independently of each other.
 
     Parameters
     ----------
-    new : (w, 3) the vertices, by their numbers in the neighbourhood, that written triangles get; of no
-        meaning where they are gone.
+    around : neighbourhood that the operations refer to.
+    operations : k operations.
+    new : (w, 3) neighbourhood vertices of the written triangles; arbitrary in deleted triangles.
+    texture : None to skip the check for flipped texture triangles.
+    limits : angle thresholds.
     """
     count = len(operations)
     trial = _trial(around, operations, new)
@@ -132,19 +136,22 @@ def _trial(around: Neighbourhood, operations: Operations, new: Ids) -> _Trial:
 
 
 def _tangled(operations: Operations, trial: _Trial, was: dict[str, Ids]) -> Ids:
-    """Return operations that would write triangles where the surface is no manifold."""
+    """Return operations that would write triangles in non-manifold regions."""
     bad = np.zeros(len(trial.of_vertex), bool)
     for name in _TANGLES:
         bad[was[name]] = True
     hit = bad[trial.before[trial.written]].any(axis=1)
-    # Where a triangle is left out and no other is written, it may itself be why.
+    # Operations that only delete triangles are allowed: the triangle may be the cause.
     stays = trial.after[trial.written, 0] != GONE
     writes = np.bincount(operations.owner, stays, len(operations)) > 0
     return operations.owner[hit & writes[operations.owner]]
 
 
 def _still_flat(operations: Operations, trial: _Trial, now: dict[str, Ids]) -> Ids:
-    """Return operations on caps that write caps: so there are fewer after each, and an end to them."""
+    """Return operations on caps that would write caps.
+
+    Rejecting them makes each operation reduce the number of caps, so that the repair terminates.
+    """
     flat = np.zeros(len(trial.owner), bool)
     flat[now["caps"]] = flat[now["degenerate_triangles"]] = True
     hit = flat[trial.written] & np.isin(operations.kind[operations.owner], _OF_CAPS)
@@ -152,9 +159,10 @@ def _still_flat(operations: Operations, trial: _Trial, now: dict[str, Ids]) -> I
 
 
 def _turned(trial: _Trial) -> Ids:
-    """Return operations after which some triangle they write faces away from their sum.
+    """Return operations that would flip a triangle.
 
-    The sum of the area vectors depends on the rim alone, which stays: it is the same before and after.
+    A triangle counts as flipped if it faces away from the sum of the area vectors. This sum depends only on
+    the boundary of the written region, so it is the same before and after.
     """
     owner = trial.owner[trial.written]
     before, after = trial.before[trial.written], trial.after[trial.written]
@@ -165,7 +173,10 @@ def _turned(trial: _Trial) -> Ids:
 
 
 def _turned_in_images(around: Neighbourhood, operations: Operations, texture: Texture) -> Ids:
-    """Return the same of their texture coordinates; where these have no area, nothing can turn over."""
+    """Return operations that would flip a triangle in the texture.
+
+    Triangles without area in the texture cannot flip.
+    """
     uvs = texture.uvs.reshape(-1, 2)
     before, after = (
         signed_areas(uvs[corner]) for corner in (around.corner[operations.row], operations.corner)
@@ -180,7 +191,7 @@ def _area_vectors(corners: Vertices) -> Vertices:
 
 
 def _owners(trial: _Trial, name: str, ids: Ids) -> Ids:
-    """Return the operations that vertices, edges or triangles of the trial are of."""
+    """Return the operations of some vertices, edges or triangles."""
     if is_of_triangles(name):
         return np.asarray(trial.owner[ids])
     return np.asarray(trial.of_vertex[ids[:, 0] if ids.ndim == 2 else ids])

@@ -1,7 +1,9 @@
-"""The part of a mesh that repairs look at, with numbers of its own, so that work grows with the defects.
+"""Submesh around defects, with local indices.
 
-All that is irregular lies in it with some rings of triangles around. Vertices at its rim have triangles
-outside: what would need these waits for the next neighbourhood.
+Repair costs thereby scale with the number of defects.
+
+It contains all defects and some rings of triangles around them. Vertices on its boundary have triangles
+outside. Operations that need those triangles wait for the next, larger neighbourhood.
 """
 
 from __future__ import annotations
@@ -21,16 +23,16 @@ from scanloom.stages.surface.topology import repeats_vertex
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """Triangles around a few places.
+    """Submesh around defects.
 
     Attributes
     ----------
-    rows : (k,) numbers of the triangles in the mesh, ascending.
-    vertices : (j,) numbers of the vertices in the mesh, the first in each place, ascending.
-    corner : (k, 3) the given corner each corner is.
-    triangles : (k, 3) by the vertices' numbers here.
-    places : (j, 3) m.
-    is_inner : (j,) whether all triangles of a vertex are here.
+    rows : (k,) indices of the triangles in the mesh, ascending.
+    vertices : (j,) indices of the vertices in the mesh, first vertex at each position, ascending.
+    corner : (k, 3) input corner of each corner.
+    triangles : (k, 3) local vertex indices.
+    places : (j, 3) positions in metres.
+    is_inner : (j,) True if all triangles of a vertex are in the submesh.
     """
 
     rows: Ids
@@ -42,7 +44,7 @@ class Neighbourhood:
 
     @cached_property
     def edges(self) -> Edges:
-        """Edges; no triangle here repeats a vertex."""
+        """Edges of the submesh, in which no triangle uses a vertex twice."""
         return edges_of(self.triangles.astype(np.int32), len(self.vertices))
 
     @cached_property
@@ -52,24 +54,33 @@ class Neighbourhood:
         return np.argsort(flat, kind="stable"), np.cumsum(count) - count, count
 
     def corners_at(self, vertices: Ids) -> tuple[Ids, Ids]:
-        """Return the corners (numbers as of halfedges) at each vertex, and which of the vertices it is at."""
+        """Find the corners at the given vertices.
+
+        Returns
+        -------
+        owner : position of the corner's vertex in `vertices`.
+        corner : local corner index, equal to the index of the halfedge that starts there.
+        """
         order, start, count = self._corners_by_vertex
         owner, where = spread(start[vertices], count[vertices])
         return owner, order[where]
 
     def vertices_where(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return (j,) which vertices are ends of the chosen edges."""
+        """Return a mask (j,) of the ends of the selected edges."""
         found = np.zeros(len(self.vertices), bool)
         found[self.edges.ends[chosen]] = True
         return found
 
 
 def grown(triangles: Ids, vertex_count: int, rows: Ids, rings: int) -> Ids:
-    """Return triangles and, so many rings around, those that share a vertex with them; ascending."""
+    """Grow a set of triangles by rings of adjacent triangles.
+
+    Adjacent triangles share a vertex. The result is ascending.
+    """
     chosen = np.zeros(len(triangles), bool)
     chosen[rows] = True
     for _ in range(rings):
-        # GONE, which is −1, has the last place.
+        # GONE (−1) addresses the extra last element.
         near = np.zeros(vertex_count + 1, bool)
         near[triangles[chosen]] = True
         near[GONE] = False
@@ -78,11 +89,13 @@ def grown(triangles: Ids, vertex_count: int, rows: Ids, rings: int) -> Ids:
 
 
 def neighbourhood(edited: Edited, rows: Ids, is_inner: NDArray[np.bool_]) -> Neighbourhood:
-    """Return triangles of a mesh as it is now, without those that are gone or repeat a vertex.
+    """Extract triangles of the edited mesh, without deleted and collapsed ones.
 
     Parameters
     ----------
-    is_inner : (n,) whether all triangles of a vertex are among the rows.
+    edited : mesh under repair.
+    rows : triangles to extract.
+    is_inner : (n,) True if all triangles of a vertex are in `rows`.
     """
     rows = rows[edited.is_there(rows)]
     triangles = edited.triangles[rows]
@@ -100,7 +113,7 @@ def neighbourhood(edited: Edited, rows: Ids, is_inner: NDArray[np.bool_]) -> Nei
 
 
 def inner(triangles: Ids, vertex_count: int, rows: Ids) -> NDArray[np.bool_]:
-    """Return (n,) which vertices have no triangle but these."""
+    """Return a mask (n,) of vertices with all triangles in `rows`."""
     outside = np.ones(len(triangles), bool)
     outside[rows] = False
     found = np.ones(vertex_count + 1, bool)

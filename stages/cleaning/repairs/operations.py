@@ -1,11 +1,14 @@
-r"""The operations that repair, as what they would write: flip, collapse, smooth, drop.
+r"""Repair operations: flip, collapse, smooth, delete.
 
-flip                    collapse v to u           smooth
-c          c            x---y                   v is moved to the
-/`\        /|\          / \ / \                  mean of its
-a---b  →   a | b        w---v   z  →  the ring    neighbours
-\ /        \|/          \ / \ /      around u
-d          d            u---…
+An operation lists the triangles it writes, with their new corners.
+
+    flip            collapse v to u               smooth
+
+      c         c         x---y
+     / \       /|\       / \ / \                    v moves to the
+    a---b  →  a | b     w---v   z  →  the ring      mean of its
+     \ /       \|/       \ / \ /      around u      neighbours
+      d         d         u---…
 """
 
 from __future__ import annotations
@@ -23,26 +26,26 @@ from scanloom.stages.cleaning.repairs.ragged import distinct_pairs
 from scanloom.stages.surface.edges import Ids, next_corner
 from scanloom.stages.surface.mesh import Mesh, Vertices
 
-# Why something is not repaired, by number; 0 is for what may be.
+# Reasons for not repairing a defect, by code; 0 means no objection.
 REASONS = (
     "",
     "at a border",
     "where the texture, the material, the part or the colour changes",
-    "where the surface is no manifold",
-    "where a triangle would turn over",
-    "where another irregularity would come of it",
+    "where the surface is not a manifold",
+    "where a triangle would flip",
+    "where the repair would create another defect",
     "where the distance is not proven to be within max_shape",
-    "for which there is no operation",
+    "without an applicable repair",
 )
 BORDER, SEAM, TANGLED, TURNS, WORSE, TOO_FAR, HELPLESS = range(1, len(REASONS))
-# Reasons that only this program has: more has to be looked at.
+# Codes without a text. RIM: the neighbourhood must grow before the operation can be validated.
 FINE, RIM = 0, -1
 
 
 class Sameness:
-    """Comparison of the attributes of corners, and of triangles, by their numbers in the given mesh.
+    """Comparison of attributes between corners, and between triangles, of the input.
 
-    Corners that are the same but for their triangle can stand for each other.
+    Corners at one vertex with equal attributes are interchangeable.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -59,14 +62,14 @@ class Sameness:
             self._of_triangles.append(mesh.part_ids)
 
     def corners(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
-        """Return a mask of the corners with the same vertex, texture coordinate and normal as others."""
+        """Return a mask of corner pairs with equal vertex and attributes."""
         found = np.ones(len(one), bool)
         for values in self._of_corners:
             found &= (values[one] == values[other]).all(axis=1)
         return found
 
     def triangles(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
-        """Return a mask of the triangles with the same material and part as others."""
+        """Return a mask of the triangle pairs with equal material and part."""
         found = np.ones(len(one), bool)
         for values in self._of_triangles:
             found &= values[one] == values[other]
@@ -75,15 +78,15 @@ class Sameness:
 
 @dataclass(frozen=True, eq=False)
 class Operations:
-    """Operations on a neighbourhood, k of them; triangles and vertices by their numbers there.
+    """Batch of k operations on a neighbourhood, with its local indices.
 
     Attributes
     ----------
-    kind : (k,) the class of what is repaired, by number.
-    place : (k,) where that is: the triangle, halfedge or vertex.
-    refused : (k,) why one cannot be done, FINE if nothing is known against it.
-    owner, row, corner : (w,) operation, triangle it writes, and the given corners (w, 3) this gets, or GONE.
-    moved : (k,) the vertex one moves, or −1; target : (k, 3) to where.
+    kind : (k,) index of the repaired class in REPAIRABLE.
+    place : (k,) defect to repair: triangle, halfedge or vertex.
+    refused : (k,) reason of rejection, FINE if none is known.
+    owner, row, corner : (w,) operation, (w,) triangle it writes, and (w, 3) its new input corners, or GONE.
+    moved, target : (k,) moved vertex, or −1, and (k, 3) its new position in metres.
     """
 
     kind: Ids
@@ -99,7 +102,7 @@ class Operations:
         return len(self.kind)
 
     def only(self, chosen: NDArray[np.bool_]) -> Operations:
-        """Return the chosen ones."""
+        """Return the selected operations."""
         number = np.cumsum(chosen) - 1
         written = chosen[self.owner]
         return Operations(
@@ -115,7 +118,7 @@ class Operations:
 
 
 def together(some: list[Operations]) -> Operations:
-    """Return all operations as one list."""
+    """Concatenate batches of operations."""
     starts = np.cumsum([0, *map(len, some)])
     names = ("kind", "place", "refused", "row", "corner", "moved", "target")
     joined = {name: np.concatenate([getattr(one, name) for one in some]) for name in names}
@@ -124,15 +127,15 @@ def together(some: list[Operations]) -> Operations:
 
 
 def drops(kind: int, rows: Ids) -> Operations:
-    """Leave triangles out."""
+    """Create operations that delete triangles."""
     corner = np.full((len(rows), 3), GONE)
     return _still(kind, rows, np.zeros(len(rows), np.int64), np.arange(len(rows)), rows, corner)
 
 
 def flips(kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedges: Ids) -> Operations:
-    """Turn the edges of halfedges, each in its two triangles.
+    """Create operations that flip the edges of halfedges.
 
-    Of those that come of it the thinner one is written where the halfedge is.
+    The thinner of the two new triangles takes the index of the halfedge's triangle.
     """
     edges = around.edges
     edge = edges.of_halfedge[halfedges]
@@ -158,7 +161,10 @@ def flips(kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedge
 def collapses(
     kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedges: Ids, *, to_head: bool
 ) -> Operations:
-    """Let the tails of halfedges become their heads, or the heads their tails; what stays keeps its place."""
+    """Create operations that collapse halfedges: tail to head, or head to tail.
+
+    The remaining vertex keeps its position.
+    """
     edges = around.edges
     edge = edges.of_halfedge[halfedges]
     vertices = around.triangles.reshape(-1)
@@ -183,7 +189,10 @@ def collapses(
 
 
 def smoothings(kind: int, around: Neighbourhood, same: Sameness, vertices: Ids) -> Operations:
-    """Move vertices to the mean of their neighbours: a step of the umbrella Laplacian."""
+    """Create operations that move vertices to the mean of their neighbours.
+
+    This is one step of umbrella-operator Laplacian smoothing.
+    """
     owner, at = around.corners_at(vertices)
     triangles = around.triangles[at // 3]
     of_pairs, near = distinct_pairs(np.repeat(owner, 3), triangles.reshape(-1), len(around.vertices))
@@ -204,14 +213,14 @@ def smoothings(kind: int, around: Neighbourhood, same: Sameness, vertices: Ids) 
 
 
 def _other(around: Neighbourhood, halfedges: Ids) -> Ids:
-    """Return the other halfedge of edges of two triangles."""
+    """Return the opposite halfedge on edges of two triangles."""
     edges = around.edges
     start = edges.start[edges.of_halfedge[halfedges]]
     return np.asarray(edges.halfedges[start] + edges.halfedges[start + 1] - halfedges)
 
 
 def _differ(around: Neighbourhood, same: Sameness, vertices: Ids) -> NDArray[np.bool_]:
-    """Return at which vertices not all corners, or triangles, have the same."""
+    """Return a mask of vertices whose corners or triangles differ."""
     corner = around.corner.reshape(-1)
     owner, at = around.corners_at(vertices)
     one = at[np.searchsorted(owner, np.arange(len(vertices)))[owner]]
@@ -221,7 +230,7 @@ def _differ(around: Neighbourhood, same: Sameness, vertices: Ids) -> NDArray[np.
 
 
 def _still(kind: int, place: Ids, refused: Ids, owner: Ids, row: Ids, corner: Ids) -> Operations:
-    """Return operations that move no vertex."""
+    """Create operations that move no vertex."""
     count = len(place)
     return Operations(
         kind=np.full(count, kind),

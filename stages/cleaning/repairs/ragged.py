@@ -1,4 +1,4 @@
-"""Lists of unequal length, one after the other in one array."""
+"""Ragged arrays: lists of different lengths, concatenated in one array."""
 
 from __future__ import annotations
 
@@ -8,13 +8,22 @@ from scanloom.stages.surface.edges import Ids
 
 
 def spread(start: Ids, count: Ids) -> tuple[Ids, Ids]:
-    """Return for each list of `count` items from `start` on: whose item it is, and where it is."""
+    """Enumerate the items of slices [start, start + count).
+
+    Returns
+    -------
+    owner : slice of each item.
+    position : index of each item in the concatenated array.
+    """
     owner = np.repeat(np.arange(len(count)), count)
     before = np.cumsum(count) - count
     return owner, np.arange(len(owner)) + np.repeat(start - before, count)
 
 
 def distinct_pairs(owner: Ids, item: Ids, limit: int) -> tuple[Ids, Ids]:
-    """Return the pairs of an owner and an item below `limit`, each once, ascending."""
+    """Return the distinct pairs of owner and item, ascending.
+
+    `limit` is an exclusive upper bound of the items.
+    """
     one, other = np.divmod(np.unique(owner * limit + item), limit)
     return one, other

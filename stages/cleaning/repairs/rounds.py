@@ -1,11 +1,13 @@
-"""All repairs that are legal, in rounds: those that do not see each other are made at once.
+"""Iterative repair of the defects in a neighbourhood.
 
-around the irregular places:
-repeat:
-find what is irregular, and what would repair it
-judge it, where something has changed since it was judged last
-make what may be made, as far as it is independent
-until nothing is made
+Each round applies all valid operations that are independent of each other:
+
+    extract the neighbourhood of the defects
+    repeat:
+        find the defects, and create operations that may repair them
+        validate operations near changes of the last round
+        apply an independent subset of the valid operations
+    until no operation is valid
 """
 
 from __future__ import annotations
@@ -34,22 +36,26 @@ from scanloom.stages.cleaning.repairs.operations import (
 from scanloom.stages.cleaning.repairs.places import REPAIRABLE, edge_keys
 from scanloom.stages.surface.edges import Ids
 
-# An operation looks two rings far. What comes of one may look beyond, and waits.
+# An operation depends on triangles within two rings. Defects farther away are handled by the next
+# neighbourhood.
 _RINGS = 2
-# Multiplicative hashing (Knuth): the order is arbitrary, but always the same, and neighbours are not in line.
+# Multiplicative hashing (Knuth) gives an arbitrary but reproducible order that does not follow the mesh
+# layout.
 _SCATTER = 2654435761
 
 
 @dataclass(eq=False)
 class Account:
-    """What was tried, by class and place; places by numbers in the mesh, edges as smaller · n + larger.
+    """Log of repairs, by class and defect.
+
+    Defects are mesh indices; edges are encoded as smaller · n + larger.
 
     Attributes
     ----------
-    refused : (class, place) and the reason it was refused for last.
-    made : (class, place) of each edit, by its number.
-    undone : (class, place) of those that were undone.
-    restored : triangles that are as they were for it, and why.
+    refused : last reason of rejection, by (class, defect).
+    made : (class, defect) of each edit, by edit index.
+    undone : (class, defect) of undone edits.
+    restored : reason of the undo, by restored triangle.
     """
 
     refused: dict[tuple[int, int], int] = field(default_factory=dict)
@@ -61,7 +67,7 @@ class Account:
 def repair_all(
     edited: Edited, rows: Ids, limits: Limits, account: Account, progress: Callable[[], object]
 ) -> None:
-    """Make all repairs that may be made among some triangles and around, and keep account of them."""
+    """Apply all valid repairs around some triangles; log them in `account`."""
     same = Sameness(edited.mesh)
     while len(rows):
         before = edited.edits
@@ -81,7 +87,12 @@ def _in_rounds(
     account: Account,
     progress: Callable[[], object],
 ) -> Ids:
-    """Repair among some triangles; return those at whose rim more could be done."""
+    """Repair within a fixed neighbourhood.
+
+    Returns
+    -------
+    Triangles of operations that need a larger neighbourhood.
+    """
     waiting = np.zeros(0, np.int64)
     stirred: NDArray[np.bool_] | None = None
     while True:
@@ -114,7 +125,7 @@ def _in_rounds(
 
 
 def _operations(around: Neighbourhood, same: Sameness, limits: Limits) -> Operations:
-    """Return what may repair each irregular place."""
+    """Create candidate operations for each repairable defect of a neighbourhood."""
     found = irregular_neighbourhoods(around.places, around.triangles.astype(np.int32), limits)
     numbered = {name: number for number, name in enumerate(REPAIRABLE)}
 
@@ -136,21 +147,24 @@ def _operations(around: Neighbourhood, same: Sameness, limits: Limits) -> Operat
 
 
 def _side(around: Neighbourhood, rows: Ids, *, longest: bool) -> Ids:
-    """Return the halfedge of the longest or shortest side of each triangle."""
+    """Return the halfedge of the longest or shortest edge of each triangle."""
     corners = around.places[around.triangles[rows]]
     length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     return np.asarray(3 * rows + (length.argmax(axis=1) if longest else length.argmin(axis=1)))
 
 
 def _halfedges(around: Neighbourhood, ends: Ids) -> Ids:
-    """Return the first halfedge of each edge given by its vertices."""
+    """Return the first halfedge of each edge (k, 2)."""
     edges, count = around.edges, len(around.vertices)
     keys = edges.ends[:, 0] * count + edges.ends[:, 1]
     return np.asarray(edges.halfedges[edges.start[np.searchsorted(keys, ends[:, 0] * count + ends[:, 1])]])
 
 
 def _places(edited: Edited, around: Neighbourhood, operations: Operations) -> Ids:
-    """Return where each operation repairs, by numbers in the mesh."""
+    """Translate the defect of each operation to mesh indices.
+
+    Folded edges become edge keys.
+    """
     place, kind = operations.place, operations.kind
     found = np.empty(len(operations), np.int64)
     fold, spike = kind == REPAIRABLE.index("sharp_edges"), kind == REPAIRABLE.index("spikes")
@@ -163,9 +177,12 @@ def _places(edited: Edited, around: Neighbourhood, operations: Operations) -> Id
 
 
 def _independent(judged: Judged, operations: Operations, places: Ids, row_count: int) -> NDArray[np.bool_]:
-    """Return which operations to make: of those that see a triangle in common, one."""
+    """Select a maximal independent set of the valid operations.
+
+    Two operations are independent if no triangle affects both.
+    """
     order = (places.astype(np.uint64) * np.uint64(_SCATTER)) % np.uint64(2**32)
-    # Of two that repair the same place, the one that is listed first.
+    # The stable sort prefers the first of several operations on one defect.
     rank = np.empty(len(operations), np.int64)
     rank[np.argsort(order, kind="stable")] = np.arange(len(operations))
     owner, row = judged.seen

@@ -1,29 +1,28 @@
-"""Method `certified`: as far as bounds on distance and colour are proven for every point of both surfaces.
+"""Method `certified`: proven bounds on distance and colour at every point.
 
-It collapses as `quadric` does, as long as the vertices of the input stay within the bounds. Then these are
-proven for every point between, and where that fails the collapses behind it are taken back, the limits of
-the vertices around are tightened, and it goes on from there; what has changed is proven again. With a number
-of triangles too, it ends at this number or at the bounds, whichever comes first.
+Edges collapse in the order of method `quadric`, while the input's vertices stay within the bounds. The bounds
+are then proven for all points in between. Where the proof fails, the responsible collapses are undone and the
+limits of nearby vertices are tightened. Simplification continues from there, and changed triangles are proven
+again. With a triangle count, simplification stops at the count or at the bounds, whichever comes first.
 
-Every point of either surface is within `max_shape` of the other, and its colour within `max_color` of the
-colour at every nearest point there. The bounds hold for positions as they are, and as 32-bit floats in a
-file: they contain 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal for that, and for
-searches in single precision. Twice as much is the least distance that can be proven, and takes the place of
-a smaller `max_shape`; half a level takes that of a smaller `max_color`. Bounds need not be provable at all
-where sheets of different colours touch, since a point there has nearest points of both colours; triangles
-there stay as they are.
+Every point of either surface is within `max_shape` of the other surface. Its colour is within `max_color` of
+the colour at every nearest point there. The bounds hold for the exact coordinates, and for 32-bit floats in a
+file. For this and for single-precision searches they include a slack: 2⁻²¹ of the largest coordinate and 2⁻²⁰
+of the bounding box's diagonal. The smallest provable distance is twice the slack; a smaller `max_shape` is
+raised to it. A smaller `max_color` than half a level is raised to that. Where sheets of different colours
+touch, a point has nearest points of both colours and no colour bound may be provable. Triangles there stay
+unchanged.
 
-Where corners have texture coordinates, materials, parts or normals of their own, collapses are those of
-method `seams`, and the distance alone is proven; `max_color` is held at samples as dense as the texels, and
-called measured (`along_seams.py`).
+For meshes with texture coordinates, materials, parts or corner normals, edges collapse as in method `seams`.
+Only the distance is proven then. `max_color` is checked at samples as dense as the texels, and reported as
+measured (`along_seams.py`).
 
-Importance divides the bounds around a vertex, and so is at least 1. Ctrl-C with `partial` still proves how
-far the mesh is from the input by then.
+Importance divides the bounds around a vertex, and so must be at least 1. With `partial`, Ctrl-C still proves
+the deviation of the mesh simplified so far.
 
 References
 ----------
 Garland and Heckbert, "Surface simplification using quadric error metrics", 1997, and Hoppe, "New quadric
-metric for simplifying meshes with appearance attributes", 1999, for order and placement; Ciampalini,
-Cignoni, Montani and Scopigno, "Multiresolution decimation based on global error", 1997, for watching the
-input's vertices.
+metric for simplifying meshes with appearance attributes", 1999: order and placement. Ciampalini, Cignoni,
+Montani and Scopigno, "Multiresolution decimation based on global error", 1997: tracking the input's vertices.
 """

@@ -1,16 +1,17 @@
-"""Method `certified` where corners have attributes of their own: a proven distance, and the texture stays.
+"""Method `certified` for meshes with corner attributes: proven distance, preserved texture.
 
-Collapses are those of method `seams`, which keep an image whole, as far as samples of the input stay near.
-What comes out is proven; where that fails, the samples around may do less, or stay, and all is done again:
+Edges collapse as in method `seams`, while samples of the input stay near. The result is then proven. Where
+the proof fails, samples around get tighter bounds or are locked, and the simplification is repeated:
 
     factors of the vertices <- 1
     repeat:
-        collapse along seams, every sample within its share of the bound
-        prove the distance both ways, and the colours of vertices; measure those of images at every texel
-        nothing fails: done
-        tighten the factors where the proof failed, lock where it goes on failing; lock where colours failed
+        collapse along seams, each sample within its ratio of the bound
+        prove the distance both ways and vertex colours; measure image colours at every texel
+        stop if nothing fails
+        tighten the factors where the distance proof failed, lock vertices after repeated failures
+        lock vertices where colours failed
 
-What is locked on all sides is the input itself, which is why this ends.
+The loop terminates, because a region locked on all sides equals the input.
 """
 
 from __future__ import annotations
@@ -50,28 +51,30 @@ from scanloom.stages.surface.mesh import Mesh
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-# What the share is multiplied with around a triangle without a proof.
+# Factor on the bound of samples around a triangle without a proof.
 _TIGHTER = 0.6
-# Proofs that may fail around a vertex before it stays.
+# Failed proofs around a vertex before the vertex is locked.
 _PATIENCE = 4
-# After so many times no vertex near a failure moves any more.
+# Maximum number of passes. The last ones lock every vertex near a failure.
 _MOST_PASSES = 24
 _NONE = np.zeros(0, np.int64)
-# Samples of each surface where colours are measured though nobody asked for a bound on them.
+# Colour samples per surface if no colour bound is given: enough to report a colour difference.
 _GLANCE = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What is to hold, and how it is told.
+    """Bounds to prove, and the input they refer to.
 
     Attributes
     ----------
-    shape : metres.
-    color : levels; infinite for no bound.
-    is_image : colours come from images: they are measured, and else proven, as those of vertices are linear.
-    ambiguous : (m,) bool, triangles of the input that several colours are in the place of.
-    surface : (m, 3) int32, the triangles of the input that the proof is about.
+    task : task of method `seams`, with the progress callback of the proofs.
+    shape : maximum distance, metres.
+    color : maximum colour difference, levels; infinite without a bound.
+    is_image : True if colours come from images. Their difference is measured. Vertex colours are linear and
+        their difference is proven.
+    ambiguous : (m,) bool, input triangles at positions with several colours.
+    surface : (m, 3) int32, input triangles that the proof covers.
     """
 
     task: Task[Any]
@@ -84,14 +87,16 @@ class _Asked:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What a pass led to, and what is wrong with it.
+    """Result of one pass, and the triangles that violate the bounds.
 
     Attributes
     ----------
-    provable : metres.
-    color : levels that were measured, if they were.
-    far : triangles of the light mesh and of the input without a proof of their distance.
-    discolored : the same by their colours.
+    light : simplified mesh.
+    proof : proven bounds of each triangle.
+    provable : metres, the bound on distance that can be proven.
+    color : largest measured colour difference in levels; None if not measured.
+    far : triangles of the simplified mesh and of the input whose distance is not proven.
+    discolored : triangles of the simplified mesh and of the input whose colour is out of bounds.
     """
 
     light: Simplified[SeamsDetails]
@@ -107,7 +112,10 @@ class _Found:
 
 
 def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[CertifiedDetails]:
-    """Simplify within a proven distance of `shape` metres, and a measured difference of colour if given."""
+    """Simplify within a proven distance of `shape` metres.
+
+    The colour difference is bounded by `task.max_color`: proven for vertex colours, measured for images.
+    """
     mesh = task.mesh
     weight = task.attribute_scale
     if weight is None:
@@ -144,7 +152,7 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
         around = _around(mesh, found, hopeless)
         discolored = _made_of(mesh, found.light, found.discolored, hopeless)
         if lock[around].all() and lock[discolored].all():
-            # What fails is the input itself.
+            # All failing regions are locked, so they equal the input.
             break
         failures[around] += 1
         factors[around] *= _TIGHTER
@@ -155,8 +163,8 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
         return result
     emit(
         SIMPLIFY_COLORS_NOT_COMPARED.warning(
-            "colours are not compared at {count:,} triangles, where the model itself has several colours in "
-            "one place.",
+            "colours are not compared at {count:,} triangles, where surfaces of different "
+            "colours coincide in the input.",
             count=np.count_nonzero(asked.ambiguous),
         )
     )
@@ -177,7 +185,10 @@ def _asked(task: Task[Any], max_color: float | None, shape: float) -> _Asked:
 
 
 def _surface_of(mesh: Mesh) -> NDArray[np.int32]:
-    """Return the triangles of a mesh, with another one in place of each that no method keeps."""
+    """Return the triangles of a mesh that the proof covers.
+
+    Isolated degenerate triangles, which no method keeps, are replaced by another triangle.
+    """
     lost = lost_lines(mesh)
     triangles = mesh.triangles.copy()
     if lost.any() and not lost.all():
@@ -223,9 +234,9 @@ def _proof(light: Mesh, asked: _Asked, limit: tuple[float, float] | None) -> _ke
 
 
 def _measured(light: Simplified[SeamsDetails], asked: _Asked) -> tuple[float, tuple[Ids, Ids]]:
-    """Return the greatest difference of colour found, and the triangles where it is too great.
+    """Measure the largest colour difference, and find triangles beyond the bound.
 
-    Nothing is said of places where sheets of different colours lie on each other.
+    Positions where sheets of different colours coincide are ignored.
     """
     samples = color_samples(light.mesh, asked.task.mesh)
     if samples is None:
@@ -240,19 +251,23 @@ def _measured(light: Simplified[SeamsDetails], asked: _Asked) -> tuple[float, tu
 def _made_of(
     mesh: Mesh, light: Simplified[SeamsDetails], triangles: tuple[Ids, Ids], hopeless: NDArray[np.bool_]
 ) -> Ids:
-    """Return the vertices of the input that these triangles are of, or are left of, where there is hope.
+    """Return the input vertices behind triangles with colours out of bounds.
 
-    Where they stay, the triangles are those of the input.
+    `triangles` are indices into the simplified mesh and into the input.
+
+    Triangles that are not provable anyway are skipped. Locking these vertices restores the input's triangles.
     """
     of_input = np.concatenate([light.triangle_source[triangles[0]], triangles[1]])
     return np.unique(mesh.triangles[of_input[~hopeless[of_input]]])
 
 
 def _hopeless(asked: _Asked, shape: float) -> NDArray[np.bool_]:
-    """Return the triangles of the input (m,) that not even the input is proven near, and their neighbours.
+    """Return a mask (m,) of input triangles that can never be proven.
 
-    Where triangles are so thin that only their longest side counts, or several colours are in one place,
-    nothing is gained by keeping what is there.
+    The mask includes their neighbours.
+
+    Even the unchanged input fails the proof there: triangles are too thin, or one position has several
+    colours. Locking vertices would not help.
     """
     mesh = asked.task.mesh
     color = math.inf if asked.is_image else asked.color
@@ -266,7 +281,10 @@ def _hopeless(asked: _Asked, shape: float) -> NDArray[np.bool_]:
 
 
 def _around(mesh: Mesh, found: _Found, hopeless: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the vertices of the input at triangles without a proof where there may be one."""
+    """Return the input vertices around triangles without a proof.
+
+    Triangles that can never be proven (`hopeless`) are skipped.
+    """
     from scipy.spatial import cKDTree
 
     of_light = found.far[0][~hopeless[found.light.triangle_source[found.far[0]]]]
@@ -277,7 +295,7 @@ def _around(mesh: Mesh, found: _Found, hopeless: NDArray[np.bool_]) -> NDArray[n
         reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1) + found.provable
         tree = cKDTree(mesh.vertices)
         near += [np.asarray(some, np.int64) for some in tree.query_ball_point(centres, reach)]
-        # A triangle smaller than those it is made of may have no vertex near.
+        # No vertex may be within reach of a triangle that is smaller than its source triangles.
         near.append(tree.query(centres)[1])
     return np.unique(np.concatenate(near)).astype(np.int64)
 
@@ -289,7 +307,7 @@ def _result(
     with_color = mesh.colors is not None and not asked.is_image
     shape_bound, color_bound = proof.shape_bound, proof.color_bound
     (bound, color), (attained, color_attained) = proof.bound, proof.attained
-    # Only so is the bound on colour found where none is wanted.
+    # Without a limit, the proof yields the bound on colour even if none was requested.
     if task.params.close_bounds or (with_color and asked.color == math.inf):
         close = _proof(light.mesh, asked, None)
         shape_bound = np.minimum(shape_bound, close.shape_bound)
@@ -310,7 +328,8 @@ def _result(
     if too_far:
         emit(
             SIMPLIFY_BOUND_NOT_PROVEN.warning(
-                "simplify could not keep colours within max_color; {measured:.3g} levels were measured.",
+                "simplify could not keep colours within max_color; the largest measured "
+                "difference is {measured:.3g} levels.",
                 measured=measured,
             )
         )
@@ -350,10 +369,10 @@ def _result(
 
 
 def _forward_only(progress: Progress) -> tuple[Progress, Progress]:
-    """Return what tells of passes, and never goes back, and what is called between them.
+    """Create monotonic progress callbacks for passes and for proofs between passes.
 
-    The second one tells again how far the first has come, so that whoever raises is heard; as a proof is made
-    to its end, it asks for nothing.
+    The second callback repeats the latest state, so that exceptions from `progress` are raised. It ignores
+    requests to stop, because a proof always runs to its end.
     """
     farthest, all_of_it = 0, 0
 

@@ -1,4 +1,4 @@
-"""The difference of colour between two textured surfaces, at samples as dense as the images' texels."""
+"""Colour difference between two textured surfaces, sampled per texel."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Located, Surface, bounding_box, chunks, interpolated
 from scanloom.stages.surface.texture import signed_areas
 
-# Samples of each of the two surfaces, about; with more texels than that, each sample stands for several.
+# Approximate maximum of samples per surface. With more texels, each sample represents several.
 MOST_SAMPLES = 1 << 20
-# Rows of samples in a triangle, at least and at most.
+# Limits on the rows of samples in a triangle.
 _LEAST_ROWS, _MOST_ROWS = 2, 256
 
 
 @dataclass(frozen=True, eq=False)
 class ColorSamples:
-    """What was found at the samples of both surfaces.
+    """Colour differences at samples of both surfaces.
 
     Attributes
     ----------
-    difference : (k,) float64, levels, Euclidean over the channels, between the colour at a sample and that at
-        the nearest point of the other surface.
-    original_triangle : (k,) int64, the triangle of the original that the sample is on, or nearest to.
-    own_triangle : (k,) int64, the triangle that the sample is on, of whichever surface.
-    of_light : samples of the light mesh, which come first.
+    difference : (k,) float64, levels, Euclidean over the channels, between a sample and the nearest point of
+        the other surface.
+    original_triangle : (k,) int64, triangle of the original that contains the sample or its nearest point.
+    own_triangle : (k,) int64, triangle that contains the sample, on either surface.
+    of_light : number of samples on the simplified mesh, which come first.
     """
 
     difference: NDArray[np.float64]
@@ -38,14 +38,21 @@ class ColorSamples:
 
     @property
     def largest(self) -> float:
-        """The greatest difference in levels; 0 without samples."""
+        """Largest difference in levels; 0 without samples."""
         return float(self.difference.max(initial=0.0))
 
 
 def color_samples(light: Mesh, original: Mesh, *, most: int = MOST_SAMPLES) -> ColorSamples | None:
-    """Compare the colours of two surfaces texel by texel, both ways; None where one has no colour.
+    """Measure colour differences between two surfaces in both directions.
 
-    `most` samples of each are looked at, about.
+    Parameters
+    ----------
+    light, original : simplified and original mesh.
+    most : approximate maximum of samples per surface.
+
+    Returns
+    -------
+    ColorSamples, or None if one of the meshes has no colour or no triangle.
     """
     if not (len(light.triangles) and len(original.triangles) and has_color(light) and has_color(original)):
         return None
@@ -63,7 +70,10 @@ def color_samples(light: Mesh, original: Mesh, *, most: int = MOST_SAMPLES) -> C
 
 
 def _one_way(mesh: Mesh, at: Located, other: Surface) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the differences at samples of a mesh, and the nearest triangle of the other one."""
+    """Measure differences at samples of a mesh to another mesh.
+
+    Returns the differences in levels, and the nearest triangles of the other mesh.
+    """
     difference, nearest = np.empty(len(at.triangles)), np.empty(len(at.triangles), np.int64)
     for rows in chunks(len(at.triangles)):
         some = Located(at.triangles[rows], at.weights[rows], at.distances[rows])
@@ -76,9 +86,9 @@ def _one_way(mesh: Mesh, at: Located, other: Surface) -> tuple[NDArray[np.float6
 
 
 def _samples(mesh: Mesh, most: int) -> Located:
-    """Return samples inside all triangles, in rows as far apart as the texels there."""
+    """Sample all triangles as densely as their texels."""
     texels = _texels(mesh)
-    # A triangle with n rows has n² samples, at the centres of the small triangles it can be cut into.
+    # A triangle with n rows has n² samples, at the centres of its n² congruent subtriangles.
     share = min(1.0, most / max(float(texels.sum()), 1.0))
     rows = np.ceil(np.sqrt(texels * share)).clip(_LEAST_ROWS, _MOST_ROWS).astype(np.int64)
     triangles, weights = [], []
@@ -92,17 +102,17 @@ def _samples(mesh: Mesh, most: int) -> Located:
 
 
 def _centres(rows: int) -> NDArray[np.float64]:
-    """Return the barycentric weights (rows², 3) of the centres of the parts of a triangle cut into rows."""
+    """Compute the barycentric centres (rows², 3) of the subtriangles of a triangle."""
     i, j = np.divmod(np.arange(rows * rows), rows)
     upright = i + j < rows
-    # Those beyond the long side, mirrored, are the parts that stand on their heads.
+    # Cells beyond the diagonal are mirrored to give the upside-down subtriangles.
     u = np.where(upright, i + 1 / 3, rows - i - 1 / 3) / rows
     v = np.where(upright, j + 1 / 3, rows - j - 1 / 3) / rows
     return np.stack([u, v, 1 - u - v], axis=1)
 
 
 def _texels(mesh: Mesh) -> NDArray[np.float64]:
-    """Return how many texels each triangle shows (m,); none where it has no image."""
+    """Count the texels that each triangle covers (m,); 0 without an image."""
     texture = mesh.texture
     count = np.zeros(len(mesh.triangles))
     if texture is None:

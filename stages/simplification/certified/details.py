@@ -1,4 +1,4 @@
-"""What method `certified` has to tell: what is proven."""
+"""Result details of method `certified`."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from scanloom.stages.simplification.result import Details, Simplified
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CertifiedDetails(Details):
-    """What is proven.
+    """Proven bounds of method `certified`.
 
     Attributes
     ----------
-    attribute_scale_m_per_level : metres that weighed as much as one level of colour.
-    shape_bound, color_bound : (q,) float64, metres and levels, proven for each triangle, both ways: for its
-        points, and for points of the input whose nearest point is on it. `color_bound` is None for a mesh
-        without colours. They may be as large as `max_shape` and `max_color`, or without the latter as
-        `color_bound_levels`, though less is true, unless `close_bounds` is set.
-    shape_bound_m, color_bound_levels : the greatest of all, input and result.
-    shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between that
-        and the bound.
-    slack_m, color_slack_levels : contained in the bounds, for searches in single precision. Twice `slack_m`
-        takes the place of a smaller bound on shape, and half a level that of one on colour.
-    proven : whether max_shape and max_color are proven. The bounds above hold anyway.
-    unproven_triangles : triangles of the result and of the input that are not proven to stay within them.
-    iterations : how often it went on simplifying and then looked at the bounds.
-    max_shape_m, max_color_levels : what was used; None for no bound.
-    color_measured_levels : the greatest difference of colour found at samples as dense as the texels of
-        images, where colours come from images; `max_color` is then held at these samples, and not proven.
-    seam_drift : proven, where there are texture seams: how far a point of one is in the image from where it
-        was, as a share of the image's side.
+    attribute_scale_m_per_level : metres that weigh as much as one level of colour.
+    shape_bound, color_bound : (q,) float64, metres and levels, proven both ways for each triangle: for its
+        points, and for input points whose nearest point is on it. `color_bound` is None without colours.
+        Values may equal `max_shape` and `max_color` (or `color_bound_levels`) although smaller ones are true,
+        unless `close_bounds` is set.
+    shape_bound_m, color_bound_levels : maximum over all triangles of input and result.
+    shape_attained_m, color_attained_levels : largest deviation found at a point. The true maximum is between
+        this value and the bound.
+    slack_m, color_slack_levels : allowance for single-precision searches, included in the bounds. A smaller
+        `max_shape` is raised to twice `slack_m`, a smaller `max_color` to half a level.
+    proven : True if `max_shape` and `max_color` are proven. The bounds above hold in any case.
+    unproven_triangles : triangles of the result and of the input that are not proven to be within the bounds.
+    iterations : rounds of simplification and proof.
+    max_shape_m, max_color_levels : applied bounds; `max_color_levels` is None without one.
+    color_measured_levels : largest colour difference at samples as dense as the texels, if colours come from
+        images. `max_color` is then checked at these samples, and not proven.
+    seam_drift : proven bound on the shift of texture seams in the image, as a ratio of the image's side; None
+        without texture seams.
     """
 
     __repr__ = by_fields
@@ -67,12 +67,12 @@ class CertifiedDetails(Details):
     seam_drift: float | None = None
 
     def report(self, result: Simplified[Any]) -> None:
-        """Warn if the topology left too little to choose from on the way to a number of triangles."""
+        """Warn if most remaining edges cannot collapse because of the topology."""
         if result.stopped_by == "triangles":
             report_crowded_by_topology(result)
 
     def text(self) -> str:
-        """Say what is proven, and whether that is what was asked for."""
+        """Describe the proven bounds, and whether the requested bounds were met."""
         most = f"{_at_most(self.shape_bound_m)} m"
         if self.color_bound_levels is not None:
             most += f" and {_at_most(self.color_bound_levels)} levels"
@@ -85,7 +85,7 @@ class CertifiedDetails(Details):
             return text
         own, original = self.unproven_triangles
         return (
-            f"{text}\nNot proven: the bounds that were asked for, at {own:,} triangles of the result and "
+            f"{text}\nNot proven: the requested bounds, at {own:,} triangles of the result and "
             f"{original:,} of the original."
         )
 

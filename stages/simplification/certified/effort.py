@@ -1,18 +1,18 @@
-"""How hard method `certified` tries, whatever corners carry."""
+"""Constants that both variants of method `certified` share."""
 
 from __future__ import annotations
 
-# Part of the bounds that vertices may use at first; what is left is for the points between them.
+# Ratio of the bounds that vertices may use at first. The remainder is for the points between them.
 SHARE_OF_VERTICES = 0.9
 
-# Common bounds leave about an eighth of a scan; the weight of colour is found for triangles of that size,
-# also where more are wanted: smaller ones tell the same.
+# Expected reduction under typical bounds, for which the colour weight is computed. A smaller expected
+# reduction gives about the same weight.
 REDUCTION = 8
 
-# How close the bounds of a proof come to what is found, relative to that, and how many pieces a triangle this
-# may take.
+# Relative gap between a proven bound and the largest deviation found, at which the proof of a triangle stops,
+# and the maximum number of subdivisions per triangle.
 TOLERANCE = 0.05
 PIECES = 16.0
 
-# The least bound on colour, levels: colours are stored in whole ones.
+# Minimum bound on colour, levels: colours are stored as whole levels.
 LEAST_COLOR = 0.5

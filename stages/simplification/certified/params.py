@@ -1,4 +1,4 @@
-"""Parameters of method `certified` alone."""
+"""Parameters of method `certified` only."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class CertifiedParams:
 
     close_bounds: bool = param(
         False,
-        "Bound each triangle as closely as can be, in two to four times the time. Otherwise the bounds of a "
-        "triangle may be as large as max_shape and max_color (without it, as the largest difference of "
-        "colour there is) though less is true.",
+        "Bound each triangle as tightly as possible, which takes two to four times as long. "
+        "Otherwise the bounds of a triangle may equal max_shape and max_color (or the "
+        "largest colour difference, without max_color), although smaller ones are true.",
     )
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Simplification within bounds that are proven to hold at every point of both surfaces."""
+"""Simplification with bounds proven at every point of both surfaces."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from scanloom.stages.surface.mesh import Mesh
 
 RESULT_VERSION = 7
 
-# Triangles worked on at a time.
+# Triangles per region of the collapse engine.
 REGION_TRIANGLES = 8192
 
-# The bound on shape where only colours have one.
+# Default bound on shape, as a ratio of the bounding box's diagonal.
 _SHAPE_PER_DIAGONAL = 0.005
 
 
@@ -58,12 +58,13 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     if not (np.isfinite(task.importance).all() and (task.importance >= 1).all()):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "importance has values below 1 or not finite; bounds are divided by it, and never grow.",
+            "importance has values below 1 or not finite; method certified divides its "
+            "bounds by it, so it must be at least 1.",
         )
     shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if task.max_shape is None else float(task.max_shape)
     if along_seams:
         return run_along_seams(task, shape)
-    # The default is of the mesh that was given: one in sheets has no vertices without triangles.
+    # The default bound depends on the given mesh, which may have unused vertices; split sheets have none.
     return run_in_sheets(replace(task, max_shape=shape), _as_it_is)
 
 
@@ -93,7 +94,8 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     light = as_result(
         mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
     )
-    # Where no number is wanted, even no triangles at all are what the bounds led to.
+    # Without a triangle count, the kernel's target is 0 and the bounds are the only limit, even if no
+    # triangle is left.
     stopped_by = result.stopped_by if task.triangles or result.stopped_by == "request" else "bounds"
     if not result.proven:
         proven = result.bound[0], result.bound[1] if with_color else None

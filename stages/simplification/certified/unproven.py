@@ -1,4 +1,4 @@
-"""What is said of a result whose bounds are not proven: what holds instead, where, and why."""
+"""Warning about bounds that could not be proven."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scanloom.stages.printing.rounding import rounded_up
 from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 from scanloom.stages.surface.mesh import Mesh
 
-# Places that are named.
+# Triangles listed by position in the warning.
 _NAMED = 3
 
 
@@ -22,30 +22,30 @@ def not_proven(
     shape_bound: NDArray[np.float64],
     bound: tuple[float, float | None],
 ) -> Diagnostic:
-    """Return the warning of a result whose bounds are not proven.
+    """Create the warning for a result whose bounds are not proven.
 
     Parameters
     ----------
-    light : the result.
-    fails : (q,) its triangles without a proof.
-    shape_bound : (q,) float64, metres, what is proven of each.
-    bound : metres and levels, None for no colours, that are proven instead.
+    light : simplified mesh.
+    fails : (q,) mask of the triangles without a proof.
+    shape_bound : (q,) float64, metres, proven for each triangle.
+    bound : metres and levels proven for the complete mesh; the latter None without colours.
     """
     levels = "" if bound[1] is None else f" and {rounded_up(bound[1]):.4g} levels"
     (where,) = np.nonzero(fails)
     if not len(where):
         return SIMPLIFY_BOUND_NOT_PROVEN.warning(
-            "simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}.",
+            "simplify could not prove the requested bounds; {shape:.4g} m{levels} are proven instead.",
             shape=rounded_up(bound[0]),
             levels=levels,
         )
     worst = where[np.argsort(-shape_bound[where], kind="stable")][:_NAMED]
     places = ", ".join(_place(light.vertices[light.triangles[t]].mean(axis=0)) for t in worst)
     needles = int(_is_needle(light, where).sum())
-    thin = f", {needles:,} of them too thin for a closer proof" if needles else ""
+    thin = f", {needles:,} of them too thin for a tighter proof" if needles else ""
     return SIMPLIFY_BOUND_NOT_PROVEN.warning(
-        "simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}, at "
-        "{triangles}{thin}, the worst about {places}.",
+        "simplify could not prove the requested bounds at {triangles}{thin}; {shape:.4g} "
+        "m{levels} are proven instead. The largest deviations are near {places} m.",
         shape=rounded_up(bound[0]),
         levels=levels,
         triangles=counted(len(where), "triangle"),

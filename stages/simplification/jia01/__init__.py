@@ -1,18 +1,19 @@
-"""Method `jia01`: within bounds on the changes of shape and texture summed up around each edge.
+"""Method `jia01`: bounds on accumulated shape and texture changes.
 
-Long edges are split; then edges collapse in the order of what was summed up around them. A new vertex is the
-mean of the projections of the edge's midpoint on the planes of the triangles around, in the space of
-position and colour.
+Long edges are split first. Edges then collapse in the order of the change accumulated around them. The edge's
+midpoint is projected onto the planes of the adjacent triangles, in the space of position and colour. The new
+vertex is the mean of the projections.
 
-Shape and texture changes are sums over collapses. The texture change counts contrast, not error, and so the
-default of its bound `max_color` looks large. With a number of triangles, a bound that is not given does not
-limit; its default then only helps to say which edges go first.
+Both changes are sums over collapses. The texture change measures contrast, not error, which is why the
+default of its bound `max_color` looks large. With a triangle count, only bounds that are given limit the
+simplification. The other defaults only affect the order of collapses.
 
-The paper looks at vertices only, and a long triangle can swing away between its corners; and it adds to each
-edge what happens around it, though a point may move on to another edge's triangle. Unless `paper_rule` is
-set, the shape change therefore also counts how far the surfaces are apart where old and new edges cross, or
-how far the ends move where the neighbourhood is folded; and every new edge starts from the largest sum
-around. The largest distance between input and result then stayed below `max_shape` wherever we measured it.
+The paper measures shape change at vertices only, so a long triangle may deviate between them. It also
+accumulates changes per edge, although a point may move to the triangle of another edge. Unless `paper_rule`
+is set, both are corrected. The shape change includes the distance of the surfaces where old and new edges
+cross. In folded neighbourhoods, it includes the movement of the end points instead. Each new edge starts from
+the maximum sum around it. In all our measurements, the distance between input and result then stayed below
+`max_shape`.
 
 With default bounds:
 

@@ -1,4 +1,4 @@
-"""What method `jia01` has to tell: its limits, and how far they were used."""
+"""Result details of method `jia01`."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from scanloom.stages.simplification.result import Details, Simplified
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Jia01Details(Details):
-    """The limits of JIA01, and how far they were used.
+    """Limits of method `jia01`, and the largest changes that occurred.
 
     Attributes
     ----------
-    attribute_scale_m_per_level : metres that weighed as much as one level of colour.
-    largest_shape_change_m, largest_color_change_levels : largest sums on any edge at any time.
-    resolution_m, max_shape_m, max_color_levels : what was used.
-    bounded : whether resolution, max_shape and max_color were bounds, or only ordered the collapses.
-    splits : edges that were split.
+    attribute_scale_m_per_level : metres that weigh as much as one level of colour.
+    largest_shape_change_m, largest_color_change_levels : maximum accumulated change on any edge at any time.
+    resolution_m, max_shape_m, max_color_levels : limits that were applied.
+    bounded : for resolution, max_shape and max_color: True if it was a bound, False if it only affected the
+        order of collapses.
+    splits : number of edges that were split.
     """
 
     __repr__ = by_fields
@@ -41,6 +42,6 @@ class Jia01Details(Details):
     splits: int
 
     def report(self, result: Simplified[Any]) -> None:
-        """Warn if the topology left too little to choose from on the way to a number of triangles."""
+        """Warn if most remaining edges cannot collapse because of the topology."""
         if result.stopped_by == "triangles":
             report_crowded_by_topology(result)

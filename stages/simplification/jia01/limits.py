@@ -1,4 +1,4 @@
-"""The three limits of JIA01, and what they are where the user leaves them open."""
+"""Limits of method `jia01`, with defaults derived from the mesh."""
 
 from __future__ import annotations
 
@@ -13,19 +13,29 @@ from scanloom.stages.simplification.jia01.params import Jia01Params
 from scanloom.stages.simplification.task import Task
 from scanloom.stages.surface.mesh import Mesh
 
-# The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see this package).
-EDGES_PER_RESOLUTION = 36.0  # wanted edge length / mean edge length of the input
-SHAPE_PER_RESOLUTION = 0.1  # the paper's choice
-SHAPE_PER_DIAGONAL = 0.005  # a mesh of few large triangles must not lose its shape
-MAX_COLOR = 400.0  # 8-bit levels, summed over the collapses around an edge
+# Defaults tuned on a room fused at 2 cm and on a sphere with a satellite map; the results are in the
+# docstring of the package.
+EDGES_PER_RESOLUTION = 36.0  # target edge length / mean edge length of the input
+SHAPE_PER_RESOLUTION = 0.1  # the paper's value
+SHAPE_PER_DIAGONAL = 0.005  # preserves the shape of meshes with few large triangles
+MAX_COLOR = 400.0  # 8-bit levels, accumulated over the collapses around an edge
 
-# By default, splitting may add this share of the triangles: a few long edges must not decide for all others.
+# Maximum ratio of triangles that splitting adds by default. It prevents a few long edges from determining the
+# resolution.
 _SPLIT_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Limits:
-    """L, S_max, T_max: as bounds (infinite for none) and as what the order of collapses is relative to."""
+    """Limits L, S_max and T_max of the paper.
+
+    Attributes
+    ----------
+    bounds : (L, S_max, T_max) as bounds, infinite where unbounded; metres, metres, levels.
+    scales : (L, S_max, T_max) as normalisation of the collapse order.
+    max_color : levels, T_max as given or by default.
+    attribute_scale : metres per level.
+    """
 
     bounds: tuple[float, float, float]
     scales: tuple[float, float, float]
@@ -34,7 +44,10 @@ class Limits:
 
 
 def limits_of(task: Task[Jia01Params]) -> Limits:
-    """Complete the limits that were given; with a number of triangles, the others are no bounds."""
+    """Complete the given limits by defaults.
+
+    With a triangle count, limits that were not given are infinite bounds.
+    """
     mesh, only_given = task.mesh, task.triangles is not None
     given = (task.params.resolution, task.max_shape, task.max_color)
     resolution, max_shape, max_color = given
@@ -44,7 +57,7 @@ def limits_of(task: Task[Jia01Params]) -> Limits:
         max_shape = _default_shape(mesh, resolution)
     if max_color is None:
         max_color = MAX_COLOR
-    # No texture change at all is a fair wish; it then needs another unit in the order.
+    # A bound of 0 allows no texture change; the collapse order then needs another unit.
     color_scale = max_color or 1.0
     attribute_scale = task.attribute_scale
     if attribute_scale is None:
@@ -62,7 +75,7 @@ def limits_of(task: Task[Jia01Params]) -> Limits:
 
 
 def _default_shape(mesh: Mesh, resolution: float) -> float:
-    # A column at a time: reducing over rows of three is several times slower.
+    # Column by column, because `ptp` over rows of three is several times slower.
     extent = [np.ptp(column) for column in mesh.vertices.T] if len(mesh.vertices) else [0.0]
     diagonal = float(np.linalg.norm(extent))
     share = SHAPE_PER_RESOLUTION * resolution
@@ -70,17 +83,23 @@ def _default_shape(mesh: Mesh, resolution: float) -> float:
 
 
 def _default_resolution(mesh: Mesh, threads: int) -> float:
-    """So many mean edge lengths, or more if that would split too many edges."""
+    """Derive the resolution (m) from the mean edge length.
+
+    It is increased until splitting adds few triangles.
+    """
     lengths = _kernels.side_lengths(mesh.vertices, mesh.triangles, wanted_threads=threads).ravel()
     resolution = EDGES_PER_RESOLUTION * float(lengths.mean()) if len(lengths) else 0.0
     if not resolution > 0:
-        return 1.0  # no edge has a length; any will do
+        return 1.0  # no edge has a length; the value has no effect
     while _split_triangles(lengths, resolution) > _SPLIT_SHARE * len(mesh.triangles):
         resolution *= 1.1
     return resolution
 
 
 def _split_triangles(lengths: NDArray[np.float64], resolution: float) -> float:
-    """Triangles that splitting adds at least: sides are halved until short enough, each cut adds one."""
+    """Compute a lower bound on the triangles that splitting adds.
+
+    Edges are halved until they are short enough; each cut adds one triangle.
+    """
     pieces = np.exp2(np.ceil(np.log2(lengths[lengths > resolution] / resolution)))
     return float((pieces - 1).sum())

@@ -1,4 +1,4 @@
-"""Parameters of method `jia01` alone."""
+"""Parameters of method `jia01` only."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ class Jia01Params:
 
     resolution: float | None = param(
         None,
-        "Wanted edge length: longer edges are split first, and do not collapse. Default: 36 times the mean "
-        "edge length, more where splitting would add over 5 % of triangles.",
+        "Target edge length: longer edges are split first, and do not collapse. Default: 36 "
+        "times the mean edge length, or more if splitting would add over 5 % of triangles.",
         unit="m",
         low=0,
         low_open=True,
     )
     paper_rule: bool = param(
         False,
-        "Follow the paper: check the bounds after each collapse, so that the last one may overshoot, and "
-        "measure shape at vertices only. Otherwise they are checked before, and between vertices too; bounds "
-        "then hold.",
+        "Follow the paper exactly: check the bounds after each collapse, so that the last "
+        "one may exceed them, and measure shape at vertices only. Otherwise the bounds are "
+        "checked before each collapse and between vertices, so that they hold.",
     )
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Simplification within bounds on the changes of shape and texture summed around each edge."""
+"""Simplification within bounds on accumulated shape and texture changes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from scanloom.stages.surface.color import attributes_of
 
 RESULT_VERSION = 2
 
-# Triangles worked on at a time. Sums that grow from collapse to collapse mind the rims more than quadrics do,
-# and want larger regions.
+# Triangles per region of the collapse engine. Accumulated changes suffer more at region boundaries than
+# quadrics, so regions are larger than in method `quadric`.
 REGION_TRIANGLES = 16384
 
-# What splitting may lead to: about 4 GB.
+# Maximum number of triangles after splitting; they need about 4 GB.
 _TRIANGLE_LIMIT = 20_000_000
 
 
@@ -34,7 +34,7 @@ def run(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     Raises
     ------
     UsageError
-        For a resolution so fine that splitting passes 20 million triangles.
+        If the resolution is so fine that splitting would create more than 20 million triangles.
     """
     return run_in_sheets(task, _as_it_is)
 
@@ -59,9 +59,9 @@ def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     except _kernels.LimitError as error:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "is {scales:g} m, and with edges no longer than that {error}",
+            "is {scales:g} m; at this edge length, {error}",
             Where(parameter="jia01.resolution"),
-            remedy="give a coarser one.",
+            remedy="give a larger value.",
             scales=limits.scales[0],
             error=error,
         ) from error

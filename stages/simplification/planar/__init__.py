@@ -1,19 +1,20 @@
-"""Method `planar`: near-planar patches, each triangulated anew within its border; for walls and floors.
+"""Method `planar`: near-planar patches, each retriangulated within its border.
 
-Patches grow over the surface while normals stay alike (see `scanloom.planar_patches`), the borders between
-them are traced and straightened, and each patch is triangulated anew. Every vertex of the result is a vertex
-of the input, so that all it carries stays with it; vertices stay where they are or vanish, and triangles
-around locked ones stay. The bounds hold for every point and its counterpart on the other surface, colour and
-place together, by construction.
+It suits walls, floors and machined parts.
 
-They grow greedily, and looser bounds would now and then leave more triangles than tighter ones, which hold as
-well: so several are tried (`tighter.py`), and the one that leaves fewest is taken.
+Patches grow over the surface while normals agree (see `scanloom.planar_patches`). The borders between patches
+are traced and straightened, and each patch is retriangulated. Every vertex of the result is an unmoved vertex
+of the input and keeps its attributes. Triangles around locked vertices stay. The bounds hold by construction:
+every point has a counterpart on the other surface, within the distance and the colour bound at once.
 
-It takes any mesh, and keeps it as it is where triangles meet that cannot be joined. Materials and parts are
-borders of patches, and stay; an image does not, as it has no place on other triangles. No edge collapses:
-there is no importance, no record, and no number of triangles to go down to.
+Patches grow greedily, so looser bounds sometimes leave more triangles than tighter ones. Several tighter
+bounds are therefore tried (`tighter.py`), and the result with the fewest triangles is taken.
+
+The method accepts any mesh; triangles around non-manifold elements stay unchanged. Borders between materials
+and parts are patch borders. Images are lost, because texture coordinates do not fit the new triangles. No
+edge collapses, so importance, records and triangle counts are not supported.
 
 References
 ----------
-Chen and Qin, "3-D surface reduction new algorithm". `kernels/src/planar/mod.rs` says why the bounds hold.
+Chen and Qin, "3-D surface reduction new algorithm". `kernels/src/planar/mod.rs` explains why the bounds hold.
 """

@@ -1,4 +1,4 @@
-"""What method `planar` has to tell: the patches, and how far they are off."""
+"""Result details of method `planar`."""
 
 from __future__ import annotations
 
@@ -15,26 +15,25 @@ from scanloom.stages.simplification.result import Details
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlanarDetails(Details):
-    """The patches, and how far they are off.
+    """Patches of method `planar`, and their bounds.
 
-    `refused` of the result counts edges of the input between two patches, by the first of the rules that
-    keeps the patches on both sides apart: "fidelity" and "detail" are the angles with the patch and with the
-    neighbour, "shape" the distance, "other" colours, a locked vertex, or that another patch was there first.
+    `refused` of the result counts input edges between two patches, by the first rule that keeps the patches
+    apart: "fidelity" is the angle to the patch, "detail" the angle to the neighbour, "shape" the distance.
+    "other" is a colour bound, a locked vertex, or a triangle that another patch had taken first.
 
     Attributes
     ----------
-    shape_bound, color_bound : (q,) float64, metres and levels, how far each triangle's patch is off at most,
-        both ways: every point of the patch, in the input and in the result, has a counterpart in the other
-        within `shape_bound`, and the colours of the two differ by `color_bound` at most. That need not be the
-        nearest point; 0 where nothing changed. `color_bound` is None for a mesh without colours.
-    shape_bound_m, color_bound_levels : the greatest of all.
-    max_shape_m, max_color_levels : what was used; None for no bound.
-    patch_shape_m : the bound that the patches grew within: `max_shape_m`, or a tighter one that leaves no
-        more triangles. With that as its `max_shape`, `scanloom.planar_patches` finds them.
-    kept_patches : patches that have all their triangles still.
-    iterations : how often patches were triangulated, as vertices were put back.
-    patches : those of the input.
-    triangle_patch : (q,) int32, the patch of each triangle of the result.
+    shape_bound, color_bound : (q,) float64, metres and levels, bounds of each triangle's patch. Every point
+        of the patch, in the input and in the result, has a counterpart in the other within both bounds; it
+        need not be the nearest point. 0 where nothing changed. `color_bound` is None without colours.
+    shape_bound_m, color_bound_levels : maximum over all triangles.
+    max_shape_m, max_color_levels : applied bounds; `max_color_levels` is None without one.
+    patch_shape_m : bound within which the patches grew: `max_shape_m`, or a tighter one that leaves no more
+        triangles. `scanloom.planar_patches` reproduces the patches with this value as `max_shape`.
+    kept_patches : number of patches that kept all their triangles.
+    iterations : number of triangulation passes; later passes restore vertices that patches need.
+    patches : patches of the input.
+    triangle_patch : (q,) int32, patch of each triangle of the result.
     """
 
     __repr__ = by_fields
@@ -59,5 +58,5 @@ class PlanarDetails(Details):
     triangle_patch: NDArray[np.int32]
 
     def figures(self) -> dict[str, Any]:
-        """Return everything but the arrays, with the number of patches and the largest ones."""
+        """Return statistics for JSON, including the largest patches."""
         return super().figures() | self.patches.figures()

@@ -1,4 +1,4 @@
-"""Parameters of near-planar patches, and of method `planar` alone."""
+"""Parameters of near-planar patches and of method `planar`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from scanloom.stages.params import check, param
 from scanloom.stages.simplification.shared_params import HOW_FAR, require_finite
 
-# At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
+# 8-bit levels. At 60 levels a simplified room looks like its scan; without a bound, stains and shadows
+# disappear.
 MAX_COLOR = 60.0
 
 
@@ -17,8 +18,8 @@ class PlanarParams:
 
     patch_angle: float = param(
         40.0,
-        "Largest angle between the normal of a triangle and that of the patch it joins; the paper's ε of "
-        "fidelity is 1 − cos of it.",
+        "Maximum angle between the normals of a triangle and of the patch that it joins; the "
+        "paper's ε of fidelity is 1 − cos of it.",
         unit="degrees",
         low=0,
         high=80,
@@ -26,18 +27,19 @@ class PlanarParams:
     )
     crease_angle: float = param(
         40.0,
-        "Largest angle between the normals of a triangle and of the neighbour it is reached from; the "
-        "paper's ε of detail is 1 − cos of it.",
+        "Maximum angle between the normals of a triangle and of the neighbour from which a "
+        "patch grows to it; the paper's ε of detail is 1 − cos of it.",
         unit="degrees",
         low=0,
         high=90,
         low_open=True,
     )
-    # The paper has none.
+    # Not in the paper.
     noise_angle: float = param(
         75.0,
-        "As patch_angle, for triangles left over in patches so small that they count as noise: they join any "
-        "neighbour whose bounds on shape and colour hold them. 0 for none, as in the paper.",
+        "As patch_angle, for triangles of patches so small that they count as noise: they "
+        "join any neighbouring patch whose bounds on shape and colour allow it. 0 disables "
+        "this, as in the paper.",
         unit="degrees",
         low=0,
         high=80,
@@ -53,8 +55,8 @@ class PatchParams(PlanarParams):
 
     max_shape: float | None = param(
         None,
-        "Largest distance between a mesh and what simplify makes of its patches; a patch is at most 0.8 of "
-        "that thick. Default: 0.5 % of the bounding box's diagonal.",
+        "Maximum distance between a mesh and its simplified patches; the thickness of a "
+        "patch is at most 0.8 of it. Default: 0.5 % of the bounding box's diagonal.",
         unit="m",
         low=0,
         low_open=True,
@@ -62,16 +64,16 @@ class PatchParams(PlanarParams):
     )
     max_color: float | None = param(
         None,
-        "Largest difference between the colours of a point and of its counterpart on the other surface, "
-        "Euclidean over the channels; the colours of a patch are within 0.4 of that of a linear function. "
-        f"Default for coloured meshes: {MAX_COLOR:g}; 1000 is no bound in effect.",
+        "Maximum colour difference, Euclidean over the channels, between a point and its counterpart on the "
+        "other surface; the colours of a patch are within 0.4 of it of a linear function. Default for "
+        f"coloured meshes: {MAX_COLOR:g}; 1000 is effectively no bound.",
         unit="8-bit levels",
         low=0,
         group=HOW_FAR,
     )
     threads: int | None = param(
         None,
-        "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
+        "Number of threads; the result does not depend on it. Default: one per core.",
         low=1,
         high=256,
         invalidates=False,

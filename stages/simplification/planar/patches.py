@@ -1,4 +1,4 @@
-"""Near-planar patches of a mesh: what they are, and a mesh coloured by them."""
+"""Near-planar patches of a mesh, and visualisation of patches by colour."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from scanloom.stages.surface.mesh import Colors, Mesh
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]
 
-# How many patches the figures list one by one.
+# Largest patches listed individually in the statistics.
 _LISTED = 10
 
-# Hues that follow each other by this part of the circle never come near each other soon.
+# Golden-ratio step on the hue circle: hues of consecutive patches are far apart.
 _GOLDEN = 0.618034
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """The near-planar patches of a mesh, numbered by area, largest first.
+    """Near-planar patches of a mesh, sorted by decreasing area.
 
     Attributes
     ----------
-    triangle_patch : (m,) int32, the patch of each triangle; -1 for one that names a vertex twice.
-    normals : (k, 3) float64, the mean normal of each patch; 0 for one without area.
-    origins : (k, 3) float64, metres, a point of its plane.
-    areas : (k,) float64, m², of its triangles.
-    triangles : (k,) int32, how many these are.
-    thickness : (k,) float64, metres, the distance of the two planes that hold all its vertices between them.
-    looks : how often a triangle's neighbour was looked at, which is what the time follows.
+    triangle_patch : (m,) int32, patch of each triangle; -1 for triangles that use a vertex twice.
+    normals : (k, 3) float64, mean normal of each patch; 0 without area.
+    origins : (k, 3) float64, metres, a point on each patch's plane.
+    areas : (k,) float64, m².
+    triangles : (k,) int32, triangle count of each patch.
+    thickness : (k,) float64, metres, distance of two parallel planes that enclose the patch.
+    looks : number of neighbour tests during growth; run time is proportional to it.
     """
 
     __repr__ = by_figures
@@ -50,11 +50,11 @@ class Patches:
 
     @property
     def count(self) -> int:
-        """Return how many patches there are."""
+        """Number of patches."""
         return len(self.areas)
 
     def figures(self) -> dict[str, Any]:
-        """Return the number of patches and the area, and the largest ones by themselves."""
+        """Return statistics: number of patches, total area, and the largest patches."""
         area = float(self.areas.sum())
         rows = zip(self.areas, self.triangles, self.thickness, self.normals, strict=True)
         largest = [
@@ -66,7 +66,7 @@ class Patches:
             }
             for own, triangles, thickness, normal in (row for row, _ in zip(rows, range(_LISTED)))  # noqa: B905
         ]
-        # Patches are sorted by area: so many of them make up half of it.
+        # Patches are sorted by area, so the first ones cover half of it.
         half = int(np.searchsorted(np.cumsum(self.areas), 0.5 * area)) + 1 if self.count else 0
         return {
             "patches": self.count,
@@ -77,7 +77,7 @@ class Patches:
 
 
 def patch_colors(count: int) -> Colors:
-    """Return a colour for each of so many patches, (count, 3), far from those of the numbers before."""
+    """Generate distinct colours (count, 3) for consecutive patches."""
     turns = np.arange(count) * _GOLDEN % 1
     levels = [
         colorsys.hsv_to_rgb(hue, (0.55, 0.8)[i % 2], (0.95, 0.75, 0.85)[i % 3]) for i, hue in enumerate(turns)
@@ -87,10 +87,15 @@ def patch_colors(count: int) -> Colors:
 
 
 def colored_by_patch(mesh: Mesh, triangle_patch: Ids) -> Mesh:
-    """Return the mesh with each patch in a colour of its own.
+    """Colour each patch of a mesh differently.
 
-    A vertex on the border of patches is there once for each of them, so that no colours mix. Triangles that
-    belong to no patch are left out.
+    Vertices on patch borders are duplicated so that colours do not blend. Triangles without a patch are
+    removed.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    triangle_patch : (m,) int32, patch of each triangle; -1 for none.
     """
     kept = triangle_patch >= 0
     corners, patch = mesh.triangles[kept].ravel(), np.repeat(triangle_patch[kept], 3)

@@ -1,4 +1,4 @@
-"""Near-planar patches found, and a mesh triangulated anew by them."""
+"""Near-planar patch segmentation, and simplification by retriangulating the patches."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 3
 
-# Vertices, their attributes, triangles and their labels.
+# Vertices, vertex attributes, triangles, and triangle labels that patches do not cross.
 _Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
 
 _SHAPE_PER_DIAGONAL = 0.005
@@ -46,35 +46,35 @@ def planar_patches(
     progress: Progress = silent,
     **changes: Unpack[PatchKeywords],
 ) -> Patches:
-    """Find the near-planar patches of a mesh: each triangle is in one, and each is in one piece.
+    """Segment a mesh into connected near-planar patches.
 
-    `simplify` triangulates these anew, or those of a tighter `max_shape` where they leave fewer triangles,
-    but that it divides a patch that lies over itself, seen along its normal.
+    `simplify` retriangulates these patches, or patches of a tighter `max_shape` if they leave fewer
+    triangles. It also splits patches that overlap when seen along their normal.
 
-    A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
-    `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
-    of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8
-    of `max_shape` apart, and its colours within 0.4 of `max_color` of a linear function; and triangles
-    left over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
-    Triangles of different materials or parts are in different patches.
+    A patch grows from a flat region, layer by layer. A triangle joins if its normal is within `patch_angle`
+    of the patch's normal, which is the mean over previous layers. The normal must also be within
+    `crease_angle` of the neighbour's normal. Beyond the paper, a patch stays between two planes with a
+    distance of 0.8 `max_shape`. Its colours stay within 0.4 `max_color` of a linear function. Patches with
+    less area than 4 `max_shape`² dissolve into neighbours, up to `noise_angle`, if the bounds allow. Patches
+    do not cross borders of materials or parts.
 
     Parameters
     ----------
-    mesh : in metres. Where more than two triangles meet at an edge, or differ in orientation, patches end.
-    params : PatchParams; single fields can be given by name instead.
-    progress : called about ten times a second; raising from it stops the work.
+    mesh : in metres. Patches end at non-manifold edges and at edges with inconsistent orientation.
+    params : PatchParams; single fields can be given as keywords instead.
+    progress : called about ten times per second; an exception stops the segmentation.
 
     Returns
     -------
     Patches
-        Numbered by area, largest first.
+        Sorted by decreasing area.
 
     Raises
     ------
     MeshError
         For an index out of range or a value that is not finite.
     UsageError
-        For a parameter out of range, or a bound on colours for a mesh without.
+        For a parameter out of range, or a colour bound on a mesh without colours.
     """
     params = resolve(PatchParams, params, dict(changes))
     mesh = as_mesh(mesh)
@@ -96,7 +96,7 @@ def planar_patches(
         try:
             return _patches(found(whole), given.origin)
         except _kernels.InvalidMeshError:
-            # Not a manifold: the sheets it is made of are.
+            # The mesh is not a manifold; its sheets are.
             sheets = sheets_of(mesh)
     in_sheets = found(_in_sheets(whole, sheets))
     return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
@@ -108,7 +108,7 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
     Raises
     ------
     UsageError
-        For a bound on colours for a mesh without.
+        For a colour bound on a mesh without colours.
     """
     mesh = task.mesh
     sheets = joined(mesh)
@@ -153,7 +153,7 @@ def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
     except _kernels.InvalidMeshError:
         sheets = sheets_of(mesh)
         of_sheets = sheets.vertex_source
-        # Where sheets touch, all triangles stay, and with them what touches.
+        # Triangles around contacts between sheets stay unchanged, so the contacts stay closed.
         fewest = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.touches)
         result = fewest.result
         source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
@@ -166,11 +166,11 @@ def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
         plain = plain.with_(texture=None)
     light = as_result(plain, mesh.vertices[source], colors, triangles, source, "simplify")
     light = _carried(light, mesh, triangle_source)
-    # The bounds hold in exact arithmetic; coordinates are rounded a few times on the way.
+    # The bounds hold in exact arithmetic; the slack covers a few roundings of coordinates.
     slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
     bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
     shape_bound = np.where(bounds[:, 0] > 0, bounds[:, 0] + slack, 0)
-    # No two colours are farther apart.
+    # The distance between black and white is the maximum.
     color_bound = np.minimum(bounds[:, 1], _FARTHEST_COLORS)
     with_color = mesh.colors is not None
     return Simplified(
@@ -200,7 +200,7 @@ def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
 
 
 def _labels(mesh: Mesh) -> NDArray[np.int32]:
-    """Return a number (m,) for the material and part of each triangle; (0,) where all are alike."""
+    """Label triangles (m,) by material and part; (0,) if all are equal."""
     key = np.zeros(len(mesh.triangles), np.int64)
     for ids in (None if mesh.texture is None else mesh.texture.material_ids, mesh.part_ids):
         if ids is not None:
@@ -210,7 +210,7 @@ def _labels(mesh: Mesh) -> NDArray[np.int32]:
 
 
 def _carried(light: Mesh, mesh: Mesh, triangle_source: NDArray[np.int32]) -> Mesh:
-    """Give triangles the part they come from, and the material where it needs no texture coordinates."""
+    """Transfer parts, and materials without texture coordinates, to the result."""
     if mesh.part_ids is not None:
         light = light.with_(part_ids=mesh.part_ids[triangle_source], part_names=mesh.part_names)
     if mesh.texture is None or mesh.texture.has_uvs().any():
@@ -226,26 +226,32 @@ def _in_sheets(whole: _Surface, sheets: Sheets) -> _Surface:
 
 
 def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the patch of each triangle of the mesh from that of each triangle of its sheets."""
+    """Map patches of sheet triangles to triangles of the mesh.
+
+    Triangles without a sheet get -1.
+    """
     result = np.full(len(mesh.triangles), -1, np.int32)
     result[sheets.triangle_source] = patch
     return result
 
 
 def _cosines(params: PlanarParams) -> tuple[float, float, float]:
-    """Return the least cosines; above 1 for noise that is not to be taken in."""
+    """Compute the minimum cosines of the three angles.
+
+    A third value above 1 disables `noise_angle`.
+    """
     fidelity, detail, noise = (
         math.cos(math.radians(angle))
         for angle in (params.patch_angle, params.crease_angle, params.noise_angle)
     )
-    # The cosine of 90° is not quite 0.
+    # The floating-point cosine of 90° is slightly off zero.
     return max(fidelity, 0.0), max(detail, 0.0), noise if params.noise_angle > 0 else 2.0
 
 
 def _bounds(mesh: Mesh, shape: float | None, max_color: float | None) -> tuple[float, float]:
     require_colors(mesh, max_color)
     if shape is None:
-        # A mesh without extent has nothing to bound.
+        # A mesh without extent needs no bound; 1 m is arbitrary.
         shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) or 1.0
     if mesh.colors is None:
         return shape, math.inf

@@ -1,13 +1,15 @@
-"""Fewest triangles at any bound up to the one asked for.
+"""Search for the bound that leaves the fewest triangles.
 
-Patches grow greedily, and at a looser bound not always better: near the tip of a cone, a sector that may be
-thicker takes in what is thin enough of the next, and the border between the two turns from a line into
-stairs. What holds at a tighter bound holds at a looser one too. So patches grow at tighter ones as well, and
-the result that leaves fewest triangles is taken.
+No bound above the requested one is tried.
 
-The tighter bounds are parts of the diagonal, the same whatever was asked for: what a looser bound tries then
-has in it what a tighter one tries, but for the very bound that was asked for. Small meshes try them all; of
-others, nearly all time would go into bounds that leave more, and the search ends where that shows.
+Patches grow greedily, so looser bounds do not always give better patches. Near the tip of a cone, a thicker
+sector takes triangles of the next one, and their straight border becomes a staircase. Results at a tighter
+bound also satisfy the looser one. So tighter bounds are tried too, and the result with the fewest triangles
+is taken.
+
+The tighter bounds are fixed fractions of the diagonal. A looser request therefore tries everything that a
+tighter request tries, except the tighter request itself. Small meshes try all bounds. For large meshes the
+search stops when tighter bounds only leave more triangles, because trying all would dominate the run time.
 """
 
 from __future__ import annotations
@@ -21,49 +23,52 @@ from numpy.typing import NDArray
 
 from scanloom.stages.progress import Progress
 
-# Of the diagonal, by halves: 1 to 1e-6. Steps of four missed a fourteenth of what a room can lose.
+# Bounds are halved from the diagonal down to 1e-6 of it. Steps by a factor of four gave up to 7 % more
+# triangles for a room.
 _HALVINGS = 20
 
-# Bounds from one half to the next that small meshes try just below the one that was asked for. With the
-# halves alone, a bound between two of them now and then left 8 % fewer than a looser one.
+# Bounds per halving that small meshes try just below the requested one. With halvings alone, a bound between
+# two of them sometimes left 8 % fewer triangles than a looser one.
 _BETWEEN = 8
 
-# Nobody waits for meshes of so many triangles: all bounds are tried.
+# Triangles. Smaller meshes are fast enough to try all bounds.
 _SMALL = 1 << 13
 
-# Where a tighter bound leaves so many times the fewest, still tighter ones leave more yet, on scans.
+# If a tighter bound leaves more triangles than the best by this factor, even tighter ones leave more still.
+# Measured on scans.
 _FAR_WORSE = 1.1
 
-# And so many in a row that leave no fewer are enough.
+# Stop after this many consecutive bounds without improvement.
 _IN_VAIN = 2
 
-# But not bounds above this part of the diagonal, where a room without colours had 12,646, 16,617 and 6,376
-# triangles at tighter and tighter ones: such patches take in whole things.
+# Ratio of the diagonal above which the search does not stop. Patches that thick absorb complete objects, and
+# counts are erratic: a room without colours had 12,646, 16,617 and 6,376 triangles at successively tighter
+# bounds.
 _ERRATIC = 1 / 64
 
 # Maximum number of edges in the sample that counts flat ones.
 _SAMPLED_EDGES = 20_000
 
-# Spreads edge keys, so that the sample follows no pattern of the mesh (Knuth: multiplicative hashing).
+# Multiplicative hashing (Knuth), so that the sample does not follow the mesh layout.
 _EDGE_SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 
 class _Lighter(Protocol):
-    """What is to have few triangles."""
+    """Result of one simplification."""
 
     @property
     def triangles(self) -> NDArray[np.int32]:
-        """Return its triangles (q, 3)."""
+        """Triangles (q, 3)."""
         ...
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Return how far each patch is off (k, 2), metres and levels."""
+        """Bounds (k, 2) of each patch, metres and levels."""
         ...
 
     @property
     def is_partial(self) -> bool:
-        """Return whether work was ended before it was done."""
+        """True if the simplification was stopped early on request."""
         ...
 
 
@@ -72,13 +77,13 @@ R = TypeVar("R", bound=_Lighter)
 
 @dataclass(frozen=True)
 class Fewest(Generic[R]):
-    """The result with fewest triangles.
+    """Result with the fewest triangles.
 
     Attributes
     ----------
-    result : what was made.
-    max_shape : metres, the bound at which it was.
-    is_partial : whether `progress` asked for what there is, before or after.
+    result : result of the best simplification.
+    max_shape : metres, bound of that simplification.
+    is_partial : True if `progress` requested an early stop in any simplification.
     """
 
     result: R
@@ -95,17 +100,17 @@ def fewest_triangles(
     diagonal: float,
     progress: Progress,
 ) -> Fewest[R]:
-    """Simplify at a bound and at tighter ones, and return the result that has fewest triangles.
+    """Simplify at a bound and tighter ones; return the fewest triangles.
 
-    Of results with as many, that of the tightest bound. Nothing depends on time or threads.
+    Ties are resolved in favour of the tightest bound. The result does not depend on timing or threads.
 
     Parameters
     ----------
-    simplified : called with a bound (metres) and the progress of its own.
-    vertices, triangles : (n, 3) float64, metres, and (m, 3) int32: what is simplified.
-    max_shape : metres, the bound that was asked for.
-    diagonal : metres, of the bounding box.
-    progress : of all together.
+    simplified : called with a bound in metres and a progress callback.
+    vertices, triangles : the input, (n, 3) float64 in metres and (m, 3) int32.
+    max_shape : metres, the requested bound.
+    diagonal : metres, diagonal of the bounding box.
+    progress : progress of the complete search.
     """
     telling = _parts_of(progress)
     fewest, grown_at = simplified(max_shape, next(telling)), max_shape
@@ -114,15 +119,16 @@ def fewest_triangles(
     count = len(fewest.triangles)
     flattest = diagonal / 2**_HALVINGS
     for bound in _bounds_below(max_shape, diagonal, _BETWEEN if is_small else 1):
-        # Where all triangles stay, a tighter bound frees none.
+        # If every triangle stays, tighter bounds cannot remove any.
         if is_partial or count >= len(triangles):
             break
         least = len(fewest.triangles)
         if not is_small:
-            # No patch came up to a bound like that: few would grow otherwise.
+            # No patch reached this bound, so few would differ.
             if bound > attained or (is_enough and bound > flattest):
                 continue
-            # Flat faces have stairs for borders at any bound but the tightest, and scans have none.
+            # Flat faces get staircase borders at any bound but the tightest one, which is slow. It is tried
+            # only if the mesh has flat faces; scans have none.
             if bound == flattest and fewest_patches(vertices, triangles, bound) >= least:
                 continue
         found = simplified(bound, next(telling))
@@ -141,21 +147,22 @@ def _attained(result: _Lighter) -> float:
 
 
 def fewest_patches(vertices: NDArray[np.float64], triangles: NDArray[np.int32], bound: float) -> float:
-    """Estimate the minimum number of patches whose triangles lie in their neighbours' planes.
+    """Estimate the minimum number of exactly planar patches.
 
-    A connected patch has an inner edge for each triangle but the first. So the number of patches is at least
-    that of triangles minus flat edges, which are counted in a sample of edges. The sample is always the same.
+    A connected patch has at least one inner edge for each triangle but the first. So the number of patches is
+    at least the triangle count minus the number of flat edges. Flat edges are counted in a fixed sample of
+    edges.
 
     Parameters
     ----------
     vertices : (n, 3) float64, metres.
     triangles : (m, 3) int32.
-    bound : distance that a vertex may have from its neighbour's plane, metres.
+    bound : metres, distance that a vertex may have from its neighbour's plane.
 
     Returns
     -------
     float
-        0 if the flat edges would suffice for a single patch.
+        0 if the flat edges suffice for a single patch.
     """
     opposite = triangles[:, [2, 0, 1]].reshape(-1)
     a, b = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).T
@@ -179,9 +186,12 @@ def fewest_patches(vertices: NDArray[np.float64], triangles: NDArray[np.int32], 
 
 
 def _bounds_below(max_shape: float, diagonal: float, between: int) -> Iterator[float]:
-    """Yield the bounds that are tried below one, loosest first: halves, and more just below it."""
+    """Yield the bounds to try below `max_shape`, loosest first.
+
+    They are halvings of the diagonal, and `between` bounds per halving just below `max_shape`.
+    """
     for halvings in range(_HALVINGS + 1):
-        # Parts that floats hold exactly are the same everywhere.
+        # These fractions are exact in floating point, so bounds are identical for all requests.
         for step in range(between, 0, -1):
             bound = diagonal / 2**halvings * (between + step) / (2 * between)
             if 0 < bound < max_shape and (step == between or 2 * bound > max_shape):
@@ -189,9 +199,9 @@ def _bounds_below(max_shape: float, diagonal: float, between: int) -> Iterator[f
 
 
 def _parts_of(progress: Progress) -> Iterator[Progress]:
-    """Yield the progress of one piece of work after the other, each half of what was left by those before.
+    """Split a progress callback over an unknown number of simplifications.
 
-    How many there will be is known at the end only, and what is told must neither go back nor beyond its end.
+    Each one gets half of the remaining range, so that progress neither goes back nor exceeds 100 %.
     """
     all_of_it = 0
     before, share = 0.0, 0.5

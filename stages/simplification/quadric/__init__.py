@@ -1,11 +1,11 @@
-"""Method `quadric`: down to a number of triangles, with the least squared error of shape and colour.
+"""Method `quadric`: minimum squared error at a given triangle count.
 
-Each collapse is the one that adds least to the squared distance from the input's triangles, in the space of
-position and colour, and puts the new vertex where that is least. At the end vertices move along their
-normals, and colours change, to fit the input.
+Each collapse is the one that adds the smallest squared distance to the input's triangles, in the space of
+position and colour. The new vertex is placed at the minimum. A final fit moves vertices along their normals
+and adjusts colours.
 
-How much a level of colour counts follows from the mesh and the number of triangles; on a sample of the mesh,
-colours are seen to make the error of shape at most a fifth larger.
+The weight of colour is derived from the mesh and the triangle count. On a sample of the mesh, colours
+increase the shape error by at most a fifth.
 
 With a ratio of 0.1:
 
@@ -19,6 +19,6 @@ unit sphere with a satellite map     73,728  90.0 %       0.2 mm      8.7 levels
 References
 ----------
 Garland and Heckbert, "Surface simplification using quadric error metrics", 1997; Hoppe, "New quadric metric
-for simplifying meshes with appearance attributes", 1999; for the fit Hoppe, DeRose, Duchamp, McDonald and
+for simplifying meshes with appearance attributes", 1999. For the fit: Hoppe, DeRose, Duchamp, McDonald and
 Stuetzle, "Mesh optimization", 1993.
 """

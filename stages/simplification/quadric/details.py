@@ -1,4 +1,4 @@
-"""What method `quadric` has to tell."""
+"""Result details of method `quadric`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from scanloom.stages.simplification.result import Details, Simplified
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class QuadricDetails(Details):
-    """What method `quadric` has to tell.
+    """Result details of method `quadric`.
 
     Attributes
     ----------
-    attribute_scale_m_per_level : metres that weighed as much as one level of colour.
-    fitted : whether vertices and colours were moved to fit the input at the end.
+    attribute_scale_m_per_level : metres that weigh as much as one level of colour.
+    fitted : True if vertices and colours were fitted to the input at the end.
     """
 
     __repr__ = by_fields
@@ -32,5 +32,5 @@ class QuadricDetails(Details):
     fitted: bool
 
     def report(self, result: Simplified[Any]) -> None:
-        """Warn if the topology leaves too little to choose from."""
+        """Warn if most remaining edges cannot collapse because of the topology."""
         report_crowded_by_topology(result)

@@ -1,4 +1,7 @@
-"""Simplification to a number of triangles by attribute quadrics, and a fit to the input at the end."""
+"""Simplification to a triangle count by attribute quadrics.
+
+A final least-squares fit moves the result towards the input.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from scanloom.stages.simplification.task import Task
 
 RESULT_VERSION = 2
 
-# Triangles worked on at a time: small enough for the caches.
+# Triangles per region of the collapse engine: small enough for the CPU caches.
 REGION_TRIANGLES = 8192
 
 
@@ -39,7 +42,7 @@ def _as_it_is(task: Task[None]) -> Simplified[QuadricDetails]:
         except KeyboardInterrupt:
             if not task.partial:
                 raise
-            # There is only the input by now.
+            # Nothing has been simplified yet, so the partial result is the input.
             weight, progress = 0.0, _no_more
     result = _kernels.simplify_by_quadrics(
         given.vertices,
@@ -92,11 +95,17 @@ def _no_more(done: int, total: int) -> bool:  # noqa: ARG001
 
 
 class _Content(Exception):  # noqa: N818 (nothing went wrong)
-    """The caller wants what there is."""
+    """Request to stop and return the mesh simplified so far."""
 
 
 def _finishing(progress: Progress, triangles: int, running: _kernels.Running) -> Progress:
-    """Keep telling that all triangles are gone that had to go, while the rest is being done."""
+    """Create a progress callback that reports 100 % during the final fit.
+
+    Raises
+    ------
+    _Content
+        From the callback, when `progress` requests an early stop.
+    """
     going = max(triangles - running.target_triangles, 0)
 
     def tell(done: int, total: int) -> None:  # noqa: ARG001

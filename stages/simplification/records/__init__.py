@@ -1,1 +1,1 @@
-"""Collapses kept, so that every mesh on the way can be had again."""
+"""Collapse records, from which every intermediate mesh can be restored."""

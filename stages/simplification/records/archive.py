@@ -1,4 +1,4 @@
-"""Arrays by name in one file, as `numpy.savez` writes them; read without trusting what the file promises."""
+"""Named arrays in one `.npz` file, read without trusting its headers."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 
 Arrays = dict[str, NDArray[Any]]
 
-# What reading an archive can raise; RuntimeError is for an encryption nobody asked for, and the last line for
-# an array whose first lines are no Python.
+# Exceptions that damaged archives cause. RuntimeError is raised for encrypted entries, the last line for
+# array headers that are not valid Python.
 _DAMAGE = (
     *(
         ValueError,
@@ -38,34 +38,34 @@ _DAMAGE = (
     ),
     *(SyntaxError, tokenize.TokenError, TypeError, IndexError, AttributeError, OverflowError),
 )
-# Records are written as they are. One that somebody packed again shrinks to a half or a third; the limit
-# leaves room for grids of equal numbers, and none for a file that unpacks a thousandfold.
+# Maximum ratio of unpacked to file size. Records are uncompressed, and recompressing them saves a half to two
+# thirds. The limit allows grids of equal numbers, and rejects zip bombs.
 _MOST_UNPACKED = 32
-# Whole numbers, real numbers, truth values and text.
+# NumPy dtype kinds: integers, floats, booleans and text.
 _KINDS = "iufbU"
 
 
 def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write arrays to a file, whole or not at all.
+    """Write arrays to a file, atomically.
 
     Raises
     ------
     StageError
-        If the system refuses to write.
+        If the file cannot be written.
     """
     with replacing(path) as part, part.open("wb") as file:
-        # What numpy's own arguments are called is the reason for the type.
+        # `savez` has parameters of other types than arrays, hence the annotation.
         named: dict[str, Any] = dict(arrays)
         np.savez(file, **named)
 
 
 def read_arrays(path: Path) -> Arrays:
-    """Return the arrays of a file.
+    """Read the arrays of a file.
 
     Raises
     ------
     InputError
-        If the file is missing, no archive of arrays, damaged, or promises more than it can hold.
+        If the file is missing, damaged or no array archive, or declares more data than it can contain.
     """
     try:
         with opened(path) as file, zipfile.ZipFile(file) as archive:
@@ -73,7 +73,7 @@ def read_arrays(path: Path) -> Arrays:
             if sum(entry.file_size for entry in entries) > _MOST_UNPACKED * path.stat().st_size:
                 raise InputError(
                     SIMPLIFY_RECORD_INVALID,
-                    "is no record of collapses: it would unpack to far more than it is.",
+                    "is not a collapse record: it would unpack to many times its size.",
                     path,
                 )
             return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
@@ -82,20 +82,20 @@ def read_arrays(path: Path) -> Arrays:
             FILE_UNREADABLE, "cannot be read: {detail}.", path, detail=error.strerror or error
         ) from error
     except _DAMAGE as error:
-        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged, or no record of collapses.", path) from error
+        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged, or not a collapse record.", path) from error
 
 
 def json_object(text: NDArray[Any]) -> dict[str, Any]:
-    """Return what the JSON of a text says.
+    """Parse a JSON object from a text array.
 
     Raises
     ------
     ValueError, RecursionError
-        If it is no JSON, or no object.
+        If the text is not valid JSON, or not an object.
     """
     words = json.loads(str(text)) if text.dtype.kind == "U" and not text.shape else None
     if not isinstance(words, dict):
-        raise ValueError("a text is no JSON object")
+        raise ValueError("the metadata is not a JSON object")
     return words
 
 
@@ -104,15 +104,15 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
         raise ValueError
     with archive.open(entry) as content:
         _require_true_size(content, entry.file_size)
-    # From the start again: only what is read from start to end has its checksum looked at.
+    # Reopen the entry: zipfile verifies the checksum only when reading from start to end.
     with archive.open(entry) as content:
         array: NDArray[Any] = np.lib.format.read_array(content, allow_pickle=False)
-    # Any other byte than 0 and 1 is no truth value to compiled code.
+    # Compiled code requires booleans to be 0 or 1.
     return array.view(np.uint8) != 0 if array.dtype.kind == "b" else array
 
 
 def _require_true_size(content: IO[bytes], size: int) -> None:
-    """Refuse an array whose first lines promise more numbers than follow, before there is room for them."""
+    """Reject array headers that declare more data than follows, before allocating it."""
     version = np.lib.format.read_magic(content)
     read_header = np.lib.format.read_array_header_1_0
     if version != (1, 0):
@@ -121,9 +121,9 @@ def _require_true_size(content: IO[bytes], size: int) -> None:
         shape, _, dtype = read_header(content)
     except MemoryError as error:
         require_room()
-        # What Python says of brackets in brackets in brackets; the lines themselves are short.
+        # Python also raises MemoryError for deeply nested brackets in the short header.
         raise ValueError from error
-    # An empty array, too, could be said to have more rows than anybody has room for.
+    # An array without elements could still declare an enormous number of rows.
     most = max(math.prod(shape) * dtype.itemsize, *shape, 0)
     if dtype.kind not in _KINDS or not dtype.itemsize or most > size:
         raise ValueError

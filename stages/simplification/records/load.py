@@ -1,4 +1,4 @@
-"""A record read from its file."""
+"""Loading of collapse records from files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scanloom.stages.simplification.records.stored_wedges import wedges_of
 from scanloom.stages.surface.mesh import validated
 
 _NEEDED = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
-# What the arrays of a file can raise that are not those of a record.
+# Exceptions that arrays of an invalid record cause.
 _STRANGE = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 
 
@@ -31,7 +31,7 @@ def load_record(path: Path | str) -> CollapseRecord:
     arrays = read_arrays(path)
     version = arrays.get("scanloom_collapse_record")
     if version is None:
-        raise InputError(SIMPLIFY_RECORD_INVALID, "is no record of collapses.", path)
+        raise InputError(SIMPLIFY_RECORD_INVALID, "is not a collapse record.", path)
     if version.shape != () or version != FORMAT_VERSION:
         raise InputError(
             SIMPLIFY_RECORD_INVALID,
@@ -45,12 +45,12 @@ def load_record(path: Path | str) -> CollapseRecord:
         missing = [name for name in _NEEDED if name not in arrays]
         if missing:
             raise InputError(
-                SIMPLIFY_RECORD_INVALID, "is damaged: it has no {missing}.", path, missing=missing[0]
+                SIMPLIFY_RECORD_INVALID, "is damaged: {missing} is missing.", path, missing=missing[0]
             )
         record = _record_of(arrays, about, path)
     except _STRANGE as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "is damaged, or no record of collapses ({error}).", path, error=error
+            SIMPLIFY_RECORD_INVALID, "is damaged, or not a collapse record ({error}).", path, error=error
         ) from error
     require_sound(record, path)
     return record

@@ -1,9 +1,9 @@
-"""When two vertices become one.
+"""Queries for the collapse that merges two vertices.
 
-Collapses make a forest: each vertex hangs below the one it went into, which is itself removed later or
-never. Two vertices are one from the collapse on that takes the later of the two just below their lowest
-common ancestor. That is found by doubling (Bender and Farach-Colton, "The level ancestor problem simplified",
-2004), in steps as many as the logarithm of the forest's height, for a hostile file can give it any height.
+Collapses form a forest: the parent of each removed vertex is the vertex it was merged into. Two vertices are
+merged by the later collapse of the two children just below their lowest common ancestor. The ancestor is
+found by binary lifting (Bender and Farach-Colton, "The level ancestor problem simplified", 2004). The number
+of steps is logarithmic in the height, because a hostile file can contain a forest of any height.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ Ids = NDArray[np.int64]
 
 
 class Meetings:
-    """The forest of some collapses.
+    """Forest of vertex collapses.
 
     Parameters
     ----------
-    count : how many vertices there are.
-    removed, survivor : (m,) int32, for each collapse the vertex that vanished and the one it went into.
+    count : number of vertices.
+    removed, survivor : (m,) int32, removed vertex of each collapse, and the vertex it was merged into.
     """
 
     def __init__(self, count: int, removed: NDArray[np.int32], survivor: NDArray[np.int32]) -> None:
@@ -31,7 +31,7 @@ class Meetings:
         parent[removed] = survivor
         self._depth = np.zeros(count, np.int64)
         self._depth[removed] = 1
-        # The ancestor 1, 2, 4, … above each vertex; the root for fewer.
+        # Ancestors 1, 2, 4, … levels above each vertex, clamped to the root.
         self._above = [parent]
         twice = parent[parent]
         while (twice != self._above[-1]).any():
@@ -40,9 +40,9 @@ class Meetings:
             twice = twice[twice]
 
     def of(self, a: NDArray[np.int32], b: NDArray[np.int32]) -> Ids:
-        """Return for each pair of vertices the number of the collapse that makes them one.
+        """Find the collapse that merges each pair of vertices.
 
-        It is the number of collapses for two that never become one, or that are one from the start.
+        The result is the number of collapses for pairs that are never merged, and for equal vertices.
         """
         met = np.full(len(a), self._never)
         pairs = np.flatnonzero(a != b)
@@ -50,7 +50,7 @@ class Meetings:
         deeper = self._depth[low] < self._depth[high]
         low, high = np.where(deeper, high, low), np.where(deeper, low, high)
         climb = self._depth[low] - self._depth[high]
-        # First to just below the level of the other, for that may itself be the ancestor.
+        # Stop one level below the other vertex, which may itself be the common ancestor.
         low = self._up(low, np.maximum(climb - 1, 0))
         over = self._above[0][low]
         direct = (climb > 0) & (over == high)
@@ -60,12 +60,12 @@ class Meetings:
         for above in reversed(self._above):
             apart = above[low] != above[high]
             low, high = np.where(apart, above[low], low), np.where(apart, above[high], high)
-        # Those in different trees are roots by now, which never vanish.
+        # Vertices of different trees have reached their roots, which are never removed.
         met[pairs] = np.maximum(self._when[low], self._when[high])
         return met
 
     def _up(self, vertices: Ids, steps: Ids) -> Ids:
-        """Return the ancestor that many steps above each vertex."""
+        """Return the ancestor of each vertex, `steps` levels above it."""
         for bit, above in enumerate(self._above):
             vertices = np.where(steps >> bit & 1, above[vertices], vertices)
         return vertices

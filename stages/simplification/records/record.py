@@ -1,8 +1,8 @@
-"""The collapses of a simplification, kept so that any of its intermediate meshes can be had again.
+"""Record of the collapses of a simplification, for restoring any intermediate mesh.
 
-The record is a progressive mesh (Hoppe, "Progressive meshes", 1996) in its plainest form: the input, and for
-each collapse which vertex went into which other, and where that one went. A prefix of it sends every vertex
-to the one it is part of by then, for all collapses at once.
+The record is a minimal progressive mesh (Hoppe, "Progressive meshes", 1996): the input, and per collapse the
+removed vertex, the surviving vertex and its new position. Any number of collapses is replayed at once, by
+mapping every vertex to the one it has been merged into.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ FORMAT_VERSION = 2
 
 @dataclass(frozen=True, eq=False)
 class CollapseRecord:
-    """All collapses of one run of `simplify`.
+    """All collapses of one simplification.
 
     Attributes
     ----------
-    mesh : what they began with: the input, with its long edges split where `jia01` did; without what cannot
-        be replayed, which is everything at corners if there are no wedges.
-    removed, survivor : (m,) int32, for each collapse the vertex that vanished and the one it went into.
-        Vertices are those of `mesh`, or as the wedges number them.
-    path : (m, 3 + k) float64, where the survivor went: metres, then colours in 8-bit levels if there are any.
-        With wedges (m, 3), from the origin of their attributes.
-    lock : (n,) bool, vertices of `mesh` that stay as they are.
-    vertex_source, triangle_source : (n,) and (t,) int32, the vertex and triangle of the input that those of
-        `mesh` come from; None where `mesh` has those of the input.
-    wedges : what became of the corners, where they have attributes of their own.
+    mesh : mesh before the first collapse: the input, after edge splits by method `jia01`. Without wedges, it
+        lacks corner attributes, which then cannot be replayed.
+    removed, survivor : (m,) int32, removed vertex of each collapse, and the vertex it was merged into.
+        Indices refer to `mesh`, or to the vertices of `wedges`.
+    path : (m, 3 + k) float64, new position of the survivor in metres, and its colour in 8-bit levels, if any.
+        With wedges (m, 3), relative to the origin of their attributes.
+    lock : (n,) bool, vertices of `mesh` that stay unchanged.
+    vertex_source, triangle_source : (n,) and (t,) int32, input vertex and triangle of each one of `mesh`;
+        None if `mesh` has the indices of the input.
+    wedges : changes of corner attributes; None without corner attributes.
     """
 
     __repr__ = by_fields
@@ -79,26 +79,30 @@ class CollapseRecord:
         return Steps(self.wedges.triangles, self.wedges.vertices, self.removed, self.survivor)
 
     def triangles_after(self, collapses: int) -> int:
-        """Return how many triangles are left after so many collapses."""
+        """Return the number of triangles after a number of collapses."""
         return self._steps.triangles_after(collapses)
 
     def replay(self, params: ReplayParams | None = None, **changes: Unpack[ReplayKeywords]) -> Replayed:
-        """Return the mesh as it was when so many triangles were left, or after so many collapses.
+        """Restore the mesh at a triangle count or number of collapses.
 
-        It has the input's topology at every step. At the last it equals what `simplify` gave out, to the bit,
-        if both are fitted or neither is.
+        The topology of the input is preserved at every step. The last step is bit-identical to the result of
+        `simplify`, if both are fitted or neither is.
 
         Parameters
         ----------
-        params : ReplayParams; single fields can be given by name instead.
+        params : ReplayParams; single fields can be given as keywords instead.
+
+        Returns
+        -------
+        Replayed
 
         Raises
         ------
         UsageError
-            For fewer triangles or more collapses than the record leads to, and for `fit` with wedges, whose
-            fit needs the whole run.
+            If the record ends before the requested step, or for `fit` with wedges, whose fit needs the
+            complete simplification.
         MeshError
-            If `fit` cannot work on a mesh that somebody else wrote into the record.
+            If the mesh of a manipulated record cannot be fitted.
         """
         params = resolve(ReplayParams, params, dict(changes))
         if self.wedges is None:
@@ -108,8 +112,8 @@ class CollapseRecord:
         if params.fit:
             raise UsageError(
                 SIMPLIFY_RECORD_INVALID,
-                "a record of method seams cannot be fitted",
-                remedy="simplify to that number instead.",
+                "a record of method seams cannot be fitted to the input",
+                remedy="run simplify with that triangle count instead.",
             )
         return self._wedges_after(self.wedges, self._steps.after(self._steps.wanted(params)))
 
@@ -149,23 +153,23 @@ class CollapseRecord:
         return Replayed(mesh, vertex_source, left.triangle_source, after.collapses)
 
     def _moved(self, place: Floats, after: After) -> Floats:
-        # Of several values for one vertex, the last one stays.
+        # NumPy keeps the last of several values assigned to one vertex.
         place[self.survivor[: after.collapses]] = self.path[: after.collapses]
         return place
 
     def save(self, path: Path | str) -> None:
-        """Write the record to a file that `load_record` reads, `.npz` by custom.
+        """Write the record to an `.npz` file for `load_record`.
 
         Raises
         ------
         StageError
-            If the system refuses to write.
+            If the file cannot be written.
         """
         mesh = self.mesh
         of_wedges: Arrays = {}
         about: dict[str, Any] = {"content": "collapses of vertices", "collapses": len(self.removed)}
         if self.wedges is None:
-            # Nothing else of it can be replayed.
+            # Other attributes cannot be replayed.
             mesh = Mesh(mesh.vertices, mesh.triangles, mesh.colors, mesh.normals, up=mesh.up)
         else:
             about["content"] += " and wedges"

@@ -1,4 +1,4 @@
-"""Whether the collapses of a file can have taken place on its mesh."""
+"""Validation of collapse records from files."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ Shape = tuple[int, ...]
 
 
 def require_sound(record: CollapseRecord, path: Path) -> None:
-    """Refuse a record whose collapses cannot have taken place on its mesh.
+    """Reject a record whose collapses are impossible on its mesh.
 
     Parameters
     ----------
-    path : the file it is from.
+    record : record to validate.
+    path : its file, for error messages.
 
     Raises
     ------
     InputError
-        It says which array is wrong.
+        Naming the array that is wrong.
     """
     wedges, mesh = record.wedges, record.mesh
     count, triangles = len(mesh.vertices), len(mesh.triangles)
@@ -52,11 +53,11 @@ def require_sound(record: CollapseRecord, path: Path) -> None:
     ):
         if source is not None and (source < 0).any():
             raise InputError(
-                SIMPLIFY_RECORD_INVALID, "is damaged: {name} names what is not there.", path, name=name
+                SIMPLIFY_RECORD_INVALID, "is damaged: {name} has negative indices.", path, name=name
             )
     if not np.isfinite(record.path).all():
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "is damaged: a vertex goes to a place that is not finite.", path
+            SIMPLIFY_RECORD_INVALID, "is damaged: path has positions or colours that are not finite.", path
         )
     vertices = count
     if wedges is not None:
@@ -100,10 +101,12 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
         (attributes.has_normals, attributes.normal_scale),
     )
     if any(is_there and not 0 < scale < math.inf for is_there, scale in scales):
-        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged: a weight of attributes is no length.", path)
-    # A number beyond those of corners would make room for as many.
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "is damaged: an attribute scale is not positive and finite.", path
+        )
+    # Array sizes follow from the largest index; limit it to prevent huge allocations.
     for name, ids in (("corner_vertex", wedges.corner_vertex), ("corner_wedge", wedges.corner_wedge)):
-        _require_within(f"wedges/{name}", ids, -1, corners, "a number", path)
+        _require_within(f"wedges/{name}", ids, -1, corners, "an index", path)
     count = int(wedges.corner_wedge.max(initial=-1)) + 1
     _require_within("wedges/removed", wedges.removed, 0, count, "a wedge", path)
     _require_within("wedges/survivor", wedges.survivor, 0, count, "a wedge", path)
@@ -112,7 +115,7 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
     for name, when in (("when", wedges.when), ("changed_when", wedges.changed_when)):
         if (np.diff(when) < 0).any():
             raise InputError(
-                SIMPLIFY_RECORD_INVALID, "is damaged: wedges/{name} is not in order.", path, name=name
+                SIMPLIFY_RECORD_INVALID, "is damaged: wedges/{name} is not sorted.", path, name=name
             )
         _require_within(f"wedges/{name}", when, 0, collapses, "a collapse", path)
     left_out = wedges.corner_vertex.reshape(-1, 3) < 0
@@ -121,7 +124,7 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
         raise InputError(
             SIMPLIFY_RECORD_INVALID, "is damaged: a triangle has corners without vertices or wedges.", path
         )
-    _require_there("change", wedges.removed, wedges.survivor, count, "a wedge", path)
+    _require_there("wedge merge", wedges.removed, wedges.survivor, count, "a wedge", path)
 
 
 def _require_arrays(expected: dict[str, tuple[NDArray[Any] | None, type, Shape]], path: Path) -> None:
@@ -129,7 +132,7 @@ def _require_arrays(expected: dict[str, tuple[NDArray[Any] | None, type, Shape]]
         if array is not None and (array.dtype != kind or array.shape != shape):
             raise InputError(
                 SIMPLIFY_RECORD_INVALID,
-                "is damaged: {name} is {array_dtype} of shape {array_shape}.",
+                "is damaged: {name} has type {array_dtype} and shape {array_shape}.",
                 path,
                 name=name,
                 array_dtype=array.dtype,
@@ -141,7 +144,7 @@ def _require_within(name: str, ids: Ids, low: int, end: int, thing: str, path: P
     if len(ids) and not (ids.min() >= low and ids.max() < end):
         raise InputError(
             SIMPLIFY_RECORD_INVALID,
-            "is damaged: {name} names {thing} that is not there.",
+            "is damaged: {name} refers to {thing} that does not exist.",
             path,
             name=name,
             thing=thing,
@@ -149,17 +152,20 @@ def _require_within(name: str, ids: Ids, low: int, end: int, thing: str, path: P
 
 
 def _require_there(step: str, removed: Ids, survivor: Ids, count: int, thing: str, path: Path) -> None:
-    """Refuse what is removed twice, or goes into what is gone or is itself."""
+    """Reject impossible merges of elements.
+
+    An element must not be removed twice, nor merged into itself or into a removed element.
+    """
     steps = np.arange(len(removed))
     when = np.full(count, len(removed))
     when[removed] = steps
-    # What is removed twice has the later number; what went into itself has its own.
+    # `when` holds the last removal of each element, so repeated removals and self-merges are out of order.
     in_order = (when[removed] == steps) & (when[survivor] > steps)
     if not in_order.all():
         wrong = int(np.flatnonzero(~in_order)[0])
         raise InputError(
             SIMPLIFY_RECORD_INVALID,
-            "is damaged: {step} {wrong} has {thing} that is gone already.",
+            "is damaged: {step} {wrong} refers to {thing} that was already removed.",
             path,
             step=step,
             wrong=wrong,

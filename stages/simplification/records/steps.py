@@ -1,4 +1,4 @@
-"""How many collapses lead to how many triangles, and which are left after them."""
+"""Mapping between the number of collapses and the remaining vertices and triangles."""
 
 from __future__ import annotations
 
@@ -22,19 +22,22 @@ from scanloom.stages.surface.topology import repeats_vertex
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayParams:
-    """How far a record is replayed; one of the three numbers, or to its end."""
+    """Parameters of `CollapseRecord.replay`.
+
+    At most one of the three targets can be given; the default is the end of the record.
+    """
 
     triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
     ratio: float | None = param(
         None,
-        "Replay until at most this share of the input's triangles is left.",
+        "Replay until at most this fraction of the input's triangles is left.",
         low=0,
         high=1,
         low_open=True,
     )
     collapses: int | None = param(None, "Replay this many collapses.", low=0)
     fit: bool = param(
-        False, "Move vertices and colours to fit the input by least squares at the end, as simplify does."
+        False, "Fit vertices and colours to the input by least squares at the end, as simplify does."
     )
 
     def __post_init__(self) -> None:
@@ -51,15 +54,15 @@ class ReplayParams:
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """A mesh on the way, and where its parts came from.
+    """Intermediate mesh of a simplification.
 
     Attributes
     ----------
     mesh : Mesh
-    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
-    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    collapses : how many were replayed.
-    diagnostics : attributes that were left out.
+    vertex_source : (p,) int32, an input vertex merged into each vertex.
+    triangle_source : (q,) int32, input triangle that each triangle derives from.
+    collapses : number of replayed collapses.
+    diagnostics : warnings about lost attributes.
     """
 
     __repr__ = by_fields
@@ -74,15 +77,15 @@ class Replayed:
 
 @dataclass(frozen=True, eq=False)
 class After:
-    """Vertices and triangles after some collapses.
+    """Vertices and triangles that remain after some collapses.
 
     Attributes
     ----------
-    collapses : how many.
-    vertices : (p,) int64, those that are left.
-    rows : (q,) int64, the triangles that are left.
-    triangles : (q, 3) int32, their corners, as numbers into `vertices`.
-    became : (n,) int32, which of `vertices` each vertex is part of; −1 for none.
+    collapses : number of collapses.
+    vertices : (p,) int64, remaining vertices.
+    rows : (q,) int64, remaining triangles.
+    triangles : (q, 3) int32, their corners, as indices into `vertices`.
+    became : (n,) int32, index into `vertices` of the vertex that each vertex was merged into; −1 for none.
     """
 
     collapses: int
@@ -94,13 +97,13 @@ class After:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Triangles, and the collapses they vanish in.
+    """Triangles, and the collapses that remove them.
 
     Attributes
     ----------
-    triangles : (t, 3) int32, those of the input.
-    vertices : how many vertices they are of.
-    removed, survivor : (m,) int32, for each collapse the vertex that vanished and the one it went into.
+    triangles : (t, 3) int32, triangles of the input.
+    vertices : number of vertices.
+    removed, survivor : (m,) int32, removed vertex of each collapse, and the vertex it was merged into.
     """
 
     triangles: Triangles
@@ -110,9 +113,9 @@ class Steps:
 
     @cached_property
     def ends(self) -> NDArray[np.int64]:
-        """For each triangle the number of the collapse that it vanishes in; `len(removed)` if it stays.
+        """Collapse that removes each triangle (t,); `len(removed)` for triangles that stay.
 
-        Triangles that repeat a vertex in the input count as gone before the first, −1.
+        Input triangles that use a vertex twice get −1: they are gone before the first collapse.
         """
         meetings = Meetings(self.vertices, self.removed, self.survivor)
         ends = np.full(len(self.triangles), len(self.removed))
@@ -127,16 +130,16 @@ class Steps:
         return np.sort(self.ends)
 
     def triangles_after(self, collapses: int) -> int:
-        """Return how many triangles are left after so many collapses."""
+        """Return the number of triangles after a number of collapses."""
         return len(self.ends) - int(np.searchsorted(self._sorted_ends, collapses))
 
     def wanted(self, params: ReplayParams) -> int:
-        """Return how many collapses lead to what is asked for.
+        """Compute the number of collapses that reaches the requested target.
 
         Raises
         ------
         UsageError
-            For fewer triangles or more collapses than there are.
+            For fewer triangles or more collapses than the record contains.
         """
         most = len(self.removed)
         if params.collapses is not None:
@@ -164,12 +167,12 @@ class Steps:
                 wanted=wanted,
                 least=least,
             )
-        # As many triangles as have to go are gone after the collapse that the last of them vanishes in.
+        # The last of the triangles to remove determines the number of collapses.
         going = len(self.ends) - wanted
         return 0 if going <= 0 else max(int(self._sorted_ends[going - 1]) + 1, 0)
 
     def after(self, collapses: int) -> After:
-        """Return what is left after so many collapses."""
+        """Determine the vertices and triangles that remain after a number of collapses."""
         root = roots(self.vertices, self.removed[:collapses], self.survivor[:collapses])
         rows = np.flatnonzero(self.ends >= collapses)
         corners = root[self.triangles[rows]]
@@ -182,7 +185,12 @@ class Steps:
 
 
 def roots(count: int, removed: NDArray[np.int32], survivor: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return which of `count` elements each is part of after `removed` went into `survivor`, in order."""
+    """Map each of `count` elements to its representative after all merges.
+
+    Parameters
+    ----------
+    removed, survivor : (m,), element removed by each merge, and the element it is merged into, in order.
+    """
     root = np.arange(count)
     root[removed] = survivor
     while (root[root] != root).any():

@@ -1,4 +1,4 @@
-"""A mesh as arrays of a file, and as a mesh again."""
+"""Serialisation of meshes to named arrays and JSON values, and back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from scanloom.stages.surface.texture import WRAPS, Image, Material, Texture
 
 
 def stored_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays of a mesh by name, and what else there is to say of it, fit for JSON.
+    """Convert a mesh to named arrays and JSON metadata.
 
-    Left out are its diagnostics, and what materials keep for the writer of the format they were read from.
+    Diagnostics are not stored, nor are format-specific extensions of materials.
     """
     arrays: dict[str, NDArray[Any] | None] = {
         "vertices": mesh.vertices,
@@ -44,12 +44,14 @@ def stored_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:
 
 
 def mesh_of(arrays: Arrays, words: dict[str, Any]) -> Mesh:
-    """Return the mesh that `stored_mesh` took apart; it has still to be `validated`.
+    """Build the mesh that `stored_mesh` converted.
+
+    The caller must run `validated` on the result.
 
     Raises
     ------
     ValueError, KeyError, IndexError, TypeError, OverflowError
-        For what `stored_mesh` does not give.
+        For arrays or metadata that `stored_mesh` cannot produce.
     """
     texture = None
     if "uvs" in arrays:
@@ -78,13 +80,13 @@ def _direction(given: Any) -> tuple[float, float, float]:
 
 def _bytes(array: NDArray[Any]) -> bytes:
     if array.dtype != np.uint8:
-        raise ValueError(f"an image is {array.dtype}")
+        raise ValueError(f"an image has type {array.dtype} instead of uint8")
     return array.tobytes()
 
 
 def _material(images: list[Image], name: Any, image: int | None, color: Any, wrap: Any) -> Material:
     if not set(wrap) <= set(WRAPS):
-        raise ValueError(f"a texture goes on as {wrap}")
+        raise ValueError(f"unknown texture wrap mode {wrap}")
     if color is not None:
         red, green, blue, alpha = map(float, color)
         color = red, green, blue, alpha

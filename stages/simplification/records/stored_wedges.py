@@ -1,4 +1,4 @@
-"""What happened to wedges as arrays of a file, and as `Wedges` again."""
+"""Serialisation of wedges to named arrays and JSON values, and back."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HAS = ("has_uvs", "has_colors", "has_normals")
 
 
 def stored_wedges(wedges: Wedges) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays of wedges by name, and the numbers beside them, fit for JSON."""
+    """Convert wedges to named arrays and JSON metadata."""
     attributes = wedges.attributes
     arrays = {name: getattr(wedges, name) for name in _OF_WEDGES}
     arrays |= {name: getattr(attributes, name) for name in _OF_ATTRIBUTES}
@@ -24,12 +24,14 @@ def stored_wedges(wedges: Wedges) -> tuple[Arrays, dict[str, Any]]:
 
 
 def wedges_of(arrays: Arrays, words: dict[str, Any]) -> Wedges:
-    """Return the wedges that `stored_wedges` took apart; whether they are sound is still to be seen.
+    """Build the wedges that `stored_wedges` converted.
+
+    The caller must run `require_sound` on the record.
 
     Raises
     ------
     ValueError, KeyError, TypeError, OverflowError
-        For what `stored_wedges` does not give.
+        For arrays or metadata that `stored_wedges` cannot produce.
     """
     attributes = CornerAttributes(
         arrays["origin"],

@@ -1,7 +1,7 @@
-"""What happened to the wedges while vertices collapsed.
+"""Changes of wedges during the collapses of vertices.
 
-A wedge is what the corners on one side of a seam have in common at a vertex: their texture coordinates,
-colour and normal (Hoppe, "New quadric metric for simplifying meshes with appearance attributes", 1999).
+A wedge is the set of corners around a vertex that share texture coordinates, colour and normal. The term is
+from Hoppe, "New quadric metric for simplifying meshes with appearance attributes", 1999.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from scanloom.stages.simplification.records.steps import roots
 
 @dataclass(frozen=True, eq=False)
 class Wedges:
-    """Wedges, and the vertices that they are around.
+    """Wedges of a mesh, and their changes during the collapses.
 
-    Both have numbers of their own: copies of a vertex count as one, and sheets that only touch as several.
+    Vertices and wedges have separate indices: duplicate vertices count as one, and vertices of touching
+    sheets are distinct.
 
     Attributes
     ----------
-    attributes : what the corners carry, and where their vertices are.
-    corner_vertex, corner_wedge : (3 t,) int32, of each corner of the mesh; −1 in triangles without area,
-        which were left out.
-    removed, survivor, when : (w,) int32, wedges that became part of others, and in which collapse.
-    changed, changed_to, changed_source, changed_when : (c, …), wedges that took other attributes, which, the
-        corner of the mesh that has the same (−1 for none), and in which collapse.
+    attributes : corner attributes and vertex positions of the mesh.
+    corner_vertex, corner_wedge : (3 t,) int32, vertex and wedge of each corner; −1 in degenerate triangles,
+        which were removed.
+    removed, survivor, when : (w,) int32, wedges merged into others, and the collapse that merged them.
+    changed, changed_to, changed_source, changed_when : (c, …), wedges with new attributes, the attributes,
+        the corner of the mesh with equal attributes (−1 for none), and the collapse that changed them.
     """
 
     attributes: CornerAttributes
@@ -45,41 +46,42 @@ class Wedges:
 
     @cached_property
     def kept(self) -> NDArray[np.int64]:
-        """Triangles of the mesh that were not left out."""
+        """Triangles of the mesh that were not removed as degenerate."""
         return np.flatnonzero(self.corner_vertex[::3] >= 0)
 
     @cached_property
     def triangles(self) -> Ids:
-        """(len(kept), 3) int32, the vertices of the triangles that were not left out."""
+        """Vertices (len(kept), 3) of the triangles in `kept`, int32."""
         return self.corner_vertex.reshape(-1, 3)[self.kept]
 
     @property
     def vertices(self) -> int:
-        """How many vertices there are."""
+        """Number of vertices."""
         return int(self.corner_vertex.max(initial=-1)) + 1
 
     def first_corners(self) -> NDArray[np.int64]:
-        """Return for each vertex the first corner of the mesh that it has."""
+        """Return the first corner of the mesh at each vertex."""
         return self._first(self.corner_vertex)
 
     def corners_after(
         self, collapses: int, triangles: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return what the corners of some triangles carry after so many collapses, and where that is from.
+        """Return the corner attributes of some triangles after a number of collapses.
 
         Parameters
         ----------
-        triangles : (q,) rows of the mesh's.
+        collapses : number of collapses.
+        triangles : (q,) triangles of the mesh.
 
         Returns
         -------
-        corners : (3 q, k) float64, as the columns of the attributes.
-        source : (3 q,) int64, the corner of the mesh with the same attributes; −1 for none.
+        corners : (3 q, k) float64, in the columns of `CornerAttributes.columns`.
+        source : (3 q,) int64, corner of the mesh with equal attributes; −1 for none.
         """
         source = self._first(self.corner_wedge)
         values = self.attributes.columns[source]
         until = np.searchsorted(self.changed_when, collapses)
-        # Of several changes of one wedge, the last one stays.
+        # NumPy keeps the last of several values assigned to one wedge.
         values[self.changed[:until]] = self.changed_to[:until]
         source[self.changed[:until]] = self.changed_source[:until]
         until = np.searchsorted(self.when, collapses)
@@ -91,6 +93,6 @@ class Wedges:
     def _first(self, of_corner: Ids) -> NDArray[np.int64]:
         corners = np.flatnonzero(self.corner_vertex >= 0)
         first = np.zeros(int(of_corner.max(initial=-1)) + 1, np.int64)
-        # Backwards, so that of all corners of a vertex or wedge the first one counts.
+        # In reverse order, because NumPy keeps the last of several values assigned to one index.
         first[of_corner[corners][::-1]] = corners[::-1]
         return first

@@ -1,19 +1,20 @@
-"""Method `seams`: to a number of triangles, for meshes with texture, materials, parts or normals of corners.
+"""Method `seams`: a triangle count for meshes with corner attributes.
 
-Vertices that a file doubles along texture seams, between materials or parts are one, and move together. Each
-keeps texture coordinates, colour and normal for every chart it lies in, which are part of the error.
+Corner attributes are texture coordinates, materials, parts and corner normals. Vertices that a file
+duplicates along texture seams or between materials or parts are joined and move together. Each joined vertex
+keeps separate texture coordinates, colour and normal for every chart. These attributes are part of the error.
 
-Welded by position, the result has no hole, no edge of more than two triangles and no triangle upon another
-that the input has not. In the image no triangle turns over, no texture coordinate leaves its chart, and
-seams stay within `max_seam_drift`. Where a seam ends inside a chart, its tip moves as others do; those that a
-pole sends out become one. Materials, parts and images go with it, the images byte for byte.
+After welding by position, the result has no hole, non-manifold edge or duplicate triangle that the input does
+not have. No triangle flips in the image, no texture coordinate leaves its chart, and seams stay within
+`max_seam_drift`. The end of a seam inside a chart moves like other vertices; several seams that end in a pole
+are merged. Materials, parts and images are preserved, the images byte for byte.
 
-It takes any mesh, and keeps it as it is where triangles meet that cannot be joined. Locked vertices keep
-their positions, and copies of a locked vertex stay too.
+The method accepts any mesh; triangles around contacts that cannot be joined stay unchanged. Locked vertices
+and their duplicates keep their positions.
 
 References
 ----------
-Feng, Ni and Luo, "Improved surface simplification with multi-attributes", Computer Technology and
-Development 22(4), 2012, with the quadrics and wedges of Hoppe, "New quadric metric for simplifying meshes
-with appearance attributes", 1999, in place of the paper's.
+Feng, Ni and Luo, "Improved surface simplification with multi-attributes", Computer Technology and Development
+22(4), 2012. Quadrics and wedges follow Hoppe, "New quadric metric for simplifying meshes with appearance
+attributes", 1999.
 """

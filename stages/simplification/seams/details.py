@@ -1,4 +1,4 @@
-"""What method `seams` has to tell."""
+"""Result details of method `seams`."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from scanloom.stages.simplification.codes import SIMPLIFY_SEAM_DRIFT
 from scanloom.stages.simplification.crowding import report_crowded_by_locks, report_crowded_by_topology
 from scanloom.stages.simplification.result import Details, Simplified
 
-# Shifts of the texture by more texels than this are visible next to a seam.
+# Texels. Larger shifts of the texture are visible next to a seam.
 _VISIBLE_DRIFT_TEXELS = 16
-# Share of the refused edges from which the bound on drift is named as the reason. CartoonHouses has 3 %, and
-# hardly fewer triangles without the bound.
+# Minimum ratio of refused edges to report the drift bound as the reason. CartoonHouses has 3 %, and removing
+# the bound hardly changes its triangle count.
 _MIN_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SeamsDetails(Details):
-    """What method `seams` has to tell.
+    """Result details of method `seams`.
 
     Attributes
     ----------
-    attribute_scale_m_per_level : metres that weighed as much as one level of colour; 0 without colours.
-    fitted : whether vertices were moved to fit the input at the end.
-    similar_distance_m : vertices closer than this were taken for one.
-    joined_vertices : how many vertices of the input were copies of others.
-    texture_scale_m : metres that a shift by the image's side counted as.
+    attribute_scale_m_per_level : metres that weigh as much as one level of colour; 0 without colours.
+    fitted : True if vertices were fitted to the input at the end.
+    similar_distance_m : vertices closer than this were joined.
+    joined_vertices : number of input vertices that duplicate others.
+    texture_scale_m : metres that weigh as much as a shift by the image's side.
     seam_drift : proven bound on the distance in the image between a seam and its position in the input, as a
-        share of the image's side.
+        ratio of the image's side.
     seam_drift_texels : the same in texels of the largest image; None without images.
     """
 
@@ -38,8 +38,8 @@ class SeamsDetails(Details):
     _repr_html_ = table
 
     headline: ClassVar[str] = (
-        "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} copies of vertices joined, "
-        "seams moved by up to {seam_drift:.2%} of the image's side"
+        "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} duplicate "
+        "vertices joined, seams moved by up to {seam_drift:.2%} of the image's side"
     )
 
     attribute_scale_m_per_level: float
@@ -51,7 +51,7 @@ class SeamsDetails(Details):
     seam_drift_texels: float | None
 
     def report(self, result: Simplified[Any]) -> None:
-        """Warn of edges that could not collapse, and of seams that moved in the image."""
+        """Warn about blocked edges, and about seams that moved in the image."""
         report_crowded_by_topology(result)
         report_crowded_by_locks(result)
         self._report_drift(result)
@@ -62,16 +62,16 @@ class SeamsDetails(Details):
         if result.stopped_by == "bounds" and is_main:
             emit(
                 SIMPLIFY_SEAM_DRIFT.warning(
-                    "there are more triangles than were asked for, since texture seams would move too far in "
-                    "the image",
-                    remedy="give a larger max_seam_drift to go on.",
+                    "the triangle count was not reached, because texture seams would move "
+                    "too far in the image",
+                    remedy="give a larger max_seam_drift.",
                 )
             )
         elif self.seam_drift_texels is not None and self.seam_drift_texels > _VISIBLE_DRIFT_TEXELS:
             emit(
                 SIMPLIFY_SEAM_DRIFT.warning(
-                    "texture seams moved by up to {texels:.0f} texels in the image, so the texture may be "
-                    "shifted beside them",
+                    "texture seams moved by up to {texels:.0f} texels in the image, so the "
+                    "texture may be visibly shifted next to seams",
                     remedy="give a smaller max_seam_drift, or keep more triangles.",
                     texels=self.seam_drift_texels,
                 )

@@ -1,4 +1,4 @@
-"""Parameters of method `seams` alone."""
+"""Parameters of method `seams` only."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 from scanloom.stages.params import check, param
 
-# Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
+# Vertices within this ratio of the bounding box's diagonal are joined: the precision of 32-bit floats.
 SIMILAR_DISTANCE = 1e-6
 
-# Default bound on seam drift, in edges of the simplified mesh (their mean length in the image), and as a
-# share of the image's side. A third of it costs shape where charts are small (a foot in 2,000 charts at 3 %:
-# 353e-5 RMS against 216e-5); twice as much gains nothing.
+# Default bound on seam drift, in mean edge lengths of the simplified mesh in the image, and as a ratio of the
+# image's side. A third of it increases the shape error of meshes with small charts (a foot in 2,000 charts at
+# 3 %: RMS 353e-5 against 216e-5); twice as much gains nothing.
 SEAM_DRIFT_EDGES = 1.5
 MAX_SEAM_DRIFT_RATIO = 0.1
 
-# Side in texels of the image of a mesh that has texture coordinates but no image.
+# Image side in texels for meshes with texture coordinates but no image.
 ASSUMED_SIDE = 1024
 
 
@@ -25,44 +25,49 @@ class SeamsParams:
 
     similar_distance: float | None = param(
         None,
-        "Vertices closer than this are one, unless an edge would get more than two triangles. A larger "
+        "Join vertices closer than this, unless an edge would get more than two triangles. A larger "
         "distance closes cracks between parts. Default: "
-        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median side of "
-        "triangles.",
+        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median edge "
+        "length.",
         unit="m",
         low=0,
     )
     texture_weight: float = param(
         1.2,
-        "Weight of a shift of the texture along the surface against a shift of the surface itself.",
+        "Weight of a shift of the texture along the surface, relative to a shift of the surface itself.",
         low=0,
     )
     normal_weight: float = param(
         1.0,
-        "Weight of normals, if the mesh has any, against 1 where an edge that is left turns as much by them "
-        "as by its shape.",
+        "Weight of normals, if the mesh has any. With 1, the normals along an edge of the "
+        "simplified mesh weigh as much as the deviation of its shape.",
         low=0,
     )
     shape_weight: float = param(
         0.3,
-        "Weight of the quadric of shape alone against that of shape and attributes, where a seam is near.",
+        "Weight of the shape-only quadric near seams, relative to the quadric of shape and attributes.",
         low=0,
     )
     across_textures: float = param(
-        0.5, "Penalty for a collapse where several materials meet, as a share of its cost.", low=0
+        0.5, "Penalty for a collapse where several materials meet, as a fraction of its cost.", low=0
     )
     across_parts: float = param(
-        0.5, "Penalty for a collapse where several parts meet, as a share of its cost.", low=0
+        0.5, "Penalty for a collapse where several parts meet, as a fraction of its cost.", low=0
     )
     valence_penalty: float = param(
-        0.1, "Penalty for each edge beyond eight that a vertex would have, as a share of its cost.", low=0
+        0.1,
+        "Penalty for each edge beyond eight at the new vertex, as a fraction of the cost of the collapse.",
+        low=0,
     )
     set_penalty: float = param(
-        0.1, "Penalty for each copy of the ends of an edge beyond two, as a share of its cost.", low=0
+        0.1,
+        "Penalty for each duplicate of an edge's end points beyond two, as a fraction of the "
+        "cost of the collapse.",
+        low=0,
     )
     max_seam_drift: float | None = param(
         None,
-        "Largest distance in the image between a texture seam and its position in the input. Default: "
+        "Maximum distance in the image between a texture seam and its position in the input. Default: "
         f"{SEAM_DRIFT_EDGES:g} edges of the simplified mesh, at most {MAX_SEAM_DRIFT_RATIO:g} of the image's "
         "side.",
         unit="texels",

@@ -1,4 +1,4 @@
-"""Simplification of textured meshes, along their seams."""
+"""Simplification of textured meshes along their seams."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
+from scanloom.stages.simplification.codes import SIMPLIFY_COORDINATES_UNUSABLE
 from scanloom.stages.simplification.color_weight import color_weight
 from scanloom.stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from scanloom.stages.simplification.records.record import CollapseRecord
@@ -34,10 +34,10 @@ from scanloom.stages.surface.topology import areas
 
 RESULT_VERSION = 6
 
-# Triangles worked on at a time: with all that is known of them they fit into the caches.
+# Triangles per region of the collapse engine: with all their attributes, they fit into the CPU caches.
 REGION_TRIANGLES = 2048
 
-# The default distance of similar vertices is at most this share of the median side of a triangle.
+# Maximum of the default similarity distance, as a ratio of the median triangle side.
 _SIMILAR_PER_SIDE = 0.01
 
 Floats = NDArray[np.float64]
@@ -55,18 +55,19 @@ def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
 def simplified(
     task: Task[SeamsParams], *, expected: int, within: tuple[float, float, Floats] | None = None
 ) -> tuple[Simplified[SeamsDetails], float]:
-    """Simplify a mesh in the order it has.
+    """Simplify a mesh without reordering it.
 
     Parameters
     ----------
-    expected : triangles that may be left, which the weights of colours and normals are made for.
-    within : metres, the share of them that vertices of either surface may be off, and a factor of that for
-        each vertex (n,); None for no such bound.
+    task : arguments of the method.
+    expected : expected triangle count, from which the weights of colours and normals are derived.
+    within : bound on the distance in metres, ratio of the bound that vertices may use, and factors (n,) on
+        the bound per vertex; None for no bound.
 
     Returns
     -------
     result : Simplified
-    provable : metres; the first of `within`, or the least distance that can be proven if that is larger.
+    provable : metres; the bound of `within`, or the smallest provable distance if that is larger.
     """
     mesh, params, lock = task.mesh, task.params, task.lock
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
@@ -132,7 +133,10 @@ def simplified(
 
 
 def _similar_distance(mesh: Mesh, diagonal: float) -> float:
-    """Return the distance (m) of copies of a vertex, which one vertex far away does not make larger."""
+    """Compute the default distance (m) within which vertices count as duplicates.
+
+    The limit by the median side makes it robust against outliers that enlarge the bounding box.
+    """
     corners = mesh.vertices[mesh.triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     sides = sides[sides > 0]
@@ -160,21 +164,21 @@ def _record(
 
 
 def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, target: int) -> CornerAttributes:
-    """Return what the corners carry, each attribute in metres by its weight."""
+    """Scale the corner attributes to metres by their weights."""
     mesh, params = task.mesh, task.params
     corners = mesh.triangles.reshape(-1)
     columns: list[NDArray[np.floating[Any]]] = []
     uv_scale = color_scale = normal_scale = 0.0
     texture = mesh.texture
     if texture is not None and texture.has_uvs().any():
-        # A weight of 0 would leave no place for the coordinates.
+        # A scale of 0 would lose the texture coordinates.
         uv_scale = max(params.texture_weight, 1e-9) * _metres_per_image(mesh, positions)
         if not np.isfinite(uv_scale):
             raise MeshError(
-                SIMPLIFY_COORDINATES_UNWEIGHABLE,
-                "its texture coordinates are too small to be weighed against its shape",
+                SIMPLIFY_COORDINATES_UNUSABLE,
+                "texture coordinates are too small to be weighted against the shape",
                 "mesh",
-                remedy="make a new texture, or leave it out.",
+                remedy="create a new texture, or remove it.",
             )
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
     else:
@@ -205,35 +209,38 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
 
 
 def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
-    """Return the length on the surface that the image's side covers, in the mean over the surface's area."""
+    """Compute the mean surface length that the image's side covers, in metres."""
     assert mesh.texture is not None
     in_image = np.abs(signed_areas(mesh.texture.uvs))
     seen = in_image > 0
     if not seen.any():
-        # Every triangle has one texel: a palette. Any other colour is far away.
+        # Palette: each triangle maps to a single texel, and every other colour is far away in the image.
         return float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
-    with np.errstate(over="ignore"):  # What comes out infinite is refused.
+    with np.errstate(over="ignore"):  # An infinite result is rejected by the caller.
         ratio = areas(positions, mesh.triangles)[seen].sum() / in_image[seen].sum()
     return float(np.sqrt(ratio)) or 1.0
 
 
 def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
-    """Return the length that weighs as much as a difference of 1 of normals.
+    """Compute the metres that weigh as much as a unit normal difference.
 
-    On a round surface of radius r, an edge of length e is e² / 8r off in its middle, and the normals of its
-    ends are e / r apart: an eighth of the length of the edges that will be left balances the two.
+    On a surface of curvature radius r, an edge of length e deviates by e² / 8r at its centre. The normals at
+    its ends differ by e / r. An eighth of the expected edge length balances the two.
     """
     area = float(areas(positions, mesh.triangles).sum())
     return _edge_of_triangle(area / max(target, 1)) / 8
 
 
 def _edge_of_triangle(area: float) -> float:
-    """Return the edge length of an equilateral triangle."""
+    """Compute the edge length of an equilateral triangle from its area."""
     return float(np.sqrt(area * 4 / np.sqrt(3)))
 
 
 def _largest_side(texture: Texture | None) -> int | None:
-    """Return the largest side of a texture's images in texels, without decoding them; None without images."""
+    """Return the largest image side of a texture, in texels.
+
+    The images are not decoded. The result is None without images.
+    """
     images = () if texture is None else texture.images
     sizes = [image.size for image in images]
     return max((max(size) for size in sizes if size is not None), default=None)
@@ -241,7 +248,7 @@ def _largest_side(texture: Texture | None) -> int | None:
 
 def _knobs(params: SeamsParams, texture: Texture | None, uv_scale: float, target: int) -> _kernels.SeamKnobs:
     if params.max_seam_drift is None:
-        # An image that repeats covers the surface several times.
+        # Repeating images cover the surface several times.
         covered = 1.0 if texture is None else max(float(np.abs(signed_areas(texture.uvs)).sum()), 1.0)
         drift = min(SEAM_DRIFT_EDGES * _edge_of_triangle(covered / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
     else:

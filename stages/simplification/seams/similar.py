@@ -1,4 +1,4 @@
-"""Geometrically similar vertices: copies that files make of one, and parts that touch."""
+"""Geometrically similar vertices: duplicates within a file, and vertices of touching parts."""
 
 from __future__ import annotations
 
@@ -14,57 +14,62 @@ from scanloom.stages.surface.equal_positions import equal_positions, first_membe
 from scanloom.stages.surface.mesh import Triangles, Vertices
 from scanloom.stages.surface.sheets import taken_apart
 
-# Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
+# Average pairs per vertex above which `similar_distance` is rejected as a mistake.
 _MOST_PAIRS = 64
 # Factor between the distances at which vertices are joined, and the maximum number of these distances.
 _STEP = 2
 _MOST_REACHES = 12
-# Vertices that are asked how many there are, before all are.
+# Vertices in the sample that estimates the number of pairs.
 _ASKED = 4096
-# A direction that edges and axes of models do not have, and neighbours along it that are looked at.
+# Direction that is not aligned with edges and axes of typical models, and the neighbours along it to examine.
 _SKEW = np.array([0.6180339887, 0.5346801132, 0.5763518722])
 _MOST_STEPS = 32
 
 
 def equal_sets(vertices: Vertices) -> NDArray[np.int32]:
-    """Return the set of equal vertices each vertex is in, numbered from 0 in the order of first vertices."""
+    """Group vertices (n,) at equal positions.
+
+    Groups are numbered from 0 in the order of their first vertices.
+    """
     return equal_positions(vertices)[0]
 
 
 def joinable_sets(
     vertices: Vertices, triangles: Triangles, distance: float, copy_distance: float | None = None
 ) -> tuple[NDArray[np.int32], Vertices, NDArray[np.bool_]]:
-    """Find the sets of similar vertices that can be joined (Feng, Ni and Luo 2012, section 2.1).
+    """Group similar vertices that can be joined.
 
-    Two vertices are similar if they are closer than `distance`, or a chain of such steps leads from one to
-    the other. The ends of an edge are not similar for being close. Vertices of different positions are joined
-    only if the surface around them stays a manifold and no vertex moves by more than `distance`. Where a part
-    stands on another or sheets lie on each other, vertices are joined within a smaller distance, or not at
-    all.
+    The definition follows Feng, Ni and Luo 2012, section 2.1.
+
+    Two vertices are similar if they are closer than `distance`, or connected by a chain of such pairs. The
+    ends of an edge are never a pair. Joining vertices at different positions must keep the surface a
+    manifold, and move no vertex by more than `distance`. Vertices where a part stands on another or sheets
+    coincide are joined within a smaller distance, or not at all.
 
     Parameters
     ----------
+    vertices, triangles : (n, 3) float64, metres, and (m, 3) int32.
     distance : metres, at least 0; 0 for equal positions.
-    copy_distance : metres, vertices closer than this are copies of one vertex; None for `distance`.
+    copy_distance : metres, vertices closer than this are duplicates; None for `distance`.
 
     Returns
     -------
-    sets : (n,) int32, the set of each vertex, numbered from 0 in the order of their first vertices.
-    positions : (n, 3) float64, the mean position of each vertex's set; where all are equal, that to the bit.
-    apart : (n,) bool, vertices that are not in one set with all their copies. Surfaces touch there, and come
-        apart where only one of them moves.
+    sets : (n,) int32, set of each vertex, numbered in the order of their first vertices.
+    positions : (n, 3) float64, metres, mean position of each vertex's set; bit-identical if all are equal.
+    apart : (n,) bool, vertices that are not joined with all their duplicates. Surfaces that touch there would
+        separate if only one of them moved.
 
     Raises
     ------
     UsageError
-        If `distance` is so large that most of the mesh would be one.
+        If `distance` would join most of the mesh.
     """
     equal, first = equal_positions(vertices)
     links, lengths = _links(vertices[first], equal, triangles, distance)
     if not len(links):
         return equal, vertices[first][equal], np.zeros(len(equal), bool)
     copies = sets = equal
-    # Sets that cannot be joined within a distance stay as they are within the one before.
+    # Sets that cannot be joined at one distance keep the grouping of the previous, smaller distance.
     for reach in _reaches(distance, copy_distance):
         chained = _chained(links[lengths <= reach], equal, len(first))
         if reach <= (distance if copy_distance is None else copy_distance):
@@ -76,7 +81,7 @@ def joinable_sets(
 
 
 def _reaches(distance: float, copy_distance: float | None) -> list[float]:
-    """Return the distances at which vertices are joined, from small to large."""
+    """Return the distances at which vertices are joined, ascending, in metres."""
     if copy_distance is None or copy_distance >= distance:
         return [distance]
     steps = [distance / _STEP**power for power in range(_MOST_REACHES)]
@@ -86,15 +91,16 @@ def _reaches(distance: float, copy_distance: float | None) -> list[float]:
 def _without_touching(
     vertices: Vertices, triangles: Triangles, sets: NDArray[np.int32], before: NDArray[np.int32], reach: float
 ) -> NDArray[np.int32]:
-    """Return `sets` (n,), but those of `before` where surfaces touch that cannot be joined.
+    """Revert sets to a finer grouping where touching surfaces cannot be joined.
 
     Parameters
     ----------
-    before : (n,) sets of which each one of `sets` has one or more.
-    reach : metres that a vertex may move.
+    sets : (n,) int32, set of each vertex.
+    before : (n,) int32, finer grouping; each of `sets` is a union of its sets.
+    reach : metres, maximum displacement of a vertex.
     """
     while True:
-        # A set that is taken apart may leave its neighbours in a set that cannot be joined any more.
+        # Splitting a set may make the sets of its neighbours invalid, so repeat until nothing changes.
         pairs = np.unique(np.stack([sets, before]), axis=1)
         is_joined = np.bincount(pairs[0])[sets] > 1
         if not is_joined.any():
@@ -111,7 +117,10 @@ def _without_touching(
 
 
 def may_have_equal(vertices: Vertices) -> bool:
-    """Return False if all positions differ; in a tenth of the time that it takes to tell which are equal."""
+    """Return False if all positions differ.
+
+    The test takes a tenth of the time of `equal_positions`.
+    """
     keys = np.sort(position_keys(vertices))
     return bool((keys[1:] == keys[:-1]).any())
 
@@ -119,7 +128,10 @@ def may_have_equal(vertices: Vertices) -> bool:
 def _links(
     positions: Vertices, equal: NDArray[np.int32], triangles: Triangles, distance: float
 ) -> tuple[NDArray[np.integer[Any]], NDArray[np.float64]]:
-    """Return pairs (k, 2) of positions within `distance` that are no edges, and their lengths."""
+    """Find pairs (k, 2) of positions within `distance` that share no edge.
+
+    Returns the pairs, and their distances in metres.
+    """
     count = len(positions)
     if distance == 0 or count < 2:
         return np.empty((0, 2), np.int64), np.empty(0)
@@ -137,7 +149,7 @@ def _links(
 
 
 def _chained(links: NDArray[np.integer[Any]], equal: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    """Return the set of each vertex that chains of links between `count` positions make."""
+    """Group vertices (n,) that chains of links connect."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -146,15 +158,17 @@ def _chained(links: NDArray[np.integer[Any]], equal: NDArray[np.int32], count: i
 
 
 def _few_pairs(positions: Vertices, distance: float) -> NDArray[np.integer[Any]] | None:
-    """Return the pairs (k, 2) no farther apart than `distance` if there are few to look at; else None.
+    """Find the pairs (k, 2) within `distance` by sorting along a line.
 
-    What is near in space is near along any line. Along one that no grid is aligned with, of vertices that are
-    far apart hardly two are; sorting them is several times faster than building a tree.
+    Returns None if there are too many candidates.
+
+    Points near each other are also near along any line. Few distant points coincide along a line that is not
+    aligned with grids. Sorting is several times faster than building a tree.
     """
     along = positions @ _SKEW
     order = np.argsort(along)
     along = along[order]
-    # What is lost to rounding in the product.
+    # Add the rounding error of the dot product.
     reach = distance + 8 * np.finfo(np.float64).eps * float(np.abs(along).max())
     found: list[NDArray[np.integer[Any]]] = [np.empty((0, 2), np.int64)]
     for step in range(1, _MOST_STEPS):
@@ -168,27 +182,27 @@ def _few_pairs(positions: Vertices, distance: float) -> NDArray[np.integer[Any]]
 
 
 def _pairs_in_tree(positions: Vertices, distance: float) -> NDArray[np.integer[Any]]:
-    """Return the pairs (k, 2) that are no farther apart than `distance`.
+    """Find the pairs (k, 2) within `distance` with a k-d tree.
 
     Raises
     ------
     UsageError
-        If there are so many that the distance must be a mistake.
+        If there are too many pairs for a plausible distance.
     """
     from scipy.spatial import cKDTree
 
     tree, count = cKDTree(positions), len(positions)
-    # Counting all pairs takes three times as long as listing the few there should be.
+    # Counting all pairs takes three times as long as listing few, so a sample is tested first.
     some = positions[:: max(count // _ASKED, 1)]
     if tree.query_ball_point(some, distance, return_length=True).mean() > _MOST_PAIRS / 2:
         pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
         if pairs_in_all > _MOST_PAIRS * count:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "{distance:g} m is far more than the distance between vertices: {pairs_in_all:,} pairs of "
-                "{count:,} vertices are closer",
+                "is {distance:g} m, far more than the distance between vertices: "
+                "{pairs_in_all:,} pairs of {count:,} vertices are closer",
                 Where(parameter="seams.similar_distance"),
-                remedy="give a smaller one.",
+                remedy="give a smaller value.",
                 distance=distance,
                 pairs_in_all=pairs_in_all,
                 count=count,
@@ -202,7 +216,7 @@ def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
     total = np.stack([np.bincount(sets, vertices[:, axis]) for axis in range(3)], axis=1)
     mean = (total / np.maximum(size, 1)[:, None])[sets]
     one = vertices[first_members(sets)]
-    # A set of equal vertices keeps their position to the bit, which a mean need not.
+    # Sets of equal vertices keep their exact position, which a mean may not.
     uneven = np.zeros(len(size), bool)
     np.logical_or.at(uneven, sets, (vertices != one[sets]).any(axis=1))
     return np.where(uneven[sets][:, None], mean, one[sets])

@@ -52,7 +52,7 @@ def test_of_a_sheet_only_its_border_is_told() -> None:
     assert not found.is_watertight
     assert np.isnan(found.thickness).all()
     (sentence,) = map(str, found.unmet(["watertight"]))
-    assert "edges of one triangle: 40" in sentence
+    assert "edges with only one triangle: 40" in sentence
 
 
 # -- each class, planted ---------------------------------------------------------------------------------
@@ -73,7 +73,7 @@ def test_a_triangle_that_is_turned() -> None:
     found = check(mesh.with_(triangles=turned))
     assert len(found.places["inconsistent_edges"]) == 3
     assert str(found.unmet(["oriented"])[0]).startswith(
-        "it has edges whose triangles are oriented against each other: 3"
+        "it has edges between triangles of opposite orientation: 3"
     )
 
 
@@ -150,8 +150,8 @@ def test_a_ball_that_looks_inwards() -> None:
     assert found.is_watertight
     assert found.inside_out == 1
     assert [str(one) for one in found.unmet(["outward", "one-piece"])] == [
-        "1 of 2 pieces look inwards.",
-        "it has 2 pieces.",
+        "1 of 2 connected components are oriented inwards.",
+        "it has 2 connected components.",
     ]
 
 
@@ -161,7 +161,7 @@ def test_a_plate_is_as_thin_as_it_is() -> None:
     assert np.sort(found.thickness) == pytest.approx([0.01] * 4 + [1.0] * 8, rel=1e-3)
     assert len(found.places["thin_triangles"]) == 4
     assert found.figures()["thickness_least_m"] == pytest.approx(0.01, rel=1e-3)
-    assert "thinner than asked: 4" in str(found.unmet(["no-thin-triangles"])[0])
+    assert "thinner than min_thickness: 4" in str(found.unmet(["no-thin-triangles"])[0])
 
 
 def test_copies_along_a_seam_are_one_vertex() -> None:
@@ -254,12 +254,14 @@ def test_an_empty_mesh_is_not_closed() -> None:
     assert counts(found) == {}
     assert [str(one) for one in found.unmet(["closed", "one-piece"])] == [
         "it has no surface.",
-        "it has 0 pieces.",
+        "it has 0 connected components.",
     ]
 
 
 def test_an_unknown_requirement_is_refused() -> None:
-    with pytest.raises(UsageError, match="no requirement 'waterproof'; there are watertight, closed"):
+    with pytest.raises(
+        UsageError, match="unknown requirement 'waterproof'; valid requirements are watertight, closed"
+    ):
         check(ball()).unmet(["waterproof"])
 
 

@@ -323,7 +323,7 @@ def test_what_has_no_operation_is_told_and_stays() -> None:
         ("part", "the texture, the material, the part or the colour changes"),
         ("normals", "the texture, the material, the part or the colour changes"),
         ("colour", "the texture, the material, the part or the colour changes"),
-        ("fin", "no manifold"),
+        ("fin", "not a manifold"),
     ],
 )
 def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) -> None:
@@ -367,7 +367,7 @@ def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) 
     done = repair(mesh)
     assert done.left["caps"].tolist() == [row]
     assert reason in done.why["caps"][0]
-    assert "1 of 1 caps left" in str(done.diagnostics[0])
+    assert "1 of 1 caps not repaired" in str(done.diagnostics[0])
     assert done.mesh.triangles.tobytes() == mesh.triangles.tobytes()
     assert done.mesh.vertices.tobytes() == mesh.vertices.tobytes()
 
@@ -534,7 +534,7 @@ def test_clean_repairs_on_request_and_keeps_where_all_came_from() -> None:
 
 
 def test_max_shape_without_repair_is_refused() -> None:
-    with pytest.raises(UsageError, match="max_shape is for repairs"):
+    with pytest.raises(UsageError, match="max_shape applies only to repairs"):
         clean(ball(), max_shape=0.1)
 
 

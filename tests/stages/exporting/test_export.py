@@ -68,7 +68,7 @@ def test_for_a_printer_it_stands_on_the_plate_in_millimetres(tmp_path):
     np.testing.assert_allclose(low, (-50, -50, 0), atol=1e-3)
     np.testing.assert_allclose(high, (50, 50, 100), atol=1e-3)
     open_one = export(sheet(), tmp_path / "b.stl", preset("print", ".stl"))
-    assert any("edges of one triangle" in text for text in unmet_of(open_one))
+    assert any("edges with only one triangle" in text for text in unmet_of(open_one))
     turned_in = ball().with_(triangles=np.ascontiguousarray(ball().triangles[:, ::-1]))
     turned = export(turned_in, tmp_path / "c.stl", preset("print", ".stl"))
     assert any("inwards" in text for text in unmet_of(turned))

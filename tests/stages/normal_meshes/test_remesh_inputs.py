@@ -82,7 +82,7 @@ def test_what_is_not_carried_is_told() -> None:
     assert found.mesh.diagnostics == (read,)
     normals, texture = found.diagnostics
     assert str(normals).startswith("remesh left out: normals;")
-    assert str(texture).startswith("remesh left out: texture;")
+    assert str(texture).startswith("remesh discards the texture;")
     plain = remeshed(coloured_meshes.ball)[1]
     assert plain.diagnostics == plain.mesh.diagnostics == ()
 

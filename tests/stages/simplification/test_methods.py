@@ -113,31 +113,34 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
     [
         (
             {"certified": {"close_bounds": True}},
-            "certified.close_bounds is for method certified, which needs max_shape or max_color.",
+            "certified.close_bounds belongs to method certified, which needs max_shape or max_color.",
         ),
         (
             {"seams": {"texture_weight": 0.0}},
-            "seams.texture_weight is for method seams, which needs triangles or ratio.",
+            "seams.texture_weight belongs to method seams, which needs triangles or ratio.",
         ),
         (
             {"max_shape": 0.1, "planar": {"patch_angle": 9.0}},
-            "planar.patch_angle is for method planar; give method too.",
+            "planar.patch_angle belongs to method planar, which auto never selects; give method planar, too.",
         ),
         (
             {"max_shape": 0.1, "certified": {"close_bounds": True}, "jia01": {"resolution": 1.0}},
-            "certified.close_bounds is for method certified, for which jia01.resolution has no meaning",
+            "certified.close_bounds belongs to method certified, which does not support jia01.resolution",
         ),
         (
             {"method": "jia01", "fit": True, "planar": {"patch_angle": 9.0}},
-            "planar.patch_angle has no meaning for method jia01",
+            "planar.patch_angle is not supported by method jia01",
         ),
-        ({"method": "planar", "attribute_scale": 1.0}, "attribute_scale has no meaning for method planar"),
+        ({"method": "planar", "attribute_scale": 1.0}, "attribute_scale is not supported by method planar"),
         (
             {"method": "planar", "triangles": 9},
-            "method planar goes as far as its bounds; leave out triangles",
+            "method planar stops only at its bounds; leave out triangles",
         ),
-        ({"method": "seams"}, "method seams needs a number of triangles; give triangles or ratio."),
-        ({"method": "certified"}, "method certified needs a bound; give max_shape, max_color or both."),
+        ({"method": "seams"}, "method seams needs a triangle count; give triangles or ratio."),
+        (
+            {"method": "certified"},
+            "method certified needs an error bound; give max_shape, max_color or both.",
+        ),
     ],
 )
 def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> None:
@@ -149,10 +152,10 @@ def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> N
 def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
     mesh = sheet(8)
     with pytest.raises(
-        UsageError, match=r"^record has no meaning for method planar; it is for quadric, .*\.$"
+        UsageError, match=r"^record is not supported by method planar, only by quadric, .*\.$"
     ):
         simplify(mesh, method="planar", record=True)
-    with pytest.raises(UsageError, match="jia01; it is for quadric, certified and seams"):
+    with pytest.raises(UsageError, match="jia01, only by quadric, certified and seams"):
         simplify(mesh, method="jia01", importance=[2.0] * len(mesh.vertices))
 
 
@@ -277,9 +280,9 @@ def test_a_sixth_method_is_in_json_and_in_words(six: dict[str, Any]) -> None:
 
 def test_a_sixth_method_is_in_what_auto_refuses(six: dict[str, Any]) -> None:
     assert six["refused"] == [
-        "cut.slope is for method cut, which needs cut.max_height.",
+        "cut.slope belongs to method cut, which needs cut.max_height.",
         "method cut needs a height; give cut.max_height.",
-        "cut.max_height has no meaning for method quadric; leave one of them out.",
-        "importance has no meaning for method cut; it is for quadric, certified and seams.",
+        "cut.max_height is not supported by method quadric; leave one of them out.",
+        "importance is not supported by method cut, only by quadric, certified and seams.",
         "method is 'sixth'; it must be one of auto, quadric, certified, seams, jia01, planar, cut.",
     ]

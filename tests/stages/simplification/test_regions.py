@@ -53,7 +53,7 @@ def test_regions_in_words(text: str, region: Region) -> None:
         ("sphere 0 0 nan 1 lock", "three finite numbers"),
         ("sphere 0 0 0 1 0", "an importance must be above 0"),
         ("sphere 0 0 0 1 inf", "an importance must be above 0 and finite"),
-        ("box 0 0 0 1 -1 1 lock", "the first corner must be the lowest one"),
+        ("box 0 0 0 1 -1 1 lock", "the first corner must be the minimum"),
     ],
 )
 def test_what_is_no_region(text: str, message: str) -> None:

@@ -68,7 +68,7 @@ def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
     with collecting() as diagnostics:
         report_unmet(SimplifyParams(max_shape=0.1), figures)
     assert [str(one) for one in diagnostics] == [
-        "the bounds that were asked for are not proven; proven are 0.2 m."
+        "the requested bounds are not proven; 0.2 m are proven instead."
     ]
     assert diagnostics[0].severity == Severity.UNMET
 
@@ -111,7 +111,7 @@ def test_without_baking_the_texture_is_lost_with_a_note() -> None:
     found = simplify(mesh, ratio=0.2, bake=False)
     assert found.method == "quadric"
     assert found.mesh.texture is None
-    assert any("left out: texture" in str(one) for one in found.diagnostics)
+    assert any("discards the texture" in str(one) for one in found.diagnostics)
 
 
 @pytest.mark.parametrize("method", ["quadric", "jia01", "planar"])
@@ -120,7 +120,7 @@ def test_methods_that_carry_no_image_bake_one(method: str) -> None:
     how = {"ratio": 0.3} if method == "quadric" else {}
     found = simplify(mesh, method=method, **how)
     assert found.baked is not None
-    assert not any("left out: texture" in str(one) for one in found.diagnostics)
+    assert not any("discards the texture" in str(one) for one in found.diagnostics)
 
 
 def test_a_method_that_is_named_and_carries_an_image_keeps_it_unless_asked() -> None:

@@ -73,7 +73,7 @@ def test_counts_are_put_in_order_and_cut_to_what_there_is() -> None:
     found = tradeoff(sheet(10), counts=[50, 10**9, 120, 50], samples=1000)
     # A collapse takes two triangles, or one at the border.
     assert [found.points[k].triangles in (n, n - 1) for k, n in enumerate((200, 120, 50))] == [True] * 3
-    with pytest.raises(UsageError, match="counts has 0; a number of triangles must be at least 1"):
+    with pytest.raises(UsageError, match="counts contains 0; a triangle count must be at least 1"):
         tradeoff(sheet(10), counts=[0])
 
 
@@ -86,7 +86,7 @@ def test_where_nothing_may_collapse_any_more_the_curve_ends_and_says_so() -> Non
     assert [point.triangles for point in found.points] == [4]
     assert found.suggested is None
     assert [str(one) for one in found.diagnostics] == [
-        "no edge may collapse any more at 4 triangles, which holes and pieces need"
+        "no edge can collapse below 4 triangles, which holes, handles and components need"
     ]
 
 
@@ -94,7 +94,7 @@ def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_figures()
     found = tradeoff(wrapped_ball(), steps=4, least=0.1, samples=5000, glb_bytes=True)
     assert found.method == "seams"
     assert found.mesh.texture is not None
-    assert "before the fit that simplify ends with" in str(found.diagnostics[-1])
+    assert "before the final fit" in str(found.diagnostics[-1])
     assert all(point.color_rmse_levels is not None for point in found.points)
     sizes = [point.glb_bytes for point in found.points]
     assert sizes == sorted(sizes, reverse=True)

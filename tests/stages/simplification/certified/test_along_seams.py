@@ -142,7 +142,7 @@ def test_colours_of_sheets_upon_each_other_are_not_told_and_that_is_said() -> No
         texture=Texture(uvs, material_ids, ball.texture.materials),
     )
     light = simplify(both, keep_uv=True, max_shape=0.05 * diagonal(both), max_color=5.0)
-    assert any("several colours in one place" in str(one) for one in light.diagnostics)
+    assert any("surfaces of different colours coincide" in str(one) for one in light.diagnostics)
 
 
 def in_parts(max_color: float | None = None) -> tuple[Mesh, Any]:
@@ -186,7 +186,8 @@ def test_triangles_too_thin_for_a_proof_are_named_with_their_place(is_textured: 
     assert light.stopped_by == "unproven"
     assert height / 2 < light.details.shape_bound_m <= 1.01 * height
     (text,) = [str(one) for one in light.diagnostics if "could not prove" in one.message]
-    assert "1 triangle, 1 of them too thin for a closer proof, the worst about (7, 0.006667, 0)" in text
+    assert "1 triangle, 1 of them too thin for a tighter proof;" in text
+    assert "near (7, 0.006667, 0) m." in text
     # The rest is not held up by it.
     assert len(light.mesh.triangles) < 0.9 * len(mesh.triangles)
 
@@ -244,5 +245,5 @@ def test_points_and_lines_that_are_left_out_are_no_part_of_the_proof() -> None:
     assert light.stopped_by == "bounds"
     assert light.details.shape_bound_m <= bound
     assert certify(light.mesh, ball, max_shape=bound).within_limits
-    (text,) = [str(one) for one in light.diagnostics if "no bound is about them" in one.message]
+    (text,) = [str(one) for one in light.diagnostics if "no bound covers them" in one.message]
     assert text.endswith(f"2 of {len(mesh.triangles):,}.")

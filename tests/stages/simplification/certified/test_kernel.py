@@ -174,7 +174,9 @@ def test_the_bounds_of_a_part_of_the_kitchen_scan_hold(shared_data: Path) -> Non
 
 def test_what_cannot_be_asked_is_refused_in_one_sentence() -> None:
     mesh = height_field(4, np.zeros((4, 4)))
-    with pytest.raises(UsageError, match="method certified needs a bound; give max_shape, max_color or both"):
+    with pytest.raises(
+        UsageError, match="method certified needs an error bound; give max_shape, max_color or both"
+    ):
         certified(mesh)
     with pytest.raises(UsageError, match="max_shape is -1 m; it must be more than 0 m"):
         certified(mesh, max_shape=-1.0)

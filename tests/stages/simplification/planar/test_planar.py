@@ -289,18 +289,18 @@ def test_patches_have_areas_planes_and_colours_of_their_own() -> None:
 def test_what_it_refuses() -> None:
     mesh = sheet(4)
     for params, word in (
-        ({"ratio": 0.5}, "as far as its bounds"),
-        ({"jia01": {"resolution": 0.1}}, "resolution has no meaning"),
+        ({"ratio": 0.5}, "only at its bounds"),
+        ({"jia01": {"resolution": 0.1}}, "resolution is not supported"),
         ({"planar": {"patch_angle": 85.0}}, "at most 80"),
         ({"max_shape": 0.0}, "more than 0"),
     ):
         with pytest.raises(UsageError, match=word):
             planar(mesh, **params)
-    with pytest.raises(UsageError, match="is for method planar"):
+    with pytest.raises(UsageError, match="belongs to method planar"):
         simplify(mesh, ratio=0.5, planar={"noise_angle": 0.0})
     with pytest.raises(UsageError, match="no vertex colours"):
         planar(mesh.with_(colors=None), max_color=10)
-    with pytest.raises(UsageError, match="importance has no meaning for method planar"):
+    with pytest.raises(UsageError, match="importance is not supported by method planar"):
         simplify(mesh, method="planar", importance=np.full(len(mesh.vertices), 2.0))
 
 

@@ -19,7 +19,7 @@ from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.progress import silent
-from scanloom.stages.simplification.codes import SIMPLIFY_CROWDED
+from scanloom.stages.simplification.codes import SIMPLIFY_EDGES_BLOCKED
 from scanloom.stages.simplification.regions import Sphere
 from scanloom.stages.simplification.result import Simplified
 from scanloom.stages.simplification.simplify import simplify
@@ -82,7 +82,7 @@ def test_too_few_triangles_for_many_holes_are_warned_of() -> None:
     assert loops > 90
 
     def crowded(found: Simplified[Any]) -> list[str]:
-        return [str(one) for one in found.diagnostics if one.code == SIMPLIFY_CROWDED.name]
+        return [str(one) for one in found.diagnostics if one.code == SIMPLIFY_EDGES_BLOCKED.name]
 
     (warning,) = crowded(simplify(torn, triangles=4 * loops))
     assert "holes" in warning
@@ -338,34 +338,34 @@ def test_other_attributes_follow_their_vertices() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "quadric"}, "needs a number of triangles"),
+        ({"method": "quadric"}, "needs a triangle count"),
         (
             {"method": "quadric", "ratio": 0.5, "max_shape": 1.0},
-            "max_shape has no meaning for method quadric",
+            "max_shape is not supported by method quadric",
         ),
-        ({"method": "quadric", "ratio": 0.5, "jia01": {"paper_rule": True}}, "paper_rule has no meaning"),
+        ({"method": "quadric", "ratio": 0.5, "jia01": {"paper_rule": True}}, "paper_rule is not supported"),
         ({"method": "magic"}, "method is 'magic'; it must be one of auto, quadric"),
         (
             {"jia01": {"resolution": 0.1}, "importance": np.full(36, 2.0)},
-            "importance has no meaning for method jia01",
+            "importance is not supported by method jia01",
         ),
         ({"max_shape": 0.1, "importance": np.full(36, 0.5)}, "importance has values below 1"),
-        ({"method": "certified"}, "certified needs a bound"),
+        ({"method": "certified"}, "certified needs an error bound"),
         (
             {"ratio": 0.5, "certified": {"close_bounds": True}},
-            "close_bounds is for method certified, which needs max_shape or",
+            "close_bounds belongs to method certified, which needs max_shape or",
         ),
         (
             {"method": "jia01", "max_shape": 0.1, "certified": {"close_bounds": True}},
-            "close_bounds has no meaning for method jia01; leave one of them out",
+            "close_bounds is not supported by method jia01; leave one of them out",
         ),
         (
             {"method": "certified", "max_shape": 0.1, "jia01": {"resolution": 1.0}},
-            "resolution has no meaning for method certified",
+            "resolution is not supported by method certified",
         ),
         ({"ratio": 0.5, "lock": np.ones(5, bool)}, "lock has shape .5,.; one value for each of 36"),
-        ({"ratio": 0.5, "lock": [0, 36]}, "lock names vertex 36, but there are only 36"),
-        ({"ratio": 0.5, "lock": [-1]}, "lock names vertex -1"),
+        ({"ratio": 0.5, "lock": [0, 36]}, "lock contains vertex index 36, but the mesh has 36"),
+        ({"ratio": 0.5, "lock": [-1]}, "lock contains vertex index -1"),
         ({"ratio": 0.5, "lock": [0.5]}, "list of vertex indices"),
         ({"ratio": 0.5, "importance": np.ones(5)}, "importance has shape .5,."),
         ({"ratio": 0.5, "importance": np.zeros(36)}, "importance of vertex 0 is 0.0; it must be above 0"),

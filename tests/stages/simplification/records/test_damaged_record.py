@@ -20,7 +20,7 @@ def test_a_file_cut_short_anywhere_is_bad_input(tmp_path: Path, kind: str) -> No
     whole = path.read_bytes()
     for length in (0, 1, 30, 1000, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
-        with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+        with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
             load_record(path)
 
 
@@ -30,7 +30,7 @@ def test_a_changed_byte_is_bad_input(tmp_path: Path) -> None:
     for array in (record.mesh.vertices, record.mesh.triangles, record.removed, record.survivor, record.path):
         place = whole.index(array.tobytes()) + array.nbytes // 2
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+        with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
             load_record(path)
 
 
@@ -40,7 +40,7 @@ def test_an_archive_nobody_wrote_like_this_is_bad_input(tmp_path: Path) -> None:
     entry = content.index(b"PK\x01\x02")  # in the archive's directory; its compression is two bytes at 10
     content[entry + 10] = 99
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+    with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
         load_record(path)
 
 
@@ -49,10 +49,10 @@ def test_other_files_are_no_records(tmp_path: Path) -> None:
         load_record(tmp_path / "missing.npz")
     for name, content in (("a.npz", b"ply\nformat"), ("b.npz", b"\x93NUMPY\x01")):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match="is damaged, or no record"):
+        with pytest.raises(InputError, match="is damaged, or not a collapse record"):
             load_record(tmp_path / name)
     np.save(tmp_path / "c.npy", np.arange(3))
-    with pytest.raises(InputError, match="no record of collapses"):
+    with pytest.raises(InputError, match="not a collapse record"):
         load_record(tmp_path / "c.npy")
 
 
@@ -106,23 +106,23 @@ def changed(arrays: dict[str, Any], name: str) -> dict[str, Any]:
     [
         ("version", "is a record of version 3; this scanloom reads version 2"),
         ("versions", r"is a record of version \[2 2\]; this scanloom reads"),
-        ("other", "is no record of collapses"),
-        ("missing", "it has no path"),
-        ("no words", r"is damaged, or no record of collapses \('about'\)"),
-        ("no json", "is damaged, or no record of collapses"),
-        ("no object", "a text is no JSON object"),
-        ("deep", "is damaged, or no record of collapses"),
-        ("type", "removed is float64 of shape"),
-        ("scalar", r"removed is int32 of shape \(\)"),
-        ("length", "survivor is int32 of shape"),
-        ("columns", "path is float64 of shape"),
-        ("range", "survivor names a vertex that is not there"),
-        ("finite", "a vertex goes to a place that is not finite"),
-        ("twice", "collapse 2 has a vertex that is gone already"),
-        ("itself", "collapse 0 has a vertex that is gone already"),
-        ("gone", "collapse 9 has a vertex that is gone already"),
+        ("other", "is not a collapse record"),
+        ("missing", "path is missing"),
+        ("no words", r"is damaged, or not a collapse record \('about'\)"),
+        ("no json", "is damaged, or not a collapse record"),
+        ("no object", "the metadata is not a JSON object"),
+        ("deep", "is damaged, or not a collapse record"),
+        ("type", "removed has type float64 and shape"),
+        ("scalar", r"removed has type int32 and shape \(\)"),
+        ("length", "survivor has type int32 and shape"),
+        ("columns", "path has type float64 and shape"),
+        ("range", "survivor refers to a vertex that does not exist"),
+        ("finite", "path has positions or colours that are not finite"),
+        ("twice", "collapse 2 refers to a vertex that was already removed"),
+        ("itself", "collapse 0 refers to a vertex that was already removed"),
+        ("gone", "collapse 9 refers to a vertex that was already removed"),
         ("mesh", "triangle .* uses vertices"),
-        ("object", "is damaged, or no record"),
+        ("object", "is damaged, or not a collapse record"),
     ],
 )
 def test_a_record_that_cannot_be_is_named(tmp_path: Path, name: str, message: str) -> None:
