@@ -1,11 +1,11 @@
-//! Numbers side by side: each operation is done to all of them, in the same order as to one, with the same bits.
+//! SIMD lanes: each operation applies to all lanes and gives the same bits as the scalar operation.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lanes<const N: usize>(pub [f64; N]);
 
-/// A vector for each lane.
+/// One vector per lane.
 pub type LaneVec3<const N: usize> = [Lanes<N>; 3];
 
 impl<const N: usize> Lanes<N> {

@@ -1,10 +1,10 @@
-//! A list in parts, so that parts need not be copied to be one.
+//! A list in parts, which can be joined without copying.
 
-/// What the regions of a round left, one after the other; members are numbered through.
+/// Concatenation of the results of all regions, with consecutive indices.
 #[derive(Clone, Debug)]
 pub struct Joined<T> {
     parts: Vec<Vec<T>>,
-    /// The number of the first member of each part.
+    /// Index of the first element of each part.
     starts: Vec<u32>,
     count: u32,
 }
@@ -41,12 +41,12 @@ impl<T> Joined<T> {
         &self.parts[part][(number - self.starts[part]) as usize]
     }
 
-    /// The part of a member.
+    /// Find the part that contains an element.
     pub fn part(&self, number: u32) -> usize {
         self.starts.partition_point(|&start| start <= number) - 1
     }
 
-    /// The number of the first member of a part.
+    /// Return the index of the first element of a part.
     pub fn start(&self, part: usize) -> u32 {
         self.starts[part]
     }
