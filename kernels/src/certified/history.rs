@@ -14,6 +14,7 @@ use crate::collapse::logs::{Log, Way};
 /// Marks the absence of a collapse.
 const NONE: u32 = u32::MAX;
 
+/// One collapse, with its links in the forest.
 #[derive(Clone, Copy)]
 struct Collapse {
     survivor: u32,
@@ -34,6 +35,7 @@ struct Part<const D: usize> {
     priorities: Vec<f64>,
 }
 
+/// Collapses that led from the input to the current mesh.
 pub struct History<'a, const D: usize> {
     original: &'a Original<D>,
     /// In chronological order. Undone collapses stay in the list, but no vertex refers to them.

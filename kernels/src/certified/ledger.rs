@@ -110,6 +110,7 @@ impl Open {
     }
 }
 
+/// Proofs of the current mesh and of the input, updated after changes.
 pub struct Ledger<'a, const D: usize> {
     original: &'a Original<D>,
     parts: Vec<Part>,
@@ -180,6 +181,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         })
     }
 
+    /// Return the requested bounds.
     pub fn bounds(&self) -> Deviation {
         self.bounds
     }

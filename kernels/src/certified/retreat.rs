@@ -7,6 +7,7 @@ use super::tracker::{Bound, Lists};
 use super::watched::Watched;
 use crate::collapse::whole::{CornerRefusals, Whole};
 
+/// A mesh in the process of undoing collapses.
 pub struct Retreat<'a, const D: usize> {
     original: &'a Original<D>,
     history: History<'a, D>,

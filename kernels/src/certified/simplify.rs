@@ -48,6 +48,7 @@ const LEAST_ROUND: f64 = 1.0 / 2000.0;
 /// cost too much.
 const LEAST_COLOR: f64 = 0.5;
 
+/// Parameters of the certified simplification.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Two-sided distance in metres and colour difference in levels; infinite for no bound. Values below the
@@ -95,6 +96,7 @@ pub struct Pass {
     pub attempts: u64,
 }
 
+/// Result of the certified simplification.
 #[derive(Clone, Debug)]
 pub struct Certified<const D: usize> {
     pub mesh: Compact<D>,

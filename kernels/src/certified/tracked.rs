@@ -30,6 +30,7 @@ impl Default for Rules {
     }
 }
 
+/// Measure of a region: attribute quadrics plus sample limits.
 pub struct Tracked<'a, const D: usize, const K: usize> {
     qem: Qem<D, K>,
     tracker: Tracker<'a, D>,

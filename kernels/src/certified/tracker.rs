@@ -54,6 +54,7 @@ pub enum Bound {
     Needle,
 }
 
+/// An input vertex, in a linked list of samples per triangle.
 #[derive(Clone, Copy)]
 struct Sample<const D: usize> {
     point: [f64; D],
@@ -264,6 +265,7 @@ impl Lists {
         Self { starts, samples }
     }
 
+    /// Return the samples of a triangle.
     pub fn of(&self, triangle: usize) -> &[u32] {
         &self.samples[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
     }

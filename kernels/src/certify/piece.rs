@@ -20,18 +20,22 @@ pub struct Deviation {
 }
 
 impl Deviation {
+    /// Return the larger deviation of each component.
     pub fn max(self, other: Self) -> Self {
         Self { shape: self.shape.max(other.shape), color: self.color.max(other.color) }
     }
 
+    /// Return the smaller deviation of each component.
     pub fn min(self, other: Self) -> Self {
         Self { shape: self.shape.min(other.shape), color: self.color.min(other.color) }
     }
 
+    /// Apply a function to both components.
     pub fn map(self, each: impl Fn(f64) -> f64) -> Self {
         Self { shape: each(self.shape), color: each(self.color) }
     }
 
+    /// Test if both components are at most those in `other`.
     pub fn within(self, other: Self) -> bool {
         self.shape <= other.shape && self.color <= other.color
     }
@@ -44,6 +48,7 @@ pub struct Share {
     pub deviation: Deviation,
 }
 
+/// A convex piece of a triangle, with proven bounds.
 #[derive(Clone, Debug)]
 pub struct Piece {
     pub polygon: Polygon,
@@ -346,6 +351,7 @@ impl Against<'_> {
     }
 }
 
+/// Find the corner with the largest reach.
 fn farthest(polygon: &Polygon) -> Corner {
     let mut far = polygon[0];
     for corner in polygon.iter() {

@@ -10,6 +10,7 @@ use crate::base::geometry::{Vec3, dot, norm2, sub};
 /// Maximum number of corners. Each cut of a convex polygon adds at most one.
 pub const MOST: usize = 16;
 
+/// Corner of a polygon: position, colour, and upper bound on the distance of the other surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Corner {
     pub at: Vec3,
@@ -17,6 +18,7 @@ pub struct Corner {
     pub reach: f64,
 }
 
+/// Convex polygon with a fixed maximum number of corners.
 #[derive(Clone, Copy, Debug)]
 pub struct Polygon {
     corners: [Corner; MOST],
@@ -70,6 +72,7 @@ impl Polygon {
         [self.clipped(level), self.clipped(|p| -level(p))]
     }
 
+    /// Recompute `reach` at all corners.
     pub fn set_reach(&mut self, reach: impl Fn(&Vec3) -> f64) {
         for corner in &mut self.corners[..self.count] {
             corner.reach = reach(&corner.at);

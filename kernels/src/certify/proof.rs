@@ -27,6 +27,7 @@ const UNIMPORTANT: f64 = 0.02;
 /// Infinite deviation.
 const EVERYTHING: Deviation = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
 
+/// Parameters of a proof.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// Maximum excess of the largest bound over the largest measured deviation, as a ratio of the latter.
@@ -352,6 +353,7 @@ fn tighten(
     }
 }
 
+/// Compute the bound that is tight enough; the larger one of both tolerances applies.
 fn worth_all(attained: Deviation, share: Deviation, absolute: Deviation) -> Deviation {
     let one = |attained: f64, share: f64, absolute: f64| attained + (share * attained).max(absolute);
     Deviation {
@@ -386,10 +388,12 @@ pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
     wanted.unwrap_or(2f64.powi(-21) * largest + 2f64.powi(-20) * diagonal).max(least)
 }
 
+/// Compute the slack for two surfaces.
 fn slack_of(surfaces: [&Surface; 2], options: &Options) -> f64 {
     slack(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack)
 }
 
+/// Bound the difference between any two colours of the surfaces.
 fn color_range(a: &Surface, b: &Surface) -> f64 {
     if a.colors.is_empty() || b.colors.is_empty() {
         return 0.0;
@@ -401,6 +405,7 @@ fn color_range(a: &Surface, b: &Surface) -> f64 {
     norm2(&[0, 1, 2].map(gap)).sqrt()
 }
 
+/// Create the certificate if at least one surface has no triangles.
 fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
     let all = |side: &Side<'_>| vec![EVERYTHING; side.mesh.len()];
     let bound = if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { EVERYTHING };
@@ -416,6 +421,7 @@ fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
     }
 }
 
+/// Create the certificate from the results of both directions.
 fn finished(
     sides: &[Side<'_>; 2],
     attained: Deviation,

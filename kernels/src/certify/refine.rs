@@ -78,6 +78,7 @@ pub struct Workspace {
     shares: Vec<Share>,
 }
 
+/// A piece in the queue, ordered by its excess over the goal.
 struct Waiting {
     excess: f64,
     number: usize,
@@ -149,11 +150,13 @@ pub fn refine(
     Ok(outcome)
 }
 
+/// Compute the ratio of a bound to its goal; 0 if the goal is met.
 fn excess(bound: Deviation, level: Deviation) -> f64 {
     let over = |bound: f64, level: f64| if bound <= level { 0.0 } else { bound / level };
     over(bound.shape, level.shape).max(over(bound.color, level.color))
 }
 
+/// Add the bounds and attributed deviations of a piece to the outcome.
 fn finish(against: &Against<'_>, piece: &Piece, shares: &[Share], outcome: &mut Outcome) {
     outcome.bound = outcome.bound.max(piece.bound);
     let wanted = match against.wanted {
@@ -168,6 +171,7 @@ fn finish(against: &Against<'_>, piece: &Piece, shares: &[Share], outcome: &mut 
     }
 }
 
+/// Sort deviations by slot, and keep the maximum of each slot.
 fn merge(shares: &mut Vec<Share>) {
     shares.sort_unstable_by_key(|share| share.slot);
     shares.dedup_by(|next, kept| {

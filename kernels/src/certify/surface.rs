@@ -150,6 +150,7 @@ impl Surface {
         );
     }
 
+    /// Compute the squared distance of `p` from the triangle in `slot`.
     #[inline]
     pub fn distance2(&self, slot: u32, p: &Vec3) -> f64 {
         distance2(p, &self.corners(slot))
@@ -180,6 +181,7 @@ impl Surface {
         self.vertices[slot as usize].map(|v| self.vertex_color(v))
     }
 
+    /// Return the colour of a vertex; black if the surface has no colours.
     #[inline]
     pub fn vertex_color(&self, v: u32) -> Vec3 {
         self.colors.get(v as usize).map_or([0.0; 3], |c| c.map(f64::from))
@@ -206,16 +208,19 @@ impl Surface {
     }
 }
 
+/// Interpolate colours at a nearest point.
 #[inline]
 pub fn blend(at: &Nearest, colors: &[Vec3; 3]) -> Vec3 {
     combine(&at.weights, colors)
 }
 
+/// Compute the weighted sum of three vectors.
 #[inline]
 pub fn combine(weights: &Vec3, values: &[Vec3; 3]) -> Vec3 {
     [0, 1, 2].map(|i| weights[0] * values[0][i] + weights[1] * values[1][i] + weights[2] * values[2][i])
 }
 
+/// Compute the Euclidean distance of two vectors.
 #[inline]
 pub fn difference(a: &Vec3, b: &Vec3) -> f64 {
     norm2(&sub(a, b)).sqrt()

@@ -94,6 +94,7 @@ impl View {
         Some(Self { corners, sides, size: size_of(triangle), colors, ..*self })
     }
 
+    /// Convert a point to the coordinates of the view: two in the plane, and the height.
     #[inline]
     pub(super) fn at(&self, p: &Vec3) -> Vec3 {
         let to_p = sub(p, &self.origin);
@@ -134,6 +135,7 @@ impl View {
             || (0..3).any(|side| other.iter().all(|p| self.depth(side, p) < -reach))
     }
 
+    /// Bound the rounding error of a projected position.
     #[inline]
     pub(super) fn rounding(&self, p: &Vec3) -> f64 {
         ROUNDING * (self.whole + p[0].abs() + p[1].abs())
@@ -263,6 +265,7 @@ pub(super) fn needle_height(corners: &[Vec3; 3]) -> f64 {
     if is_needle((area2, longest2)) && longest2 > 0.0 { (area2 / longest2).sqrt() } else { 0.0 }
 }
 
+/// Test if a triangle is a needle, given the result of [`area_and_length`].
 #[inline]
 pub(super) fn is_needle((area2, longest2): (f64, f64)) -> bool {
     area2 <= (NEEDLE * longest2).powi(2)

@@ -158,6 +158,7 @@ pub struct Merge {
     pub triangles: u8,
 }
 
+/// Edge-collapse loop over one mesh with one queue.
 pub struct Engine<const D: usize, M: Measure<D>> {
     mesh: Mesh<D>,
     measure: M,

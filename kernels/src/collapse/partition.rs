@@ -9,6 +9,7 @@ pub struct Partition {
     pub starts: Vec<usize>,
 }
 
+/// A triangle to be sorted into a region.
 #[derive(Clone, Copy, Default)]
 struct Item {
     /// Centre of the triangle in the rotated frame, as order-preserving integers. Single precision suffices
@@ -69,6 +70,7 @@ impl Partition {
         self.len() == 0
     }
 
+    /// Return the triangles of a region.
     pub fn region(&self, p: usize) -> &[u32] {
         &self.triangles[self.starts[p]..self.starts[p + 1]]
     }

@@ -34,6 +34,7 @@ impl Entry {
     }
 }
 
+/// Priority queue of edges.
 #[derive(Clone, Debug)]
 pub struct Queue {
     heap: Vec<Entry>,
@@ -68,6 +69,7 @@ impl Queue {
         self.heap.first().map(|entry| (entry.edge(), entry.key()))
     }
 
+    /// Test if an edge is queued.
     #[inline]
     pub fn holds(&self, edge: EdgeId) -> bool {
         self.place.get(edge.index()).is_some_and(|&place| place != ABSENT)

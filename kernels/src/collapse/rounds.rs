@@ -63,6 +63,7 @@ const MAX_BEGUN: usize = 8;
 
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
+/// Result of the collapse loop.
 pub struct Outcome<const D: usize, R: Records<D>> {
     pub mesh: Whole<D, Bound<D, R>>,
     pub records: R,

@@ -398,6 +398,7 @@ impl<const D: usize> System<D> {
     }
 }
 
+/// Compute the inner product of each unknown over all vertices.
 fn inner<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> [f64; D] {
     let mut sum = [0.0; D];
     for (a, b) in a.iter().zip(b) {
@@ -406,6 +407,7 @@ fn inner<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> [f64; D] {
     sum
 }
 
+/// Compute area-weighted unit normals by vertex.
 fn vertex_normals<const D: usize>(mesh: &Mesh<D>) -> Vec<Vec3> {
     let mut normals = vec![[0.0; 3]; mesh.points.len()];
     for t in mesh.connectivity.triangles() {

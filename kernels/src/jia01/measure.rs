@@ -52,6 +52,7 @@ impl Accumulated {
         self.contrast + self.texture
     }
 
+    /// Return the maximum of each sum.
     #[inline]
     pub(super) fn larger(&self, other: &Self) -> Self {
         Self {
@@ -101,6 +102,7 @@ impl<const D: usize> Jia01<D> {
         }
     }
 
+    /// Return the sums of an edge.
     pub fn accumulated(&self, edge: EdgeId) -> &Accumulated {
         &self.accumulated[edge.index()]
     }

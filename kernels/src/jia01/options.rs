@@ -12,6 +12,7 @@ impl Limits {
     pub const NONE: Self = Self { length: f64::INFINITY, shape: f64::INFINITY, texture: f64::INFINITY };
 }
 
+/// Parameters of JIA01.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Bounds L, S_max and T_max; infinite for none. Edges are split only if the length is finite.

@@ -28,6 +28,7 @@ pub struct Refused {
     pub fold: usize,
 }
 
+/// Result of JIA01.
 #[derive(Clone, Debug)]
 pub struct Simplified<const D: usize> {
     pub mesh: Compact<D>,

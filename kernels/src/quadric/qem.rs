@@ -20,6 +20,7 @@ use crate::quadrics::quadric::Quadric;
 /// length of the edge.
 const BOUNDARY: f64 = 1.0;
 
+/// Measure of the simplification by attribute quadrics.
 pub struct Qem<const D: usize, const K: usize> {
     /// Length that counts as much as one level of an attribute.
     weight: f64,

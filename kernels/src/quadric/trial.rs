@@ -63,6 +63,7 @@ fn is_larger(triangles: &[[u32; 3]], size: usize) -> bool {
     triangles.len() > size + size / 2
 }
 
+/// A mesh on which weights are tried.
 struct Sample<const D: usize> {
     points: Vec<[f64; D]>,
     triangles: Vec<[u32; 3]>,

@@ -2,6 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+/// N numbers that are processed together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lanes<const N: usize>(pub [f64; N]);
 
@@ -11,6 +12,7 @@ pub type LaneVec3<const N: usize> = [Lanes<N>; 3];
 impl<const N: usize> Lanes<N> {
     pub const ZERO: Self = Self([0.0; N]);
 
+    /// Set all lanes to one value.
     #[inline]
     pub fn all(x: f64) -> Self {
         Self([x; N])

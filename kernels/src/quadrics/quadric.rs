@@ -19,6 +19,7 @@ use crate::quadrics::lanes::{self, LaneVec3, Lanes};
 /// Symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz.
 pub type Symmetric = [f64; 6];
 
+/// Add w · v vᵀ.
 #[inline]
 fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
     m[0] += w * v[0] * v[0];
@@ -29,6 +30,7 @@ fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
     m[5] += w * v[2] * v[2];
 }
 
+/// Multiply a symmetric matrix by a vector.
 #[inline]
 fn times(m: &Symmetric, v: &Vec3) -> Vec3 {
     [
@@ -167,6 +169,7 @@ impl<const K: usize> Quadric<K> {
         self.attributes.iter_mut().flatten().for_each(|x| *x *= factor);
     }
 
+    /// Add another quadric.
     #[inline]
     pub fn add(&mut self, other: &Self) {
         (0..6).for_each(|i| self.shape[i] += other.shape[i]);
@@ -178,11 +181,13 @@ impl<const K: usize> Quadric<K> {
         }
     }
 
+    /// Subtract another quadric.
     #[inline]
     pub fn subtract(&mut self, other: &Self) {
         self.add(&Self::default().minus(other));
     }
 
+    /// Return the difference to another quadric.
     #[inline]
     pub fn minus(&self, other: &Self) -> Self {
         Self {
@@ -194,6 +199,7 @@ impl<const K: usize> Quadric<K> {
         }
     }
 
+    /// Return the sum with another quadric.
     #[inline]
     pub fn sum(&self, other: &Self) -> Self {
         let mut sum = *self;

@@ -16,12 +16,14 @@ impl<T> Default for Joined<T> {
 }
 
 impl<T> Joined<T> {
+    /// Create from one part.
     pub fn of(part: Vec<T>) -> Self {
         let mut joined = Self::default();
         joined.push(part);
         joined
     }
 
+    /// Append a part.
     pub fn push(&mut self, part: Vec<T>) {
         self.starts.push(self.count);
         self.count += part.len() as u32;
@@ -36,6 +38,7 @@ impl<T> Joined<T> {
         self.count == 0
     }
 
+    /// Return the element with an index.
     pub fn at(&self, number: u32) -> &T {
         let part = self.part(number);
         &self.parts[part][(number - self.starts[part]) as usize]

@@ -37,10 +37,12 @@ pub struct Changes<const K: usize> {
 }
 
 impl<const K: usize> Changes<K> {
+    /// Record that a wedge has new attributes.
     pub fn changed(&mut self, wedge: u32, to: [f64; K], source: u32) {
         self.changed.push((self.now, wedge, to, source));
     }
 
+    /// Record that a wedge merged into another one.
     pub fn merged(&mut self, wedge: u32, into: u32) {
         self.merged.push((self.now, wedge, into));
     }

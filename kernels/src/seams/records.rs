@@ -45,6 +45,7 @@ pub struct Given<'a, const K: usize> {
     pub bounds: [Vec3; 2],
 }
 
+/// State of the whole surface between rounds.
 pub struct SeamRecords<'a, const D: usize, const K: usize> {
     knobs: Knobs,
     given: Given<'a, K>,

@@ -7,6 +7,7 @@ use crate::base::parallel::fill;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
+/// Texture coordinate, as a length.
 pub type Uv = [f64; 2];
 
 /// Compute twice the signed area of a triangle in the texture.
@@ -166,6 +167,7 @@ impl Drifts {
         self.of_edge[edge.index()]
     }
 
+    /// Raise the drift of an edge to at least `drift`.
     pub fn raise(&mut self, edge: EdgeId, drift: f64) {
         let own = &mut self.of_edge[edge.index()];
         *own = own.max(drift);

@@ -148,6 +148,7 @@ impl<const K: usize> Wedges<K> {
         true
     }
 
+    /// Return the wedge of a corner, given by its halfedge.
     #[inline]
     pub fn of(&self, h: HalfedgeId) -> u32 {
         self.of_corner[h.index()]

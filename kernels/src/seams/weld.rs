@@ -13,6 +13,7 @@ use crate::mesh::connectivity::Connectivity;
 /// Marks a vertex without a set, which may move.
 pub const TOUCHES_NONE: u32 = u32::MAX;
 
+/// Connectivity of a surface after welding.
 pub struct Welded {
     pub connectivity: Connectivity,
     /// Vertex at the origin of each halfedge.
@@ -159,6 +160,7 @@ fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [
     !apart.is_empty() || !joined.is_empty()
 }
 
+/// Make two sides twins if there are exactly two, in opposite directions.
 fn join(sides: &[Side], twins: &mut [HalfedgeId]) -> bool {
     match *sides {
         [(_, g, up), (_, h, also_up)] if up != also_up => {
