@@ -1,9 +1,9 @@
 //! Samples of the input that limit which collapses are allowed.
 //!
-//! Every input vertex is a sample and belongs to a triangle of the current mesh within its limits. A collapse
-//! must keep each sample of its star within its limits of the new star. The new vertex and check points on
-//! the new edges must be within the limits of the input. Points between the samples are not certified here:
-//! see [`crate::certified`].
+//! Every input vertex is a sample and belongs to a triangle of the current mesh within its limits. After a
+//! collapse, the distance of each sample of the star to the new star must be within its limits. The new
+//! vertex and check points on the new edges must be within the limits of the input. Points between the
+//! samples are not certified here: see [`crate::certified`].
 //!
 //! Local tracking of the input against the current mesh goes back to Ciampalini, Cignoni, Montani and
 //! Scopigno, "Multiresolution decimation based on global error", 1997.

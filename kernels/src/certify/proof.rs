@@ -68,12 +68,12 @@ impl Options {
 /// Proven upper bounds by triangle, in input order, and overall.
 #[derive(Clone, Debug)]
 pub struct Certificate {
-    /// By triangle of the result, both directions: from its points, and from all points of the original whose
-    /// nearest point may be on it.
+    /// By triangle of the result, both directions: deviation of its points, and of all points of the original
+    /// whose nearest point may be on it.
     pub result: Vec<Deviation>,
-    /// By triangle of the result: from its points only.
+    /// By triangle of the result: deviation of its points only.
     pub own: Vec<Deviation>,
-    /// By triangle of the original: from its points to the result.
+    /// By triangle of the original: deviation of its points from the result.
     pub original: Vec<Deviation>,
     pub bound: Deviation,
     /// Largest deviation at any measured point, a lower limit for `bound`.

@@ -253,7 +253,8 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         }
         let (mesh, records) = self.mesh.join(&rim, self.records, done.remains, self.goal.threads);
         if self.goal.record && done.collapsed > mesh.triangles.len() / FEW {
-            // The recorded positions fragment the memory of the regions until the allocator returns it.
+            // Recorded positions are allocated between freed blocks of the regions, so freed memory is
+            // returned explicitly.
             memory::give_back();
         }
         Self { mesh, records, waiting: Some(done.waiting), round: self.round + 1, ..self }

@@ -51,7 +51,7 @@ pub fn affordable<const D: usize, const K: usize>(
     let mut tried = |size, trials| {
         sample(points, triangles, size, threads).affordable::<K>(share, weight, trials, threads, progress)
     };
-    // A small sample may be wrong, so a larger one decides if it rejects the weight.
+    // A small sample may be wrong: if it rejects the weight, a larger one decides.
     if is_larger(triangles, SAMPLE) && tried(SAMPLE, 1)? == weight {
         return Ok(weight);
     }

@@ -3,8 +3,8 @@
 use crate::base::geometry::{Vec3, distance2, midpoint};
 use crate::quadrics::quadric::Quadric;
 
-/// Strength of the spring to the middle of the edge, which fixes the position where the error does not, as on
-/// a plane.
+/// Strength of the spring to the middle of the edge, which determines the position where the error is
+/// constant, as along a plane.
 const TETHER: f64 = 1e-9;
 
 /// Factor of the length term that orders edges with zero cost.

@@ -60,9 +60,9 @@ fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
 pub struct Quadric<const K: usize> {
     /// Σ area · n nᵀ, plus Σ area · g gᵀ of the attributes
     shape: Symmetric,
-    /// Σ area · d n, likewise
+    /// Σ area · d n, plus the same sum for the attributes
     linear: Vec3,
-    /// Σ area · d², likewise
+    /// Σ area · d², plus the same sum for the attributes
     constant: f64,
     /// Σ area
     pub area: f64,
