@@ -3,12 +3,12 @@
 //! Sampling (Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998) measures
 //! the samples only. Here every triangle is covered by convex pieces, and each piece is bounded as a whole:
 //!
-//! * *shape*: the distance to one triangle is convex, so its maximum over a piece is at a corner. The distance to
-//!   a surface grows by at most the distance moved. Refining where the bound is largest goes back to Tang, Lee and
-//!   Kim, "Interactive Hausdorff distance computation for general polygonal models", 2009.
-//! * *colour*: a piece is clipped against every triangle that its nearest points may be on. Nearest points on one
-//!   face, side or corner move linearly. The difference of two linear colours is largest at a corner. Elsewhere the
-//!   gradient bounds the error of that assumption.
+//! * *shape*: the distance to one triangle is convex, so its maximum over a piece is at a corner. The distance
+//!   to a surface grows by at most the distance moved. Refining where the bound is largest goes back to Tang,
+//!   Lee and Kim, "Interactive Hausdorff distance computation for general polygonal models", 2009.
+//! * *colour*: a piece is clipped against every triangle that its nearest points may be on. Nearest points on
+//!   one face, side or corner move linearly. The difference of two linear colours is largest at a corner.
+//!   Elsewhere the gradient bounds the error of that assumption.
 //!
 //! The meshes may have holes, several layers and triangles without area. If several points are equally near,
 //! the bound on colour holds for each of them. It also holds on each triangle that is at most `slack` farther

@@ -128,8 +128,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             if touching != TOUCHES_NONE {
                 (own != TOUCHES_NONE && (own == touching || !is_apex(v))) || reaches(kept, touching, v)
             } else {
-                // Some of its spokes may be in another region, but the vertices of the set are all in this
-                // one.
+                // Some spokes of `v` may be in another region, but all vertices of the set are in this one.
                 let others = || self.of_set(own).filter(|&other| other != kept);
                 own != TOUCHES_NONE && !is_apex(v) && others().any(|other| is_beside(other, v))
             }
