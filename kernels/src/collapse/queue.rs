@@ -112,7 +112,7 @@ impl Queue {
             return;
         }
         let at = place as usize;
-        let last = self.heap.pop().expect("an edge with a place is in the heap");
+        let last = self.heap.pop().expect("a queued edge is in the heap");
         if at == self.heap.len() {
             return;
         }

@@ -110,7 +110,7 @@ fn only_what_was_built_on_a_collapse_goes_with_it() {
         }
         // Undoing it again does nothing.
         let kept = history.kept();
-        history.undo(number, &mut |_, _, _| panic!("taken back twice"));
+        history.undo(number, &mut |_, _, _| panic!("undone twice"));
         assert_eq!(history.kept(), kept);
     }
 }

@@ -89,7 +89,7 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
             }
             for v in mesh.connectivity.vertices() {
                 let (distance, _) = nearest(&position(mesh.point(v)), &points, &triangles);
-                assert!(distance <= limits.shape * (1.0 + 1e-9), "{name}: {v:?} strayed by {distance}");
+                assert!(distance <= limits.shape * (1.0 + 1e-9), "{name}: {v:?} is {distance} away");
             }
         }
         assert_eq!(engine.mesh().connectivity.vertices().count(), before - collapses);
@@ -184,7 +184,7 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
     let mesh = result.mesh;
     for (v, _) in locked.iter().enumerate().filter(|(_, is_locked)| **is_locked) {
         let place =
-            mesh.vertex_source.iter().position(|&s| s as usize == v).expect("a locked vertex is gone");
+            mesh.vertex_source.iter().position(|&s| s as usize == v).expect("a locked vertex was removed");
         assert_eq!(mesh.points[place], points[v]);
     }
     let connectivity = Connectivity::from_triangles(mesh.points.len(), &mesh.triangles).unwrap();
@@ -282,5 +282,5 @@ fn what_is_proven_part_by_part_is_proven_of_the_whole() {
         assert!(result.mesh.triangles.len() < triangles.len());
         assert!(whole.attained.within(result.certificate.bound));
     }
-    assert!(again > 3, "nothing was taken back");
+    assert!(again > 3, "no collapse was undone");
 }

@@ -52,7 +52,7 @@ fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
     let rounds =
         rounds::Goal { triangles: target, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: true };
     let goal = Goal { rounds, fit: true };
-    simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
+    simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a valid surface")
 }
 
 fn euler(outcome: &Outcome<2>) -> i64 {
@@ -88,7 +88,7 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
             let rounds = rounds::Goal { triangles: 400, threads, region, least: 0.0, record: true };
             let control = Control::default();
             let goal = Goal { rounds, fit: false };
-            simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a sound surface")
+            simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a valid surface")
         });
         assert_eq!(euler(&one), 0, "{region}");
         assert!((399..=400).contains(&one.triangles.len()), "{region}: {}", one.triangles.len());
@@ -98,7 +98,7 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
             assert!(signed_area(corners[0], corners[1], corners[2]) > 0.0, "{region}");
         }
         // Every removed vertex is in the log, and the remaining ones are at logged positions.
-        let log = one.log.expect("a record was asked for");
+        let log = one.log.expect("a record was requested");
         assert_eq!(log.removed.len(), one.collapses);
         let mut place = std::collections::BTreeMap::new();
         place.extend(log.survivor.iter().copied().zip(log.places));
