@@ -1,4 +1,4 @@
-//! As far as 0.3 of the spacing of vertices and 16 levels are proven, the proof included.
+//! Certified simplification to 0.3 of the vertex spacing and 16 levels, including the proof.
 
 use criterion::Criterion;
 use scanloom_kernels::certified::simplify::{Options, simplify};

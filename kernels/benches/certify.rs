@@ -1,4 +1,4 @@
-//! Bounds between a surface and a tenth of its triangles.
+//! Bounds between a surface and its simplification to a tenth of the triangles.
 
 use std::rc::Rc;
 

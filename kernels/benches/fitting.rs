@@ -1,4 +1,4 @@
-//! A tenth of the triangles fitted to the surface they are left of, by least squares.
+//! Least-squares fit of a mesh simplified to a tenth of the triangles.
 
 use criterion::Criterion;
 use scanloom_kernels::base::ids::VertexId;

@@ -1,4 +1,4 @@
-//! Jia's sums of changes, to a tenth of the triangles.
+//! JIA01 to a tenth of the triangles.
 
 use criterion::Criterion;
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};

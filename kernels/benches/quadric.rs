@@ -1,4 +1,4 @@
-//! Collapses by attribute quadrics, to a tenth of the triangles.
+//! Simplification by attribute quadrics to a tenth of the triangles.
 
 use criterion::Criterion;
 use scanloom_kernels::collapse::rounds::{Goal, Outcome, REGION_TRIANGLES, collapse};
@@ -14,7 +14,7 @@ pub fn bench(criterion: &mut Criterion) {
     });
 }
 
-/// A coloured surface with so many triangles left.
+/// Simplify a coloured surface to `left` triangles.
 pub fn simplified(
     points: Vec<[f64; 6]>,
     triangles: Triangles,

@@ -1,4 +1,4 @@
-//! A textured surface of charts with seams between them, to a tenth of its triangles, the fit left out.
+//! Simplification of a textured surface with charts and seams to a tenth of its triangles, without fit.
 
 use std::rc::Rc;
 
@@ -16,9 +16,9 @@ const KNOBS: Knobs = Knobs {
     shape: 1.0,
     seam_drift: f64::INFINITY,
 };
-/// As `stages` asks for.
+/// The region size that `stages` uses.
 const REGION_TRIANGLES: usize = 2048;
-/// Length of a chart's side, in spacings of vertices.
+/// Side of a chart, in vertex spacings.
 const CHART: f64 = 50.0;
 
 pub fn bench(criterion: &mut Criterion) {
@@ -36,7 +36,8 @@ pub fn bench(criterion: &mut Criterion) {
     );
 }
 
-/// A field in square charts, each with a place of its own in the image; corners have image coordinates and a colour.
+/// Build a height field with square charts in separate areas of the texture; corners have texture coordinates
+/// and a colour.
 fn textured(size: usize) -> Surface<5> {
     let (points, triangles) = field(size);
     let corners = triangles.iter().flat_map(|t| {
@@ -44,7 +45,7 @@ fn textured(size: usize) -> Surface<5> {
         let [left, low] = [0, 1].map(|i| (middle(i) / CHART).floor());
         t.map(|v| {
             let p = &points[v as usize];
-            // Twice as far apart as they are long.
+            // The distance between charts is twice their size.
             [p[0] + left * CHART, p[1] + low * CHART, p[3], p[4], p[5]]
         })
     });

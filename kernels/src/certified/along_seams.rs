@@ -1,7 +1,8 @@
-//! Method `seams`, asked only for what samples of the input allow: a textured surface within a bound on its shape.
+//! Method `seams` with a bound on shape, for textured surfaces.
 //!
-//! Between the samples nothing is certain, as in [`super::tracked`]; the caller proves what comes out, tightens the limits
-//! where that fails, and asks again.
+//! Every collapse must keep the samples of the input within their limits. Points between samples are not
+//! checked here, as in [`super::tracked`]. The caller certifies the result, tightens the limits where that
+//! fails, and calls again.
 
 use super::original::Original;
 use super::simplify::least_bounds;
@@ -19,19 +20,21 @@ use crate::seams::records::{Remains, SeamRecords};
 use crate::seams::state::{Rule, Seams};
 use crate::seams::{Goal, Knobs, Outcome, Surface, simplify_by};
 
-/// How far samples may be from the surface.
+/// Distance limits of the samples.
 #[derive(Clone, Debug)]
 pub struct Within {
-    /// Metres that can be proven; what is less than that counts as the least that can.
+    /// Bound on shape in metres. Values below the smallest provable bound are raised to it.
     pub shape: f64,
-    /// What samples may use of it, so that the points between them have some left.
+    /// Ratio of the bound that samples may use. The rest is a margin for the points between samples.
     pub share: f64,
-    /// By vertex of the input: what this is multiplied with there.
+    /// Factor on the limit, by vertex of the input.
     pub factors: Vec<f32>,
 }
 
-/// Collapse along seams as far as the goal says, and no sample farther than it may be. Also returns the bound that can
-/// be proven: the one that was asked for, or the least there is.
+/// Simplify along seams up to `goal`, with every sample within its limit.
+///
+/// Also returns the bound that can be proven: `within.shape`, or the smallest provable bound if that is
+/// larger.
 ///
 /// # Errors
 /// As [`crate::seams::simplify`].
@@ -62,7 +65,7 @@ pub fn simplify<const D: usize, const K: usize>(
     Ok((outcome, provable))
 }
 
-/// A region whose samples have limits.
+/// Measure of a region: the method `seams` plus sample limits.
 pub struct Bounded<'a, 'b, const D: usize, const K: usize> {
     seams: Seams<'a, D, K>,
     tracker: Tracker<'b, 3>,
@@ -105,7 +108,7 @@ fn rule(bound: Bound) -> Rule {
     }
 }
 
-/// Records of seams, and which samples belong to which triangle.
+/// Seam records plus the samples of each triangle.
 struct BoundedRecords<'a, 'b, const D: usize, const K: usize> {
     seams: SeamRecords<'a, D, K>,
     original: &'b Original<3>,

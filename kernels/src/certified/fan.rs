@@ -1,35 +1,35 @@
-//! The triangles around a new vertex, ready to be asked for the nearest of their points.
+//! Triangles around the new vertex of a collapse, prepared for nearest-point queries.
 
 use super::original::blend;
 use crate::base::geometry::{Vec3, cross, dot, nearest_on_triangle, norm2, position, sub};
 use crate::mesh::star::Star;
 
-/// One triangle of the fan, its places relative to the new vertex.
+/// One triangle of the fan.
 struct Blade<const D: usize> {
-    /// Index among the star's wings.
+    /// Index in `Star::wings`.
     wing: u32,
     from: [f64; D],
     to: [f64; D],
-    /// Unit normal; none where the triangle has no area.
+    /// Unit normal; zero if the triangle has no area.
     normal: Vec3,
     /// Gradients of the barycentric coordinates of `from` and `to`.
     at_from: Vec3,
     at_to: Vec3,
-    /// Squared heights of the corners new vertex, from and to over the sides across.
+    /// Squared heights of the tip, `from` and `to` above their opposite sides.
     heights2: [f64; 3],
-    /// Twice the area and the longest side, squared.
+    /// Squared norm of the cross product (four times the squared area), and squared longest side.
     area2: f64,
     longest2: f64,
 }
 
-/// The star of an edge after its collapse.
+/// The star of an edge after its collapse to one vertex.
 #[derive(Default)]
 pub struct Fan<const D: usize> {
     blades: Vec<Blade<D>>,
     tip: Option<[f64; D]>,
 }
 
-/// The nearest point of a fan.
+/// The point of a fan that is nearest to a query point.
 #[derive(Clone, Copy, Debug)]
 pub struct FanFoot<const D: usize> {
     pub wing: u32,
@@ -38,7 +38,7 @@ pub struct FanFoot<const D: usize> {
 }
 
 impl<const D: usize> Fan<D> {
-    /// The triangles of `star` that stay, with both ends moved to `tip`.
+    /// Build the fan that `star` becomes if both ends move to `tip`.
     pub fn spread(&mut self, star: &Star<D>, tip: &[f64; D]) {
         self.tip = Some(*tip);
         self.blades.clear();
@@ -71,7 +71,9 @@ impl<const D: usize> Fan<D> {
         }
     }
 
-    /// Whether the collapse makes a needle of a triangle: twice its area at most `flatness` of its longest side squared.
+    /// Test if the collapse creates a needle: a triangle with twice its area ≤ `flatness` × longest side².
+    ///
+    /// Triangles that were needles before the collapse do not count.
     pub fn has_needle(&self, star: &Star<D>, flatness: f64) -> bool {
         let is_needle = |area2: f64, longest2: f64| area2 <= (flatness * longest2).powi(2);
         self.blades.iter().filter(|blade| is_needle(blade.area2, blade.longest2)).any(|blade| {
@@ -83,7 +85,7 @@ impl<const D: usize> Fan<D> {
         })
     }
 
-    /// The point of one triangle that is straight above or below `p`, if there is one.
+    /// Project `p` onto the triangle of `wing`; `None` if the foot is outside the triangle.
     pub fn straight(&self, p: &Vec3, wing: u32) -> Option<FanFoot<D>> {
         let tip = self.tip.as_ref()?;
         let blade = &self.blades[wing as usize];
@@ -97,7 +99,7 @@ impl<const D: usize> Fan<D> {
         })
     }
 
-    /// The point of the fan nearest to `p`; none if the fan has no triangle.
+    /// Find the point of the fan that is nearest to `p`; `None` if the fan is empty.
     pub fn nearest(&self, p: &Vec3) -> Option<FanFoot<D>> {
         let tip = self.tip.as_ref()?;
         let centre = position(tip);
@@ -108,7 +110,8 @@ impl<const D: usize> Fan<D> {
             let height = dot(&blade.normal, &q);
             let (u, v) = (dot(&blade.at_from, &q), dot(&blade.at_to, &q));
             let outside = [u + v - 1.0, -u, -v];
-            // How far it is beyond the line of each side.
+            // Squared distance from the foot to the lines of the sides it is outside of: a lower bound that
+            // skips most triangles.
             let beyond2 = (0..3)
                 .map(|k| if outside[k] > 0.0 { outside[k] * outside[k] * blade.heights2[k] } else { 0.0 })
                 .fold(0.0, f64::max);

@@ -1,72 +1,73 @@
-//! Which collapses made a mesh what it is, and how to take some of them back.
+//! Collapse history of a mesh, with selective undo.
 //!
-//! Each collapse joins two trees of vertices of the input, so that the collapses that stand form a forest and each
-//! vertex of the current mesh is the root of a tree. A triangle of the input is still there while its corners belong to
-//! three trees.
+//! Each collapse joins two trees of input vertices. The active collapses form a forest, and each vertex of
+//! the current mesh is the root of a tree. A triangle of the input still exists while its corners belong to
+//! three different trees.
 //!
-//! A collapse changed the triangles around its survivor. It can be taken back, and the mesh there be what it was,
-//! if none of these has been changed since; a later collapse that changed one is taken back first.
-//! Such dependencies between collapses: Xia and Varshney, "Dynamic view-dependent simplification for polygonal models",
-//! 1996.
+//! A collapse changes the triangles around its survivor. It can be undone exactly if no later collapse
+//! changed any of these triangles; later collapses that did are undone first. The dependencies between
+//! collapses follow Xia and Varshney, "Dynamic view-dependent simplification for polygonal models", 1996.
 
 use super::original::Original;
 use crate::collapse::logs::{Log, Way};
 
-/// No collapse.
+/// Marks the absence of a collapse.
 const NONE: u32 = u32::MAX;
 
+/// One collapse, with its links in the forest.
 #[derive(Clone, Copy)]
 struct Collapse {
     survivor: u32,
     removed: u32,
-    /// The collapses that survivor and removed vertex had come from.
+    /// Previous collapses of the survivor and of the removed vertex.
     below: [u32; 2],
-    /// The collapse that one of them went into.
+    /// The later collapse that has this one in `below`.
     above: u32,
 }
 
 /// Collapses of one round in one region.
 struct Part<const D: usize> {
-    /// The number of the first of them.
+    /// Index of the first collapse.
     first: u32,
     round: u32,
     path: Vec<[f64; D]>,
-    /// Empty unless the way will be asked for.
+    /// Empty unless the collapse order is needed.
     priorities: Vec<f64>,
 }
 
+/// Collapses that led from the input to the current mesh.
 pub struct History<'a, const D: usize> {
     original: &'a Original<D>,
-    /// In the order of time. Those taken back are not reached from any vertex any more.
+    /// In chronological order. Undone collapses stay in the list, but no vertex refers to them.
     collapses: Vec<Collapse>,
     kept: usize,
-    /// Where each one's survivor went, in the pieces this was recorded in.
+    /// Positions of the survivors and priorities, in the blocks in which they were recorded.
     parts: Vec<Part<D>>,
-    /// Rounds so far.
+    /// Number of rounds recorded.
     rounds: u32,
-    /// Whether it will be asked for the way.
+    /// Keep priorities, so that [`Self::way`] can be called.
     in_order: bool,
-    /// By vertex of the input: the vertex of the current mesh it is part of.
+    /// By input vertex: the vertex of the current mesh that contains it.
     root: Vec<u32>,
     /// By vertex of the current mesh: the last collapse it survived.
     last: Vec<u32>,
-    /// Collapses before this one are for good.
+    /// Collapses before this index cannot be undone.
     floor: u32,
     kept_for_good: usize,
 }
 
-/// A collapse that stands.
+/// A collapse that has not been undone.
 pub struct Kept<const D: usize> {
-    /// Its place in the order of time, among those that were taken back as well.
+    /// Index in chronological order; undone collapses count.
     pub number: u32,
     pub removed: u32,
     pub survivor: u32,
-    /// Where the survivor went.
+    /// Position and attributes of the survivor after the collapse.
     pub point: [f64; D],
 }
 
 impl<'a, const D: usize> History<'a, D> {
-    /// The history of the input itself: nothing has happened. `in_order` if the way will be asked for.
+    /// Create an empty history; `in_order` if [`Self::way`] will be called.
     pub fn new(original: &'a Original<D>, in_order: bool) -> Self {
         let vertices = original.points.len();
         Self {
@@ -83,19 +84,19 @@ impl<'a, const D: usize> History<'a, D> {
         }
     }
 
-    /// Nothing that has happened so far is taken back any more. Returns the number of the next collapse.
+    /// Make all collapses so far permanent. Returns the index of the next collapse.
     pub fn settle(&mut self) -> u32 {
         self.floor = self.collapses.len() as u32;
         self.kept_for_good = self.kept;
         self.floor
     }
 
-    /// Whether nothing has happened that may be taken back.
+    /// Test if there is no collapse that could be undone.
     pub fn is_settled(&self) -> bool {
         self.kept == self.kept_for_good
     }
 
-    /// More collapses, in numbers of the input, with what their survivors became.
+    /// Append collapses, in vertex indices of the input.
     pub fn append(&mut self, logs: Vec<Log<D>>) {
         let count = logs.iter().map(|log| log.merges.len()).sum();
         self.collapses.reserve_exact(count);
@@ -126,17 +127,17 @@ impl<'a, const D: usize> History<'a, D> {
         }
     }
 
-    /// The vertex of the current mesh that a vertex of the input is part of.
+    /// Return the vertex of the current mesh that contains an input vertex.
     pub fn root(&self, v: u32) -> u32 {
         self.root[v as usize]
     }
 
-    /// Collapses that were not taken back.
+    /// Number of collapses that were not undone.
     pub fn kept(&self) -> usize {
         self.kept
     }
 
-    /// Where a vertex of the current mesh is.
+    /// Return the position and attributes of a vertex of the current mesh.
     pub fn point(&self, v: u32) -> [f64; D] {
         match self.last[v as usize] {
             NONE => self.original.points[v as usize],
@@ -151,12 +152,15 @@ impl<'a, const D: usize> History<'a, D> {
         &self.parts[self.parts.partition_point(|part| part.first <= collapse) - 1]
     }
 
-    /// The collapses that are kept, those of least priority first in each round: no other changed what they needed.
+    /// Return the active collapses in replay order.
+    ///
+    /// Within a round the order is by priority: no other collapse of the round changed the mesh that one
+    /// needs.
     pub fn way(&self) -> Way<D> {
         self.stand().map(|kept| (kept.removed, kept.survivor, kept.point)).collect()
     }
 
-    /// As [`Self::way`], with their numbers.
+    /// As [`Self::way`], with the index of each collapse.
     pub fn stand(&self) -> impl Iterator<Item = Kept<D>> + '_ {
         let mut kept = vec![];
         let mut open: Vec<u32> = self
@@ -183,36 +187,38 @@ impl<'a, const D: usize> History<'a, D> {
         })
     }
 
-    /// What a triangle of the input is in the current mesh, if it is still there.
+    /// Map the corners of an input triangle to the current mesh; `None` if it has vanished.
     pub fn corners(&self, triangle: u32) -> Option<[u32; 3]> {
         let [a, b, c] = self.original.triangles[triangle as usize].map(|v| self.root[v as usize]);
         (a != b && b != c && c != a).then_some([a, b, c])
     }
 
-    /// Visit every vertex of the input that is part of a vertex of the current mesh.
+    /// Visit every input vertex that a vertex of the current mesh contains.
     pub fn visit_members(&self, v: u32, visit: impl FnMut(u32)) {
         self.visit_tree(self.last[v as usize], v, visit);
     }
 
-    /// The triangles around a vertex of the current mesh, each once.
+    /// Append the triangles around a vertex of the current mesh, each once.
     fn star(&self, v: u32, star: &mut Vec<u32>) {
         self.visit_members(v, |member| {
             star.extend(self.original.around(member).iter().filter(|&&t| self.corners(t).is_some()));
         });
     }
 
-    /// The last collapse that changed a triangle of the current mesh, if it may be taken back.
+    /// Find the last undoable collapse that changed a triangle of the current mesh.
     pub fn latest(&self, corners: &[u32; 3]) -> Option<u32> {
         corners.iter().filter_map(|&v| self.last(v)).max()
     }
 
-    /// The last collapse that a vertex of the current mesh survived, if it may be taken back.
+    /// Find the last undoable collapse that a vertex of the current mesh survived.
     pub fn last(&self, v: u32) -> Option<u32> {
         Some(self.last[v as usize]).filter(|&last| last != NONE && last >= self.floor)
     }
 
-    /// Take a collapse back, and before it all that need the mesh it made. `split` hears of each of them, with the
-    /// triangles around its survivor before and those around both vertices after.
+    /// Undo a collapse, after all later collapses that depend on it.
+    ///
+    /// `split` is called for each undone collapse with the triangles around its survivor before, and the
+    /// triangles around both vertices after.
     pub fn undo(&mut self, collapse: u32, split: &mut impl FnMut(&Self, &[u32], &[u32])) {
         let (mut before, mut after) = (vec![], vec![]);
         let mut first = vec![collapse];
@@ -223,7 +229,7 @@ impl<'a, const D: usize> History<'a, D> {
                 continue;
             }
             if self.last[survivor as usize] != number {
-                // Something else has taken it back already.
+                // Undoing a later collapse has undone this one already.
                 first.pop();
                 continue;
             }
@@ -254,7 +260,7 @@ impl<'a, const D: usize> History<'a, D> {
         }
     }
 
-    /// Every vertex of the input below a collapse, or below none: `v` alone.
+    /// Visit every input vertex below a collapse, or `v` alone if `collapse` is `NONE`.
     fn visit_tree(&self, collapse: u32, v: u32, mut visit: impl FnMut(u32)) {
         let mut open = vec![(collapse, v)];
         while let Some((collapse, v)) = open.pop() {

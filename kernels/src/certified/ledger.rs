@@ -1,4 +1,4 @@
-//! What is proven of the current mesh and of the input, and what has to be looked at again after a change.
+//! Cache of proofs: results per triangle of the mesh and of the input, and what a change invalidates.
 
 use super::original::Original;
 use super::tracker::Bound;
@@ -11,59 +11,61 @@ use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
 use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Compact;
 
-/// A triangle of the mesh as it was looked at last.
+/// A triangle of the mesh with the last verdict on it.
 struct Known<const D: usize> {
-    /// Triangle of the input.
+    /// Index of its input triangle.
     source: u32,
     corners: [[f64; D]; 3],
     verdict: Verdict,
 }
 
-/// No triangle.
+/// Marks the absence of a triangle.
 const NONE: u32 = u32::MAX;
 
-/// Share of a deviation that is lost where it is kept in single precision.
+/// Relative rounding error of deviations that are stored in single precision.
 const ROUNDING: f64 = 1e-6;
 
-/// Triangles of the input that are looked at together: what is found of them takes memory.
+/// Input triangles certified at a time, which limits the memory of the results.
 const AT_ONCE: usize = 1 << 15;
 
-/// Triangles of parts that are looked at together, at least.
+/// Minimum number of triangles per batch of partitions.
 const TOGETHER: usize = 8 * AT_ONCE;
 
-/// With so many parts for each thread none has to be divided.
+/// With at least this many partitions per thread, one thread certifies each partition.
 const MANY: usize = 8;
 
-/// Threads that a part is divided among, at most, where others are looked at beside it.
+/// Maximum number of threads per partition while other partitions are certified in parallel.
 const BESIDE: usize = 4;
 
-/// A triangle of the input that is not within its part's limit.
+/// An input triangle that is not within the limit of its partition.
 struct Failing {
     triangle: u32,
     bound: Deviation,
-    /// Triangles of the mesh it may be nearest to, by their sources; none if it is within the bounds asked for.
+    /// Mesh triangles (by source) that may be nearest to it; empty if it is within the requested bounds.
     within_reach: Vec<u32>,
 }
 
-/// Parts of the input that are each proven against what becomes of them alone, and bounded closely.
+/// Partitions of the input, each certified only against the triangles that are left of it.
 pub struct Apart<'c> {
-    /// By triangle of the input, from 0 on without gaps.
+    /// Partition of each input triangle, numbered from 0 without gaps.
     pub part: &'c [u32],
-    /// How closely; the limit is not used.
+    /// Tolerances for the bounds of a partition; `limit` is ignored.
     pub close: &'c certify::Options,
 }
 
-/// Triangles that are looked at as if there were no others.
+/// A partition of the mesh that is certified independently.
 struct Part {
-    /// Of the input, in order.
+    /// Indices of input triangles, ascending.
     triangles: Vec<u32>,
     surface: Surface,
-    /// What is decided of its triangles, from the first look on.
+    /// Limit that its triangles are decided against; set by the first proof.
     limit: Option<Deviation>,
 }
 
-/// What is to be looked at in a part: triangles of the mesh with their places in the result; of the input, all in order of the
-/// part's tree. `left` are all triangles of the mesh.
+/// A request to certify triangles of one partition.
+///
+/// `left` are all mesh triangles of the partition. `own` are the mesh triangles to certify, each with its
+/// index in the result. `near` are the input triangles to certify, in BVH order of the partition.
 struct Asked<'l> {
     part: usize,
     left: &'l [u32],
@@ -71,14 +73,14 @@ struct Asked<'l> {
     near: Vec<u32>,
 }
 
-/// What was found there, but for what is kept of each triangle of the input.
+/// Results for a request, without the values stored per input triangle.
 struct Looked {
     limit: Option<Deviation>,
     of_mesh: Vec<Verdict>,
     failing: Vec<Failing>,
 }
 
-/// What is kept of a triangle of the input.
+/// Values stored per input triangle.
 #[derive(Clone, Copy)]
 struct Kept {
     attained: [f32; 2],
@@ -87,18 +89,18 @@ struct Kept {
 
 impl Kept {
     fn of(Verdict { attained, reach, .. }: Verdict) -> Self {
-        // Never more than what is attained, and nothing less than the reach.
+        // Round conservatively: `attained` down, `reach` up.
         let single = |x: f64| (x as f32).next_down().max(0.0);
         Self { attained: [single(attained.shape), single(attained.color)], reach: (reach as f32).next_up() }
     }
 }
 
-/// Triangles without a proof where there may be one.
+/// Unproven triangles that may still be provable.
 pub struct Open {
-    /// Triangles of the mesh, by the number of that of the input they are what is left of.
+    /// Triangles of the mesh, by source.
     pub of_result: Vec<u32>,
     pub of_input: Vec<u32>,
-    /// The triangles of the mesh that each of those of the input may be nearest to, named alike.
+    /// For each entry of `of_input`: mesh triangles (by source) that may be nearest to it.
     pub within_reach: Vec<Vec<u32>>,
 }
 
@@ -108,29 +110,33 @@ impl Open {
     }
 }
 
+/// Proofs of the current mesh and of the input, updated after changes.
 pub struct Ledger<'a, const D: usize> {
     original: &'a Original<D>,
     parts: Vec<Part>,
-    /// By triangle of the input: its part, and its place there.
+    /// By input triangle: its partition, and its index in the partition.
     place: Vec<[u32; 2]>,
-    /// With a limit.
+    /// Options for decisions; `limit` is set.
     decision: certify::Options,
-    /// How closely each part is bounded, if by itself.
+    /// Tolerances for the bounds of each partition, if partitions are certified separately.
     close: Option<certify::Options>,
     bounds: Deviation,
-    /// In the order of their sources; none before the first look.
+    /// Sorted by source; empty before the first call of [`Self::look`].
     result: Vec<Known<D>>,
-    /// The greatest deviation seen in each triangle of the input.
+    /// By input triangle: largest measured deviation.
     attained: Vec<[f32; 2]>,
-    /// How far from each triangle of the input the mesh counts at most, where that is less than the bound on shape.
+    /// By input triangle: maximum distance of mesh triangles that affect its proof, if below the bound on
+    /// shape.
     reach: Vec<f32>,
-    /// In order.
+    /// Sorted by triangle.
     failing: Vec<Failing>,
-    /// Triangles of the input that not even the input is within the bounds of, in order.
+    /// Sorted input triangles whose bounds do not even hold between the input and itself.
     pub hopeless: Vec<u32>,
 }
 
 impl<'a, const D: usize> Ledger<'a, D> {
+    /// Create a cache without proofs.
+    ///
     /// # Errors
     /// As [`Surface::new`].
     pub fn new(
@@ -175,20 +181,21 @@ impl<'a, const D: usize> Ledger<'a, D> {
         })
     }
 
+    /// Return the requested bounds.
     pub fn bounds(&self) -> Deviation {
         self.bounds
     }
 
-    /// The input's, where it is looked at as one.
+    /// Return the surface of the input, if it is certified as a whole.
     pub fn surface(&self) -> &Surface {
         &self.parts[0].surface
     }
 
-    /// Look at what has changed since the last time. Returns how many triangles of the mesh and of the input have no
-    /// proof now.
+    /// Certify all triangles that changed since the last call.
     ///
-    /// What is found of a triangle of the mesh stays as long as it does. For one of the input nothing counts but what may be
-    /// nearest to it, and what is found stays as long as all of that does.
+    /// Returns the number of unproven triangles of the mesh and of the input. The verdict on a mesh triangle
+    /// stays valid while the triangle exists. The verdict on an input triangle stays valid while all mesh
+    /// triangles that may be nearest to it exist.
     pub fn look(
         &mut self,
         mesh: &Whole<D, Bound>,
@@ -197,7 +204,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let is_first = self.attained.is_empty();
         let count = self.place.len();
         let threads = parallel::threads(self.decision.threads);
-        // By triangle of the input: its place in the mesh, and among those looked at last.
+        // By input triangle: index in the current mesh, and index in the previous result.
         let (mut now, mut then) = (vec![NONE; count], vec![NONE; count]);
         (0..).zip(&mesh.triangle_source).for_each(|(i, &source)| now[source as usize] = i);
         (0..).zip(&self.result).for_each(|(i, known)| then[known.source as usize] = i);
@@ -210,7 +217,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             let verdict = before.filter(|known| known.corners == corners).map(|known| known.verdict);
             Known { source, corners, verdict: verdict.unwrap_or(Verdict::UNKNOWN) }
         });
-        // What is not what it was, as it was and as it is, and what has gone.
+        // Changed triangles in their old and new shape, and triangles that vanished.
         let mut asked = vec![vec![]; self.parts.len()];
         let mut changed: Vec<Vec<&Known<D>>> = vec![vec![]; self.parts.len()];
         for (number, known) in result.iter().enumerate() {
@@ -247,7 +254,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         }
         let mut all = vec![];
         for (part, (own, left)) in asked.iter().zip(&left).enumerate().filter(|(part, _)| is_touched[*part]) {
-            // In the order of the tree, so that those looked at together are neighbours.
+            // BVH order, so that triangles certified together are neighbours.
             let order = self.parts[part].surface.order.iter().copied();
             let near: Vec<u32> = order.filter(|&t| near[part][t as usize]).collect();
             if !(own.is_empty() && near.is_empty()) {
@@ -283,14 +290,14 @@ impl<'a, const D: usize> Ledger<'a, D> {
         self.place[source as usize][0] as usize
     }
 
-    /// The triangles of a mesh in each part, in order, given what they are left of.
+    /// Group the triangles of a mesh by partition, given their sources; ascending in each group.
     fn left_of_parts(&self, sources: &[u32]) -> Vec<Vec<u32>> {
         let mut left = vec![vec![]; self.parts.len()];
         (0..).zip(sources).for_each(|(i, &source)| left[self.part_of(source)].push(i));
         left
     }
 
-    /// Look at several parts, on all threads, and keep what is found of their triangles of the input.
+    /// Certify several partitions in parallel, and store the values of their input triangles.
     fn look_at_parts(
         &mut self,
         asked: &[Asked<'_>],
@@ -299,7 +306,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
     ) -> Result<Vec<Looked>, KernelError> {
         let threads = parallel::threads(self.decision.threads);
         if let [asked] = asked {
-            // It may be all of the input: what is found goes where it is kept at once.
+            // A single partition may be the whole input: store each result directly instead of buffering it.
             let (mut attained, mut reach) =
                 (std::mem::take(&mut self.attained), std::mem::take(&mut self.reach));
             let keep = |t: usize, kept: Kept| (attained[t], reach[t]) = (kept.attained, kept.reach);
@@ -308,7 +315,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             return Ok(vec![looked?]);
         }
         let inner = if asked.len() < MANY * threads { threads.min(BESIDE) } else { 1 };
-        // The largest ones first: what comes last is soon done.
+        // Largest first, so that no thread starts a large partition at the end.
         let mut order: Vec<usize> = (0..asked.len()).collect();
         order.sort_by_key(|&i| std::cmp::Reverse(asked[i].own.len() + asked[i].near.len()));
         let one = |(): &mut (), i: usize| {
@@ -329,7 +336,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Ok(in_order.collect())
     }
 
-    /// Look at one of them, and hand out what to keep of each of its triangles of the input.
+    /// Certify one partition; `keep` receives the values to store for each input triangle.
     fn look_at_part(
         &self,
         Asked { part, left, own, near }: &Asked<'_>,
@@ -343,7 +350,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let target = Surface::of_some(&mesh.points, &mesh.triangles, left, threads)?;
         let place = |i: u32| left.partition_point(|&other| other < i) as u32;
         let mut own: Vec<u32> = own.iter().map(|&(i, _)| place(i)).collect();
-        // Colours are looked at where they are to be bounded, too.
+        // If partitions are bounded separately, colours are certified even without a limit on colour.
         let decision = certify::Options { limit: limit.or(self.decision.limit), threads, ..self.decision };
         let decision = match self.close {
             Some(_) => certify::Options { limit: None, ..decision },
@@ -378,8 +385,9 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Ok(found)
     }
 
-    /// What is decided of a part's triangles whose corners attain so much: the bounds asked for, and colours as closely as
-    /// wanted.
+    /// Compute the limit of a partition from the deviation at its corners.
+    ///
+    /// The limit is the requested bounds; for colour, the tolerance of the partition applies if that is less.
     fn limit_of(&self, attained: Deviation) -> Deviation {
         match &self.close {
             Some(close) => {
@@ -389,7 +397,9 @@ impl<'a, const D: usize> Ledger<'a, D> {
         }
     }
 
-    /// The triangles of a mesh that one of the input may be nearest to, named by `source`.
+    /// Find the mesh triangles that may be nearest to an input triangle.
+    ///
+    /// `source` maps their indices in `target` to sources.
     fn within_reach(&self, triangle: u32, target: &Surface, source: impl Fn(u32) -> u32) -> Vec<u32> {
         let corners = self.original.triangles[triangle as usize].map(|v| self.original.points[v as usize]);
         let [low, high] = box_around(&corners, self.bounds.shape);
@@ -398,7 +408,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         within_reach
     }
 
-    /// Triangles of the mesh without a proof, by their number in `result`.
+    /// Iterate over the unproven triangles of the mesh, as indices into `result`.
     fn failing_of_result(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.result.len()).filter(|&i| !self.result[i].verdict.bound.within(self.bounds))
     }
@@ -407,8 +417,10 @@ impl<'a, const D: usize> Ledger<'a, D> {
         self.failing.iter().filter(|failing| !failing.bound.within(self.bounds))
     }
 
-    /// By triangle of a part: whether any of these triangles of the mesh may be nearest to a point of it, given how far the
-    /// mesh is from it at most: others need not be looked at again when they come or go. Empty if there are none.
+    /// Mark the triangles of a partition that a change may affect.
+    ///
+    /// An input triangle is affected if a changed mesh triangle may be nearest to one of its points, given
+    /// its `reach`. Empty if `changed` is empty.
     fn within_reach_of(&self, part: &Part, changed: &[&Known<D>]) -> Vec<bool> {
         let mut near = vec![false; if changed.is_empty() { 0 } else { part.triangles.len() }];
         let reach = self.bounds.shape * (1.0 + 1e-9);
@@ -428,8 +440,9 @@ impl<'a, const D: usize> Ledger<'a, D> {
         near
     }
 
-    /// Find out which of the triangles without a proof can have none: their bounds do not hold between the input
-    /// and itself. Returns how many more there are now.
+    /// Find the unproven triangles that can never be proven: their bounds fail between the input and itself.
+    ///
+    /// Returns the number of new ones.
     pub fn look_for_hopeless(&mut self, progress: &mut Progress) -> Result<usize, KernelError> {
         let sources = self.failing_of_result().map(|i| self.result[i].source);
         let failing = sources.chain(self.failing_of_input().map(|failing| failing.triangle));
@@ -450,14 +463,14 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Ok(self.hopeless.len() - before)
     }
 
-    /// No proof is looked for any more of these triangles of the input, and of what is left of them.
+    /// Give up the proofs of these input triangles and of the mesh triangles left of them.
     pub fn give_up(&mut self, hopeless: Vec<u32>) {
         self.hopeless.extend(hopeless);
         self.hopeless.sort_unstable();
         self.hopeless.dedup();
     }
 
-    /// Triangles without a proof that are not hopeless.
+    /// Collect the unproven triangles that have not been given up.
     pub fn open(&self) -> Open {
         let hope = |t: &u32| self.hopeless.binary_search(t).is_err();
         let of_input = self.failing_of_input().filter(|failing| hope(&failing.triangle));
@@ -466,8 +479,9 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Open { of_result, of_input, within_reach }
     }
 
-    /// What is proven of `mesh`, which must be the one looked at last: the bounds, and what holds instead for triangles
-    /// without a proof, as closely as `options` say.
+    /// Create the certificate of `mesh`, which must be the mesh of the last [`Self::look`].
+    ///
+    /// Proven triangles get the requested bounds; unproven triangles are bounded according to `options`.
     pub fn certificate(
         &self,
         mesh: &Compact<D>,
@@ -484,15 +498,17 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let result = Surface::new(&mesh.points, &mesh.triangles, threads)?;
         let options = certify::Options { limit: None, threads, ..*options };
         let instead = certify::certify_some(&result, self.surface(), &options, [&own, &original], progress)?;
-        // Without a bound on colours nothing is said of the others'.
+        // Without a bound on colour, the colours of the other triangles are unknown.
         let said = |d: Deviation| if self.with_color() { d } else { Deviation { color: 0.0, ..d } };
         combine(&mut all, &instead, |a, b| a.max(said(b)));
         all.attained = all.attained.max(said(instead.attained));
         Ok(all)
     }
 
-    /// What is proven of each part that `wanted` says yes to, as closely as was asked for; `mesh` must be the one looked at
-    /// last.
+    /// Bound each partition that `wanted` selects, to the requested tolerances.
+    ///
+    /// `mesh` must be the mesh of the last [`Self::look`]. Partitions that are not selected get
+    /// [`Verdict::UNKNOWN`].
     ///
     /// # Errors
     /// [`KernelError::Interrupted`].
@@ -573,7 +589,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         !self.surface().colors.is_empty() && self.bounds.color < f64::INFINITY
     }
 
-    /// The bounds that were asked for, for every triangle.
+    /// Create a certificate that assigns the requested bounds to every triangle.
     fn bounds_everywhere(&self) -> Certificate {
         let bound =
             Deviation { color: if self.with_color() { self.bounds.color } else { 0.0 }, ..self.bounds };
@@ -591,8 +607,9 @@ impl<'a, const D: usize> Ledger<'a, D> {
         }
     }
 
-    /// This proof and another of the same meshes: each bound is the lesser one. This one says nothing of colours without
-    /// a bound on them.
+    /// Combine this proof with another one of the same meshes: the lower bound wins.
+    ///
+    /// Without a bound on colour, this proof adds nothing to the colours of `other`.
     pub fn closer(&self, mut other: Certificate) -> Certificate {
         let this = self.bounds_everywhere();
         let with_color = self.bounds.color < f64::INFINITY;
@@ -603,7 +620,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
     }
 }
 
-/// Bounds of two certificates of the same meshes, made one by one.
+/// Combine the bounds of two certificates of the same meshes, triangle by triangle.
 fn combine(all: &mut Certificate, other: &Certificate, one: impl Fn(Deviation, Deviation) -> Deviation) {
     let each = |a: &mut [Deviation], b: &[Deviation]| a.iter_mut().zip(b).for_each(|(a, b)| *a = one(*a, *b));
     each(&mut all.result, &other.result);
@@ -612,7 +629,7 @@ fn combine(all: &mut Certificate, other: &Certificate, one: impl Fn(Deviation, D
     all.bound = one(all.bound, other.bound);
 }
 
-/// The box around three corners, with a margin.
+/// Compute the bounding box of three corners, enlarged by a margin.
 fn box_around<const D: usize>([a, b, c]: &[[f64; D]; 3], margin: f64) -> [Vec3; 2] {
     let low = [0, 1, 2].map(|i| a[i].min(b[i]).min(c[i]) - margin);
     [low, [0, 1, 2].map(|i| a[i].max(b[i]).max(c[i]) + margin)]

@@ -1,25 +1,26 @@
-//! Simplification as far as a proof allows.
+//! Simplification within proven bounds.
 //!
 //! ```text
-//! limits of all samples ← a share of the bounds
+//! limits of all samples ← a ratio of the bounds
 //! repeat:
-//!     simplify, every sample within its limits                    tracked
-//!     which triangles stay within the bounds, everywhere?         certify
-//!     all: done
-//!     tighten the limits of the samples around the others
-//!     take back the collapses that made those, and what was built on them; where it goes on failing, all around, for good
+//!     collapse edges, every sample within its limits                  tracked
+//!     certify: which triangles are within the bounds everywhere?      certify
+//!     all proven: done
+//!     tighten the limits of the samples around unproven triangles
+//!     undo the collapses that produced them and all collapses built on them;
+//!         after repeated failures, undo everything around and lock it
 //! ```
 //!
-//! After the first time only what has changed is looked at. What is locked on all sides is the input itself, which is why
-//! this ends.
+//! After the first pass, only changed triangles are certified again. The loop ends because a region whose
+//! vertices are all locked is the input itself.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
 //! | [`simplify`] | the loop |
-//! | [`tracker`], [`fan`], [`original`] | samples of the input that say whether a collapse may take place; where they fall; the input |
-//! | [`tracked`], [`along_seams`] | attribute quadrics, or the method `seams`, asked only for what samples allow |
-//! | `ledger` | what is proven so far |
-//! | [`history`], `watched`, `retreat` | collapses that can be taken back, and which to take back |
+//! | [`tracker`], [`fan`], [`original`] | samples of the input that a collapse must keep within limits; nearest points on the star; nearest points on the input |
+//! | [`tracked`], [`along_seams`] | attribute quadrics and the method `seams`, restricted by the samples |
+//! | `ledger` | cache of proofs |
+//! | [`history`], `watched`, `retreat` | collapses that can be undone; samples per triangle; the choice of collapses to undo |
 
 pub mod along_seams;
 pub mod fan;

@@ -1,20 +1,20 @@
-//! The input surface while it is simplified: nearest points on it, found by walking from a vertex.
+//! The input surface, with nearest points found by walking from a vertex.
 
 use crate::base::geometry::{Vec3, cross, dot, nearest_on_triangle, norm2, position, sub};
 
-/// A point of the surface.
+/// A nearest point on the surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Foot<const D: usize> {
-    /// Squared distance from the point that was asked for.
+    /// Squared distance from the query point.
     pub distance2: f64,
     /// Position and attributes.
     pub point: [f64; D],
     pub triangle: u32,
-    /// The corner it is nearest to, by weight.
+    /// The corner with the largest barycentric coordinate.
     pub vertex: u32,
 }
 
-/// Points, triangles, and the triangles around each vertex. Nothing is asked of the mesh but that indices are in range.
+/// Triangle soup with the triangles around each vertex. The only requirement is that indices are in range.
 pub struct Original<const D: usize> {
     pub points: Vec<[f64; D]>,
     pub triangles: Vec<[u32; 3]>,
@@ -39,14 +39,16 @@ impl<const D: usize> Original<D> {
         Self { points, triangles, starts, around }
     }
 
-    /// Triangles around a vertex.
+    /// Return the triangles around a vertex.
     #[inline]
     pub fn around(&self, v: u32) -> &[u32] {
         &self.around[self.starts[v as usize] as usize..self.starts[v as usize + 1] as usize]
     }
 
-    /// A point of the surface near `p`: the nearest one on the triangles around `start`, then on those around the corner
-    /// it is nearest to, as long as that comes closer. None if no triangle uses `start`.
+    /// Find a nearby point of the surface by a greedy walk.
+    ///
+    /// The walk starts at vertex `start` and searches the triangles around it. It moves to the corner nearest
+    /// to the foot, and stops when the distance no longer decreases. `None` if no triangle uses `start`.
     pub fn walk(&self, p: &Vec3, start: u32) -> Option<Foot<D>> {
         let mut best: Option<Foot<D>> = None;
         let mut from = start;
@@ -66,13 +68,15 @@ impl<const D: usize> Original<D> {
         }
     }
 
-    /// How far along the line from `a` (0) to `b` (1) its points, after `from`, are above or below a triangle, beyond 1 if
-    /// they are to the end; and across which side they leave it, by the corner opposite.
+    /// Find where the line from `a` to `b` leaves the prism over a triangle.
+    ///
+    /// The returned parameter is 0 at `a` and 1 at `b`, not less than `from`, and above 1 if the line ends
+    /// inside. Also returns the corner opposite the side that the line crosses.
     pub fn leaves(&self, triangle: u32, a: &Vec3, b: &Vec3, from: f64) -> (f64, usize) {
         let [p, q, r] = self.triangles[triangle as usize].map(|v| position(&self.points[v as usize]));
         let (u, v) = (sub(&q, &p), sub(&r, &p));
         let normal = cross(&u, &v);
-        // Twice the areas that the barycentric coordinates are ratios of, at both ends of the line.
+        // Barycentric coordinates of both ends of the line, times `area2`.
         let (along_u, along_v) = (cross(&v, &normal), cross(&normal, &u));
         let area2 = norm2(&normal);
         let weights = |x: &Vec3| {
@@ -94,7 +98,7 @@ impl<const D: usize> Original<D> {
         least
     }
 
-    /// The triangle beyond the side opposite a corner; any of them, where there are more.
+    /// Find the neighbour across the side opposite a corner; any of them on a non-manifold edge.
     pub fn across(&self, triangle: u32, opposite: usize) -> Option<u32> {
         let corners = self.triangles[triangle as usize];
         let (u, v) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
@@ -102,7 +106,7 @@ impl<const D: usize> Original<D> {
         around.find(|&t| t != triangle && self.triangles[t as usize].contains(&v))
     }
 
-    /// The point of one triangle that is nearest to `p`.
+    /// Find the point of one triangle that is nearest to `p`.
     #[inline]
     pub fn foot(&self, p: &Vec3, triangle: u32) -> Foot<D> {
         let corners = self.triangles[triangle as usize];
@@ -120,7 +124,7 @@ impl<const D: usize> Original<D> {
     }
 }
 
-/// The point with barycentric coordinates `at`.
+/// Interpolate `points` with the barycentric coordinates `at`.
 #[inline]
 pub fn blend<const D: usize>(at: &[f64; 3], points: [&[f64; D]; 3]) -> [f64; D] {
     std::array::from_fn(|i| at[0] * points[0][i] + at[1] * points[1][i] + at[2] * points[2][i])

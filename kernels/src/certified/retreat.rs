@@ -1,5 +1,4 @@
-//! Going back to where a proof may succeed: collapses around its failures are undone, and the mesh that is left is made
-//! ready to be simplified again.
+//! Undo of the collapses around failed proofs.
 
 use super::history::History;
 use super::ledger::Open;
@@ -8,11 +7,12 @@ use super::tracker::{Bound, Lists};
 use super::watched::Watched;
 use crate::collapse::whole::{CornerRefusals, Whole};
 
+/// A mesh in the process of undoing collapses.
 pub struct Retreat<'a, const D: usize> {
     original: &'a Original<D>,
     history: History<'a, D>,
     watched: Watched,
-    /// Triangles that are not what they were, or not there any more.
+    /// Triangles whose shape changed or that reappeared.
     touched: Vec<u32>,
 }
 
@@ -21,8 +21,10 @@ impl<'a, const D: usize> Retreat<'a, D> {
         Self { original, history, watched, touched: vec![] }
     }
 
-    /// Samples of the triangles of the result without a proof, or corners of one that has none and the samples beside
-    /// it, and corners of those of the input; each once.
+    /// Collect the samples around unproven triangles, sorted, each once.
+    ///
+    /// These are the corners of unproven input triangles and the samples of unproven mesh triangles. A mesh
+    /// triangle without samples contributes its corners and the samples of its neighbours.
     pub fn samples_around(&self, mesh: &Whole<D, Bound>, open: &Open) -> Vec<u32> {
         let mut around: Vec<u32> =
             open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]).collect();
@@ -49,7 +51,9 @@ impl<'a, const D: usize> Retreat<'a, D> {
         around
     }
 
-    /// What is open where a proof has failed so many times, as `failures` says by vertex of the input.
+    /// Select the unproven triangles where proofs failed at least `times` times.
+    ///
+    /// `failures` counts failed proofs by input vertex.
     pub fn stubborn(&self, open: &Open, failures: &[u8], times: u8) -> Open {
         let often = |v: u32| failures[v as usize] >= times;
         let corners = |t: u32| self.history.corners(t).into_iter().flatten();
@@ -61,11 +65,14 @@ impl<'a, const D: usize> Retreat<'a, D> {
         Open { of_result, of_input, within_reach }
     }
 
-    /// Take back the collapse that made each triangle without a proof, and one of those that made what a triangle of
-    /// the input lies at: the last one, since least depends on it. Where it has failed twice before, as `failures` says by
-    /// vertex of the input, take back all that made what is within reach.
+    /// Undo the collapses that produced unproven triangles.
     ///
-    /// Returns the triangles that have nothing but the input around them: they can have no proof.
+    /// For a mesh triangle this is the last collapse that changed it. For an input triangle it is the latest
+    /// such collapse of the mesh triangles that own its corners, because the fewest later collapses depend on
+    /// it. After more than two failures (`failures`, by input vertex), the last collapse of every mesh
+    /// triangle within reach is undone.
+    ///
+    /// Returns the triangles around which nothing can be undone: they cannot be proven.
     pub fn take_back(&mut self, open: &Open, failures: &[u8]) -> Vec<u32> {
         let latest = |t: &u32| self.history.corners(*t).and_then(|corners| self.history.latest(&corners));
         let (mut collapses, mut hopeless) = (vec![], vec![]);
@@ -94,7 +101,9 @@ impl<'a, const D: usize> Retreat<'a, D> {
         hopeless
     }
 
-    /// Vertices of the input that are part of the triangles without a proof, or of what is within their reach.
+    /// Collect the input vertices around unproven triangles, sorted, each once.
+    ///
+    /// Includes the vertices and samples of the mesh triangles within reach.
     pub fn vertices_around(&self, open: &Open) -> Vec<u32> {
         let mut around: Vec<u32> =
             open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]).collect();
@@ -108,7 +117,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
         around
     }
 
-    /// Bring vertices of the input back and lock them there.
+    /// Restore input vertices and lock them.
     pub fn lock(&mut self, vertices: &[u32], locked: &mut Vec<bool>) {
         if vertices.is_empty() {
             return;
@@ -131,7 +140,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
         });
     }
 
-    /// The mesh there is now, the samples of its triangles, and what led to it. `before` is what it was.
+    /// Build the mesh after the undo, its sample lists and its history. `before` is the mesh before the undo.
     pub fn mesh(
         mut self,
         before: Whole<D, Bound>,
@@ -141,7 +150,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
         self.touched.dedup();
         let corners = |t: u32| self.history.corners(t).map(|corners| (t, corners));
         let new: Vec<(u32, [u32; 3])> = self.touched.iter().filter_map(|&t| corners(t)).collect();
-        // What was refused may be allowed beside them.
+        // Edges next to a changed triangle may be legal now: forget their refusals.
         let mut near = vec![false; self.original.points.len()];
         new.iter().flat_map(|(_, corners)| corners).for_each(|&v| near[v as usize] = true);
 
@@ -193,7 +202,7 @@ mod tests {
 
     #[test]
     fn only_what_has_failed_often_is_stubborn() {
-        // A strip of four triangles, each beside the next.
+        // A strip of four triangles.
         let points: Vec<[f64; 3]> = (0..6).map(|i| [f64::from(i), f64::from(i % 2), 0.0]).collect();
         let triangles = vec![[0, 1, 2], [2, 1, 3], [2, 3, 4], [4, 3, 5]];
         let original = Original::new(points, triangles);

@@ -1,4 +1,4 @@
-//! Simplify, prove, take back, until all is proven.
+//! The loop of certified simplification: simplify, prove, undo.
 
 use super::original::Original;
 use super::tracked::{Rules, TrackedRecords};
@@ -18,51 +18,54 @@ use super::ledger::{Apart, Ledger, Open};
 use super::retreat::Retreat;
 use super::watched::Watched;
 
-/// What samples may use of a bound, so that the points between them have some left.
+/// Ratio of the bounds that samples may use; the rest is a margin for the points between samples.
 const SHARE: f64 = 0.9;
 
-/// What a limit is multiplied with where the proof failed.
+/// Factor on the limits of the samples around a failed proof.
 const TIGHTER: f32 = 0.6;
 
-/// Pieces a triangle, on average over those looked at together, that may be spent on those that few pieces leave open.
+/// Average number of pieces per triangle that may be spent on undecided triangles.
 const EFFORT: f64 = 8.0;
 
-/// Proofs that may fail before it is asked whether they can succeed at all,
+/// Passes before unproven triangles are tested for being provable at all.
 const HOPE: usize = 6;
 
-/// and failures at one place before nothing there is simplified any more: what is locked makes its neighbours fail, so that
-/// they must have their chances too,
+/// Failures at a vertex before its surroundings are locked for good. Locked vertices cause failures next to
+/// them, so the neighbours need a few attempts, too.
 const PATIENCE: usize = 8;
 
-/// and before the place is given up.
+/// Failures at a vertex before the proof there is given up.
 const END: usize = 20;
 
-/// After so many times as many passes there is no patience with any place.
+/// After `IMPATIENCE × PATIENCE` passes, the surroundings of all unproven triangles are locked. After
+/// `IMPATIENCE × END` passes, all remaining proofs are given up.
 const IMPATIENCE: usize = 4;
 
-/// A round that collapses a smaller share of the triangles is followed by a proof.
+/// Ratio of triangles below which a round stops the collapse loop, so that a proof follows.
 const LEAST_ROUND: f64 = 1.0 / 2000.0;
 
-/// Colours are stored in whole levels. Closer bounds would ask for more than that, and proofs of them for too much.
+/// Smallest provable bound on colour in levels. Colours are stored as whole levels; proofs of closer bounds
+/// cost too much.
 const LEAST_COLOR: f64 = 0.5;
 
+/// Parameters of the certified simplification.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Two-sided distance in metres and difference of colour in levels, infinite for none. What is less than
-    /// can be proven in single precision counts as that.
+    /// Two-sided distance in metres and colour difference in levels; infinite for no bound. Values below the
+    /// smallest provable bounds are raised to them.
     pub bounds: Deviation,
-    /// Length that counts as much as one level when a vertex is placed.
+    /// Length in metres that counts as much as one colour level when a vertex is placed.
     pub weight: f64,
-    /// By vertex: multiplies the error there, and divides what a sample may use of the bounds; empty for 1.
+    /// By vertex: factor on the error, and divisor of the sample limits; empty for 1.
     pub importance: Vec<f64>,
-    /// How the proof is made; its limit is not used.
+    /// Options of the proof; `limit` is ignored.
     pub proof: certify::Options,
-    /// Whether to bound each triangle as closely as `proof` says, and not only by the bounds that were asked for; without a
-    /// bound on colours, by the greatest difference of any.
+    /// Bound each triangle to the tolerances of `proof` instead of only proving the requested bounds. If
+    /// false and the bound on colour is infinite, only the largest colour difference is bounded.
     pub close: bool,
-    /// Whether the end is that no edge may collapse, and not that next to none does.
+    /// Continue until no edge can collapse, not only until hardly any does.
     pub to_the_end: bool,
-    /// What samples may use of a bound, so that the points between them have some left.
+    /// Ratio of the bounds that samples may use; the rest is a margin for the points between samples.
     pub share: f64,
     pub rules: Rules,
 }
@@ -82,39 +85,44 @@ impl Options {
     }
 }
 
-/// One turn of the loop.
+/// Statistics of one pass of the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pass {
     pub triangles: usize,
-    /// Triangles of the result, and of the input, without a proof.
+    /// Unproven triangles of the mesh and of the input.
     pub unproven: [usize; 2],
-    /// Collapses that were not taken back, of all that were tried so far.
+    /// Collapses that were not undone, and all attempts so far.
     pub collapses: usize,
     pub attempts: u64,
 }
 
+/// Result of the certified simplification.
 #[derive(Clone, Debug)]
 pub struct Certified<const D: usize> {
     pub mesh: Compact<D>,
     pub certificate: Certificate,
-    /// Whether the bounds are proven. If not, the caller stopped the work, or they do not even hold between the input
-    /// and itself: where sheets of different colours touch.
+    /// True if the bounds are proven. False if the caller stopped the work, or if the bounds do not even hold
+    /// between the input and itself. The latter happens where sheets of different colours touch.
     pub proven: bool,
     pub stop: Stop,
     pub passes: Vec<Pass>,
-    /// Why edges may not collapse.
+    /// For each edge that cannot collapse: the reason.
     pub refused: Vec<Refusal<Bound>>,
-    /// The collapses that were not taken back, if a record was asked for.
+    /// Collapses that were not undone; empty unless `Goal::record` is set.
     pub way: Way<D>,
 }
 
-/// The least bounds that can be proven for surfaces of this size: a proof spends the slack of single precision.
+/// Compute the smallest provable bounds for a surface of this size.
+///
+/// A proof needs twice the slack of single precision.
 pub fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
     let corners = original.triangles.iter().flatten().map(|&v| position(&original.points[v as usize]));
     Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: LEAST_COLOR }
 }
 
-/// Simplify as far as the bounds can be proven to hold for every point of both surfaces.
+/// Simplify as far as the bounds can be proven.
+///
+/// The bounds hold for every point of both surfaces.
 ///
 /// # Errors
 /// As [`crate::mesh::connectivity::Connectivity::from_triangles`], and [`KernelError::Interrupted`].
@@ -134,7 +142,7 @@ pub fn simplify<const D: usize, const K: usize>(
     let original = Original::new(whole.points, whole.triangles);
     progress.check()?;
     let start = State::of_input(&original, goal.record)?;
-    // Where no bound on colours is wanted, what they differ by is found out on the way.
+    // Without a bound on colour, the largest colour difference is bounded along with the proof of shape.
     let of_all = D > 3 && options.bounds.color == f64::INFINITY && !options.close;
     let part = vec![0; if of_all { original.triangles.len() } else { 0 }];
     let apart = of_all.then_some(Apart { part: &part, close: &options.proof });
@@ -156,7 +164,7 @@ pub fn simplify<const D: usize, const K: usize>(
         let Certificate { result, own, original, .. } = &mut certificate;
         [result, own, original].into_iter().flatten().for_each(|d| d.color = bound.color);
     }
-    // With more effort the rest may be within the bounds after all.
+    // The certificate is computed with more effort than the decisions, so it may prove the rest.
     let proven = proven || certificate.bound.within(ledger.bounds());
     if let Some(last) = passes.last_mut().filter(|_| proven) {
         last.unproven = [0, 0];
@@ -168,7 +176,7 @@ pub fn simplify<const D: usize, const K: usize>(
     Ok(Certified { mesh, certificate, proven, stop, passes, refused, way })
 }
 
-/// No two colours are farther apart.
+/// Bound the difference between any two colours.
 fn farthest_colors<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> f64 {
     let extent = |i: usize| {
         let all = || a.iter().chain(b).map(|p| p[i]);
@@ -177,7 +185,7 @@ fn farthest_colors<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> f64 {
     (3..D).map(|i| extent(i).max(0.0).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Where the loop has ended.
+/// Final state of the loop.
 pub struct Reached<'a, const D: usize> {
     pub state: State<'a, D>,
     pub ledger: Ledger<'a, D>,
@@ -186,8 +194,10 @@ pub struct Reached<'a, const D: usize> {
     pub passes: Vec<Pass>,
 }
 
-/// The loop itself, from any state of `original` that is within the bounds. What has happened before stays; `locked` is by
-/// vertex of the input, empty for none. Parts that are proven `apart` must be locked where they touch.
+/// Run the loop of simplification, proof and undo from a given state.
+///
+/// `start` must be within the bounds; its earlier collapses are never undone. `locked` is by input vertex,
+/// empty for none. Partitions in `apart` must be locked where they touch.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -217,7 +227,8 @@ pub fn go_on<'a, const D: usize, const K: usize>(
         let importance = importance_of(&mesh, &history, &options.importance);
         let records =
             TrackedRecords::<D, K>::new(original, &limits, options.weight, importance, lists, options.rules);
-        // What was taken back is to go once more, and proofs are counted in other units.
+        // Undone triangles have to go again, and proofs have no comparable unit: only collapses report
+        // progress.
         let gone = original.triangles.len() - mesh.triangles.len();
         let outcome = collapse(mesh, records, &goal, &mut progress.part(gone as u64, to_go))?;
         let proving = &mut progress.silent();
@@ -242,7 +253,7 @@ pub fn go_on<'a, const D: usize, const K: usize>(
         }
         progress.check()?;
         if settled {
-            // Single edges are tried when the rest is proven.
+            // Everything is proven: now try the remaining single edges, too.
             goal.least = 0.0;
         } else {
             state = state.step_back(original, &mut known, &open, &mut limits, &mut lost, passes.len());
@@ -251,7 +262,7 @@ pub fn go_on<'a, const D: usize, const K: usize>(
     }
 }
 
-/// What samples may use of the bounds at first.
+/// Compute the initial limits of the samples.
 fn limits_of(options: &Options, bounds: Deviation, least: Deviation, vertices: usize) -> Limits {
     let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
     Limits {
@@ -262,7 +273,7 @@ fn limits_of(options: &Options, bounds: Deviation, least: Deviation, vertices: u
     }
 }
 
-/// What is proven of a result: each triangle's own bounds, or those that were asked for.
+/// Compute the certificate of a result: bounds per triangle, or only the requested bounds.
 fn certificate_of<const D: usize>(
     mesh: &Compact<D>,
     ledger: &mut Ledger<'_, D>,
@@ -280,7 +291,7 @@ fn certificate_of<const D: usize>(
     Ok(if proven { ledger.closer(close) } else { close })
 }
 
-/// The mesh between two passes, the samples of its triangles, and how it came about.
+/// The mesh between two passes, with the samples of its triangles and its history.
 pub struct State<'a, const D: usize> {
     pub mesh: Whole<D, Bound>,
     pub lists: Lists,
@@ -288,7 +299,7 @@ pub struct State<'a, const D: usize> {
 }
 
 impl<'a, const D: usize> State<'a, D> {
-    /// The input itself; `in_order` if the order of the collapses will be asked for.
+    /// Create the state of the unchanged input; `in_order` if the collapse order is needed.
     ///
     /// # Errors
     /// As [`Whole::new`].
@@ -300,7 +311,7 @@ impl<'a, const D: usize> State<'a, D> {
         })
     }
 
-    /// The same with other vertices of the input locked; what was refused before is tried again.
+    /// Lock other input vertices, and forget all refusals.
     fn with_locks(mut self, locked: &[bool]) -> Self {
         let is_locked = |&v: &u32| locked[v as usize];
         self.mesh.locked =
@@ -310,15 +321,17 @@ impl<'a, const D: usize> State<'a, D> {
     }
 }
 
-/// What proofs that failed have led to, by vertex of the input.
+/// Failed proofs by input vertex.
 struct Lost {
-    /// How often they failed there.
+    /// Number of failures, saturating.
     failures: Vec<u8>,
     locked: Vec<bool>,
 }
 
 impl<'a, const D: usize> State<'a, D> {
-    /// Take back what has no proof, and be stricter there from now on. `passes` is how many have been made.
+    /// Undo collapses around unproven triangles, and tighten the limits there.
+    ///
+    /// `passes` is the number of passes so far.
     fn step_back(
         self,
         original: &'a Original<D>,
@@ -351,7 +364,7 @@ impl<'a, const D: usize> State<'a, D> {
     }
 }
 
-/// Importance of the vertices of the current mesh: the most of any that became part of one.
+/// Compute the importance of each vertex of the current mesh: the maximum of the input vertices it contains.
 fn importance_of<const D: usize>(
     mesh: &Whole<D, Bound>,
     history: &History<'_, D>,

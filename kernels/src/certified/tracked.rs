@@ -1,5 +1,7 @@
-//! Simplification within bounds: attribute quadrics say which edge goes next and where it goes to, samples of
-//! the input say whether it may.
+//! Certified simplification by attribute quadrics.
+//!
+//! The quadrics choose the next edge and the new position; the samples of the input decide if the collapse is
+//! allowed.
 
 use super::original::Original;
 use super::tracker::{Bound, LEAST_HEIGHT, Limits, Lists, SAMPLES, Sampled, Tracker};
@@ -11,14 +13,14 @@ use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 use crate::quadric::qem::{Qem, QemRecords};
 
-/// What else is asked of a collapse.
+/// Additional constraints on collapses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
-    /// No edge may come to join two locked vertices that none joins yet: see [`crate::mesh::legality::new_chord`].
+    /// No new edge may join two locked vertices: see [`crate::mesh::legality::new_chord`].
     pub without_chords: bool,
-    /// Coordinates are those that single precision has.
+    /// Round coordinates to single precision.
     pub single: bool,
-    /// Height over longest side below which no triangle may come.
+    /// Minimum ratio of height to longest side of any new triangle.
     pub needle: f64,
 }
 
@@ -28,13 +30,16 @@ impl Default for Rules {
     }
 }
 
+/// Measure of a region: attribute quadrics plus sample limits.
 pub struct Tracked<'a, const D: usize, const K: usize> {
     qem: Qem<D, K>,
     tracker: Tracker<'a, D>,
     rules: Rules,
 }
 
-/// Colours are 8-bit levels: what is proven of them must hold for what is stored.
+/// Round a new vertex to what the file can store.
+///
+/// Colours are 8-bit levels, and the proof must hold for the stored values.
 #[inline]
 fn rounded<const D: usize>(point: &[f64; D], single: bool) -> [f64; D] {
     std::array::from_fn(|i| match i {
@@ -90,7 +95,7 @@ impl<const D: usize, const K: usize> Measure<D> for Tracked<'_, D, K> {
     }
 }
 
-/// Which samples belong to which triangle of the whole mesh, and what they may do.
+/// Samples of each triangle of the whole mesh, and their limits.
 pub struct TrackedRecords<'a, const D: usize, const K: usize> {
     qem: QemRecords<K>,
     original: &'a Original<D>,
@@ -100,7 +105,7 @@ pub struct TrackedRecords<'a, const D: usize, const K: usize> {
 }
 
 impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
-    /// Records of a mesh with the importance of its vertices, or none.
+    /// Create the records of a mesh; `importance` is by vertex, or empty.
     pub fn new(
         original: &'a Original<D>,
         limits: &'a Limits,
@@ -113,7 +118,7 @@ impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
     }
 }
 
-/// What is left of a region's quadrics and samples.
+/// Importance and samples that remain of a region.
 pub struct TrackedRemains {
     importance: Vec<f64>,
     sampled: Sampled,
@@ -161,7 +166,7 @@ mod tests {
     use crate::collapse::whole::Whole;
     use crate::mesh::legality::Illegal;
 
-    /// A square of 6 by 6 with locked vertices, of which no edge may collapse.
+    /// Create a grid of 6 × 6 squares with locked vertices, in which every edge is refused.
     fn idle() -> Whole<3, Bound> {
         let points: Vec<[f64; 3]> =
             (0..49).map(|v| [f64::from(v % 7), f64::from(v / 7), f64::from(v * v % 5)]).collect();
@@ -186,7 +191,7 @@ mod tests {
         let both = [false, true].map(|soon| {
             let whole = idle();
             let importance = (0..49).map(f64::from).collect();
-            // All samples in a few triangles: their order is kept, too.
+            // Put all samples into a few triangles, so that their order matters.
             let mut lists = Lists { starts: vec![0; 73], samples: (0..49).collect() };
             lists.starts[10..].iter_mut().for_each(|s| *s = 20);
             lists.starts[50..].iter_mut().for_each(|s| *s = 49);

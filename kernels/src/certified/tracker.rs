@@ -1,11 +1,12 @@
-//! Samples of the input that say whether a collapse may take place.
+//! Samples of the input that limit which collapses are allowed.
 //!
-//! Every vertex of the input is a sample, and belongs to a triangle of the current mesh within its limits. A collapse has to
-//! keep each sample of its star within the limits of the new star, and the new vertex and the middles of its edges
-//! within those of the input. Between the samples nothing is certain yet: see [`crate::certified`].
+//! Every input vertex is a sample and belongs to a triangle of the current mesh within its limits. After a
+//! collapse, the distance of each sample of the star to the new star must be within its limits. The new
+//! vertex and check points on the new edges must be within the limits of the input. Points between the
+//! samples are not certified here: see [`crate::certified`].
 //!
-//! Local tracking of the input against the current mesh goes back to Ciampalini, Cignoni, Montani and Scopigno,
-//! "Multiresolution decimation based on global error", 1997.
+//! Local tracking of the input against the current mesh goes back to Ciampalini, Cignoni, Montani and
+//! Scopigno, "Multiresolution decimation based on global error", 1997.
 
 use super::fan::{Fan, FanFoot};
 use super::original::{Foot, Original};
@@ -14,66 +15,70 @@ use crate::certify::NEEDLE;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// Samples that take as long as a triangle of a region does.
+/// Samples that cost as much time as one triangle of a region.
 pub const SAMPLES: usize = 32;
 
-/// Along a new edge: how far to look beyond the end of a triangle, and the steps from look to look.
+/// Check points along a new edge, as ratios of its length: the distance past the end of an input triangle,
+/// and the minimum and maximum step between two check points.
 const BEYOND: f64 = 1.0 / 256.0;
 const LEAST_STEP: f64 = 1.0 / 16.0;
 const LARGEST_STEP: f64 = 0.5;
 
-/// Height over longest side below which no triangle comes by default: those that a proof takes for a side, and a few more.
+/// Default minimum ratio of height to longest side of a triangle. Proofs reduce thinner triangles to their
+/// longest side; the factor leaves a margin.
 pub const LEAST_HEIGHT: f64 = 1.25 * NEEDLE;
 
-/// No sample.
+/// Marks the end of a sample list.
 const NONE: u32 = u32::MAX;
 
-/// What a sample may be away from the current mesh, and its colour from the colour there.
+/// Maximum distance of a sample from the current mesh, and maximum colour difference there.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Metres; infinite for any.
+    /// Metres; infinite for no limit.
     pub shape: f64,
-    /// Levels, Euclidean over the channels; infinite for any.
+    /// Levels, Euclidean norm over the channels; infinite for no limit.
     pub color: f64,
-    /// By vertex of the input: what both are multiplied with there.
+    /// Factor on both limits, by input vertex.
     pub factors: Vec<f32>,
-    /// Height over longest side below which no triangle may come: more than [`NEEDLE`].
+    /// Minimum ratio of height to longest side; must be above [`NEEDLE`].
     pub needle: f64,
 }
 
-/// Which limit a collapse would break.
+/// The limit that a collapse would break.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Bound {
     Shape,
     Color,
-    /// A triangle would become so thin that searches in single precision overlook it: nothing is proven of those.
+    /// A triangle would become so thin that single-precision searches miss it; the proof does not cover such
+    /// triangles.
     Needle,
 }
 
+/// An input vertex, in a linked list of samples per triangle.
 #[derive(Clone, Copy)]
 struct Sample<const D: usize> {
     point: [f64; D],
     factor: f32,
-    /// Vertex of the input.
+    /// Input vertex.
     vertex: u32,
-    /// The next sample of the same triangle.
+    /// Next sample of the same triangle.
     next: u32,
 }
 
-/// The samples of a region.
+/// Samples of a region.
 pub struct Tracker<'a, const D: usize> {
     original: &'a Original<D>,
     limits: &'a Limits,
     samples: Vec<Sample<D>>,
-    /// The first sample of each triangle.
+    /// First sample of each triangle.
     heads: Vec<u32>,
-    /// Samples of the star at hand, and the wing each would go to.
+    /// Samples of the gathered star, and the wing each would move to.
     inside: Vec<(u32, u32)>,
     fan: Fan<D>,
 }
 
 impl<'a, const D: usize> Tracker<'a, D> {
-    /// Samples of a region's triangles.
+    /// Load the samples of the triangles of a region.
     pub fn load(original: &'a Original<D>, limits: &'a Limits, lists: &Lists, region: &Mesh<D>) -> Self {
         let mut heads = Vec::with_capacity(region.triangle_source.len());
         let mut samples = vec![];
@@ -90,7 +95,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
         Self { original, limits, samples, heads, inside: vec![], fan: Fan::default() }
     }
 
-    /// Samples of the triangles that are left, in their order.
+    /// Return the samples of the remaining triangles, in triangle order.
     pub fn unload(&self, region: &Mesh<D>) -> Sampled {
         let (mut counts, mut samples) = (vec![], Vec::with_capacity(self.samples.len()));
         for t in region.connectivity.triangles() {
@@ -101,7 +106,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
         Sampled { counts, samples }
     }
 
-    /// The star has become the fan that was allowed last: its samples go to the triangles they were found on.
+    /// Apply the collapse that [`Self::allows`] accepted last: move each sample to the wing found for it.
     pub fn commit(&mut self, star: &Star<D>) {
         for triangle in star.wings.iter().map(|w| w.triangle).chain(star.vanishing.iter().map(|v| v.0)) {
             self.heads[triangle.index()] = NONE;
@@ -112,13 +117,13 @@ impl<'a, const D: usize> Tracker<'a, D> {
         }
     }
 
-    /// Samples of a triangle.
+    /// Iterate over the samples of a triangle.
     fn samples_of(&self, triangle: usize) -> impl Iterator<Item = u32> + '_ {
         let some = |s: u32| (s != NONE).then_some(s);
         std::iter::successors(some(self.heads[triangle]), move |&s| some(self.samples[s as usize].next))
     }
 
-    /// Find the samples of a star; [`Self::allows`] and [`Self::commit`] are about that star then.
+    /// Collect the samples of a star, for [`Self::allows`] and [`Self::commit`].
     pub fn gather(&mut self, star: &Star<D>) {
         let mut inside = std::mem::take(&mut self.inside);
         inside.clear();
@@ -131,7 +136,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
         self.inside = inside;
     }
 
-    /// Whether the star may become the fan around `tip`.
+    /// Check the limits for the star with both ends moved to `tip`.
     pub fn allows(&mut self, star: &Star<D>, tip: &[f64; D]) -> Result<(), Bound> {
         self.fan.spread(star, tip);
         if self.fan.has_needle(star, self.limits.needle) {
@@ -139,7 +144,8 @@ impl<'a, const D: usize> Tracker<'a, D> {
         }
         for i in 0..self.inside.len() {
             let sample = &self.samples[self.inside[i].0 as usize];
-            // What is above the triangle it belonged to mostly stays there, and then need not be the nearest.
+            // Try the projection onto the previous triangle first: if that is within the limits, the nearest
+            // point is not needed.
             let place = position(&sample.point);
             let is_within =
                 |foot: &FanFoot<D>| self.within(sample.factor, foot.distance2, &sample.point, &foot.point);
@@ -150,7 +156,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
             let within = is_within(&foot);
             self.inside[i].1 = foot.wing;
             if let Err(bound) = within {
-                // Who refuses now is likely to refuse the next place too.
+                // The sample that refuses one position probably refuses the next one too: test it first.
                 self.inside.swap(0, i);
                 return Err(bound);
             }
@@ -159,21 +165,23 @@ impl<'a, const D: usize> Tracker<'a, D> {
         for wing in &star.wings {
             self.spoke_near_original(tip, &wing.from_point, start)?;
         }
-        // A boundary has one more edge than triangles.
+        // A boundary star has one more spoke than wings.
         if let Some(last) = star.boundary_neighbours.and_then(|_| self.last_spoke(star)) {
             self.spoke_near_original(tip, &last, start)?;
         }
         Ok(())
     }
 
-    /// The corner of a boundary star that starts no wing.
+    /// Find the last neighbour of a boundary star, which starts no wing.
     fn last_spoke(&self, star: &Star<D>) -> Option<[f64; D]> {
         let starts = |v| star.wings.iter().any(|w| w.from == v);
         star.wings.iter().find(|w| !starts(w.to)).map(|w| w.to_point)
     }
 
-    /// Whether an edge of the new surface is within the limits of the input: looked at wherever it passes from one
-    /// triangle of the input to the next, since it is farthest from a triangle at the end of its way along it.
+    /// Check that a new edge is within the limits of the input.
+    ///
+    /// The distance to an input triangle is largest where the edge leaves it. The edge is therefore tested
+    /// shortly after each crossing between input triangles.
     fn spoke_near_original(&self, tip: &[f64; D], to: &[f64; D], start: Foot<D>) -> Result<(), Bound> {
         let (a, b) = (position(tip), position(to));
         let (mut t, mut foot) = (0.0, start);
@@ -184,7 +192,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
                 return Ok(());
             }
             let point = std::array::from_fn(|i| tip[i] + t * (to[i] - tip[i]));
-            // Most often the next triangle will do; if not, there may be a nearer one.
+            // Usually the neighbouring triangle is near enough; if not, search for a nearer one.
             let next = self.original.across(foot.triangle, side).unwrap_or(foot.triangle);
             let beside = self.original.foot(&position(&point), next);
             foot = match self.foot_within(&point, beside) {
@@ -194,7 +202,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
         }
     }
 
-    /// The sample of the star that is nearest to a point.
+    /// Find the sample of the star that is nearest to a point.
     fn nearest_sample(&self, point: &[f64; D]) -> Result<u32, Bound> {
         let mut nearest = (f64::INFINITY, NONE);
         for (s, _) in &self.inside {
@@ -207,13 +215,13 @@ impl<'a, const D: usize> Tracker<'a, D> {
         if nearest.1 == NONE { Err(Bound::Shape) } else { Ok(nearest.1) }
     }
 
-    /// Whether a point of the new surface is within the limits of the input, which is searched from the vertex `start`.
+    /// Check a point of the new surface against the input, searching from vertex `start`.
     fn near_original(&self, point: &[f64; D], start: u32) -> Result<Foot<D>, Bound> {
         let Some(foot) = self.original.walk(&position(point), start) else { return Err(Bound::Shape) };
         self.foot_within(point, foot).map(|()| foot)
     }
 
-    /// Whether a point of the new surface is within the limits of one of the input.
+    /// Check a point of the new surface against a point of the input.
     #[inline]
     fn foot_within(&self, point: &[f64; D], foot: Foot<D>) -> Result<(), Bound> {
         self.within(self.limits.factors[foot.vertex as usize], foot.distance2, point, &foot.point)
@@ -232,7 +240,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
     }
 }
 
-/// Samples by triangle of the whole mesh. Samples are vertices of the input.
+/// Samples (input vertices) by triangle of the whole mesh.
 pub struct Lists {
     /// Samples of triangle t: `samples[starts[t]..starts[t + 1]]`.
     pub starts: Vec<u32>,
@@ -240,7 +248,7 @@ pub struct Lists {
 }
 
 impl Lists {
-    /// Those of the input itself: each vertex belongs to the first triangle that has it.
+    /// Assign each input vertex to the first triangle that uses it.
     pub fn of_input<const D: usize>(original: &Original<D>) -> Self {
         let mut owned = vec![false; original.points.len()];
         let mut starts = Vec::with_capacity(original.triangles.len() + 1);
@@ -257,21 +265,22 @@ impl Lists {
         Self { starts, samples }
     }
 
+    /// Return the samples of a triangle.
     pub fn of(&self, triangle: usize) -> &[u32] {
         &self.samples[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
     }
 
-    /// Those of some triangles, as a tracker that was not used leaves them.
+    /// Return the samples of some triangles, as loading and unloading a tracker would.
     pub fn untouched(&self, triangles: &[u32]) -> Sampled {
         let lists = || triangles.iter().map(|&t| self.of(t as usize));
         Sampled {
             counts: lists().map(|list| list.len() as u32).collect(),
-            // Each sample is put before those that are there.
+            // A tracker inserts samples at the head of a list, so it returns them in reverse.
             samples: lists().flat_map(|list| list.iter().rev()).copied().collect(),
         }
     }
 
-    /// Those of the next whole mesh: the triangles of each piece.
+    /// Concatenate the samples of all regions.
     pub fn join(&self, pieces: Vec<Sampled>) -> Self {
         let mut starts = Vec::with_capacity(1 + pieces.iter().map(|p| p.counts.len()).sum::<usize>());
         let mut samples = Vec::with_capacity(self.samples.len());
@@ -286,7 +295,7 @@ impl Lists {
     }
 }
 
-/// Samples of a region's triangles, in their order.
+/// Samples of the triangles of a region, in triangle order.
 pub struct Sampled {
     counts: Vec<u32>,
     samples: Vec<u32>,

@@ -1,25 +1,25 @@
-//! Which triangle of the current mesh each sample of the input belongs to. Samples are vertices of the input; triangles
-//! have its numbers too.
+//! The mesh triangle that each sample belongs to. Samples are input vertices; triangles have input indices,
+//! too.
 
 use super::history::History;
 use super::original::Original;
 use super::tracker::Lists;
 use crate::base::geometry::{position, triangle_distance2};
 
-/// No sample, or no triangle.
+/// Marks the absence of a sample or a triangle.
 const NONE: u32 = u32::MAX;
 
-/// Lists of samples, threaded through one array.
+/// Linked lists of samples in one array.
 pub struct Watched {
-    /// By triangle.
+    /// First sample, by triangle.
     first: Vec<u32>,
-    /// By sample.
+    /// Next sample and owning triangle, by sample.
     next: Vec<u32>,
     owner: Vec<u32>,
 }
 
 impl Watched {
-    /// From the lists of `triangles`.
+    /// Create from the lists of `triangles`.
     pub fn new<const D: usize>(original: &Original<D>, triangles: &[u32], lists: &Lists) -> Self {
         let mut watched = Self {
             first: vec![NONE; original.triangles.len()],
@@ -32,18 +32,18 @@ impl Watched {
         watched
     }
 
-    /// Samples of a triangle.
+    /// Iterate over the samples of a triangle.
     pub fn of(&self, triangle: u32) -> impl Iterator<Item = u32> + '_ {
         let some = |v: u32| (v != NONE).then_some(v);
         std::iter::successors(some(self.first[triangle as usize]), move |&v| some(self.next[v as usize]))
     }
 
-    /// The triangle a sample belongs to.
+    /// Return the triangle that a sample belongs to.
     pub fn owner(&self, sample: u32) -> Option<u32> {
         Some(self.owner[sample as usize]).filter(|&t| t != NONE)
     }
 
-    /// The triangles `before` have become those `after`, as `history` knows them: each sample goes to the nearest.
+    /// Reassign the samples of the triangles `before` to the nearest of the triangles `after`.
     pub fn share_out<const D: usize>(
         &mut self,
         original: &Original<D>,
@@ -66,7 +66,7 @@ impl Watched {
         }
     }
 
-    /// The lists of `triangles`.
+    /// Return the sample lists of `triangles`.
     pub fn lists(&self, triangles: &[u32]) -> Lists {
         let (mut starts, mut samples) = (Vec::with_capacity(triangles.len() + 1), vec![]);
         starts.push(0);

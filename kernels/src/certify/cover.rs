@@ -1,18 +1,21 @@
-//! One triangle against everything near it at once: the quick proof that it stays within a limit.
+//! Fast sufficient proof that one triangle stays within a limit, against all nearby triangles at once.
 //!
-//! Look at triangle T along its normal. The other surface's triangles over it are within some height of it. Where they
-//! hide all of T, every point of T has one of them as near as that. They do if a single point of T is hidden and no
-//! border of theirs crosses T: the number of layers over a point, those turned up less those turned down, changes
-//! nowhere but at a border, and at a side of two triangles that follow each other there is none.
+//! Shape: project the other surface along the normal of triangle T. All its triangles over T are within some
+//! height of T. If their projections cover T, every point of T has a point of the other surface within that
+//! height. They cover T if one point of T is covered and no border of the projections crosses T. This holds
+//! because the signed number of layers over a point changes only across a border. A side between two
+//! consistently oriented triangles is no border.
 //!
-//! Colour: a point x of T and the nearest point y of another triangle are no farther apart than that. Continued over
-//! the plane, the colour of T at the foot of y is linear on the other triangle, and so is the difference there;
-//! between foot and x it changes by no more than its gradient. Where the other triangle is the larger one,
-//! it is the other way round. Either way the slack comes to what the gradient is multiplied by.
+//! Colour: a point x of T and the nearest point y of another triangle are no farther apart than that height.
+//! Continue the colour of T over its plane and evaluate it at the foot of y. The result is linear on the
+//! other triangle, and so is the colour difference. Between the foot and x the colour of T changes by at most
+//! gradient × distance. If the other triangle is the larger one, the roles are exchanged. Either way the
+//! slack is added to the distance.
 //!
-//! Where that is not enough, T is cut into what each triangle over it hides: no point of such a cell is farther from the
-//! surface than from that triangle, and so fewer others can be nearest to it. What remains is cut on, where a colour may
-//! differ too much: by the plane beyond which another triangle is nearer, or in two.
+//! If that does not suffice, T is cut into cells, one below each covering triangle. The distance of a cell to
+//! the other surface is at most its distance to that triangle, so fewer other triangles can be nearest to it.
+//! A cell whose colour may still differ too much is cut further: by a plane beyond which another triangle is
+//! nearer, or in two.
 
 use super::facet::Facet;
 use super::piece::{Against, Deviation};
@@ -21,55 +24,59 @@ use super::surface::{combine, difference};
 use super::view::{Box, ROUNDING, Seen, View, area_and_length, extent, is_needle, needle_height};
 use crate::base::geometry::{Vec3, around};
 
-/// Times that a part is cut to find what of it a triangle is nearest to.
+/// Maximum number of cuts of one cell for one target triangle.
 const CUTS: usize = 16;
 
-/// Times the distance from one triangle that several may be above the plane.
+/// Maximum height of covering triangles, relative to the distance bound from a single triangle.
 const HIGHER: f64 = 2.0;
 
-/// What of T is looked at to count the layers over it: a point where few meshes have a side or a corner.
+/// Barycentric coordinates of the point of T whose layers are counted. Irrational ratios, because few meshes
+/// have a side or a corner there.
 const PLACE: Vec3 = [0.381_966_011_250_105, 0.351_407_320_124_931, 0.266_626_668_624_964];
 
-/// A triangle of the other surface that hides some of the one viewed, by its place in what was seen, and its greatest height
-/// over that.
+/// A target triangle whose projection covers part of the viewed triangle: its index in `seen`, its maximum
+/// height, and its bounding box.
 struct Hiding {
     seen: usize,
     height: f64,
     around: Box,
 }
 
-/// A part of the triangle viewed, and the box around it.
+/// A part of the viewed triangle, and its bounding box.
 struct Cell {
     polygon: Polygon,
     around: Box,
 }
 
-/// Memory that the next triangle can use again.
+/// State of the fast proof; its buffers are reused from triangle to triangle.
 #[derive(Default)]
 pub struct Cover {
-    /// What was seen of the triangle that was looked at last, from `first` on; before that of those it is part of.
+    /// Projected target triangles: from `first` on for the triangle viewed last, before that for the
+    /// triangles it is part of.
     seen: Vec<Seen>,
     first: usize,
-    /// How far that is all there is.
+    /// Distance up to which `seen` is complete.
     looked: f64,
-    /// Of the triangle that is not part of another.
+    /// View of the triangle that is not part of another one.
     view: Option<View>,
-    /// Sides that may cross the triangle: both vertices in order, and in which direction they are run through.
+    /// Sides that may cross the triangle: sorted vertices and direction, see [`side_of`].
     sides: Vec<u64>,
-    /// What hides all of the triangle.
+    /// Target triangles whose projections cover the viewed triangle together.
     hiding: Vec<Hiding>,
-    /// Parts of the triangle that cover it, each with how far one triangle of the other surface is.
+    /// Parts that cover the viewed triangle, each with a distance bound from one target triangle.
     cells: Vec<Cell>,
     parts: Vec<Polygon>,
-    /// How far the other surface is at most from what was proven last.
+    /// Upper bound on the distance of the other surface from the triangle proven last.
     pub reach: f64,
-    /// Where a colour differs too much, as far as the proof can tell.
+    /// A point at which the colour may differ too much.
     pub doubt: Option<Corner>,
 }
 
 impl Cover {
-    /// Whether all of `triangle` is proven to be within `limit`. `near` are slots nearest to its corners, and
-    /// their `reach` is the distance there. What it is a part of has been seen before: [`Self::seen_for_parts`].
+    /// Test if all of `triangle` is proven to be within `limit`.
+    ///
+    /// `near` are the slots nearest to its corners, and `reach` of each corner is the distance there.
+    /// `part_of` is the range that [`Self::seen_for_parts`] returned for the triangle that contains this one.
     pub fn proves(
         &mut self,
         against: &Against<'_>,
@@ -102,8 +109,8 @@ impl Cover {
             self.reach = reach;
             return true;
         }
-        // Several triangles may be nearer than one is, though higher up along the normal: fewer then have a colour that
-        // matters.
+        // Several triangles together may be nearer than any single one, although higher along the normal. A
+        // small height leaves fewer triangles whose colours matter.
         let most = by_one.map_or(most, |(_, reach)| most.min(HIGHER * reach));
         if part_of.is_none() {
             self.look(against, triangle, &view, most + against.slack, |_, _| false);
@@ -119,12 +126,12 @@ impl Cover {
             || self.color_within(against, triangle, &view, by_one.map(|(slot, _)| slot), reach, limit.color)
     }
 
-    /// How many triangles were near the one looked at last.
+    /// Number of target triangles near the triangle viewed last.
     pub fn crowd(&self) -> usize {
         self.seen.len() - self.first
     }
 
-    /// Where all is that may be near the triangle looked at last, for the parts that it is cut into.
+    /// Find all target triangles near the triangle viewed last, for its parts. Returns their range in `seen`.
     pub fn seen_for_parts(
         &mut self,
         against: &Against<'_>,
@@ -140,7 +147,7 @@ impl Cover {
         [self.first, self.seen.len()]
     }
 
-    /// The view of a triangle, or of a part of the one viewed before.
+    /// Create the view of a triangle, or of a part of the previous one.
     fn viewed(&mut self, triangle: &[Corner; 3], is_part: bool) -> Option<View> {
         match &self.view {
             Some(whole) if is_part => whole.part(triangle),
@@ -151,7 +158,9 @@ impl Cover {
         }
     }
 
-    /// Find every triangle that may be within `reach` of the one viewed, but for those in branches to `skip`.
+    /// Find every target triangle that may be within `reach` of the viewed one.
+    ///
+    /// Branches of the tree that `skip` accepts are left out.
     fn look(
         &mut self,
         against: &Against<'_>,
@@ -171,7 +180,7 @@ impl Cover {
         });
     }
 
-    /// The same of a part, among what was seen of the triangle it is part of.
+    /// As [`Self::look`] for a part, among the triangles found for the whole.
     fn look_again(&mut self, view: &View, reach: f64, [start, end]: [usize; 2]) {
         for i in start..end {
             if !view.apart(&self.seen[i].at, reach) {
@@ -180,7 +189,7 @@ impl Cover {
         }
     }
 
-    /// The greatest height of what hides all of the triangle, if that is at most `most`.
+    /// Find triangles that cover the viewed one together; returns their maximum height if it is ≤ `most`.
     fn hidden(
         &mut self,
         against: &Against<'_>,
@@ -197,9 +206,9 @@ impl Cover {
             if outside[0] & outside[1] & outside[2] != 0 {
                 continue;
             }
-            // Not part of the cover: where others end at it there is a border then.
+            // A triangle that is too high is not part of the cover; its neighbours have borders there.
             let mut height = seen.height();
-            // Beside the triangle it may be as high as it likes.
+            // Only the part over the viewed triangle counts.
             if height > highest && outside != [0; 3] {
                 height = view.height_over(&seen.at);
             }
@@ -231,8 +240,10 @@ impl Cover {
         all_closed.then_some(highest)
     }
 
-    /// Whether no point of the triangle differs in colour by more than `level` from any point that may be nearest to it,
-    /// where those are not farther than `reach`.
+    /// Test if the colours of the triangle are proven to be within `level`.
+    ///
+    /// Each point is compared with all target points that may be nearest to it; nearest points are within
+    /// `reach`.
     fn color_within(
         &mut self,
         against: &Against<'_>,
@@ -248,7 +259,7 @@ impl Cover {
             if soon_within(against, triangle, view, seen, around, level) {
                 continue;
             }
-            // Not all of the triangle is as far from what hides it as the farthest part.
+            // Near this target triangle, the cover may be closer than its farthest part.
             let Some(around) = self.around(seen, around, against.slack) else { continue };
             if view.apart(&seen.at, around) || soon_within(against, triangle, view, seen, around, level) {
                 continue;
@@ -261,7 +272,7 @@ impl Cover {
             if within(&all, 0, &mut self.parts).is_ok() {
                 continue;
             }
-            // Soon found for most: only what is left is worth the cells.
+            // Most triangles are proven before this; cells are only cut for the rest.
             if self.cells.is_empty() {
                 let hiding = self.hiding.iter().map(|hiding| &self.seen[hiding.seen]);
                 cut(&mut self.cells, against, triangle, view, one, hiding);
@@ -278,8 +289,10 @@ impl Cover {
         true
     }
 
-    /// How far what was seen, or another triangle no more than the slack nearer, can be from points it is nearest to; no
-    /// farther than `around`. None if there are no such points.
+    /// Bound the distance of a target triangle from points it is nearest to.
+    ///
+    /// Starts from the bound `around`; points within the slack of the nearest ones count. `None` if there are
+    /// no such points.
     fn around(&self, seen: &Seen, around: f64, slack: f64) -> Option<f64> {
         if self.hiding.is_empty() {
             return Some(around);
@@ -293,7 +306,7 @@ impl Cover {
         Some(around)
     }
 
-    /// The same by what is found at once.
+    /// As [`Self::color_within`], by the cheap tests only.
     fn color_soon_within(
         &self,
         against: &Against<'_>,
@@ -308,7 +321,7 @@ impl Cover {
     }
 }
 
-/// Whether the colour of what was seen is soon found to be within `level`.
+/// Test cheaply if the colour of a target triangle is within `level`.
 #[inline]
 fn soon_within(
     against: &Against<'_>,
@@ -329,7 +342,9 @@ fn soon_within(
     most.is_some_and(|most| most <= level)
 }
 
-/// Parts that cover the triangle: what each of those that hide it does, or all of it where `one` triangle is near all.
+/// Cut the viewed triangle into cells, one below each covering triangle.
+///
+/// If nothing covers it, the only cell is all of it, bounded by `one` triangle.
 fn cut<'s>(
     cells: &mut Vec<Cell>,
     against: &Against<'_>,
@@ -367,7 +382,7 @@ fn cut<'s>(
     }
 }
 
-/// The vertices of a side in order, and in which direction it is run through.
+/// Encode a directed side: sorted vertices, then the direction in the lowest bit.
 #[inline]
 fn side_of(a: u32, b: u32) -> u64 {
     u64::from(a.min(b)) << 32 | u64::from(a.max(b)) << 1 | u64::from(a < b)
@@ -378,13 +393,15 @@ fn ends_of(side: u64) -> [u32; 2] {
     [(side >> 32) as u32, side as u32 >> 1]
 }
 
-/// Whether two boxes are no farther apart than `margin` along both axes of the plane.
+/// Test if two boxes are within `margin` of each other in the plane.
 #[inline]
 fn meet(a: &Box, b: &Box, margin: f64) -> bool {
     (0..2).all(|i| a[0][i] <= b[1][i] + margin && b[0][i] <= a[1][i] + margin)
 }
 
-/// A triangle and the greatest distance of the corners from it, which no point between them passes.
+/// Find a single target triangle that all corners are near: its slot, and the largest distance.
+///
+/// The distance to one triangle is convex, so no point between the corners is farther.
 fn one_triangle(
     against: &Against<'_>,
     triangle: &[Corner; 3],
@@ -397,7 +414,7 @@ fn one_triangle(
             return (far <= most).then_some((near[0], far));
         }
         let reach = against.target.reach(near[i]);
-        // The corner this triangle is nearest to is the last one to be too far from it.
+        // Test the corner this triangle is nearest to last: it is the least likely to be too far.
         let far = [(i + 1) % 3, (i + 2) % 3, i].into_iter().try_fold(0.0f64, |far, k| {
             let far = far.max(reach(&triangle[k].at));
             (far <= most).then_some(far)
@@ -406,8 +423,10 @@ fn one_triangle(
     })
 }
 
-/// The greatest difference between the colours of a triangle and of the nearest points on a larger one, if that
-/// has a plane. The colour of the larger one is continued to the feet of points beside it.
+/// Bound the colour difference between a triangle and a larger target triangle.
+///
+/// The larger triangle is compared at its nearest points, with its colour continued over its plane. `None` if
+/// it has no plane.
 fn larger_differs(against: &Against<'_>, triangle: &[Corner; 3], slot: u32, around: f64) -> Option<f64> {
     let facet = Facet::new(&against.target.corners(slot))?;
     let colors = against.target.corner_colors(slot);
@@ -421,7 +440,9 @@ fn larger_differs(against: &Against<'_>, triangle: &[Corner; 3], slot: u32, arou
     Some(most + facet.slope(&colors) * (moved + against.slack))
 }
 
-/// How many times a triangle goes around a place, as seen: 1, 0 or −1. None where that is too close to call.
+/// Compute the winding number of a projected triangle around a point: 1, 0 or −1.
+///
+/// `None` if rounding makes it uncertain.
 #[inline]
 fn turns(corners: &[Vec3; 3], place: &[f64; 2]) -> Option<i32> {
     let to = corners.map(|p| [p[0] - place[0], p[1] - place[1]]);

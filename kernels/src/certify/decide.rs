@@ -1,4 +1,5 @@
-//! Does one triangle stay within a limit? The quick proof first, for all of it or for parts; what is left is for `refine`.
+//! Decide if one triangle stays within a limit: by the fast proof for all of it or its parts, else by
+//! `refine`.
 
 use super::cover::Cover;
 use super::piece::{Against, Deviation, Wanted};
@@ -8,15 +9,15 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::{distance2, midpoint};
 use crate::base::progress::Progress;
 
-/// With no more triangles than this near a part, or all of them within reach, splitting it helps no more than looking at
-/// its pieces.
+/// If this few target triangles are near a part, halving it helps no more than refining it.
 const FEW: usize = 8;
-/// Pieces of the first look at a triangle.
+/// Maximum number of pieces in the first round.
 pub const FIRST: usize = 128;
-/// Parts of one triangle. Where the quick proof is of no use they would become ever smaller.
+/// Maximum number of times one triangle is halved; without it, parts would shrink endlessly where the fast
+/// proof fails.
 const PARTS: usize = 1024;
 
-/// Memory that the next triangle can use again.
+/// Buffers that are reused from triangle to triangle.
 #[derive(Default)]
 pub struct Scratch {
     pub workspace: Workspace,
@@ -24,12 +25,12 @@ pub struct Scratch {
     parts: Vec<Part>,
 }
 
-/// A triangle, the slots nearest to its corners, and in `reach` how far these are.
+/// Part of a triangle, the slots nearest to its corners, and in `reach` of each corner their distance.
 #[derive(Clone, Copy)]
 struct Part {
     corners: [Corner; 3],
     near: [u32; 3],
-    /// What was seen of the triangle it is part of.
+    /// Range in `Cover::seen` of the triangle that contains it.
     of: Option<[usize; 2]>,
 }
 
@@ -40,7 +41,9 @@ impl Part {
     }
 }
 
-/// Decide on `goal.at_most`, given the slots nearest to the corners and what they attain.
+/// Decide if a triangle stays within the goal.
+///
+/// `near` are the slots nearest to the corners, `attained` is the deviation there.
 pub fn decide(
     against: &Against<'_>,
     corners: [Corner; 3],
@@ -57,7 +60,8 @@ pub fn decide(
         return Ok(Outcome { bound: goal.at_most, ..seen });
     }
     if goal.pieces > FIRST && seen.pieces >= goal.pieces && against.wanted == Wanted::None {
-        // A part has used up the pieces that all of it would have now, and what was found with fewer stays.
+        // One part has used up all pieces, so the whole would not succeed with as many; the result of the
+        // previous round stays.
         let bound = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
         return Ok(Outcome { bound, reach: f64::INFINITY, ..seen });
     }
@@ -67,7 +71,7 @@ pub fn decide(
     Ok(Outcome { pieces: whole.pieces + seen.pieces, ..whole })
 }
 
-/// Whether every part is proven to stay within the limit; `seen` gathers what is found on the way.
+/// Test if every part is proven to stay within the limit; `seen` collects the measured deviation.
 fn parts_proven(
     against: &Against<'_>,
     whole: Part,
@@ -114,7 +118,7 @@ fn parts_proven(
     Ok(true)
 }
 
-/// Both sides of the line from the middle of the longest side to the corner opposite.
+/// Bisect the longest side.
 fn halves(against: &Against<'_>, part: &Part, seen: &mut Outcome) -> [Part; 2] {
     let Part { corners, near, .. } = part;
     let length2 = |i: usize| distance2(&corners[i].at, &corners[(i + 1) % 3].at);
@@ -141,7 +145,8 @@ mod tests {
     use super::*;
     use crate::base::progress::Control;
 
-    /// Small triangles under the corners of a large one and under its middle: what was looked at is near, nothing else is.
+    /// Small target triangles below the corners and the middle of a large one: all probed points are near,
+    /// the rest is not.
     #[test]
     fn a_part_that_is_not_proven_keeps_the_whole_from_being_proven() {
         let large = [[0.0, 0.0, 0.0], [12.0, 0.0, 0.0], [0.0, 12.0, 0.0]];

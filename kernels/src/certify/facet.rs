@@ -1,32 +1,35 @@
-//! One triangle of the other surface: its nearest point, and where around it that point can be the nearest.
+//! One triangle of the other surface: nearest points on it, and the region in which it can be the nearest
+//! triangle.
 
 use super::polygon::Polygon;
 use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
 
-/// Where squared height over squared length falls below this, the normal is worth less than half its digits.
-/// The triangle then is its sides, which are no farther from any of its points than a 1e-8th of their length.
+/// Minimum ratio of squared height to squared length. Below it the normal has lost more than half of its
+/// digits, and the triangle is treated as its three sides; they are within 1e-8 × length of all its points.
 const FLAT: f64 = 1e-16;
 
-/// The nearest point of a triangle: what it takes of each corner, and its squared distance.
+/// Nearest point of a triangle: barycentric coordinates and squared distance.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
     pub distance2: f64,
     pub weights: Vec3,
-    /// Bit i is set where corner i takes part: the corner, side or face the point lies on.
+    /// Bit i is set if corner i has a weight above 0: identifies the corner, side or face.
     pub feature: u8,
 }
 
-/// A point above or below the inside of a triangle.
+/// Foot of a point that projects into a triangle.
 struct Above {
-    /// What corners b and c count there, and its height, times twice the area.
+    /// Barycentric coordinates of b and c, scaled by the squared normal `area2`, and height, scaled by its
+    /// root.
     at_b: f64,
     at_c: f64,
     height: f64,
     area2: f64,
 }
 
-/// Whether `p` is above or below the inside of triangle `corners`; if not, which sides, by the corners opposite, part its
-/// foot from that.
+/// Project `p` onto triangle `corners`.
+///
+/// If the foot is outside, returns the sides (by their opposite corners) that separate it from the triangle.
 #[inline]
 fn above(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> Result<Above, [bool; 3]> {
     let (ab, ac, to_p) = (sub(b, a), sub(c, a), sub(p, a));
@@ -45,7 +48,7 @@ fn above(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> Result<Above, [bool; 3]> {
     }
 }
 
-/// The nearest point of a side: how far along it, and its squared distance.
+/// Find the nearest point of a side: parameter along it, and squared distance.
 #[inline]
 fn on_side(p: &Vec3, from: &Vec3, to: &Vec3) -> (f64, f64) {
     let (along, to_p) = (sub(to, from), sub(p, from));
@@ -54,7 +57,7 @@ fn on_side(p: &Vec3, from: &Vec3, to: &Vec3) -> (f64, f64) {
     (t, norm2(&add_scaled(&to_p, -t, &along)))
 }
 
-/// The point of triangle `corners` nearest to `p`.
+/// Find the point of triangle `corners` that is nearest to `p`.
 #[inline]
 pub fn nearest(p: &Vec3, corners: &[Vec3; 3]) -> Nearest {
     let outside = match above(p, corners) {
@@ -65,7 +68,7 @@ pub fn nearest(p: &Vec3, corners: &[Vec3; 3]) -> Nearest {
         }
         Err(outside) => outside,
     };
-    // A side is nearest only where its line parts the foot of the perpendicular from the triangle.
+    // Only a side whose line separates the foot from the triangle can be nearest.
     let mut best = Nearest { distance2: f64::INFINITY, weights: [1.0, 0.0, 0.0], feature: 1 };
     for (opposite, _) in outside.iter().enumerate().filter(|(_, outside)| **outside) {
         let (i, j) = ((opposite + 1) % 3, (opposite + 2) % 3);
@@ -80,7 +83,7 @@ pub fn nearest(p: &Vec3, corners: &[Vec3; 3]) -> Nearest {
     best
 }
 
-/// The squared distance alone, which takes less.
+/// As [`nearest`], but computes only the squared distance, which is cheaper.
 #[inline]
 pub fn distance2(p: &Vec3, corners: &[Vec3; 3]) -> f64 {
     match above(p, corners) {
@@ -93,18 +96,18 @@ pub fn distance2(p: &Vec3, corners: &[Vec3; 3]) -> f64 {
     }
 }
 
-/// The plane of a triangle and its barycentric coordinates, as functions linear in space.
+/// Plane of a triangle and its barycentric coordinates, as linear functions in space.
 #[derive(Clone, Copy, Debug)]
 pub struct Facet {
     origin: Vec3,
     normal: Vec3,
-    /// Gradients of the barycentric coordinates, and their lengths (one over the heights).
+    /// Gradients of the barycentric coordinates, and their norms (1 / height).
     gradients: [Vec3; 3],
     steepness: Vec3,
 }
 
 impl Facet {
-    /// None for a triangle that is no more than its sides.
+    /// Create a facet; `None` for a triangle that is too flat, see [`FLAT`].
     pub fn new([a, b, c]: &[Vec3; 3]) -> Option<Self> {
         let (ab, ac) = (sub(b, a), sub(c, a));
         let normal = cross(&ab, &ac);
@@ -119,20 +122,22 @@ impl Facet {
         Some(Self { origin: *a, normal: unit(normal, area2.sqrt()), gradients, steepness })
     }
 
-    /// Signed distance from the plane.
+    /// Compute the signed distance from the plane.
     #[inline]
     pub fn height(&self, p: &Vec3) -> f64 {
         dot(&self.normal, &sub(p, &self.origin))
     }
 
-    /// How far the foot of `p` is inside side `opposite`; negative outside.
+    /// Compute the distance of the foot of `p` from a side; negative outside.
+    ///
+    /// The side is given by the opposite corner.
     #[inline]
     pub fn depth(&self, p: &Vec3, opposite: usize) -> f64 {
         let start = if opposite == 0 { 1.0 } else { 0.0 };
         (start + dot(&self.gradients[opposite], &sub(p, &self.origin))) / self.steepness[opposite]
     }
 
-    /// Barycentric coordinates of the foot of `p`, negative ones where it is outside.
+    /// Compute the barycentric coordinates of the foot of `p`; negative outside.
     #[inline]
     pub fn weights(&self, p: &Vec3) -> Vec3 {
         let to_p = sub(p, &self.origin);
@@ -140,7 +145,9 @@ impl Facet {
         [1.0 - v - w, v, w]
     }
 
-    /// The most a value that is linear between `corners` changes per length (Frobenius norm over channels).
+    /// Compute the norm of the gradient of a linear function with values `corners`.
+    ///
+    /// This is the Frobenius norm over the channels.
     pub fn slope(&self, corners: &[Vec3; 3]) -> f64 {
         let [to_b, to_c] = [1, 2].map(|i| sub(&corners[i], &corners[0]));
         let [of_b, of_c] = [self.gradients[1], self.gradients[2]];
@@ -150,12 +157,14 @@ impl Facet {
         square.max(0.0).sqrt()
     }
 
-    /// Leave the part of `polygon` where the nearest point of the surface can lie on this triangle. Returns how far outside
-    /// it the foot can be there; None where it can lie nowhere.
+    /// Clip `part` to the region whose nearest point can be on this triangle.
     ///
-    /// With the foot a distance o from the triangle and the plane h away, h² + o² is at most (reach + slack)²:
-    /// o² ≤ (reach + slack − |h|)(reach + slack + |h|). Both factors have upper bounds that are convex, and so
-    /// are greatest at corners. Cutting off what is farther outside lets the bound shrink: a few rounds do.
+    /// Returns the maximum distance of feet outside the triangle; `None` if the region is empty.
+    ///
+    /// Let the foot be at distance o from the triangle, and the plane at height h. Then h² + o² ≤ (reach +
+    /// slack)², so o² ≤ (reach + slack − |h|)(reach + slack + |h|). Both factors have convex upper bounds,
+    /// whose maxima are at corners. Clipping the region farther outside lowers the bound, so the steps are
+    /// repeated a few times.
     pub fn part(&self, part: &mut Polygon, slack: f64) -> Option<f64> {
         let side = part.iter().map(|c| self.height(&c.at)).sum::<f64>().signum();
         let mut outside = f64::INFINITY;
@@ -166,7 +175,7 @@ impl Facet {
                 less = less.max(reach - side * height);
                 more = more.max(reach + height.abs());
             }
-            // Not nearest anywhere: the plane alone is farther than the surface.
+            // The plane alone is farther away than the surface.
             if less < 0.0 {
                 return None;
             }

@@ -1,33 +1,34 @@
-//! Proven bounds on how far two surfaces are apart, in shape and in colour, everywhere.
+//! Proven bounds on the deviation of two surfaces in shape and colour, for every point.
 //!
-//! Sampling (Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998) sees the samples
-//! only. Here every triangle is covered by convex pieces, and each is bounded as a whole:
+//! Sampling (Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998) measures
+//! the samples only. Here every triangle is covered by convex pieces, and each piece is bounded as a whole:
 //!
-//! * *shape*: the distance to one triangle is convex, and so at most its value at one of the piece's corners; and the
-//!   distance to a surface grows no faster than one moves. Refining where the bound is greatest goes back to Tang, Lee
-//!   and Kim, "Interactive Hausdorff distance computation for general polygonal models", 2009.
-//! * *colour*: a piece is clipped against every triangle its nearest points may be on. Where they are on one
-//!   face, side or corner they move linearly, and the difference of two linear colours is greatest at a corner;
-//!   elsewhere the gradient bounds what is missing.
+//! * *shape*: the distance to one triangle is convex, so its maximum over a piece is at a corner. The distance
+//!   to a surface grows by at most the distance moved. Refining where the bound is largest goes back to Tang,
+//!   Lee and Kim, "Interactive Hausdorff distance computation for general polygonal models", 2009.
+//! * *colour*: a piece is clipped against every triangle that its nearest points may be on. Nearest points on
+//!   one face, side or corner move linearly. The difference of two linear colours is largest at a corner.
+//!   Elsewhere the gradient bounds the error of that assumption.
 //!
-//! Nothing is asked of the meshes: holes, several layers, triangles without area are all right. Where several points
-//! are equally near, the bound on colour holds for each of them. It also holds on each triangle no more than `slack`
-//! farther away than the nearest one: there for the nearest point and all points of it within `slack` of that.
-//! A search in single precision takes any of these triangles for the nearest, and then finds the nearest point on it.
+//! The meshes may have holes, several layers and triangles without area. If several points are equally near,
+//! the bound on colour holds for each of them. It also holds on each triangle that is at most `slack` farther
+//! away than the nearest one: for its nearest point, and for all its points within `slack` of that. A
+//! single-precision search returns one of these triangles, and then the nearest point on it.
 //!
-//! It does not hold for every point no more than `slack` farther away: over a face at height h those are all within
-//! √(2h · slack) of the foot. Nor does it hold for all vertices that are rounded to single precision: where a triangle
-//! turns by an angle, feet move by h times that, which passes the slack where h is many times the triangle's height.
+//! The bound does not hold for every point that is at most `slack` farther away: at height h over a face,
+//! these points are within √(2h · slack) of the foot. It does not hold for all meshes with vertices rounded
+//! to single precision either. If a triangle turns by an angle, feet move by h × angle. That exceeds the
+//! slack if h is many times its height.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | `proof` | bounds on two surfaces, or whether they keep given ones |
-//! | `side` | one direction of it: triangles of one surface against the other |
-//! | `refine`, `decide` | cutting a triangle into pieces until its bound is close, or the question decided |
-//! | `piece`, `cover` | what is known of a piece: its shape, its colour |
-//! | `view` | a triangle as what it is looked at from |
+//! | `proof` | bounds between two surfaces, or decisions about given bounds |
+//! | `side` | one direction: triangles of one surface against the other |
+//! | `refine`, `decide` | cutting a triangle into pieces until its bound is tight, or the decision is made |
+//! | `piece`, `cover` | bounds of a piece on shape and colour; the fast proof for a whole triangle |
+//! | `view` | coordinates in the plane of a triangle |
 //! | `facet`, `polygon` | nearest points on a triangle; convex pieces |
-//! | `surface` | a surface that can be searched |
+//! | `surface` | a surface with a search tree |
 
 mod cover;
 mod decide;

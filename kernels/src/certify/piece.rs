@@ -1,18 +1,18 @@
-//! Upper bounds over one convex piece of a triangle: how far the other surface is, and its colour there.
+//! Upper bounds on the deviation of one convex piece of a triangle: distance and colour difference.
 //!
-//! Its colour: on each triangle no more than the slack farther away than the nearest one, at the nearest point and
-//! within the slack of that.
+//! The bound on colour covers each target triangle that is at most the slack farther away than the nearest
+//! one: its nearest point and all its points within the slack of that.
 
 use super::facet::{Facet, distance2, nearest};
 use super::polygon::{Corner, Polygon};
 use super::surface::{Found, Surface, blend, combine, difference};
 use crate::base::geometry::{Vec3, around, dot, norm2, sub};
 
-/// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
-/// unless it is small already, beside the distance.
+/// Maximum number of target triangles around a piece for which its colour is bounded. A piece with more is
+/// split first, unless it is small compared with the distance.
 const CROWD: usize = 48;
 
-/// Shape in metres, colour in 8-bit levels (Euclidean norm over the channels).
+/// Deviation in shape (metres) and colour (8-bit levels, Euclidean norm over the channels).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Deviation {
     pub shape: f64,
@@ -20,30 +20,35 @@ pub struct Deviation {
 }
 
 impl Deviation {
+    /// Return the larger deviation of each component.
     pub fn max(self, other: Self) -> Self {
         Self { shape: self.shape.max(other.shape), color: self.color.max(other.color) }
     }
 
+    /// Return the smaller deviation of each component.
     pub fn min(self, other: Self) -> Self {
         Self { shape: self.shape.min(other.shape), color: self.color.min(other.color) }
     }
 
+    /// Apply a function to both components.
     pub fn map(self, each: impl Fn(f64) -> f64) -> Self {
         Self { shape: each(self.shape), color: each(self.color) }
     }
 
+    /// Test if both components are at most those in `other`.
     pub fn within(self, other: Self) -> bool {
         self.shape <= other.shape && self.color <= other.color
     }
 }
 
-/// What part of a piece's deviation falls on which slot of the other surface.
+/// Deviation of the part of a piece whose nearest points may be in one slot of the target.
 #[derive(Clone, Copy, Debug)]
 pub struct Share {
     pub slot: u32,
     pub deviation: Deviation,
 }
 
+/// A convex piece of a triangle, with proven bounds.
 #[derive(Clone, Debug)]
 pub struct Piece {
     pub polygon: Polygon,
@@ -51,34 +56,36 @@ pub struct Piece {
     pub slot: u32,
     pub radius: f64,
     pub bound: Deviation,
-    /// Where the bound on colour, and where that on shape, comes from.
+    /// The corners that determine the bound on shape and the bound on colour.
     pub worst: [Corner; 2],
-    /// Range in the list of shares; none if there were too many to look at.
+    /// Range in the list of shares; `None` if there were too many target triangles.
     pub shares: Option<(usize, usize)>,
 }
 
-/// Of which pieces it is wanted what falls on which slot.
+/// Pieces for which deviations are attributed to target slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wanted {
     None,
     All,
-    /// Of those that are not within this.
+    /// Pieces that are not within this deviation.
     Beyond(Deviation),
 }
 
-/// What every piece is bounded against.
+/// The target surface and common settings of all bounds.
 pub struct Against<'a> {
     pub target: &'a Surface,
     pub slack: f64,
-    /// No colours of the two surfaces differ more.
+    /// Upper bound on the difference between any two colours of the surfaces.
     pub color_range: f64,
     pub with_color: bool,
     pub wanted: Wanted,
 }
 
 impl Against<'_> {
-    /// Bound `polygon`, part of something bounded by `parent`. Returns it with the deviation at its centre.
-    /// `goal` says, given that, which bound is good enough.
+    /// Bound a polygon that is part of a piece with bound `parent`.
+    ///
+    /// Returns the piece and the deviation at its centre. `goal` maps that deviation to the bound that is
+    /// tight enough.
     pub fn piece(
         &self,
         mut polygon: Polygon,
@@ -90,7 +97,8 @@ impl Against<'_> {
         let (centre, radius) = polygon.centre();
         let Found { slot, distance } = self.target.nearest(&centre.at, hint);
         let attained = self.deviation(&centre, slot, distance);
-        // Two functions are nowhere less than the distance, and convex: that to one triangle, and a cone.
+        // Two convex upper bounds on the distance: the distance to one triangle, and a cone around the
+        // centre.
         let reach = self.target.reach(slot);
         polygon.set_reach(&reach);
         let at_centre = reach(&centre.at);
@@ -107,7 +115,7 @@ impl Against<'_> {
             worst: [far; 2],
             shares: None,
         };
-        // Colour is looked at where the nearest triangles are not all over the place.
+        // Colour is bounded only for pieces that are near enough to the target.
         let level = goal(attained);
         if (self.with_color || self.wanted == Wanted::All) && shape <= level.shape {
             self.look_around(&mut piece, parent, level.color, shares);
@@ -115,7 +123,7 @@ impl Against<'_> {
         (piece, attained)
     }
 
-    /// Deviation at a point whose nearest triangle is known.
+    /// Measure the deviation at a point whose nearest triangle is known.
     pub fn deviation(&self, corner: &Corner, slot: u32, distance: f64) -> Deviation {
         let color = if self.with_color {
             difference(&corner.color, &self.target.color(slot, &corner.at))
@@ -129,7 +137,7 @@ impl Against<'_> {
         let first = shares.len();
         let (mut met, mut color) = (0, 0.0);
         let crowd = if 2.0 * piece.radius < piece.bound.shape { usize::MAX } else { CROWD };
-        // Where all colours are close enough to all of the piece, nothing else matters.
+        // Skip branches whose colours are all close enough to all colours of the piece.
         let all = self.wanted == Wanted::All;
         let colors = (!all).then(|| around(piece.polygon.iter().map(|c| c.color)));
         let mut close = 0.0;
@@ -165,7 +173,7 @@ impl Against<'_> {
         }
     }
 
-    /// What of a piece falls on which slot.
+    /// Attribute the deviation of a piece to target slots.
     pub fn shares(&self, piece: &Piece, shares: &mut Vec<Share>) {
         self.around(
             &piece.polygon,
@@ -179,8 +187,10 @@ impl Against<'_> {
         );
     }
 
-    /// Every slot whose triangle may be nearest to some point of `polygon`, or no more than the slack farther away, and
-    /// a few more; as [`Bvh::meeting`].
+    /// Visit every slot whose triangle may be nearest to a point of `polygon`.
+    ///
+    /// Triangles within the slack of the nearest one are included, and some more. `skip` and `visit` are as
+    /// in [`Bvh::meeting`].
     ///
     /// [`Bvh::meeting`]: crate::mesh::bvh::Bvh::meeting
     fn around(
@@ -194,8 +204,10 @@ impl Against<'_> {
         self.target.bvh.meeting(&low.map(|x| x - reach), &high.map(|x| x + reach), skip, visit);
     }
 
-    /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`, or is
-    /// no more than the slack nearer.
+    /// Bound the deviation of the points of `polygon` that `slot` may be nearest to.
+    ///
+    /// Points within the slack of that count, too. Also returns the corner with the largest colour
+    /// difference; `None` if there are no such points.
     pub fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
         let corners = &self.target.corners(slot);
         let facet = Facet::new(corners);
@@ -212,8 +224,11 @@ impl Against<'_> {
         Some((Deviation { shape, color }, worst))
     }
 
-    /// Whether the share of `polygon` differs in colour by no more than `level`; if not, a corner where it may. Up to so many
-    /// `cuts` are made: where another triangle is nearer, and in two where none is.
+    /// Test if the colours of `polygon` and of a nearest slot differ by ≤ `level`.
+    ///
+    /// Only the part of `polygon` that `slot` may be nearest to counts. Makes up to `cuts` cuts: along a
+    /// plane beyond which another triangle is nearer, or in two. On failure, returns a corner that may differ
+    /// more.
     pub fn share_within(
         &self,
         polygon: &Polygon,
@@ -249,8 +264,8 @@ impl Against<'_> {
             let here = nearest(&worst.at, corners);
             let distance = here.distance2.sqrt();
             let away = sub(&worst.at, &combine(&here.weights, corners)).map(|x| x / distance);
-            // The distance to a triangle is convex: nowhere less than it is by its gradient, and nowhere more than it is by
-            // corners around.
+            // The distance to a triangle is convex. Its tangent plane is a lower bound, and interpolation
+            // between corners is an upper bound.
             let at_least = |p: &Vec3| distance + dot(&away, &sub(p, &worst.at)) - self.slack;
             if distance > worst.reach + self.slack {
                 part.keep(|c| c.reach - at_least(&c.at));
@@ -271,8 +286,7 @@ impl Against<'_> {
         Ok(())
     }
 
-    /// Leave the part where the nearest point may be on a triangle. Returns how far outside of that its foot can be there; None
-    /// if there is no such part.
+    /// Clip to the region whose nearest point may be on a triangle, as [`Facet::part`].
     fn part(&self, part: &mut Polygon, facet: Option<&Facet>) -> Option<f64> {
         match facet {
             Some(facet) => facet.part(part, self.slack),
@@ -280,14 +294,17 @@ impl Against<'_> {
         }
     }
 
-    /// Beside a sharp corner, inside of both outlines moved out, a triangle can still be too far.
+    /// Test if a triangle is too far away, by a ball around the part. Next to a sharp corner, the offset
+    /// outlines alone do not exclude it.
     fn is_beyond(&self, part: &Polygon, corners: &[Vec3; 3]) -> bool {
         let (centre, radius) = part.centre();
         distance2(&centre.at, corners).sqrt() - radius > farthest(part).reach + self.slack
     }
 
-    /// The greatest colour difference between `part` and the nearest points of one triangle, or points of it within
-    /// the slack of those; and the corner it is from. `outside` is the most a foot may be outside the triangle.
+    /// Bound the colour difference between `part` and the nearest points of one triangle.
+    ///
+    /// Points within the slack of the nearest points count, too. `outside` is the maximum distance of feet
+    /// outside the triangle. Also returns the corner with the largest difference.
     fn color(
         &self,
         part: &Polygon,
@@ -297,13 +314,14 @@ impl Against<'_> {
         slot: u32,
     ) -> (f64, Corner) {
         let colors = self.target.corner_colors(slot);
-        // The nearest point of a triangle is linear in space where it stays on one face, side or corner; such a region
-        // is convex. So is the difference then, and its norm is greatest at a corner.
+        // On one face, side or corner, the nearest point is a linear function of the position, and each such
+        // region is convex. The colour difference is linear there, too, and its norm is largest at a corner.
         let mut features = 0;
         let mut exact = (0.0, part[0]);
-        // Elsewhere: the colour continued over the plane, and how far from the foot the triangle is.
+        // Otherwise: the colour continued over the plane, and the distance of the foot from the triangle.
         let (mut continued, mut beyond) = (0.0f64, 0.0f64);
-        // No colour of the triangle is farther than one of its corners is: convex in both.
+        // No colour of the triangle differs more than one of its corner colours does: the norm is convex in
+        // both.
         let mut range = 0.0f64;
         for corner in part.iter() {
             let here = nearest(&corner.at, corners);
@@ -317,14 +335,15 @@ impl Against<'_> {
                 continued = continued.max(difference(&corner.color, &color));
             }
         }
-        // A triangle that is no more than its sides has several colours at one place.
+        // A flat triangle may have several colours at one position.
         let Some(facet) = facet else { return (range, exact.1) };
         let slope = facet.slope(&colors);
         let most = if features.count_ones() == 1 {
             exact.0
         } else {
-            // Or the colour as if linear, and what it misses: nearest points are no farther apart than the points they
-            // are nearest to, and the mean distance of a point from corners that it is the mean of is at most the radius.
+            // Or assume linear colour and bound the error. Nearest points are no farther apart than their
+            // query points. The mean distance of a point to corners whose mean it is does not exceed the
+            // radius.
             let missed = part.centre().1;
             (continued + slope * beyond.min(outside)).min(exact.0 + slope * missed)
         };
@@ -332,6 +351,7 @@ impl Against<'_> {
     }
 }
 
+/// Find the corner with the largest reach.
 fn farthest(polygon: &Polygon) -> Corner {
     let mut far = polygon[0];
     for corner in polygon.iter() {

@@ -1,15 +1,16 @@
-//! A convex part of a triangle, cut by half-spaces.
+//! Convex part of a triangle, clipped by half-spaces.
 //!
-//! Its corners carry the colour there and how far the other surface is at most (`reach`). Over the polygon the
-//! colour is linear, and any convex function, distances among them, is greatest at a corner.
+//! Each corner carries the colour and an upper bound on the distance of the other surface (`reach`). Over the
+//! polygon the colour is linear, and every convex function, such as a distance, is largest at a corner.
 
 use std::ops::Deref;
 
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
-/// Corners a polygon may have. Every cut of a convex one adds one at most.
+/// Maximum number of corners. Each cut of a convex polygon adds at most one.
 pub const MOST: usize = 16;
 
+/// Corner of a polygon: position, colour, and upper bound on the distance of the other surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Corner {
     pub at: Vec3,
@@ -17,6 +18,7 @@ pub struct Corner {
     pub reach: f64,
 }
 
+/// Convex polygon with a fixed maximum number of corners.
 #[derive(Clone, Copy, Debug)]
 pub struct Polygon {
     corners: [Corner; MOST],
@@ -38,7 +40,7 @@ impl Polygon {
         Self { corners: all, count: 3 }
     }
 
-    /// A point inside, and how far the corners are from it.
+    /// Compute the mean of the corners, and the largest distance of a corner from it.
     pub fn centre(&self) -> (Corner, f64) {
         let share = 1.0 / self.len() as f64;
         let mean =
@@ -48,7 +50,7 @@ impl Polygon {
         (centre, radius2.sqrt())
     }
 
-    /// The two corners farthest from each other.
+    /// Find the two corners that are farthest apart.
     pub fn diameter(&self) -> [Vec3; 2] {
         let mut farthest = ([self[0].at; 2], 0.0);
         for (i, a) in self.iter().enumerate() {
@@ -62,7 +64,7 @@ impl Polygon {
         farthest.0
     }
 
-    /// Both sides of the plane across the middle of the longest way through it.
+    /// Cut in two by the plane through the centre, perpendicular to the diameter.
     pub fn halves(&self) -> [Self; 2] {
         let [a, b] = self.diameter();
         let (along, middle) = (sub(&b, &a), self.centre().0.at);
@@ -70,6 +72,7 @@ impl Polygon {
         [self.clipped(level), self.clipped(|p| -level(p))]
     }
 
+    /// Recompute `reach` at all corners.
     pub fn set_reach(&mut self, reach: impl Fn(&Vec3) -> f64) {
         for corner in &mut self.corners[..self.count] {
             corner.reach = reach(&corner.at);
@@ -83,21 +86,21 @@ impl Polygon {
         [side(f64::min, f64::INFINITY), side(f64::max, f64::NEG_INFINITY)]
     }
 
-    /// Leave the part where a function linear in space is not negative (Sutherland & Hodgman 1974).
+    /// Clip to the half-space in which a linear function is not negative (Sutherland & Hodgman 1974).
     ///
-    /// Never less than that part: where rounding would make too many corners, the polygon stays whole.
+    /// If the result would have too many corners because of rounding, the polygon stays whole.
     pub fn clip(&mut self, level: impl Fn(&Vec3) -> f64) {
         self.keep(|corner| level(&corner.at));
     }
 
-    /// The part that [`Self::clip`] leaves.
+    /// Return a copy after [`Self::clip`].
     pub fn clipped(&self, level: impl Fn(&Vec3) -> f64) -> Self {
         let mut part = *self;
         part.clip(level);
         part
     }
 
-    /// As [`Self::clip`] for a function that is convex, and between two corners at most what it is by theirs.
+    /// As [`Self::clip`] for a convex function; the result contains all points at which it is not negative.
     pub fn keep(&mut self, level: impl Fn(&Corner) -> f64) {
         let mut levels = [0.0; MOST];
         let (mut inside, mut crossings) = (0, 0);
@@ -106,7 +109,7 @@ impl Polygon {
             *here = level(corner);
             inside += usize::from(*here >= 0.0);
         }
-        // Most are cut nowhere, and then nothing has to be moved.
+        // Most polygons are not cut, and need no copy.
         if inside == count {
             return;
         }
@@ -142,7 +145,7 @@ impl Polygon {
     }
 }
 
-/// The reach of a convex function is at most the chord's.
+/// Interpolate between two corners. A convex `reach` is at most its linear interpolation.
 fn between(a: &Corner, b: &Corner, t: f64) -> Corner {
     let mix = |x: f64, y: f64| x + t * (y - x);
     Corner {
@@ -181,7 +184,7 @@ mod tests {
     fn nothing_is_left_beyond_and_all_before_the_line() {
         assert!(triangle().clipped(|p| -1.0 - p[0]).is_empty());
         assert_eq!(area(&triangle().clipped(|p| p[0] + 1.0)), 8.0);
-        // The line touches a corner only.
+        // The line only touches a corner.
         assert_eq!(triangle().clipped(|p| p[0] - 4.0).len(), 1);
     }
 }

@@ -1,4 +1,4 @@
-//! Bounds for two surfaces, both ways: of every triangle, or only as close as a limit asks.
+//! Bounds between two surfaces in both directions: for every triangle, or only to decide a given limit.
 
 use super::piece::{Against, Deviation, Wanted};
 use super::refine::{Goal, Outcome};
@@ -9,38 +9,39 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, around, diagonal, norm2};
 use crate::base::progress::Progress;
 
-/// What colours lose on their way: measured, interpolated and compared in single precision.
+/// Error of colours that are measured, interpolated and compared in single precision, in levels.
 pub const COLOR_SLACK: f64 = 1.0 / 512.0;
-/// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
+/// Maximum pieces per triangle before the largest bound is known; most triangles need fewer than ten.
 const FIRST_PIECES: usize = 64;
-/// The same for a decision: few that are not decided by then ever are.
+/// Maximum pieces per triangle in the first round of a decision; few undecided triangles are decided later.
 const DECISION_PIECES: usize = super::decide::FIRST;
-/// Small meshes may cost as much as one of so many triangles.
+/// Triangles added to the budget, so that small meshes get enough pieces.
 const AT_LEAST: usize = 4096;
-/// Each round allows so many times the pieces of the one before.
+/// Factor on the pieces per triangle from round to round.
 const GROWTH: usize = 8;
-/// Bounds of single triangles are this close to what they attain,
+/// Maximum excess of the bound of a single triangle over its measured deviation, as a ratio.
 const TRIANGLE_EXCESS: f64 = 0.2;
-/// or below this share of the greatest deviation: nobody looks there.
+/// Triangles below this ratio of the largest deviation are not bounded more tightly.
 const UNIMPORTANT: f64 = 0.02;
 
-/// Nothing is beyond this.
+/// Infinite deviation.
 const EVERYTHING: Deviation = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
 
+/// Parameters of a proof.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// The greatest bound should pass the greatest deviation seen by no more than this share of it,
+    /// Maximum excess of the largest bound over the largest measured deviation, as a ratio of the latter.
     pub tolerance: Deviation,
-    /// or by no more than this, in metres and levels.
+    /// The same in metres and levels. The larger one of both tolerances applies.
     pub absolute_tolerance: Deviation,
-    /// Pieces a triangle, on average over both meshes, that may be spent on coming closer.
+    /// Pieces per triangle, on average over both meshes, that may be spent on tightening.
     pub effort: f64,
-    /// Only find out which triangles stay within these; infinite for what does not matter.
+    /// Only decide which triangles stay within this deviation; an infinite component does not matter.
     pub limit: Option<Deviation>,
-    /// Triangles so much farther away than the nearest one count as well, and points so far around the nearest one on
-    /// each, metres; None for what single precision can tell.
+    /// Slack in metres. Triangles farther than the nearest one by up to this, and points around the nearest
+    /// point on each, count as nearest. `None` for the precision of a single-precision search.
     pub slack: Option<f64>,
-    /// 0 for all processors. The result is the same for any number.
+    /// Number of threads; 0 for all processors. The result does not depend on it.
     pub threads: usize,
 }
 
@@ -58,36 +59,36 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What no greatest bound needs to be closer than, given the greatest deviation seen.
+    /// Compute the bound that is tight enough, given the largest measured deviation.
     pub fn enough(&self, attained: Deviation) -> Deviation {
         worth_all(attained, self.tolerance, self.absolute_tolerance)
     }
 }
 
-/// Upper bounds by triangle, in the order of the input, and of everything.
+/// Proven upper bounds by triangle, in input order, and overall.
 #[derive(Clone, Debug)]
 pub struct Certificate {
-    /// For each triangle of the result, both ways: from its own points, and from all points of the original
+    /// By triangle of the result, both directions: deviation of its points, and of all points of the original
     /// whose nearest point may be on it.
     pub result: Vec<Deviation>,
-    /// For each triangle of the result, from its own points only.
+    /// By triangle of the result: deviation of its points only.
     pub own: Vec<Deviation>,
-    /// For each triangle of the original, from its points to the result.
+    /// By triangle of the original: deviation of its points from the result.
     pub original: Vec<Deviation>,
     pub bound: Deviation,
-    /// The greatest deviation at a point that was looked at: the bound cannot be less.
+    /// Largest deviation at any measured point, a lower limit for `bound`.
     pub attained: Deviation,
     pub slack: f64,
     pub color_slack: f64,
-    /// Pieces that were bounded.
+    /// Number of pieces that were bounded.
     pub pieces: u64,
 }
 
-/// Bound the deviation between `result` and `original`, both ways. Where one of them has no triangles, the other is
-/// infinitely far from it.
+/// Bound the deviation between `result` and `original` in both directions.
 ///
-/// With `options.limit` a triangle is left as soon as it is proven to stay within it, or a point of it does
-/// not. Its bound then is the limit, or more than that.
+/// If one of them has no triangles, the deviation of the other is infinite. With `options.limit`, a triangle
+/// is finished as soon as it is proven to stay within the limit, or a point of it exceeds the limit. Its
+/// bound then is the limit, or more.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -101,8 +102,10 @@ pub fn certify(
     certify_slots(result, original, options, everything, progress)
 }
 
-/// The same for the triangles `asked` alone (of the result, of the original; numbers in the order of the input): nothing
-/// is found of the others, but what falls on them from those asked.
+/// As [`certify`], for some triangles.
+///
+/// `asked` are triangles of the result and of the original (input indices). Other triangles only get the
+/// deviations attributed to them.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -124,7 +127,7 @@ fn certify_slots(
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
     let slack = slack_of([result, original], options);
-    // A bound contains the slack, and what is attained does not.
+    // Bounds include the slack, but measured deviations do not.
     let least = Deviation { shape: 2.0 * slack, color: 0.0 };
     let limit = options.limit.map(without_slack);
     let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
@@ -158,8 +161,9 @@ fn certify_slots(
     Ok(finished(&sides, attained(&sides), slack, limit, run.pieces))
 }
 
-/// The same for both surfaces as wholes, which takes a part of the time: no triangle is bounded more closely than the
-/// greatest deviation of all asks for. `options.limit` is not used.
+/// As [`certify`], but bound only the surfaces as a whole, which is faster.
+///
+/// No triangle is bounded more tightly than the largest deviation requires. `options.limit` is ignored.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -175,7 +179,7 @@ pub fn greatest(
         let all = if none { Deviation::default() } else { EVERYTHING };
         return Ok(Verdict { bound: all, attained: all, reach: all.shape });
     }
-    // A bound contains the slack, and what is attained does not.
+    // Bounds include the slack, but measured deviations do not.
     let least = Deviation { shape: 2.0 * slack_of(surfaces, options), color: 0.0 };
     let absolute_tolerance = options.absolute_tolerance.max(least);
     let options = &Options { absolute_tolerance, limit: None, ..*options };
@@ -187,7 +191,7 @@ pub fn greatest(
         side.look_at_vertices(&run)?;
     }
     let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
-    // Most often vertices stray most, and the question is whether anything strays farther.
+    // The largest deviation is usually at a vertex, so the remaining question is if any point exceeds it.
     let enough = worth_all(attained(&sides), options.tolerance, absolute_tolerance);
     for side in &mut sides {
         side.bound(&Goal::decision(enough, FIRST_PIECES), enough, &mut run)?;
@@ -199,9 +203,10 @@ pub fn greatest(
     Ok(Verdict { bound, attained: attained(&sides), reach: bound.shape })
 }
 
-/// Which of the triangles `asked` (of the result, of the original; numbers in the order of the input) stay within
-/// `options.limit`, in the order asked. The cost follows the number asked. Without `options.effort` each is decided as if
-/// asked alone.
+/// Decide which triangles stay within `options.limit`, in the order asked.
+///
+/// `asked` are triangles of the result and of the original (input indices). The cost depends only on their
+/// number. With `options.effort` 0, the decision about a triangle does not depend on the others.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -216,8 +221,9 @@ pub fn decide(
     decide_within(result, original, options, asked, |_| limit, progress).map(|(_, verdicts)| verdicts)
 }
 
-/// The same with a limit that depends on the greatest deviation at the corners of the triangles asked for, which is
-/// returned as well; `options.limit` is not used but for whether colours matter.
+/// As [`decide`], with a limit computed from the largest deviation at the corners.
+///
+/// Also returns that limit. `options.limit` only states if colours matter.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -249,7 +255,7 @@ pub fn decide_within(
     }
     tighten(&mut sides, options, all, &mut run)?;
     let with_color = sides[0].against.with_color;
-    // Adding the slack to what it was taken from would not always give the same number.
+    // Subtracting and adding the slack would not always restore the same number.
     let color = |found: f64| match with_color {
         true if found <= limit.color => within.color,
         true => found + COLOR_SLACK,
@@ -264,7 +270,7 @@ pub fn decide_within(
     Ok((within, [0, 1].map(|i| asked[i].iter().map(|&t| verdict(&sides[i], t)).collect())))
 }
 
-/// Slots of triangles. In their order neighbours follow each other, and each is looked at once.
+/// Map triangles to sorted slots: neighbours follow each other, and each occurs once.
 fn slots_of(surfaces: [&Surface; 2], asked: [&[u32]; 2]) -> [Vec<u32>; 2] {
     [0, 1].map(|i| {
         let mut slots: Vec<u32> = asked[i].iter().map(|&t| surfaces[i].slots[t as usize]).collect();
@@ -274,12 +280,13 @@ fn slots_of(surfaces: [&Surface; 2], asked: [&[u32]; 2]) -> [Vec<u32>; 2] {
     })
 }
 
-/// What colours lose on their way is not left to the search.
+/// Reserve the error of single-precision colours.
 fn without_slack(limit: Deviation) -> Deviation {
     Deviation { color: limit.color - COLOR_SLACK, ..limit }
 }
 
-/// The two directions, for the triangles in these slots; of the second it is `wanted` what falls on the result.
+/// Create both directions for the triangles in these slots. For the second one, `wanted` selects which
+/// deviations are attributed to the result.
 fn both_sides<'a>(
     result: &'a Surface,
     original: &'a Surface,
@@ -299,7 +306,7 @@ fn both_sides<'a>(
     ]
 }
 
-/// Spend pieces on the triangles that keep the greatest bound from the greatest deviation seen.
+/// Spend pieces on the triangles whose bounds exceed the largest measured deviation too much.
 fn tighten(
     sides: &mut [Side<'_>; 2],
     options: &Options,
@@ -314,7 +321,8 @@ fn tighten(
         let attained = sides[0].attained.max(sides[1].attained);
         let at_most = options.limit.unwrap_or_else(|| worth_all(attained, options.tolerance, absolute));
         let decide = options.limit.is_some();
-        // One that did not use up its pieces cannot be bounded better; the first look was content with less.
+        // A triangle that did not use all its pieces cannot be bounded better. The first round stops earlier,
+        // so it does not count.
         let settled = |outcome: &Outcome| {
             outcome.bound.within(at_most)
                 || pieces > first && outcome.pieces < pieces
@@ -345,6 +353,7 @@ fn tighten(
     }
 }
 
+/// Compute the bound that is tight enough; the larger one of both tolerances applies.
 fn worth_all(attained: Deviation, share: Deviation, absolute: Deviation) -> Deviation {
     let one = |attained: f64, share: f64, absolute: f64| attained + (share * attained).max(absolute);
     Deviation {
@@ -353,7 +362,7 @@ fn worth_all(attained: Deviation, share: Deviation, absolute: Deviation) -> Devi
     }
 }
 
-/// What no single triangle needs to be bounded better than.
+/// Compute the excess below which no single triangle is bounded more tightly.
 fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
     Deviation {
         shape: (UNIMPORTANT * attained.shape).max(absolute.shape),
@@ -361,9 +370,12 @@ fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
     }
 }
 
-/// Vertices rounded to single precision move by up to √3 · 2⁻²⁴ of the largest coordinate, so that a distance changes by
-/// twice and the difference of two by four times that; and a search in single precision is wrong by a few steps of the
-/// sizes it works with. `places` are corners of the surfaces, or of boxes around them.
+/// Compute the slack in metres; `wanted` overrides the default.
+///
+/// Rounding vertices to single precision moves them by up to √3 · 2⁻²⁴ of the largest coordinate. A distance
+/// changes by twice that, and a difference of distances by four times that. A single-precision search adds a
+/// few rounding errors of the sizes it works with. `places` are corners of the surfaces, or of boxes around
+/// them.
 pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
     let [low, high] = around(places);
     let largest = (0..3).map(|i| low[i].abs().max(high[i].abs())).fold(0.0, f64::max);
@@ -371,15 +383,17 @@ pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
         return 0.0;
     }
     let diagonal = diagonal(&[low, high]);
-    // Double precision needs its share in any case.
+    // Rounding error of double precision, which is the minimum.
     let least = 2f64.powi(-40) * largest;
     wanted.unwrap_or(2f64.powi(-21) * largest + 2f64.powi(-20) * diagonal).max(least)
 }
 
+/// Compute the slack for two surfaces.
 fn slack_of(surfaces: [&Surface; 2], options: &Options) -> f64 {
     slack(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack)
 }
 
+/// Bound the difference between any two colours of the surfaces.
 fn color_range(a: &Surface, b: &Surface) -> f64 {
     if a.colors.is_empty() || b.colors.is_empty() {
         return 0.0;
@@ -391,6 +405,7 @@ fn color_range(a: &Surface, b: &Surface) -> f64 {
     norm2(&[0, 1, 2].map(gap)).sqrt()
 }
 
+/// Create the certificate if at least one surface has no triangles.
 fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
     let all = |side: &Side<'_>| vec![EVERYTHING; side.mesh.len()];
     let bound = if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { EVERYTHING };
@@ -406,6 +421,7 @@ fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
     }
 }
 
+/// Create the certificate from the results of both directions.
 fn finished(
     sides: &[Side<'_>; 2],
     attained: Deviation,
@@ -414,7 +430,7 @@ fn finished(
     pieces: u64,
 ) -> Certificate {
     let with_color = sides[0].against.with_color;
-    // What is within the limit was not looked at more closely.
+    // Triangles within the limit were not bounded more tightly.
     let least = limit.unwrap_or_default();
     let sure = |d: &Deviation| {
         let d = d.max(least);

@@ -1,7 +1,7 @@
-//! One triangle against the other surface: split into pieces until all are bounded well enough.
+//! Refinement of one triangle: split into pieces until all are bounded tightly enough.
 //!
-//! A piece is cut along the outline of the triangle nearest to its middle, where the distance to that triangle is as
-//! good as exact; or in two, where that cuts nothing.
+//! A piece is cut along the outline of the triangle nearest to its centre. Inside the outline, the distance
+//! to that triangle is nearly exact. If that cuts nothing, the piece is halved.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -13,28 +13,28 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
 use crate::base::progress::Progress;
 
-/// A polygon with more corners is halved, not cut along an outline: three cuts may add three.
+/// A polygon with more corners is halved, because three cuts along an outline may add three corners.
 const MANY: usize = MOST / 2;
-/// Share of a piece's radius that is too thin to be cut off.
+/// Minimum thickness of a part that is cut off, relative to the radius of the piece.
 const SLIVER: f64 = 0.02;
 
-/// When a bound is good enough.
+/// Criteria for a bound that is tight enough; any one suffices.
 #[derive(Clone, Copy, Debug)]
 pub struct Goal {
-    /// Below this in any case;
+    /// The bound is below this deviation.
     pub at_most: Deviation,
-    /// or below this multiple of what some point of the triangle attains,
+    /// The bound is below this multiple of the measured deviation of the triangle.
     pub times_attained: f64,
-    /// or no more than so much above that.
+    /// The bound exceeds the measured deviation by at most this.
     pub above_attained: Deviation,
-    /// No more than this many pieces.
+    /// Maximum number of pieces.
     pub pieces: usize,
-    /// Stop where a point passes `at_most`: the question is only whether one does.
+    /// Stop as soon as a point exceeds the limit.
     pub decide: bool,
 }
 
 impl Goal {
-    /// Which triangles stay within `limit`? Nothing that passes it is good enough.
+    /// Create a goal that only decides if a triangle stays within `limit`.
     pub fn decision(limit: Deviation, pieces: usize) -> Self {
         let above_attained = Deviation { shape: f64::NEG_INFINITY, color: f64::NEG_INFINITY };
         Self { at_most: limit, times_attained: 0.0, above_attained, pieces, decide: true }
@@ -51,39 +51,41 @@ impl Goal {
     }
 }
 
-/// What is proven of one triangle.
+/// Result for one triangle.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     pub bound: Deviation,
-    /// No point is farther from the other surface, with the slack: the bound on shape, or less where that was not asked for.
+    /// Upper bound on the distance of the other surface, including the slack. At most the bound on shape;
+    /// less if a decision did not need the tighter bound.
     pub reach: f64,
     pub attained: Deviation,
     pub pieces: usize,
-    /// Slots the nearest points may be on, each once, in order; the bound of what falls on them.
+    /// Deviations by target slot, sorted, each slot once.
     pub shares: Vec<Share>,
 }
 
 impl Outcome {
-    /// Of no points so far, of which some are known to attain so much.
+    /// Create a result for no points yet, with a known measured deviation.
     pub fn new(attained: Deviation) -> Self {
         Self { bound: Deviation::default(), reach: 0.0, attained, pieces: 0, shares: vec![] }
     }
 }
 
-/// Pieces still to be looked at, and memory that the next triangle can use again.
+/// Queue of pieces, and buffers that are reused from triangle to triangle.
 #[derive(Default)]
 pub struct Workspace {
     waiting: BinaryHeap<Waiting>,
     shares: Vec<Share>,
 }
 
+/// A piece in the queue, ordered by its excess over the goal.
 struct Waiting {
     excess: f64,
     number: usize,
     piece: Box<Piece>,
 }
 
-/// Bound one triangle, of which some points are known to attain `attained`.
+/// Bound one triangle; `attained` is the deviation known at some of its points.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -114,7 +116,7 @@ pub fn refine(
             outcome.attained = outcome.attained.max(at_centre);
             outcome.pieces += 1;
             let level = goal.level(outcome.attained);
-            // What is smaller than the slack would gain nothing from being split.
+            // Splitting a piece smaller than the slack gains nothing.
             if piece.bound.within(level) || piece.radius < against.slack {
                 finish(against, &piece, shares, &mut outcome);
             } else {
@@ -148,11 +150,13 @@ pub fn refine(
     Ok(outcome)
 }
 
+/// Compute the ratio of a bound to its goal; 0 if the goal is met.
 fn excess(bound: Deviation, level: Deviation) -> f64 {
     let over = |bound: f64, level: f64| if bound <= level { 0.0 } else { bound / level };
     over(bound.shape, level.shape).max(over(bound.color, level.color))
 }
 
+/// Add the bounds and attributed deviations of a piece to the outcome.
 fn finish(against: &Against<'_>, piece: &Piece, shares: &[Share], outcome: &mut Outcome) {
     outcome.bound = outcome.bound.max(piece.bound);
     let wanted = match against.wanted {
@@ -167,6 +171,7 @@ fn finish(against: &Against<'_>, piece: &Piece, shares: &[Share], outcome: &mut 
     }
 }
 
+/// Sort deviations by slot, and keep the maximum of each slot.
 fn merge(shares: &mut Vec<Share>) {
     shares.sort_unstable_by_key(|share| share.slot);
     shares.dedup_by(|next, kept| {
@@ -178,7 +183,9 @@ fn merge(shares: &mut Vec<Share>) {
     });
 }
 
-/// Parts that cover the piece: what is within `wanted` of the nearest triangle's face and what is not, or halves.
+/// Split a piece along the nearest triangle's outline, or into halves.
+///
+/// The first part is within `wanted` of that triangle.
 fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
     let polygon = &piece.polygon;
     if polygon.len() <= MANY
@@ -186,7 +193,7 @@ fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
     {
         let height = polygon.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
         let margin = (wanted * wanted - height * height).max(0.0).sqrt();
-        // What may be left uncut must still be within the margin, if there is one.
+        // An uncut remainder must still be within the margin.
         let sliver = SLIVER * piece.radius;
         let least = if margin > 0.0 { sliver.min(0.5 * margin) } else { sliver };
         let parts = cut_along(polygon, &facet, (margin - least).max(0.0), least);
@@ -197,8 +204,10 @@ fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
     polygon.halves().into()
 }
 
-/// The part inside the outline moved out by `margin`, then those outside; one if the outline cuts nothing. A cut leaves
-/// more than `least` on either side: rounding could else cut off nothing, again and again.
+/// Cut along the outline of a facet, enlarged by `margin`: the inside first. One part if the outline cuts
+/// nothing.
+///
+/// A cut leaves more than `least` on both sides; otherwise rounding could repeat it endlessly.
 fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64, least: f64) -> Vec<Polygon> {
     let mut inside = *polygon;
     let mut parts = vec![];
@@ -218,7 +227,7 @@ fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64, least: f64) -> Vec<P
 }
 
 impl Ord for Waiting {
-    /// The worst first, then the oldest: the same order in every run.
+    /// Order by excess, largest first, then by age, so that runs are reproducible.
     fn cmp(&self, other: &Self) -> Ordering {
         self.excess.total_cmp(&other.excess).then(other.number.cmp(&self.number))
     }

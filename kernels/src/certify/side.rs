@@ -1,4 +1,4 @@
-//! All triangles of one surface against the other one: on several threads, round after round.
+//! One direction of a proof: triangles of one surface against the other, in parallel and in rounds.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -12,25 +12,25 @@ use crate::base::errors::KernelError;
 use crate::base::parallel;
 use crate::base::progress::Progress;
 
-/// Triangles or vertices that a thread takes at a time.
+/// Triangles or vertices per parallel task.
 const CHUNK: usize = 256;
-/// Triangles whose results wait to be put in their places.
+/// Triangles whose results are buffered before they are stored.
 const WAVE: usize = 1 << 16;
-/// Neighbouring vertices whose search starts at one place.
+/// Neighbouring vertices that share the start of their searches.
 const BLOCK: usize = 32;
 
-/// What was found of one triangle.
+/// Result for one triangle, without attributed deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verdict {
     pub bound: Deviation,
-    /// The greatest deviation at a point that was looked at.
+    /// Largest deviation at any measured point.
     pub attained: Deviation,
-    /// Nothing of the other surface counts that is farther away, metres: no point is, by more than the slack.
+    /// Upper bound in metres on the distance of target triangles that affect the result, including the slack.
     pub reach: f64,
 }
 
 impl Verdict {
-    /// Nothing was looked at, and nothing is proven.
+    /// Neither measured nor proven.
     pub const UNKNOWN: Self = Self {
         bound: Deviation { shape: f64::INFINITY, color: f64::INFINITY },
         attained: Deviation { shape: 0.0, color: 0.0 },
@@ -44,24 +44,24 @@ impl Outcome {
     }
 }
 
-/// One direction: triangles of `mesh` against the other surface.
+/// Triangles of `mesh` against the target surface.
 pub struct Side<'a> {
     pub mesh: &'a Surface,
     pub against: Against<'a>,
-    /// Slots of the triangles asked for, in order, and what was found of each.
+    /// Sorted slots of the triangles to bound, and the result of each.
     slots: Vec<u32>,
     pub found: Vec<Verdict>,
-    /// Of all triangles.
+    /// Largest measured deviation of all triangles.
     pub attained: Deviation,
-    /// Triangles, by their place in `slots`, whose bound is not close enough yet.
+    /// Triangles whose bound is not tight enough yet, by index in `slots`.
     pub pending: Vec<(u32, Outcome)>,
-    /// By vertex, from the first one used on: the nearest slot of the target, and the deviation there.
+    /// By vertex, from `first_vertex` on: the nearest slot of the target, and the deviation.
     vertices: Vec<(u32, Deviation)>,
     first_vertex: u32,
     on_target: OnTarget,
 }
 
-/// What all rounds have in common.
+/// State shared by all rounds: threads, progress, and number of pieces.
 pub struct Run<'a> {
     threads: usize,
     progress: Progress<'a>,
@@ -71,7 +71,7 @@ pub struct Run<'a> {
 }
 
 impl<'a> Side<'a> {
-    /// `slots` come in order, each once.
+    /// Create the state of one direction; `slots` must be sorted and unique.
     pub fn new(mesh: &'a Surface, slots: Vec<u32>, against: Against<'a>) -> Self {
         let on_target = OnTarget::new(if against.wanted == Wanted::None { 0 } else { against.target.len() });
         Self {
@@ -87,9 +87,9 @@ impl<'a> Side<'a> {
         }
     }
 
-    /// Look at the corners of the triangles: vertices are where simplified surfaces stray most.
+    /// Measure the deviation at all corners, because simplified surfaces deviate most at vertices.
     ///
-    /// What is found does not depend on which others are asked for.
+    /// The result for a vertex does not depend on the other triangles asked for.
     pub fn look_at_vertices(&mut self, run: &Run<'_>) -> Result<(), KernelError> {
         if self.slots.is_empty() {
             return Ok(());
@@ -102,7 +102,7 @@ impl<'a> Side<'a> {
         let asked: Vec<u32> = (first..).zip(&used).filter(|(_, used)| **used).map(|(v, _)| v).collect();
         let (mesh, against) = (self.mesh, &self.against);
         let look = |vertices: &[u32]| {
-            // A block, and where the search for its vertices starts.
+            // Block index, and the slot at which its searches start.
             let mut start = (usize::MAX, 0);
             let found = vertices.iter().map(|&v| {
                 let block = v as usize / BLOCK;
@@ -127,13 +127,13 @@ impl<'a> Side<'a> {
         Ok(())
     }
 
-    /// Bound all triangles; those not within `keep` are left pending.
+    /// Bound all triangles; those not within `keep` stay pending.
     pub fn bound(&mut self, goal: &Goal, keep: Deviation, run: &mut Run<'_>) -> Result<(), KernelError> {
         let all: Vec<u32> = (0..self.slots.len() as u32).collect();
         self.bound_some(&all, goal, keep, CHUNK, run)
     }
 
-    /// Bound the triangles in `places` of `slots`.
+    /// Bound the triangles at the given indices in `slots`.
     fn bound_some(
         &mut self,
         places: &[u32],
@@ -202,11 +202,12 @@ impl<'a> Side<'a> {
         refine(&self.against, corners, &mut hint, so_far, goal, &mut scratch.workspace, progress)
     }
 
-    /// Look again at the pending triangles, with more pieces; what was proven before stays.
+    /// Bound the pending triangles with more pieces; earlier results stay valid.
     pub fn tighten(&mut self, goal: &Goal, run: &mut Run<'_>) -> Result<(), KernelError> {
         let mut before = std::mem::take(&mut self.pending);
         let places: Vec<u32> = before.iter().map(|(place, _)| *place).collect();
-        // Nothing is within this: all stay pending, and are told apart when the greatest deviation is known.
+        // No bound is within this, so all triangles stay pending; `settle` sorts them out when the largest
+        // deviation is known.
         let nothing = Deviation { shape: -1.0, color: -1.0 };
         self.bound_some(&places, goal, nothing, 1, run)?;
         for ((place, now), (_, before)) in self.pending.iter_mut().zip(&mut before) {
@@ -219,7 +220,7 @@ impl<'a> Side<'a> {
         Ok(())
     }
 
-    /// Let go of the pending triangles that `done` is true of.
+    /// Remove the pending triangles for which `done` is true.
     pub fn settle(&mut self, done: impl Fn(&Outcome) -> bool) {
         let on_target = &self.on_target;
         self.pending.retain(|(_, outcome)| {
@@ -231,14 +232,14 @@ impl<'a> Side<'a> {
         });
     }
 
-    /// What was found of the triangle in `slot`, if it is one of those asked for.
+    /// Return the result for the triangle in `slot`; `None` if it was not asked for.
     pub fn found_in(&self, slot: u32) -> Option<Verdict> {
         let all = self.slots.len() == self.mesh.len();
         let place = if all { Some(slot as usize) } else { self.slots.binary_search(&slot).ok() };
         place.map(|place| self.found[place])
     }
 
-    /// The greatest deviation of what falls on a slot of the target.
+    /// Return the largest deviation attributed to a slot of the target.
     pub fn on_target(&self, slot: usize) -> Deviation {
         self.on_target.at(slot)
     }
@@ -248,7 +249,7 @@ fn corner(mesh: &Surface, v: u32) -> Corner {
     Corner { at: mesh.points[v as usize], color: mesh.vertex_color(v), reach: f64::INFINITY }
 }
 
-/// By slot of the target: the greatest shape and colour that fall on it, whichever thread finds them first.
+/// By slot of the target: largest attributed shape and colour, independent of the thread order.
 struct OnTarget(Vec<[AtomicU64; 2]>);
 
 impl OnTarget {
@@ -259,7 +260,7 @@ impl OnTarget {
     fn receive(&self, shares: &[Share]) {
         for share in shares {
             let there = &self.0[share.slot as usize];
-            // Numbers that are not negative are in the order of their bits.
+            // Non-negative floats have the same order as their bits.
             for (most, value) in there.iter().zip([share.deviation.shape, share.deviation.color]) {
                 most.fetch_max(value.max(0.0).to_bits(), Relaxed);
             }
@@ -272,7 +273,7 @@ impl OnTarget {
     }
 }
 
-/// Two proofs at once: what falls on a slot is bounded by both, and is nothing if one of them excludes it.
+/// Combine two proofs: the lower bound wins, and a slot that one of them excludes is dropped.
 fn common(a: &[Share], b: &[Share]) -> Vec<Share> {
     let other = |share: &Share| b.binary_search_by_key(&share.slot, |s| s.slot).ok().map(|i| b[i].deviation);
     a.iter()
@@ -281,13 +282,15 @@ fn common(a: &[Share], b: &[Share]) -> Vec<Share> {
 }
 
 impl<'a> Run<'a> {
-    /// So many triangles in all, and as many vertices.
+    /// Create the state of a run for `triangles` in total.
+    ///
+    /// The progress also counts as many vertices.
     pub fn new(threads: usize, triangles: usize, progress: &Progress<'a>) -> Self {
         let (threads, progress) = (parallel::threads(threads), progress.clone());
         Self { threads, progress, done: AtomicU64::new(0), total: 2 * triangles as u64, pieces: 0 }
     }
 
-    /// `work` on so many items, in ranges of `size`; the results in this order.
+    /// Run `work` on ranges of up to `size` items in parallel; returns the results in order.
     fn chunks<S, R: Send>(
         &self,
         items: usize,

@@ -1,4 +1,4 @@
-//! A triangle soup ready to be asked for nearest points.
+//! Triangle soup with a search tree for nearest points.
 
 use std::ops::Range;
 
@@ -8,37 +8,37 @@ use crate::base::geometry::{Vec3, around, cross, norm2, position, segment_distan
 use crate::base::parallel;
 use crate::mesh::bvh::Bvh;
 
-/// Beyond this the products of four lengths come near the end of double precision.
+/// Maximum coordinate in metres: products of four lengths must not overflow in double precision.
 const LARGEST: f64 = 1e60;
-/// Attributes are held in single precision, and their differences squared in double.
+/// Maximum attribute: stored in single precision, squared in double.
 const LARGEST_ATTRIBUTE: f64 = 1e30;
 
-/// Height over longest side below which single precision is not trusted to find a triangle. On a scan, Embree overlooked
-/// them up to 1.2e-3, by more than the slack up to 0.7e-3.
+/// Ratio of height to longest side below which a single-precision search may miss a triangle. On a scan,
+/// Embree missed triangles up to 1.2e-3, and by more than the slack up to 0.7e-3.
 pub const NEEDLE: f64 = 4e-3;
 
-/// Triangles in the order of their tree; a *slot* is a place in that order.
+/// Triangles in BVH order; a *slot* is an index in that order.
 #[derive(Clone, Debug)]
 pub struct Surface {
     pub bvh: Bvh,
-    /// Triangle of the input in each slot.
+    /// Input triangle in each slot.
     pub order: Vec<u32>,
-    /// Slot of each triangle of the input.
+    /// Slot of each input triangle.
     pub slots: Vec<u32>,
-    /// Vertices at the corners of the triangle in each slot, numbered by first use: neighbours are close in memory.
+    /// Vertices of the triangle in each slot, numbered by first use: neighbours are close in memory.
     pub vertices: Vec<[u32; 3]>,
-    /// By vertex. Those that no triangle uses are left out.
+    /// By vertex, without unused vertices.
     pub points: Vec<Vec3>,
-    /// Attributes by vertex; empty where there are none. Single precision holds 8-bit levels exactly.
+    /// Attributes by vertex, or empty. Single precision stores 8-bit levels exactly.
     pub colors: Vec<[f32; 3]>,
-    /// The box around the colours below both branches of each node of the tree.
+    /// Bounding box of the colours below both branches of each node.
     pub color_boxes: Vec<[[[f32; 3]; 2]; 2]>,
-    /// Lowest and highest corner of everything, and of the colours.
+    /// Bounding box of the positions, and of the colours.
     pub bounds: [Vec3; 2],
     pub color_bounds: [Vec3; 2],
 }
 
-/// A point of the surface: the nearest one to some other point.
+/// Result of a nearest-triangle query.
 #[derive(Clone, Copy, Debug)]
 pub struct Found {
     pub slot: u32,
@@ -46,11 +46,13 @@ pub struct Found {
 }
 
 impl Surface {
-    /// `points` are positions in metres, then attributes in 8-bit levels: none, one or three. Any triangles will do:
-    /// holes, several layers, edges of many triangles, triangles without area. 0 threads for all processors.
+    /// Build a searchable surface.
+    ///
+    /// `points` are positions in metres followed by 0, 1 or 3 attributes in 8-bit levels. Any triangles are
+    /// valid: holes, several layers, non-manifold edges, no area. `threads` 0 means all processors.
     ///
     /// # Errors
-    /// For an index out of range, and for a value that is not finite or is beyond ±1e60.
+    /// For an index out of range, and for a value that is not finite or beyond ±1e60.
     pub fn new<const D: usize>(
         points: &[[f64; D]],
         triangles: &[[u32; 3]],
@@ -89,7 +91,9 @@ impl Surface {
         Ok(surface)
     }
 
-    /// The same of some triangles, numbered by their place in `some`, which comes in order and names each once.
+    /// As [`Surface::new`], for some triangles.
+    ///
+    /// `some` is sorted and unique. Triangles are numbered by their index in `some`.
     ///
     /// # Errors
     /// As [`Surface::new`].
@@ -119,13 +123,13 @@ impl Surface {
         self.order.is_empty()
     }
 
-    /// Corners of the triangle in `slot`.
+    /// Return the corners of the triangle in `slot`.
     #[inline]
     pub fn corners(&self, slot: u32) -> [Vec3; 3] {
         self.vertices[slot as usize].map(|v| self.points[v as usize])
     }
 
-    /// The nearest point to `p`; `hint` is a slot likely near it, which makes the search short.
+    /// Find the triangle nearest to `p`; a `hint` slot near it shortens the search.
     #[inline]
     pub fn nearest(&self, p: &Vec3, hint: u32) -> Found {
         let first = (hint, self.distance2(hint, p));
@@ -133,7 +137,7 @@ impl Surface {
         Found { slot, distance: least.sqrt() }
     }
 
-    /// Visit every triangle, by its number in the input, whose box meets the box `low`–`high`.
+    /// Visit every triangle (input index) whose bounding box intersects the box `low`–`high`.
     pub fn triangles_meeting(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32)) {
         self.bvh.meeting(
             low,
@@ -146,15 +150,15 @@ impl Surface {
         );
     }
 
+    /// Compute the squared distance of `p` from the triangle in `slot`.
     #[inline]
     pub fn distance2(&self, slot: u32, p: &Vec3) -> f64 {
         distance2(p, &self.corners(slot))
     }
 
-    /// A convex function that is nowhere less than the distance to the surface: that to the triangle in `slot`.
+    /// Create a convex upper bound on the distance to the surface: the distance to the triangle in `slot`.
     ///
-    /// A search in single precision overlooks needles and finds what is beside them: of those only the longest
-    /// side counts.
+    /// A single-precision search may miss needles, so only the longest side of a needle counts.
     pub fn reach(&self, slot: u32) -> impl Fn(&Vec3) -> f64 {
         let [a, b, c] = self.corners(slot);
         let sides = [[a, b], [b, c], [c, a]];
@@ -171,18 +175,19 @@ impl Surface {
         }
     }
 
-    /// Colours at the corners; black where there are none.
+    /// Return the colours at the corners; black if the surface has no colours.
     #[inline]
     pub fn corner_colors(&self, slot: u32) -> [Vec3; 3] {
         self.vertices[slot as usize].map(|v| self.vertex_color(v))
     }
 
+    /// Return the colour of a vertex; black if the surface has no colours.
     #[inline]
     pub fn vertex_color(&self, v: u32) -> Vec3 {
         self.colors.get(v as usize).map_or([0.0; 3], |c| c.map(f64::from))
     }
 
-    /// The most that colours in a box differ from those below a branch of the tree.
+    /// Bound the difference between colours in a box and below a branch.
     #[inline]
     pub fn colors_apart(&self, node: u32, branch: usize, [low, high]: &[Vec3; 2]) -> f64 {
         let [from, to] = &self.color_boxes[node as usize][branch];
@@ -190,35 +195,38 @@ impl Surface {
         norm2(&[0, 1, 2].map(most)).sqrt()
     }
 
-    /// The most that colours in a box differ from those of the triangle in `slot`.
+    /// Bound the difference between colours in a box and in a slot.
     #[inline]
     pub fn color_range(&self, slot: u32, [low, high]: &[Vec3; 2]) -> f64 {
         let [from, to] = around(self.corner_colors(slot).into_iter());
         norm2(&[0, 1, 2].map(|i| (high[i] - from[i]).max(to[i] - low[i]))).sqrt()
     }
 
-    /// Colour at the point of a slot's triangle nearest to `p`.
+    /// Interpolate the colour at the nearest point of the triangle in `slot`.
     pub fn color(&self, slot: u32, p: &Vec3) -> Vec3 {
         blend(&nearest(p, &self.corners(slot)), &self.corner_colors(slot))
     }
 }
 
+/// Interpolate colours at a nearest point.
 #[inline]
 pub fn blend(at: &Nearest, colors: &[Vec3; 3]) -> Vec3 {
     combine(&at.weights, colors)
 }
 
+/// Compute the weighted sum of three vectors.
 #[inline]
 pub fn combine(weights: &Vec3, values: &[Vec3; 3]) -> Vec3 {
     [0, 1, 2].map(|i| weights[0] * values[0][i] + weights[1] * values[1][i] + weights[2] * values[2][i])
 }
 
+/// Compute the Euclidean distance of two vectors.
 #[inline]
 pub fn difference(a: &Vec3, b: &Vec3) -> f64 {
     norm2(&sub(a, b)).sqrt()
 }
 
-/// Triangles in numbers that follow their first use, and what the numbers stand for.
+/// Renumber vertices by first use; also returns the old index of each new one.
 fn numbered_by_use(triangles: impl Iterator<Item = [u32; 3]>, vertices: usize) -> (Vec<[u32; 3]>, Vec<u32>) {
     let mut number = vec![u32::MAX; vertices];
     let mut source = vec![];
@@ -245,7 +253,7 @@ fn color_box<'a>(colors: impl IntoIterator<Item = &'a [f32; 3]>) -> [[f32; 3]; 2
 }
 
 fn check<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<(), KernelError> {
-    // NaN fails the comparison too.
+    // Written so that NaN fails.
     let sound = |p: &[f64; D]| {
         p[..3].iter().all(|x| x.abs() <= LARGEST) && p[3..].iter().all(|x| x.abs() <= LARGEST_ATTRIBUTE)
     };

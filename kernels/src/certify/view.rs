@@ -1,51 +1,51 @@
-//! A triangle as what it is looked at from: places in its plane and heights over it, and how others lie there.
+//! Coordinate frame of a triangle: positions in its plane, heights, and the projections of other triangles.
 
 use super::piece::Against;
 use super::polygon::Corner;
 use super::surface::NEEDLE;
 use crate::base::geometry::{Vec3, add_scaled, around, cross, dot, norm2, sub};
 
-/// Share of the lengths in it that the position in a view may be wrong by: far more than rounding makes it.
+/// Relative error assumed for projected positions, far above the rounding error.
 pub(super) const ROUNDING: f64 = 1e-12;
 
-/// The plane of a triangle: coordinates in it, and height. For a part of that triangle they are the same.
+/// Plane of a triangle, its axes and its colour. A part of a triangle uses the same plane.
 #[derive(Clone, Copy)]
 pub(super) struct View {
     pub(super) origin: Vec3,
     pub(super) axes: [Vec3; 3],
     /// Corners of the triangle.
     pub(super) corners: [[f64; 2]; 3],
-    /// Inward normal of each side, and its distance from the origin.
+    /// Inward normal of each side, and offset.
     pub(super) sides: [[f64; 3]; 3],
     pub(super) size: f64,
-    /// That of the triangle this one is part of.
+    /// Longest side of the whole triangle that this one is part of.
     pub(super) whole: f64,
-    /// Colour at the origin, and what it changes along both axes.
+    /// Colour at the origin, and its derivatives along both axes.
     pub(super) color: [Vec3; 3],
     pub(super) slope: f64,
-    /// The box around all colours.
+    /// Bounding box of the corner colours.
     pub(super) colors: [Vec3; 2],
 }
 
-/// A triangle of the other surface, as seen.
+/// A target triangle in the coordinates of a view.
 #[derive(Clone, Copy)]
 pub(super) struct Seen {
     pub(super) slot: u32,
-    /// Two coordinates and the height of each corner.
+    /// Two coordinates in the plane and the height of each corner.
     pub(super) at: [Vec3; 3],
 }
 
-/// Lowest and highest coordinates.
+/// Lowest and highest corner.
 pub(super) type Box = [Vec3; 2];
 
 impl Seen {
-    /// The box around the corners.
+    /// Compute the bounding box of the corners.
     #[inline]
     pub(super) fn around(&self) -> Box {
         around(self.at.into_iter())
     }
 
-    /// The greatest height of a corner, above or below.
+    /// Compute the largest absolute height of a corner.
     #[inline]
     pub(super) fn height(&self) -> f64 {
         self.at.iter().fold(0.0, |most, p| p[2].abs().max(most))
@@ -53,7 +53,7 @@ impl Seen {
 }
 
 impl View {
-    /// None for a needle, whose normal has too few digits.
+    /// Create a view; `None` for a needle, because its normal is too inaccurate.
     pub(super) fn new(triangle: &[Corner; 3]) -> Option<Self> {
         let [a, b, c] = triangle.map(|c| c.at);
         if is_needle(area_and_length(&[a, b, c])) {
@@ -81,7 +81,7 @@ impl View {
         Some(Self { origin: a, axes, corners, sides, size, whole: size, color, slope, colors })
     }
 
-    /// That of a part of the triangle, on the same plane.
+    /// Create the view of a part of the triangle, in the same plane.
     pub(super) fn part(&self, triangle: &[Corner; 3]) -> Option<Self> {
         if is_needle(area_and_length(&triangle.map(|c| c.at))) {
             return None;
@@ -94,31 +94,32 @@ impl View {
         Some(Self { corners, sides, size: size_of(triangle), colors, ..*self })
     }
 
+    /// Convert a point to the coordinates of the view: two in the plane, and the height.
     #[inline]
     pub(super) fn at(&self, p: &Vec3) -> Vec3 {
         let to_p = sub(p, &self.origin);
         [0, 1, 2].map(|i| dot(&self.axes[i], &to_p))
     }
 
-    /// The colour at a place in the plane, continued beyond the triangle.
+    /// Compute the colour at a position in the plane, continued beyond the triangle.
     #[inline]
     pub(super) fn color_at(&self, [x, y]: &[f64; 2]) -> Vec3 {
         add_scaled(&add_scaled(&self.color[0], *x, &self.color[1]), *y, &self.color[2])
     }
 
-    /// How far inside a side; negative outside.
+    /// Compute the distance of the foot from a side; negative outside.
     #[inline]
     pub(super) fn depth(&self, side: usize, p: &Vec3) -> f64 {
         let [x, y, offset] = self.sides[side];
         x * p[0] + y * p[1] + offset
     }
 
-    /// A triangle as it is seen, unless it is clearly out of reach.
+    /// Project a triangle, unless it is clearly out of reach.
     #[inline]
     pub(super) fn seen(&self, slot: u32, corners: &[Vec3; 3], reach: f64) -> Option<Seen> {
         let to = corners.each_ref().map(|p| sub(p, &self.origin));
         let heights = to.each_ref().map(|p| dot(&self.axes[2], p));
-        // Most are out of reach by their height alone.
+        // The height alone excludes most triangles.
         if heights.iter().all(|&h| h > reach) || heights.iter().all(|&h| h < -reach) {
             return None;
         }
@@ -126,7 +127,7 @@ impl View {
         (!self.apart(&at, reach)).then_some(Seen { slot, at })
     }
 
-    /// Whether no point of this triangle is within `reach`, which contains the slack, of the other one.
+    /// Test if a triangle is farther than `reach` (including the slack) from this one.
     #[inline]
     pub(super) fn apart(&self, other: &[Vec3; 3], reach: f64) -> bool {
         other.iter().all(|p| p[2] > reach)
@@ -134,22 +135,23 @@ impl View {
             || (0..3).any(|side| other.iter().all(|p| self.depth(side, p) < -reach))
     }
 
+    /// Bound the rounding error of a projected position.
     #[inline]
     pub(super) fn rounding(&self, p: &Vec3) -> f64 {
         ROUNDING * (self.whole + p[0].abs() + p[1].abs())
     }
 
-    /// Bit i is set where the point is outside of side i, and not by rounding.
+    /// Find the sides that a point is outside of by more than rounding: bit i for side i.
     #[inline]
     pub(super) fn outside(&self, p: &Vec3) -> u8 {
         let margin = self.rounding(p);
         (0..3).map(|side| u8::from(self.depth(side, p) < -margin) << side).sum()
     }
 
-    /// The greatest height that another triangle has over this one.
+    /// Compute the largest absolute height of another triangle over this one.
     pub(super) fn height_over(&self, other: &[Vec3; 3]) -> f64 {
         let margin = other.iter().map(|p| self.rounding(p)).fold(0.0, f64::max);
-        // Convex: three cuts add a corner each.
+        // Three cuts of a triangle add at most three corners.
         let (mut part, mut count) = ([other[0]; 6], 3);
         part[..3].copy_from_slice(other);
         for side in 0..3 {
@@ -185,11 +187,13 @@ impl View {
         part[..count].iter().map(|p| p[2].abs()).fold(0.0, f64::max)
     }
 
-    /// Whether a side does not cross the inside of this triangle, whose corners are those of `triangle`. A border that was kept
-    /// runs along its sides, or ends at its corners: that is told by the places themselves, which no rounding has changed.
+    /// Test if a side does not cross the interior of this triangle; `triangle` are the unprojected corners.
+    ///
+    /// A locked border runs along the sides or ends at the corners. Such a side is recognised by equal
+    /// positions, which no rounding has changed.
     pub(super) fn passed_by(&self, triangle: &[Corner; 3], ends: [&Vec3; 2]) -> bool {
         let [a, b] = ends.map(|p| self.at(p));
-        // A line from a corner that ends outside of one of the two sides there is outside of it all the way.
+        // A line from a corner to a point outside one of the two adjacent sides does not enter the triangle.
         let leaves = |corner: usize, end: &Vec3| self.outside(end) & !(1 << corner) != 0;
         self.beside(&[a, b])
             || match ends.map(|p| triangle.iter().position(|c| c.at == *p)) {
@@ -200,7 +204,7 @@ impl View {
             }
     }
 
-    /// Whether a side passes beside this triangle.
+    /// Test if a line passes the triangle on one side.
     pub(super) fn beside(&self, [a, b]: &[Vec3; 2]) -> bool {
         let along = [b[0] - a[0], b[1] - a[1]];
         let length = along[0].abs() + along[1].abs();
@@ -209,15 +213,17 @@ impl View {
         turn.iter().all(|&t| t > margin) || turn.iter().all(|&t| t < -margin)
     }
 
-    /// As `larger_differs`, with the colour of this triangle continued to the feet of the points of the other one:
-    /// those nearest to a point here, and those within the slack of them.
+    /// As `larger_differs`, for a target triangle smaller than this one.
+    ///
+    /// The colour of this triangle is continued to the feet of the points of the target: those nearest to a
+    /// point of this triangle, and those within the slack of them.
     pub(super) fn smaller_differs(&self, against: &Against<'_>, seen: &Seen, around: f64) -> f64 {
         let colors = against.target.corner_colors(seen.slot);
         let most2 = [0, 1, 2].map(|k| {
             let [x, y, _] = seen.at[k];
             norm2(&sub(&self.color_at(&[x, y]), &colors[k]))
         });
-        // Where heights are above zero all over the triangle, less is left for the way along the plane.
+        // A height above zero over all of the target triangle leaves less distance along the plane.
         let [low, high] = seen.around().map(|corner| corner[2]);
         let nearest = low.max(-high).max(0.0).min(around);
         let moved = (around * around - nearest * nearest).sqrt();
@@ -226,7 +232,7 @@ impl View {
     }
 }
 
-/// Inward normal of each side of a triangle, and its distance from the origin.
+/// Compute the inward normal and offset of each side of a triangle.
 pub(super) fn sides_of(corners: &[[f64; 2]; 3]) -> [[f64; 3]; 3] {
     [0, 1, 2].map(|opposite| {
         let (from, to) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
@@ -237,12 +243,12 @@ pub(super) fn sides_of(corners: &[[f64; 2]; 3]) -> [[f64; 3]; 3] {
     })
 }
 
-/// The length of the longest side.
+/// Compute the length of the longest side.
 pub(super) fn size_of(triangle: &[Corner; 3]) -> f64 {
     area_and_length(&triangle.map(|c| c.at)).1.sqrt()
 }
 
-/// Four times the squared area, and the squared length of the longest side.
+/// Compute four times the squared area, and the squared length of the longest side.
 #[inline]
 pub(super) fn area_and_length([a, b, c]: &[Vec3; 3]) -> (f64, f64) {
     let (ab, ac) = (sub(b, a), sub(c, a));
@@ -250,19 +256,22 @@ pub(super) fn area_and_length([a, b, c]: &[Vec3; 3]) -> (f64, f64) {
     (norm2(&cross(&ab, &ac)), longest)
 }
 
-/// Of a needle only the longest side counts, which is no farther from any of its points than this.
+/// Compute the height of a needle over its longest side; 0 for other triangles.
+///
+/// Only the longest side of a needle counts, and all its points are within this distance of it.
 #[inline]
 pub(super) fn needle_height(corners: &[Vec3; 3]) -> f64 {
     let (area2, longest2) = area_and_length(corners);
     if is_needle((area2, longest2)) && longest2 > 0.0 { (area2 / longest2).sqrt() } else { 0.0 }
 }
 
+/// Test if a triangle is a needle, given the result of [`area_and_length`].
 #[inline]
 pub(super) fn is_needle((area2, longest2): (f64, f64)) -> bool {
     area2 <= (NEEDLE * longest2).powi(2)
 }
 
-/// A length that no side of a triangle in this box is much longer than.
+/// Compute the longest edge of a box, an estimate of the size of the triangle in it.
 #[inline]
 pub(super) fn extent([low, high]: &Box) -> f64 {
     (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max)

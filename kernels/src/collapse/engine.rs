@@ -1,15 +1,16 @@
-//! The edge-collapse engine: queue, legality and bookkeeping. What a collapse costs, where it leads and
-//! what it may change is the business of a [`Measure`].
+//! Edge-collapse engine: queue, legality and bookkeeping.
+//!
+//! The cost of a collapse, the new position and further constraints come from a [`Measure`].
 //!
 //! ```text
 //! queue ← every edge, by measure.priority
-//! until the queue is empty, or far enough:
-//!     e ← first of the queue
-//!     topology legal?             legality::can_collapse
-//!     where to?                   measure.propose
+//! until the queue is empty, or the target is reached:
+//!     e ← first edge of the queue
+//!     topology preserved?         legality::can_collapse
+//!     new position                measure.propose
 //!     no triangle folds?          legality::keeps_triangles
 //!     within the bounds?          measure.judge
-//!     collapse, measure.commit, and offer the edges around again
+//!     collapse, measure.commit, and requeue the edges around
 //! ```
 
 use crate::base::errors::KernelError;
@@ -22,50 +23,52 @@ use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 pub use crate::mesh::connectivity::Collapsed;
 
-/// Where a measure wants to take the star of an edge.
+/// A proposed collapse of an edge.
 #[derive(Clone, Copy, Debug)]
 pub struct Proposal<const D: usize, C> {
-    /// The end that keeps its number, 0 or 1.
+    /// The end that keeps its index, 0 or 1.
     pub survivor: usize,
-    /// Where it goes; a half-edge collapse leaves it where it is.
+    /// New position of the survivor; unchanged for a half-edge collapse.
     pub point: [f64; D],
-    /// What the measure works out on the way and records if the collapse takes place.
+    /// Intermediate result of the measure that `commit` needs.
     pub change: C,
 }
 
-/// Which priorities a collapse changes.
+/// The edges whose priorities a collapse changes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Reach {
-    /// Those of the edges at the centre of the new star.
+    /// Edges from the survivor.
     Spokes,
-    /// Those of the edges of the new star.
+    /// Edges of the new star.
     Star,
-    /// Those of all edges that touch the new star. Those at its centre are asked again at once; of the others,
-    /// which change little, each is asked again when it comes to the front.
+    /// All edges that touch the new star. Edges from the survivor are updated at once. The others change
+    /// little and are updated when they reach the front of the queue.
     Ring,
 }
 
-/// The part of a simplifier that varies.
+/// Cost function and constraints of a simplification method.
 ///
-/// The engine calls `priority` whenever it needs the order, then `propose`, `judge` and `commit` in this order
-/// for one edge, stopping at the first refusal.
+/// The engine calls `priority` whenever it needs the order of an edge. To collapse an edge it calls
+/// `propose`, `judge` and `commit` in this order, and stops at the first refusal.
 pub trait Measure<const D: usize> {
-    /// A refusal of the measure's own.
+    /// Reason for a refusal by the measure.
     type Bound: Copy + Eq + Send + Sync + std::fmt::Debug;
-    /// What one collapse adds to the records.
+    /// Data passed from `propose` to `commit`.
     type Change;
 
-    /// Which priorities a collapse changes.
+    /// The edges whose priorities a collapse changes.
     const REACH: Reach = Reach::Star;
 
-    /// Edges are tried from the smallest value up. May depend on the edge, its ends and what is recorded of
-    /// them, and nothing else: only edges of the new star are asked again after a collapse.
+    /// Compute the priority of an edge; the smallest is tried first.
+    ///
+    /// May depend only on the edge, its ends and the state stored for them: only edges of the new star are
+    /// updated after a collapse.
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Self::Bound>;
 
-    /// Where the star of an edge should go. Refusals that are cheap to find belong here.
+    /// Propose a survivor and its new position. Refusals that are cheap to find belong here.
     fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, Self::Change>, Self::Bound>;
 
-    /// Whether a proposal that folds no triangle keeps the bounds; may complete its `change`.
+    /// Check the bounds of a proposal that folds no triangle; may complete its `change`.
     fn judge(
         &mut self,
         mesh: &Mesh<D>,
@@ -73,37 +76,40 @@ pub trait Measure<const D: usize> {
         proposal: &mut Proposal<D, Self::Change>,
     ) -> Result<(), Self::Bound>;
 
-    /// Whether collapses that would join locked vertices by a new edge are refused: see [`new_chord`].
+    /// Refuse collapses that would create an edge between locked vertices: see [`new_chord`].
     fn without_chords(&self) -> bool {
         false
     }
 
-    /// What a proposal turns out to cost, where that takes more than `priority` looks at: an edge that costs more than
-    /// the next one waits for its turn.
+    /// Return the actual cost of a proposal, if `priority` is only an estimate.
+    ///
+    /// An edge that costs more than the next one is put back into the queue.
     fn cost(&self, _: &Proposal<D, Self::Change>) -> f64 {
         f64::NEG_INFINITY
     }
 
-    /// Record a collapse. `mesh` is as it is now; `star` as it was, with the triangles that vanished and those
-    /// that moved from the removed end to the survivor.
+    /// Update the state after a collapse.
+    ///
+    /// `mesh` is the mesh after the collapse. `star` is the star before it, with the triangles that vanished
+    /// and those that moved to the survivor.
     fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Self::Change);
 }
 
-/// Why an edge may not collapse.
+/// Reason why an edge cannot collapse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Refusal<B> {
     Illegal(Illegal),
-    /// Its priority was refused: only a change of the edge itself can help.
+    /// The priority was refused: only a change of the edge itself can help.
     Barred(B),
-    /// Its proposal was refused: any change of its star can help.
+    /// The proposal was refused: any change of the star can help.
     Bound(B),
-    /// It costs more than the next one, and is in the queue again where it belongs.
+    /// The edge costs more than the next one and is in the queue again.
     Later,
-    /// Its star reaches the rim of the region, where others know more.
+    /// The star reaches the rim of the region, so another region must decide.
     Rim,
 }
 
-/// What one turn of the engine did.
+/// Result of one step of the engine.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Step<B> {
     Collapsed(Collapsed),
@@ -112,68 +118,69 @@ pub enum Step<B> {
     Finished,
 }
 
-/// Why a run ended.
+/// Reason why a run ended.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Stop {
-    /// No edge is left that may collapse.
+    /// No edge is left that can collapse.
     Exhausted,
-    /// As far as was asked: few enough triangles, enough collapses, or the priority reached.
+    /// The requested number of triangles or collapses, or the priority limit, is reached.
     Target,
-    /// Next to none did, as was asked for.
+    /// A round collapsed fewer edges than the minimum of the goal.
     Few,
-    /// The caller was content with what there is.
+    /// The caller asked to keep the mesh simplified so far.
     Enough,
 }
 
-/// How far a run goes: whatever comes first.
+/// Stop criteria of a run; the first one that is met applies.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Until {
     /// At most this many triangles are left.
     pub triangles: usize,
     /// This many collapses have taken place.
     pub collapses: usize,
-    /// Every edge has a larger priority.
+    /// All remaining edges have a larger priority.
     pub priority: f64,
 }
 
 impl Until {
-    /// Until no edge may collapse.
+    /// Run until no edge can collapse.
     pub const EXHAUSTED: Self = Self { triangles: 0, collapses: usize::MAX, priority: f64::INFINITY };
 }
 
-/// A collapse as the engine remembers it.
+/// Record of a collapse.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Merge {
     pub removed: VertexId,
     pub survivor: VertexId,
-    /// The largest priority of any collapse so far: it never falls from one merge to the next.
+    /// Maximum priority of all collapses so far, so it never decreases from merge to merge.
     pub priority: f64,
-    /// How many triangles vanished, 1 or 2.
+    /// Number of triangles that vanished, 1 or 2.
     pub triangles: u8,
 }
 
+/// Edge-collapse loop over one mesh with one queue.
 pub struct Engine<const D: usize, M: Measure<D>> {
     mesh: Mesh<D>,
     measure: M,
     queue: Queue,
     refusals: Vec<Option<Refusal<M::Bound>>>,
-    /// Vertices with an edge whose attempt was refused since they were last looked at. Most have none, and
-    /// their edges then need not be fetched from memory.
+    /// Vertices with an edge that was refused since they were last updated. Most vertices have none, and
+    /// their edges need not be fetched from memory.
     stuck: Vec<bool>,
     marks: Marks,
     changes: Changes,
     star: Star<D>,
     ring: Vec<VertexId>,
     merges: Vec<Merge>,
-    /// Where the survivors of the merges went, if that is recorded.
+    /// Positions of the survivors, if they are recorded.
     path: Option<Vec<[f64; D]>>,
     attempts: u64,
 }
 
-/// What the engine knows of the edges of a mesh: why each that may not collapse may not.
+/// By edge: the reason why it cannot collapse.
 pub type Refusals<B> = Vec<Option<Refusal<B>>>;
 
-/// The mesh, the measure, why its edges may not collapse, the merges, and where they went if that was recorded.
+/// Mesh, measure, refusals, merges, and survivor positions if they were recorded.
 pub type Parts<const D: usize, M> =
     (Mesh<D>, M, Refusals<<M as Measure<D>>::Bound>, Vec<Merge>, Option<Vec<[f64; D]>>);
 
@@ -183,7 +190,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         Self::resume(mesh, measure, refusals)
     }
 
-    /// Go on with a mesh whose refused edges are known: they wait until something changes beside them.
+    /// Continue with known refusals: refused edges wait until their surroundings change.
     pub fn resume(mesh: Mesh<D>, measure: M, mut refusals: Refusals<M::Bound>) -> Self {
         let slots = mesh.connectivity.edge_slots();
         let vertices = mesh.connectivity.vertex_slots();
@@ -220,15 +227,15 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         }
     }
 
-    /// Record where the survivors go from now on.
+    /// Record the positions of survivors from now on.
     pub fn record_path(&mut self) {
         self.path = Some(vec![]);
     }
 
-    /// Collapse as far as asked.
+    /// Collapse edges until a stop criterion is met.
     ///
     /// # Errors
-    /// [`KernelError::Interrupted`] when `progress` says so.
+    /// [`KernelError::Interrupted`] when `progress` requests it.
     pub fn run(&mut self, until: Until, progress: &mut Progress) -> Result<Stop, KernelError> {
         loop {
             let few = self.mesh.connectivity.triangle_count() <= until.triangles;
@@ -248,7 +255,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         }
     }
 
-    /// Bring the first edge to where it belongs until one is first that is there already.
+    /// Update the first edge of the queue until its priority is current.
     fn refresh_first(&mut self) {
         if M::REACH != Reach::Ring {
             return;
@@ -273,7 +280,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         match self.attempt(edge, priority) {
             Ok(collapsed) => Step::Collapsed(collapsed),
             Err(refusal) => {
-                // What the rim forbids here may be allowed in another region: the edge stays open.
+                // Another region may allow an edge at the rim, so it stays open.
                 if !matches!(refusal, Refusal::Rim | Refusal::Later) {
                     self.refusals[edge.index()] = Some(refusal);
                     for v in self.mesh.connectivity.ends(edge) {
@@ -332,7 +339,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         Ok(collapsed)
     }
 
-    /// Bring the queue up to date around a vertex that has moved.
+    /// Update the queue around a vertex that has moved.
     fn offer_around(&mut self, centre: VertexId) {
         let connectivity = &self.mesh.connectivity;
         self.ring.clear();
@@ -360,7 +367,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
                 }
             }
         }
-        // Other edges with one end on the ring: what was refused may be legal now that their stars have changed.
+        // Other edges from the ring: refused ones may be legal now, because their stars have changed.
         for &v in &self.ring {
             if std::mem::replace(&mut self.stuck[v.index()], false) {
                 for (edge, _) in connectivity.spokes(v) {
@@ -382,40 +389,40 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         &self.measure
     }
 
-    /// All collapses, in their order.
+    /// Return all collapses in chronological order.
     pub fn merges(&self) -> &[Merge] {
         &self.merges
     }
 
-    /// Priorities of the edges still to be tried, in no order.
+    /// Iterate over the priorities of the queued edges, unordered.
     pub fn waiting(&self) -> impl Iterator<Item = f64> + '_ {
         self.queue.keys()
     }
 
-    /// Why an edge may not collapse; none while it has yet to be tried.
+    /// Return the reason why an edge cannot collapse; `None` while it is untried.
     pub fn refusal(&self, edge: EdgeId) -> Option<Refusal<M::Bound>> {
         self.refusals[edge.index()]
     }
 
-    /// Edges that reached the front of the queue, some of them more than once.
+    /// Number of edges tried; an edge may count several times.
     pub fn attempts(&self) -> u64 {
         self.attempts
     }
 
-    /// All that the engine leaves.
+    /// Return the mesh and all state.
     pub fn into_parts(self) -> Parts<D, M> {
         (self.mesh, self.measure, self.refusals, self.merges, self.path)
     }
 }
 
-/// Which edges in the queue may have another priority than when they were put there. To note it at vertices saves
-/// walking around each of them after every collapse.
+/// Tracks which queued priorities are out of date. Marking vertices is cheaper than visiting all edges around
+/// each of them after every collapse.
 struct Changes {
-    /// How many there were.
+    /// Number of changes so far.
     count: u32,
-    /// The last one beside each vertex.
+    /// By vertex: the last change next to it.
     beside: Vec<u32>,
-    /// The last one each edge's priority knows of.
+    /// By edge: the last change that its priority includes.
     known: Vec<u32>,
 }
 
@@ -424,17 +431,17 @@ impl Changes {
         Self { count: 0, beside: vec![0; vertices], known: vec![0; edges] }
     }
 
-    /// The next change begins.
+    /// Start the next change.
     fn next(&mut self) {
         self.count += 1;
     }
 
-    /// It changes what the edges of a vertex cost.
+    /// Mark that the current change affects the edges of a vertex.
     fn around(&mut self, v: VertexId) {
         self.beside[v.index()] = self.count;
     }
 
-    /// The priority of an edge is brought up to date.
+    /// Mark the priority of an edge as current.
     fn freshen(&mut self, edge: EdgeId) {
         self.known[edge.index()] = self.count;
     }
@@ -444,13 +451,13 @@ impl Changes {
     }
 }
 
-/// Whether an edge has an end on the rim of a region.
+/// Test if an edge has an end on the rim of the region.
 #[inline]
 fn on_rim<const D: usize>(mesh: &Mesh<D>, edge: EdgeId) -> bool {
     mesh.connectivity.ends(edge).iter().any(|&v| mesh.lock(v) == Lock::Rim)
 }
 
-/// Put an edge where its priority belongs now: into the queue, or among the refused.
+/// Requeue an edge with its current priority, or record its refusal.
 fn offer<const D: usize, M: Measure<D>>(
     edge: EdgeId,
     mesh: &Mesh<D>,

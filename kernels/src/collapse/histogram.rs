@@ -1,8 +1,8 @@
-//! How many edges wait, by their priorities.
+//! Histogram of the priorities of waiting edges.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Sixteen classes for every doubling of a priority.
+/// Sixteen logarithmic classes per factor of two.
 pub struct Histogram {
     counts: Vec<AtomicU32>,
 }
@@ -23,17 +23,17 @@ impl Histogram {
         }
     }
 
-    /// Estimate the priority up to which `collapses` take place, of at most `most` on the mesh.
+    /// Estimate the priority limit for a number of `collapses`; `most` is the maximum possible on the mesh.
     ///
-    /// The edges counted are a sample of the `open` edges: edges on the rims of regions were not tried, and their
-    /// priorities are not known. Without the scaling, the sample seems to run out of edges although the mesh does
-    /// not, the priority is unlimited, and a region is collapsed down to nothing while its neighbours wait.
-    /// Infinite only if no edge was counted.
+    /// The counted edges are a sample of the `open` edges, because edges on the rims of regions have no known
+    /// priority. Counts are therefore scaled to `open`. Otherwise the sample seems to run out of edges
+    /// although the mesh does not, and the limit becomes infinite. A region would then collapse completely
+    /// while its neighbours wait. Infinite only if no edge was counted.
     pub fn priority_for(&self, collapses: usize, most: usize, open: usize) -> f64 {
         let counts = || self.counts.iter().map(|count| f64::from(count.load(Relaxed)));
         let counted: f64 = counts().sum();
         let scale = (open as f64 / counted.max(1.0)).max(1.0);
-        // Of three edges one collapses and two merge with others when all go, while the first few are all
+        // If all edges go, one of three collapses and two merge with others; the first ones are all
         // collapses.
         let share = collapses as f64 / most.max(1) as f64;
         let wanted = collapses as f64 * (1.0 + 2.0 * share);
@@ -68,7 +68,7 @@ mod tests {
         assert!(sample.priority_for(500, 10_000, 4000) < sample.priority_for(500, 10_000, 1000));
     }
 
-    /// Without a limit, a region would be collapsed down to nothing while others wait.
+    /// Without a limit, a region would collapse completely while others wait.
     #[test]
     fn only_without_edges_is_there_no_limit() {
         let few = counted(1..=10);

@@ -1,18 +1,18 @@
-//! What happened in the regions of each round, and in what order it can be repeated.
+//! Logs of the collapses, and the order in which they can be replayed.
 
 use crate::collapse::engine::Merge;
 
-/// What happened in one region.
+/// Collapses of one region in one round.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log<const D: usize> {
     pub round: usize,
-    /// In numbers of the vertices at the start.
+    /// Vertex indices refer to the initial mesh.
     pub merges: Vec<Merge>,
-    /// Where their survivors went; empty unless asked for.
+    /// Positions of the survivors; empty unless requested.
     pub path: Vec<[f64; D]>,
 }
 
-/// List and place of all merges, those of least priority first.
+/// Order all merges by priority; yields list index and index in the list.
 pub fn by_priority<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item = (usize, usize)> {
     let mut order: Vec<(f64, u32, u32)> = vec![];
     for (list, merges) in lists.enumerate() {
@@ -22,7 +22,7 @@ pub fn by_priority<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterato
     order.into_iter().map(|(_, list, i)| (list as usize, i as usize))
 }
 
-/// All collapses one after the other: the log of each, and its place there.
+/// Order all collapses for replay; yields log index and index in the log.
 pub fn in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (usize, usize)> {
     let rounds = logs.chunk_by(|a, b| a.round == b.round).scan(0, |first, round| {
         let start = *first;
@@ -34,7 +34,8 @@ pub fn in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (usize,
     })
 }
 
-/// The collapses one after the other, in numbers of the vertices at the start, and where their survivors went.
+/// Replayable sequence of collapses, in vertex indices of the initial mesh, with the positions of the
+/// survivors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Way<const D: usize> {
     pub removed: Vec<u32>,
@@ -43,7 +44,7 @@ pub struct Way<const D: usize> {
 }
 
 impl<const D: usize> Way<D> {
-    /// All that was recorded: nothing, if that was not asked for.
+    /// Create from logs; empty if no positions were recorded.
     pub fn new(logs: &[Log<D>]) -> Self {
         if logs.iter().all(|log| log.path.is_empty()) {
             return Self::default();

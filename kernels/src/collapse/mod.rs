@@ -1,14 +1,14 @@
-//! The one loop of edge collapses, for every method: a method says what a collapse costs and what it may not do.
+//! Edge-collapse loop shared by all simplification methods. A method provides the cost and the constraints.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`queue`] | which edge is next |
-//! | [`engine`] | the loop over one queue; an [`engine::Measure`] says what varies |
+//! | [`queue`] | priority queue of edges |
+//! | [`engine`] | the loop over one queue; [`engine::Measure`] is the interface of a method |
 //! | [`partition`] | cutting a mesh into regions |
-//! | [`whole`], [`region`] | a mesh as a whole, and the regions it is worked on in |
-//! | [`records`] | what a method knows of the whole from round to round |
-//! | [`logs`] | what happened, in an order in which it can be repeated |
-//! | [`rounds`], `histogram` | the loop over a mesh of any size, region by region, on all threads |
+//! | [`whole`], [`region`] | the whole mesh between rounds; cutting out regions and joining them |
+//! | [`records`] | state of a method for the whole mesh between rounds |
+//! | [`logs`] | collapses in an order in which they can be replayed |
+//! | [`rounds`], `histogram` | the loop over a mesh of any size, region by region, in parallel |
 
 pub mod engine;
 mod histogram;

@@ -1,34 +1,38 @@
-//! Cutting a mesh into compact regions of equal size, along planes that turn from one partition to the next.
+//! Partition of a mesh into compact regions of equal size, along planes that rotate from partition to
+//! partition.
 
 use crate::base::parallel::{both, fill};
 
-/// Region `p` is `triangles[starts[p]..starts[p + 1]]`, in no order.
+/// Triangles by region: region `p` is `triangles[starts[p]..starts[p + 1]]`, unordered.
 pub struct Partition {
     pub triangles: Vec<u32>,
     pub starts: Vec<usize>,
 }
 
+/// A triangle to be sorted into a region.
 #[derive(Clone, Copy, Default)]
 struct Item {
-    /// The triangle's centre in the turned frame, as numbers in the same order: single precision is enough to sort by.
+    /// Centre of the triangle in the rotated frame, as order-preserving integers. Single precision suffices
+    /// for sorting.
     centre: [u32; 3],
     triangle: u32,
 }
 
-/// A number that is larger for a larger `x`. Whole numbers are compared without a branch.
+/// Map a float to an integer of the same order, which compares without a branch.
 fn rank(x: f32) -> u32 {
     let bits = x.to_bits();
     if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
 }
 
-/// What [`rank`] was made from.
+/// Invert [`rank`].
 fn ranked(rank: u32) -> f32 {
     f32::from_bits(if rank >> 31 == 1 { rank & !(1 << 31) } else { !rank })
 }
 
 impl Partition {
-    /// Halve the triangles again and again across the longest side of their box: a k-d tree. `turn` numbers the
-    /// partitions of one run; each looks at the mesh from another side, so that no edge stays on the rim.
+    /// Partition by recursive halving across the longest side (a k-d tree).
+    ///
+    /// `turn` is the index of the partition in a run. It rotates the planes, so that no edge stays on a rim.
     pub fn new<const D: usize>(
         points: &[[f64; D]],
         triangles: &[[u32; 3]],
@@ -66,12 +70,13 @@ impl Partition {
         self.len() == 0
     }
 
+    /// Return the triangles of a region.
     pub fn region(&self, p: usize) -> &[u32] {
         &self.triangles[self.starts[p]..self.starts[p + 1]]
     }
 }
 
-/// How many of `count` triangles go to the first half of the regions.
+/// Number of triangles in the first half of the regions.
 fn share(count: usize, regions: usize) -> usize {
     (count as u128 * (regions / 2) as u128 / regions as u128) as usize
 }
@@ -114,7 +119,7 @@ fn longest_side(items: &[Item]) -> usize {
     (1..3).fold(0, |longest, i| if side(i) > side(longest) { i } else { longest })
 }
 
-/// An orthonormal frame for each turn: a rotation by the golden angle and by one radian about two axes.
+/// Compute the orthonormal frame of a turn: rotations by the golden angle and by one radian about two axes.
 fn frame(turn: usize) -> [[f64; 3]; 3] {
     let (a, b) = (2.399_963 * turn as f64, turn as f64);
     let ((sa, ca), (sb, cb)) = (a.sin_cos(), b.sin_cos());

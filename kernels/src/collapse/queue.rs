@@ -1,14 +1,14 @@
-//! A priority queue of edges whose keys can change: a 4-ary heap that knows where each edge stands.
+//! Priority queue of edges with changeable keys: a 4-ary heap that stores the position of each edge.
 //!
-//! Four children lie in one cache line, and the tree is half as deep as a binary one. Equal keys come out
-//! in the order of the edge numbers, so a run never depends on the history of the heap.
+//! Four children share a cache line, and the tree is half as deep as a binary heap. Equal keys are ordered by
+//! edge index, so the result never depends on the history of the heap.
 
 use crate::base::ids::EdgeId;
 
 const ARITY: usize = 4;
 const ABSENT: u32 = u32::MAX;
 
-/// A key and its edge as one whole number, which is smaller for what comes first: compared without a branch.
+/// Key and edge in one integer that compares without a branch.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 struct Entry(u128);
 
@@ -16,7 +16,7 @@ impl Entry {
     #[inline]
     fn new(key: f64, edge: EdgeId) -> Self {
         debug_assert!(!key.is_nan());
-        // Zero has two signs, and is one key.
+        // +0 and −0 are the same key.
         let bits = (key + 0.0).to_bits();
         let rank = if bits >> 63 == 0 { bits | 1 << 63 } else { !bits };
         Self(u128::from(rank) << 64 | u128::from(edge.0))
@@ -34,6 +34,7 @@ impl Entry {
     }
 }
 
+/// Priority queue of edges.
 #[derive(Clone, Debug)]
 pub struct Queue {
     heap: Vec<Entry>,
@@ -41,7 +42,7 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// A queue for edges numbered below `slots` with those given, in linear time.
+    /// Build a queue in linear time; all edge indices are below `slots`.
     pub fn new(slots: usize, entries: impl Iterator<Item = (EdgeId, f64)>) -> Self {
         let mut queue = Self { heap: Vec::with_capacity(slots), place: vec![ABSENT; slots] };
         for (edge, key) in entries {
@@ -62,23 +63,24 @@ impl Queue {
         self.heap.is_empty()
     }
 
-    /// The edge with the smallest key, and that key.
+    /// Return the edge with the smallest key, and the key.
     #[inline]
     pub fn first(&self) -> Option<(EdgeId, f64)> {
         self.heap.first().map(|entry| (entry.edge(), entry.key()))
     }
 
+    /// Test if an edge is queued.
     #[inline]
     pub fn holds(&self, edge: EdgeId) -> bool {
         self.place.get(edge.index()).is_some_and(|&place| place != ABSENT)
     }
 
-    /// All keys, in no order.
+    /// Iterate over all keys, unordered.
     pub fn keys(&self) -> impl Iterator<Item = f64> + '_ {
         self.heap.iter().map(|entry| entry.key())
     }
 
-    /// Take out the edge with the smallest key.
+    /// Remove and return the edge with the smallest key.
     pub fn pop(&mut self) -> Option<EdgeId> {
         let edge = self.heap.first()?.edge();
         self.discard(edge);
@@ -103,14 +105,14 @@ impl Queue {
         if sooner { self.sift_up(at) } else { self.sift_down(at) }
     }
 
-    /// Take an edge out, if it is in.
+    /// Remove an edge if it is queued.
     pub fn discard(&mut self, edge: EdgeId) {
         let place = std::mem::replace(&mut self.place[edge.index()], ABSENT);
         if place == ABSENT {
             return;
         }
         let at = place as usize;
-        let last = self.heap.pop().expect("an edge with a place is in the heap");
+        let last = self.heap.pop().expect("a queued edge is in the heap");
         if at == self.heap.len() {
             return;
         }

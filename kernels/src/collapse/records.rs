@@ -1,39 +1,45 @@
-//! What a method knows of the whole mesh from round to round.
+//! State of a simplification method for the whole mesh, between rounds.
 
 use crate::collapse::engine::Measure;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// What a measure remembers of the whole mesh.
+/// State of a measure for the whole mesh.
 pub trait Records<const D: usize>: Sized + Send + Sync {
     type Measure: Measure<D> + Send;
-    /// What is left of a region's records.
+    /// State of a region after simplification.
     type Remains: Send;
 
-    /// Whether all merges of a run are kept, also where nobody asks for them.
+    /// Keep the merges of all rounds, even if they are not requested.
     const KEEPS_MERGES: bool = true;
 
-    /// How much there is to look at in a mesh of so many triangles, counted in triangles of their own.
+    /// Return the workload of a mesh, in units of triangles; it determines the number of regions.
     fn size(&self, triangles: usize) -> usize {
         triangles
     }
 
-    /// Leave to no region alone what must be seen together, and is in several: `owner` says for each vertex which region
-    /// it is of.
+    /// Mark vertices that must be processed together but belong to several regions.
+    ///
+    /// `owner` is the region of each vertex; such vertices become shared.
     fn keep_together(&self, _owner: &mut [u32]) {}
 
-    /// A measure for a region, whose sources are numbers of the whole mesh.
+    /// Create the measure of a region. Sources in `region` are indices in the whole mesh.
     fn load(&self, region: &Mesh<D>) -> Self::Measure;
 
-    /// What [`Self::load`] and [`Self::unload`] make of a region in which nothing happens, given its triangles and the
-    /// vertices that are not on the rim; none if that is not known without a mesh.
+    /// Compute the result of [`Self::load`] and [`Self::unload`] for a region without collapses.
+    ///
+    /// `triangles` are its triangles, `inside` its vertices that are not on the rim. `None` if a mesh is
+    /// needed to compute it.
     fn untouched(&self, _triangles: &[u32], _inside: &[u32]) -> Option<Self::Remains> {
         None
     }
 
-    /// Records of the vertices that are not on the rim, and of the triangles, in their order.
+    /// Return the state of a simplified region, in mesh order.
+    ///
+    /// It contains the vertices that are not on the rim, and the triangles.
     fn unload(measure: Self::Measure, region: &Mesh<D>) -> Self::Remains;
 
-    /// Records of the next whole mesh: its vertices are those of `rim` (numbers of this one), then those of
-    /// each region.
+    /// Join the regions to the state of the next mesh.
+    ///
+    /// Its vertices are `rim` (indices in this mesh), followed by the vertices of each region.
     fn join(self, rim: &[u32], remains: Vec<Self::Remains>) -> Self;
 }

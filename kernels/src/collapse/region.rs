@@ -1,8 +1,7 @@
-//! The regions a mesh is worked on in: cut out of the whole, and put together again.
+//! Regions of a mesh: cutting them out of the whole, and joining them again.
 //!
-//! A region is small enough for the cache and is nobody else's while it is worked on. Vertices it shares with
-//! other regions are its rim and stay; what it leaves is put together again with the other regions' remains, and
-//! the next partition runs elsewhere.
+//! A region fits into the cache and is processed by one thread. Vertices shared with other regions form its
+//! rim and do not move. The next partition has its rims elsewhere.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -17,10 +16,10 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 const NOBODY: u32 = u32::MAX;
-/// The owner of a vertex that no region has alone.
+/// Owner of a vertex that belongs to several regions.
 pub const SHARED: u32 = u32::MAX - 1;
 
-/// The region that each vertex is of, or [`SHARED`].
+/// Find the region of each vertex, or [`SHARED`].
 pub fn find_owners(
     vertices: usize,
     triangles: &[[u32; 3]],
@@ -30,7 +29,7 @@ pub fn find_owners(
     if partition.len() == 1 {
         return vec![0; vertices];
     }
-    // Whoever comes first, a vertex of two regions ends up shared.
+    // In any thread order, a vertex of two regions ends up shared.
     let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NOBODY)).collect();
     let claim = |(): &mut (), p: usize| {
         for &v in partition.region(p).iter().flat_map(|&t| &triangles[t as usize]) {
@@ -48,7 +47,7 @@ pub fn find_owners(
     owner.into_iter().map(AtomicU32::into_inner).collect()
 }
 
-/// One number for each vertex of the whole mesh, used again from region to region.
+/// Local index of each vertex of the whole mesh, reused from region to region.
 pub struct Scratch {
     local: Vec<u32>,
 }
@@ -60,17 +59,17 @@ impl Scratch {
 }
 
 impl<const D: usize, B: Copy> Whole<D, B> {
-    /// The mesh of a region, and what is known of its edges.
+    /// Cut out the mesh of a region, with the refusals of its edges.
     ///
     /// # Errors
-    /// As [`Connectivity::from_region`], with the region's own numbers.
+    /// As [`Connectivity::from_region`], with vertex indices of the region.
     pub fn cut(
         &self,
         region: &[u32],
         rim: &[bool],
         scratch: &mut Scratch,
     ) -> Result<(Mesh<D>, Refusals<B>), KernelError> {
-        // Neighbours in the input are mostly neighbours in memory.
+        // Triangles that are close in the input are usually close in memory.
         let mut triangle_source = region.to_vec();
         triangle_source.sort_unstable();
         let mut vertex_source: Vec<u32> = Vec::with_capacity(region.len() / 2 + 64);
@@ -115,20 +114,21 @@ impl<const D: usize, B: Copy> Whole<D, B> {
     }
 }
 
-/// What is left of a region.
+/// A simplified region, ready to be joined.
 pub struct Remains<const D: usize, B, R> {
     /// Vertices that are not on the rim.
     points: Vec<[f64; D]>,
     vertex_source: Vec<u32>,
     /// Empty if the whole mesh has no locked vertices.
     locked: Vec<bool>,
-    /// A vertex of the rim by its number in the whole mesh, `ON_RIM` added; another by its place in `points`.
+    /// Corners: a vertex on the rim as its index in the whole mesh plus `ON_RIM`, others as index in
+    /// `points`.
     triangles: Vec<[u32; 3]>,
     triangle_source: Vec<u32>,
     refused: Vec<CornerRefusals<B>>,
-    /// Until they are joined.
+    /// `None` once they are joined.
     records: Option<R>,
-    /// In numbers of the whole mesh.
+    /// In vertex indices of the whole mesh.
     pub merges: Vec<Merge>,
     path: Option<Vec<[f64; D]>>,
 }
@@ -136,8 +136,9 @@ pub struct Remains<const D: usize, B, R> {
 const ON_RIM: u32 = 1 << 31;
 
 impl<const D: usize, B: Copy, R> Remains<D, B, R> {
-    /// What happened, in the numbers that `source` has for the vertices of the whole mesh: merges, and where their
-    /// survivors went, if that was recorded.
+    /// Take out the merges and the recorded positions of the survivors.
+    ///
+    /// `source` renumbers the vertices of the merges.
     pub fn take_merges(&mut self, source: &[u32]) -> (Vec<Merge>, Vec<[f64; D]>) {
         let mut merges = std::mem::take(&mut self.merges);
         for vertex in merges.iter_mut().flat_map(|m| [&mut m.removed, &mut m.survivor]) {
@@ -148,12 +149,12 @@ impl<const D: usize, B: Copy, R> Remains<D, B, R> {
         (merges, path)
     }
 
-    /// Triangles that are left.
+    /// Number of remaining triangles.
     pub fn triangles(&self) -> usize {
         self.triangles.len()
     }
 
-    /// What is left of a region of `whole`.
+    /// Extract the result of a simplified region of `whole`.
     pub fn new(
         mesh: &Mesh<D>,
         whole: &Whole<D, B>,
@@ -201,7 +202,7 @@ impl<const D: usize, B: Copy, R> Remains<D, B, R> {
 }
 
 impl<const D: usize, B: Copy> Whole<D, B> {
-    /// Whether all edges of a region wait on a refusal, but for those with an end on the rim: nothing can happen there.
+    /// Test if no edge of a region can collapse: each is refused or has an end on the rim.
     pub fn is_idle(&self, region: &[u32], rim: &[bool]) -> bool {
         let is_open = |t: usize, side: usize| {
             let ends = [side, (side + 1) % 3].map(|corner| self.triangles[t][corner] as usize);
@@ -210,8 +211,9 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         !self.refused.is_empty() && !region.iter().any(|&t| (0..3).any(|side| is_open(t as usize, side)))
     }
 
-    /// What a region leaves in which nothing happens, in the same order as if it had been cut out; none if its records have
-    /// to be loaded.
+    /// Compute the result of a region without collapses.
+    ///
+    /// It has the same order as if the region had been cut out. `None` if its records have to be loaded.
     pub fn untouched<R: Records<D>>(
         &self,
         region: &[u32],
@@ -250,9 +252,9 @@ impl<const D: usize, B: Copy> Whole<D, B> {
     }
 }
 
-/// Where the remains of a region go in the next whole mesh.
+/// Slices of the next whole mesh for one region.
 struct Place<'a, const D: usize, B> {
-    /// Number of its first vertex.
+    /// Index of its first vertex.
     first: u32,
     points: &'a mut [[f64; D]],
     vertex_source: &'a mut [u32],
@@ -279,8 +281,7 @@ impl<const D: usize, B: Copy> Place<'_, D, B> {
 }
 
 impl<const D: usize, B: Copy + Send> Whole<D, B> {
-    /// Put the remains of all regions together, in the memory of this mesh, which is never smaller. Vertices of
-    /// the rim come first.
+    /// Join all regions in the memory of this mesh, which is never smaller. Vertices of the rim come first.
     pub fn join<R: Records<D>>(
         mut self,
         rim: &[bool],
@@ -292,7 +293,7 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
         let mut rim_number = vec![NOBODY; rim.len()];
         for (number, &v) in (0..).zip(&rim_vertices) {
             rim_number[v as usize] = number;
-            // No number is larger than the one it replaces.
+            // An index is never larger than the one it replaces, so moving in place is safe.
             let (number, v) = (number as usize, v as usize);
             self.points[number] = self.points[v];
             self.vertex_source[number] = self.vertex_source[v];
@@ -316,7 +317,7 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
         (self, records)
     }
 
-    /// One place after the other, the first after the vertices of the rim.
+    /// Divide the arrays into consecutive slices, after the vertices of the rim.
     fn places<R>(&mut self, rim: usize, remains: &[Remains<D, B, R>]) -> Vec<Place<'_, D, B>> {
         let mut points = &mut self.points[rim..];
         let mut vertex_source = &mut self.vertex_source[rim..];
@@ -343,13 +344,13 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
     }
 }
 
-/// Give back what is no longer needed.
+/// Truncate, and release the memory of the rest.
 fn shorten<T>(values: &mut Vec<T>, length: usize) {
     values.truncate(length);
     values.shrink_to_fit();
 }
 
-/// The first `count` of `rest`, which keeps the others.
+/// Split off the first `count` elements of `rest`.
 fn split_off<'a, T>(rest: &mut &'a mut [T], count: usize) -> &'a mut [T] {
     let (first, others) = std::mem::take(rest).split_at_mut(count);
     *rest = others;

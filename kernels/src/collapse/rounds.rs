@@ -1,17 +1,17 @@
-//! The collapse loop over a mesh of any size: round after round, region by region.
+//! Collapse loop over a mesh of any size: in rounds, region by region.
 //!
 //! ```text
-//! until few enough triangles are left, or no edge may collapse:
-//!     cut the mesh into regions, elsewhere than before
-//!     choose a priority up to which at most three quarters of the triangles should go
-//!     each region, on any thread: collapse up to this priority, the rim locked
-//!     put the remains together
+//! until few enough triangles are left, or no edge can collapse:
+//!     partition the mesh into regions, with rims elsewhere than before
+//!     choose a priority limit so that at most three quarters of the triangles go
+//!     each region, on any thread: collapse up to this limit, with the rim locked
+//!     join the regions
 //! ```
 //!
-//! Within a round, all regions go up to the same priority, as one queue for the whole mesh would: the order differs
-//! from that of one queue only along the rims, and there by one round. Regions, priorities and numbering follow
-//! from the mesh alone, so the result has the same bits for any number of threads. Regions fit into the
-//! cache, which makes this faster than one queue also on a single core.
+//! All regions of a round collapse up to the same priority, as a single queue for the whole mesh would. The
+//! order differs from a single queue only along the rims, by at most one round. Regions, limits and numbering
+//! depend only on the mesh, so the result is bit-identical for any number of threads. Regions fit into the
+//! cache, which makes this faster than a single queue even on one core.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -29,48 +29,52 @@ use crate::collapse::region::{Remains, SHARED, Scratch, find_owners};
 use crate::collapse::whole::Whole;
 use crate::mesh::connectivity::Connectivity;
 
-/// How far to go, and on how many threads.
+/// Stop criteria and number of threads.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
-    /// Stop as soon as no more triangles are left.
+    /// Stop when at most this many triangles are left.
     pub triangles: usize,
     /// At least 1.
     pub threads: usize,
-    /// Triangles of a region. The result depends on it.
+    /// Triangles per region. The result depends on it.
     pub region: usize,
-    /// A round that collapses fewer edges, as a share of the triangles, is the last; 0 to go on until none may. What is left
-    /// then are single edges that lay on a rim each time, and a round costs what it costs for any number of them.
+    /// Minimum ratio of collapses to triangles in a round; a round below it is the last one. 0 continues
+    /// until no edge can collapse. The last edges are single ones that were on a rim each time, and every
+    /// further round costs the same.
     pub least: f64,
-    /// Record where the survivor of each collapse went.
+    /// Record the positions of the survivors.
     pub record: bool,
 }
 
-/// Triangles of a region by default: small enough for the caches; half as many is no faster, and has more rim.
+/// Default triangles per region: small enough for the caches. Half of it is no faster and has more rim.
 pub const REGION_TRIANGLES: usize = 8192;
 
-/// Share of the triangles that one round may remove: more saves rounds, less follows one queue's order closer.
+/// Maximum ratio of triangles that one round removes. A larger one saves rounds; a smaller one is closer to a
+/// single queue.
 const SHARE: f64 = 0.75;
 
-/// Free pages stay where only one collapse took place for so many triangles: they are needed again at once.
+/// With fewer than one collapse per this many triangles, free memory is kept, because the next round needs it
+/// at once.
 const FEW: usize = 16;
 
-/// With at most so many regions, all are sampled, and their engines are kept: they take as much memory as on as many
-/// threads.
+/// Up to this many regions, all are sampled, and their engines are kept. They take as much memory as on the
+/// same number of threads.
 const MAX_BEGUN: usize = 8;
 
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
+/// Result of the collapse loop.
 pub struct Outcome<const D: usize, R: Records<D>> {
     pub mesh: Whole<D, Bound<D, R>>,
     pub records: R,
     pub stop: Stop,
     pub collapses: usize,
-    /// In an order in which they can be repeated; empty where the records keep none and none was asked for.
+    /// In replay order; empty if the records keep no merges and none were requested.
     pub logs: Vec<Log<D>>,
     pub attempts: u64,
 }
 
-/// Collapse edges until the goal is reached or none may go.
+/// Collapse edges until the goal is reached or no edge can collapse.
 ///
 /// # Errors
 /// As [`Connectivity::from_triangles`], and [`KernelError::Interrupted`].
@@ -96,7 +100,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
         if rounds.mesh.triangles.len() <= goal.triangles {
             break Stop::Target;
         }
-        // The end: every edge waits on a refusal.
+        // Every edge is refused.
         if is_unlimited && (is_one || !rounds.has_open_edges()) {
             break Stop::Exhausted;
         }
@@ -110,39 +114,39 @@ pub fn collapse<const D: usize, R: Records<D>>(
     Ok(Outcome { mesh, records, stop, collapses, logs, attempts: attempts.into_inner() })
 }
 
-/// The whole mesh between two rounds, and what has happened so far.
+/// The whole mesh between two rounds, and the history so far.
 struct Rounds<'a, const D: usize, R: Records<D>> {
     mesh: Whole<D, Bound<D, R>>,
     records: R,
     goal: &'a Goal,
     at_start: usize,
-    /// The number of the round.
+    /// Index of the round.
     round: usize,
-    /// Rounds in a row in which nothing happened.
+    /// Number of consecutive rounds without a collapse.
     idle: u32,
-    /// True if the last round collapsed no edge.
+    /// True if the last round had no collapse.
     is_stalled: bool,
-    /// Priorities of the edges that were left to wait by the last round.
+    /// Priorities of the edges left in the queues of the last round.
     waiting: Option<Histogram>,
     collapses: usize,
     logs: Vec<Log<D>>,
     attempts: AtomicU64,
 }
 
-/// A mesh cut into regions.
+/// Partition of a mesh into regions.
 struct Cut {
     partition: Partition,
-    /// Vertices that no region has alone.
+    /// Vertices that belong to several regions.
     rim: Vec<bool>,
 }
 
-/// What the regions of a round left.
+/// Result of all regions of a round.
 struct Done<const D: usize, R: Records<D>> {
     remains: Vec<Remains<D, Bound<D, R>, R::Remains>>,
     waiting: Histogram,
-    /// Up to which edges were to collapse.
+    /// Priority limit of the round.
     priority: f64,
-    /// How many did, before what was too much was left out.
+    /// Number of collapses before surplus ones were dropped.
     collapsed: usize,
 }
 
@@ -163,12 +167,12 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         }
     }
 
-    /// Triangles gone so far.
+    /// Number of triangles removed so far.
     fn gone(&self) -> usize {
         self.at_start - self.mesh.triangles.len()
     }
 
-    /// Triangles that may go.
+    /// Number of triangles to remove.
     fn total(&self) -> usize {
         self.at_start - self.goal.triangles.min(self.at_start)
     }
@@ -177,7 +181,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         self.mesh.refused.iter().any(|refused| refused.iter().any(Option::is_none))
     }
 
-    /// Estimate the number of edges that no refusal holds back; boundary edges count half.
+    /// Estimate the number of edges without a refusal; boundary edges count half.
     fn open_edges(&self) -> usize {
         if self.mesh.refused.is_empty() {
             return 3 * self.mesh.triangles.len() / 2;
@@ -185,24 +189,25 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         self.mesh.refused.as_flattened().iter().filter(|refused| refused.is_none()).count() / 2
     }
 
-    /// Cut the mesh, elsewhere than before.
+    /// Partition the mesh, with rims elsewhere than before.
     fn cut(&self) -> Result<Cut, KernelError> {
         let (mesh, threads) = (&self.mesh, self.goal.threads);
-        // While nothing happens but some edges were on a rim each time, larger regions leave fewer of them.
+        // If nothing collapsed except that edges on rims were skipped, larger regions leave fewer of them.
         let regions = (self.records.size(mesh.triangles.len()) / self.goal.region.max(1)) >> self.idle;
         let partition = Partition::new(&mesh.points, &mesh.triangles, regions.max(1), self.round, threads);
         let mut owner = find_owners(mesh.points.len(), &mesh.triangles, &partition, threads);
         self.records.keep_together(&mut owner);
         let rim: Vec<bool> = owner.into_iter().map(|owner| owner == SHARED).collect();
-        // What goes on from an earlier call was looked at then.
+        // A mesh with refusals comes from an earlier call, which checked it.
         if self.round == 0 && mesh.refused.is_empty() {
             check_seam(mesh, &rim, partition.len())?;
         }
         Ok(Cut { partition, rim })
     }
 
-    /// Collapse in all regions, up to a priority that should leave about as many triangles as the round is to leave, and
-    /// none too few.
+    /// Collapse in all regions up to the priority limit of the round.
+    ///
+    /// If too few triangles are left, the round is repeated with a limit on the collapses of each region.
     fn work(&self, cut: &Cut, progress: &Progress) -> Result<Done<D, R>, KernelError> {
         let (mesh, goal, count) = (&self.mesh, self.goal, self.mesh.triangles.len());
         let gone = AtomicU64::new(self.gone() as u64);
@@ -224,7 +229,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         let (remains, waiting) = run.all(|_| until, progress).map_err(|error| explained(mesh, error))?;
         let collapsed: usize = remains.iter().map(|left| left.merges.len()).sum();
         let left: usize = remains.iter().map(Remains::triangles).sum();
-        // Removing two triangles each, or one at a boundary, the collapses may have gone too far.
+        // A collapse removes one or two triangles, so the estimate may overshoot.
         if is_one || left >= goal.triangles {
             return Ok(Done { remains, waiting, priority, collapsed });
         }
@@ -234,13 +239,13 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         Ok(Done { remains, waiting, priority, collapsed })
     }
 
-    /// Put together what the regions left.
+    /// Join the results of the regions.
     fn join(mut self, cut: Cut, mut done: Done<D, R>) -> Self {
         let Cut { partition, rim } = cut;
         drop(partition);
         for left in &mut done.remains {
             self.collapses += left.merges.len();
-            // The remains do not need them any more.
+            // The join does not need the merges.
             let (merges, path) = left.take_merges(&self.mesh.vertex_source);
             if R::KEEPS_MERGES || self.goal.record {
                 self.logs.push(Log { round: self.round, merges, path });
@@ -248,15 +253,17 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         }
         let (mesh, records) = self.mesh.join(&rim, self.records, done.remains, self.goal.threads);
         if self.goal.record && done.collapsed > mesh.triangles.len() / FEW {
-            // Paths stay between what the regions needed for a while.
+            // Recorded positions are allocated between freed blocks of the regions, so freed memory is
+            // returned explicitly.
             memory::give_back();
         }
         Self { mesh, records, waiting: Some(done.waiting), round: self.round + 1, ..self }
     }
 }
 
-/// Collapses to ask of a round that starts with `count` triangles. The last rounds aim a little short, then too far, and
-/// are cut to the goal.
+/// Number of collapses to request in a round that starts with `count` triangles.
+///
+/// Near the goal, rounds first stop a little short, then overshoot and are cut back to the goal.
 fn wanted(count: usize, goal: usize) -> usize {
     let needed = count.saturating_sub(goal).div_ceil(2);
     let most = (SHARE * count as f64 / 2.0) as usize;
@@ -269,19 +276,19 @@ fn wanted(count: usize, goal: usize) -> usize {
     }
 }
 
-/// One round at work.
+/// A round in progress.
 struct Run<'a, const D: usize, R: Records<D>> {
     rounds: &'a Rounds<'a, D, R>,
     cut: &'a Cut,
-    /// Triangles gone so far, of how many that may go.
+    /// Triangles removed so far; `total` is the number to remove.
     gone: AtomicU64,
     total: u64,
-    /// Engines of the regions that were sampled, if they are few enough to wait for their turn.
+    /// Engines of the sampled regions, if they are few enough to keep.
     begun: Vec<Mutex<Option<Engine<D, R::Measure>>>>,
 }
 
 impl<const D: usize, R: Records<D>> Run<'_, D, R> {
-    /// What all regions left, each taken as far as said for it, and which edges wait there.
+    /// Simplify all regions, each up to its stop criteria. Also returns the priorities of waiting edges.
     #[allow(clippy::type_complexity)]
     fn all(
         &self,
@@ -296,18 +303,20 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         Ok((remains, waiting))
     }
 
-    /// Whether fewer edges are open than `wanted` collapses, even if all of them were in the regions of a sample.
+    /// Test if fewer edges are open than `wanted` collapses.
+    ///
+    /// The estimate assumes that all of them are in sampled regions.
     fn has_few_open(&self, wanted: usize) -> bool {
         let open = 2 * self.rounds.open_edges();
         !self.rounds.mesh.refused.is_empty() && open.saturating_mul(2 * self.step()) < wanted
     }
 
-    /// Of so many regions one is looked at before the first round.
+    /// One of this many regions is sampled before the first round.
     fn step(&self) -> usize {
         (self.cut.partition.len() / 8).max(1)
     }
 
-    /// The priorities in some of the regions, before the first round.
+    /// Sample the priorities of some regions before the first round.
     fn sample(&mut self, progress: &Progress) -> Result<Histogram, KernelError> {
         let partition = &self.cut.partition;
         let step = self.step();
@@ -323,7 +332,7 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         Ok(waiting)
     }
 
-    /// Work for each number below `count`, on all threads.
+    /// Call `one` for each index below `count`, in parallel.
     fn each<T: Send>(
         &self,
         count: usize,
@@ -333,7 +342,7 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         map(count, self.rounds.goal.threads, scratch, one).into_iter().collect()
     }
 
-    /// The engine of a region: the one of the sample, if it was kept.
+    /// Take the engine of a region from the sample, or create it.
     fn engine(&self, scratch: &mut Scratch, p: usize) -> Result<Engine<D, R::Measure>, KernelError> {
         let begun = self.begun.get(p).and_then(|engine| engine.lock().ok()?.take());
         if let Some(engine) = begun {
@@ -344,7 +353,7 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         Ok(Engine::resume(mesh, measure, refusals))
     }
 
-    /// Collapse in one region.
+    /// Simplify one region.
     fn region(
         &self,
         scratch: &mut Scratch,
@@ -377,7 +386,9 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
     }
 }
 
-/// How many merges of each region to keep so that `triangles` are left: those of least priority.
+/// Compute the number of merges to keep in each region.
+///
+/// In priority order, as many are kept as leave `triangles`.
 fn first_merges<const D: usize, B: Copy, R>(
     remains: &[Remains<D, B, R>],
     triangles: usize,
@@ -394,7 +405,9 @@ fn first_merges<const D: usize, B: Copy, R>(
     limits
 }
 
-/// Check the manifold around vertices of the rim, whose triangles no region has all.
+/// Check that the mesh is manifold around vertices of the rim.
+///
+/// No region has all triangles around them.
 fn check_seam<const D: usize, B: Copy>(
     mesh: &Whole<D, B>,
     rim: &[bool],
@@ -405,14 +418,14 @@ fn check_seam<const D: usize, B: Copy>(
     }
     let touches = |t: &u32| mesh.triangles[*t as usize].iter().any(|&v| rim[v as usize]);
     let touching: Vec<u32> = (0..mesh.triangles.len() as u32).filter(touches).collect();
-    // Here it is the others that have triangles elsewhere.
+    // Mark the inverse of the rim, because here the other vertices have triangles elsewhere.
     let others: Vec<bool> = rim.iter().map(|is_rim| !is_rim).collect();
     let mut scratch = Scratch::new(mesh.points.len());
     mesh.cut(&touching, &others, &mut scratch).map_err(|error| explained(mesh, error))?;
     Ok(())
 }
 
-/// What a region found wrong, in the numbers of the whole mesh.
+/// Translate an error of a region to vertex indices of the whole mesh.
 fn explained<const D: usize, B>(mesh: &Whole<D, B>, error: KernelError) -> KernelError {
     if error.is_given_up() {
         return error;

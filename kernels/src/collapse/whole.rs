@@ -1,4 +1,4 @@
-//! A mesh as a whole, between two rounds.
+//! The whole mesh between two rounds.
 
 use crate::base::errors::KernelError;
 use crate::collapse::engine::Refusal;
@@ -6,25 +6,27 @@ use crate::mesh::connect::check_indices;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, Sources, check_points};
 
-/// Why the edge at each corner of a triangle may not collapse.
+/// By corner of a triangle: the reason why the edge that starts there cannot collapse.
 pub type CornerRefusals<B> = [Option<Refusal<B>>; 3];
 
 /// The whole mesh between two rounds.
 pub struct Whole<const D: usize, B> {
     pub points: Vec<[f64; D]>,
     pub triangles: Vec<[u32; 3]>,
-    /// Which vertices and triangles of the mesh of the first round these are.
+    /// Indices of the vertices and triangles in the initial mesh.
     pub vertex_source: Vec<u32>,
     pub triangle_source: Vec<u32>,
-    /// Vertices that must stay; empty for none.
+    /// Vertices that must not move; empty for none.
     pub locked: Vec<bool>,
-    /// Empty before the first round.
+    /// By triangle; empty before the first round.
     pub refused: Vec<CornerRefusals<B>>,
 }
 
 impl<const D: usize, B: Copy> Whole<D, B> {
-    /// Points and triangles as they come. A triangle that names a vertex twice has no area and no side: it is left
-    /// out. That the rest is an oriented manifold is checked when it is cut.
+    /// Create from points and triangles.
+    ///
+    /// A triangle that uses a vertex twice has no area and is dropped. The rest must be an oriented manifold,
+    /// which is checked when the mesh is cut into regions.
     ///
     /// # Errors
     /// An index out of range, or a value that is not finite or beyond ±1e60.
@@ -45,7 +47,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         Ok(Self { points, triangles, vertex_source, triangle_source, locked, refused: vec![] })
     }
 
-    /// The mesh in one piece, with halfedges.
+    /// Convert to a mesh with halfedges, in one region.
     ///
     /// # Errors
     /// As [`Connectivity::from_triangles`].
@@ -62,7 +64,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         })
     }
 
-    /// A mesh to start from, and where its parts came from before.
+    /// Convert a halfedge mesh; also returns the sources of its vertices and triangles.
     pub fn from_mesh(mesh: Mesh<D>) -> (Self, Sources) {
         let corners = |t| mesh.connectivity.corners(t).map(|v| v.0);
         let triangles: Vec<[u32; 3]> = mesh.connectivity.triangles().map(corners).collect();
@@ -77,7 +79,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         (whole, Sources { vertices: mesh.vertex_source, triangles: mesh.triangle_source })
     }
 
-    /// Why edges may not collapse: one entry for each that may not.
+    /// List the refusal of each edge that cannot collapse.
     pub fn refused_edges(&self) -> Vec<Refusal<B>> {
         let mut refused: Vec<(u32, u32, Refusal<B>)> = vec![];
         for (corners, refusals) in self.triangles.iter().zip(&self.refused) {
@@ -91,7 +93,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         refused.into_iter().map(|edge| edge.2).collect()
     }
 
-    /// The mesh with vertices and triangles in the order of their sources, without vertices no triangle uses.
+    /// Convert to a compact mesh, sorted by source, without unused vertices.
     pub fn into_compact(self) -> Compact<D> {
         let used = {
             let mut used = vec![false; self.points.len()];

@@ -1,11 +1,13 @@
-//! Fitting a simplified mesh to its input by least squares, connectivity as it is.
+//! Least-squares fit of a simplified mesh to its input, with fixed connectivity.
 //!
-//! Samples of the input go to the nearest point of the result; vertices then move along their normals, and their
-//! attributes change, until the squared differences at the samples are least: the inner problem of Hoppe, DeRose,
-//! Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993, with one unknown a vertex instead of three.
-//! Samples are the centres of the input's triangles, each with the triangle's area; where there are few of
-//! them to a triangle of the result, the corners count too, a twelfth of the area each and three quarters for
-//! the centre: exact for the integral of what is quadratic on the triangle.
+//! Samples of the input are assigned to the nearest point of the result. Vertices then move along their
+//! normals, and their attributes change, to minimise the squared differences at the samples. This is the
+//! inner problem of Hoppe, DeRose, Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993, with one
+//! unknown per vertex instead of three.
+//!
+//! Samples are the centres of the input triangles, weighted by area. If there are few of them per triangle of
+//! the result, the corners count too: 1/12 of the area each, and 3/4 for the centre, which integrates
+//! quadratic functions exactly.
 
 use crate::base::errors::KernelError;
 use crate::base::geometry::{
@@ -17,38 +19,39 @@ use crate::base::progress::Progress;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-/// Strength of the spring that holds every unknown, as a share of the samples' weight at a vertex: without it
-/// a vertex with few samples would follow their noise.
+/// Strength of the spring on every unknown, relative to the sample weight of a vertex. Without it, vertices
+/// with few samples would follow the noise.
 const SPRING: f64 = 0.05;
 
-/// Steps of the conjugate gradient method; the systems are well conditioned.
+/// Iterations of the conjugate gradient method; the systems are well conditioned.
 const STEPS: usize = 12;
 
-/// No triangle may turn by more than 60° (cosine).
+/// Minimum cosine between old and new normal of a triangle (60°).
 const LEAST_COSINE: f64 = 0.5;
 
-/// Largest way of a vertex, in distances of its farthest sample. Where normals are nearly at right angles to all
-/// triangles, as on a thin prism, samples hardly hold a vertex: it would leave the surface as a spike.
+/// Maximum step of a vertex, relative to the distance of its farthest sample. If vertex normals are nearly
+/// perpendicular to all triangle normals, as on a thin prism, samples hardly constrain the vertex. It would
+/// become a spike.
 const MAX_REACH: f64 = 2.0;
 
-/// How far a vertex may leave the input's box, as a share of the diagonal. Where a vertex stands for a whole side of the
-/// object, the least squares of its distance to all of it lie far outside.
+/// Margin around the bounding box of the input that vertices must not leave, relative to its diagonal. If one
+/// vertex represents a whole side of the object, the least-squares solution is far outside.
 pub const BOX_MARGIN: f64 = 0.05;
 
-/// Samples a thread takes at a time.
+/// Samples per parallel task.
 const CHUNK: usize = 1 << 14;
 
-/// The input, and which vertex of the result each of its vertices became part of.
+/// The input, and the vertex of the result that contains each of its vertices.
 pub struct Input<'a, const D: usize> {
     pub points: &'a [[f64; D]],
     pub triangles: &'a [[u32; 3]],
     pub became: &'a [VertexId],
 }
 
-/// With this many triangles of the input to one of the result, their centres are samples enough.
+/// With this many input triangles per triangle of the result, their centres are enough samples.
 const ENOUGH_CENTRES: usize = 6;
 
-/// Samples of the input: the centres of its triangles, and then perhaps its vertices.
+/// Samples of the input: the centres of its triangles, followed by its vertices if they count.
 struct Samples<'a, const D: usize> {
     input: &'a Input<'a, D>,
     /// Weights of the vertices; empty if they do not count.
@@ -85,7 +88,9 @@ impl<'a, const D: usize> Samples<'a, D> {
         }
     }
 
-    /// The place and attributes of a sample, and a vertex of the result to start the search from.
+    /// Return the position and attributes of a sample, and its start vertex.
+    ///
+    /// The search for its nearest point starts at that vertex of the result.
     fn get(&self, i: usize) -> ([f64; D], VertexId) {
         let Some(corners) = self.input.triangles.get(i) else {
             let v = i - self.input.triangles.len();
@@ -98,7 +103,7 @@ impl<'a, const D: usize> Samples<'a, D> {
     }
 }
 
-/// The nearest point of a sample on the result; single precision is enough for weights.
+/// Nearest point on the result. Single precision is enough for the barycentric coordinates.
 #[derive(Clone, Copy)]
 struct Hit {
     triangle: TriangleId,
@@ -112,8 +117,10 @@ impl Hit {
     }
 }
 
-/// Look for the nearest point from vertex to vertex: around `start`, then around the corners of the nearest triangle
-/// so far, as long as that helps.
+/// Find the nearest point by a greedy walk from vertex `start`.
+///
+/// The walk searches the triangles around a vertex, and continues at a corner of the nearest triangle while
+/// that is an improvement.
 fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<Hit> {
     let mut best: Option<(f64, TriangleId, [f64; 3])> = None;
     let (mut before, mut from) = (VertexId::NONE, start);
@@ -122,7 +129,7 @@ fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<
         for h in mesh.connectivity.fan(from) {
             let triangle = Connectivity::triangle(h);
             let corners = mesh.connectivity.corners(triangle);
-            // What touches the vertex before has been looked at.
+            // Triangles at the previous vertex have been searched.
             if corners.contains(&before) {
                 continue;
             }
@@ -135,7 +142,7 @@ fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<
         }
         let (_, triangle, at) = best?;
         let corners = mesh.connectivity.corners(triangle);
-        // On a side or a corner, the surface may come closer beyond it.
+        // If the foot is on a side or a corner, a triangle across it may be nearer.
         let beyond = (0..3).find(|&i| at[i] > EDGE && corners[i] != from);
         match beyond {
             Some(i) if closer && at.iter().any(|&x| x <= EDGE) => (before, from) = (from, corners[i]),
@@ -144,10 +151,10 @@ fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<
     }
 }
 
-/// A weight below this lies on the side across.
+/// A barycentric coordinate below this counts as on the opposite side.
 const EDGE: f64 = 1e-9;
 
-/// Fit `mesh` to `input`. Locked vertices stay as they are, those on the boundary keep their place.
+/// Fit `mesh` to `input`. Locked vertices do not change; boundary vertices keep their position.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -188,7 +195,7 @@ pub fn fit<const D: usize>(
     Ok(())
 }
 
-/// The way along a direction, or the part of it that does not leave a box; none for a point outside.
+/// Shorten the step `way` along a direction so that it stays in a box; 0 for a point outside.
 fn until_leaving([low, high]: &[Vec3; 2], from: &Vec3, direction: &Vec3, way: f64) -> f64 {
     let mut share = 1.0_f64;
     for i in 0..3 {
@@ -200,18 +207,18 @@ fn until_leaving([low, high]: &[Vec3; 2], from: &Vec3, direction: &Vec3, way: f6
     share * way
 }
 
-/// The normal equations: unknown 0 of a vertex is its way along the normal, the others its attributes.
+/// Normal equations: unknown 0 of a vertex is its step along the normal, the others are its attributes.
 struct System<const D: usize> {
-    /// Of shape and of any attribute; infinite where the unknown is held.
+    /// Diagonal for shape and for each attribute; infinite if the unknown is fixed.
     diagonal: Vec<[f64; 2]>,
-    /// Edge by edge.
+    /// Off-diagonal entries, by edge.
     across: Vec<([u32; 2], [f64; 2])>,
     right: Vec<[f64; D]>,
-    /// Squared distance of the farthest sample on the triangles around each vertex.
+    /// By vertex: squared distance of the farthest sample on its triangles.
     farthest2: Vec<f64>,
 }
 
-/// What the samples of one triangle add to the system: corner by corner, and side by side from corner to corner.
+/// Contribution of the samples of one triangle to the system, by corner and by side.
 #[derive(Clone, Copy)]
 struct Share<const D: usize> {
     diagonal: [[f64; 2]; 3],
@@ -220,7 +227,7 @@ struct Share<const D: usize> {
     farthest2: f64,
 }
 
-/// Triangles whose shares are made at a time.
+/// Triangles whose contributions are buffered at a time.
 const BLOCK: usize = 1 << 15;
 
 impl<const D: usize> Share<D> {
@@ -242,7 +249,7 @@ impl<const D: usize> Share<D> {
         let is_inside = at.iter().all(|&x| x > EDGE);
         let away = position(&off);
         self.farthest2 = self.farthest2.max(norm2(&away));
-        // Beyond a side, the distance is not along the normal of the triangle.
+        // If the foot is on a side, the distance is not along the normal of the triangle.
         let towards = if is_inside || norm2(&away) == 0.0 { cross(&sub(&b, &a), &sub(&c, &a)) } else { away };
         let length = norm2(&towards).sqrt();
         if length == 0.0 {
@@ -263,7 +270,7 @@ impl<const D: usize> Share<D> {
     }
 }
 
-/// Samples grouped by the triangle they are nearest to: those of `t` are `order[starts[t]..starts[t + 1]]`.
+/// Group samples by nearest triangle; the samples of `t` are `order[starts[t]..starts[t + 1]]`.
 fn by_triangle(hits: &[Option<Hit>], triangles: usize) -> (Vec<u32>, Vec<u32>) {
     let mut starts = vec![0u32; triangles + 1];
     for hit in hits.iter().flatten() {
@@ -337,7 +344,9 @@ impl<const D: usize> System<D> {
         Self { diagonal, across: across.collect(), right, farthest2 }
     }
 
-    /// The conjugate gradient method, preconditioned with the diagonal, for all unknowns side by side.
+    /// Solve all unknowns by the preconditioned conjugate gradient method.
+    ///
+    /// The preconditioner is the diagonal.
     fn solve(&self) -> Vec<[f64; D]> {
         let n = self.right.len();
         let matrix = |j: usize| usize::from(j > 0);
@@ -374,7 +383,7 @@ impl<const D: usize> System<D> {
 
     fn times(&self, p: &[[f64; D]], q: &mut [[f64; D]]) {
         for (v, diagonal) in self.diagonal.iter().enumerate() {
-            // What is held has no share in any direction.
+            // Fixed unknowns contribute nothing.
             let d = diagonal.map(|d| if d.is_finite() { d } else { 0.0 });
             (0..D).for_each(|j| q[v][j] = d[usize::from(j > 0)] * p[v][j]);
         }
@@ -389,6 +398,7 @@ impl<const D: usize> System<D> {
     }
 }
 
+/// Compute the inner product of each unknown over all vertices.
 fn inner<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> [f64; D] {
     let mut sum = [0.0; D];
     for (a, b) in a.iter().zip(b) {
@@ -397,6 +407,7 @@ fn inner<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> [f64; D] {
     sum
 }
 
+/// Compute area-weighted unit normals by vertex.
 fn vertex_normals<const D: usize>(mesh: &Mesh<D>) -> Vec<Vec3> {
     let mut normals = vec![[0.0; 3]; mesh.points.len()];
     for t in mesh.connectivity.triangles() {
@@ -415,7 +426,9 @@ fn vertex_normals<const D: usize>(mesh: &Mesh<D>) -> Vec<Vec3> {
     normals
 }
 
-/// Move every vertex as the solution says, and put back the corners of triangles that would turn too far.
+/// Apply the steps along the normals.
+///
+/// Steps of the corners of a triangle that would turn too far are undone.
 fn move_along_normals<const D: usize>(mesh: &mut Mesh<D>, normals: &[Vec3], solution: &[[f64; D]]) {
     let before: Vec<Vec3> = mesh.points.iter().map(position).collect();
     for v in 0..mesh.points.len() {

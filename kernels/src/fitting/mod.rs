@@ -1,3 +1,3 @@
-//! Fitting a result to its input by least squares.
+//! Least-squares fit of a result to its input.
 
 pub mod fit;

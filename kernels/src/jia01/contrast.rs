@@ -1,14 +1,14 @@
-//! How far the attributes of neighbours are apart: T(e), and what it is on a mesh before any collapse.
+//! Attribute difference between neighbours: T(e), also for the mesh before any collapse.
 
 use crate::mesh::star::Star;
 
-/// Squared difference of the attributes of two vertices.
+/// Compute the squared attribute difference of two vertices.
 #[inline]
 fn contrast2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
     (3..D).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum()
 }
 
-/// T(e) (3): the largest attribute difference along any edge of the star.
+/// Compute T(e) (3): the largest attribute difference along any edge of the star.
 #[inline]
 pub fn texture_change<const D: usize>(star: &Star<D>) -> f64 {
     let [first, second] = &star.end_points;
@@ -20,15 +20,17 @@ pub fn texture_change<const D: usize>(star: &Star<D>) -> f64 {
             .max(contrast2(end, &wing.to_point))
             .max(contrast2(&wing.from_point, &wing.to_point));
     }
-    // At the far corners one end may have no wing.
+    // An end may have no wing next to a vanishing triangle.
     for (_, _, apex) in &star.vanishing {
         largest2 = largest2.max(contrast2(first, apex)).max(contrast2(second, apex));
     }
     largest2.sqrt()
 }
 
-/// The largest attribute difference along any edge of each vertex's star. T(e) of an edge on the mesh as it is
-/// given is the larger one of its ends, whose stars together are that of the edge.
+/// Compute the largest attribute difference along the edges of each vertex's star.
+///
+/// On the initial mesh, T(e) is the maximum of both ends, because their stars together are the star of the
+/// edge.
 pub fn contrast_around<const D: usize>(
     points: &[[f64; D]],
     triangles: impl Iterator<Item = [u32; 3]>,

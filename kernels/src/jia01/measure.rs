@@ -1,8 +1,8 @@
-//! The measure of JIA01: where the new vertex goes, what a collapse changes, and which stop rule holds an edge.
+//! Measure of JIA01: new position, changes caused by a collapse, and stop rules.
 //!
-//! The paper reaches the projection of (6) through a normal n3 in R^(3+k), which does not exist when the midpoint
-//! lies in the triangle's plane. The foot of the perpendicular on the plane of e1, e2 is the same point and
-//! always exists.
+//! The paper computes the projection of (6) with a normal n3 in R^(3+k). That normal does not exist if the
+//! midpoint is in the plane of the triangle. The foot of the perpendicular on the plane of e1, e2 is the same
+//! point and always exists.
 
 use super::contrast::{contrast_around, texture_change};
 use super::options::{Limits, Options};
@@ -13,7 +13,7 @@ use crate::collapse::engine::{Collapsed, Measure, Proposal};
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// A height below this share of the base is rounding error; such a triangle has no plane to project on.
+/// Minimum squared ratio of height to base; a flatter triangle has no plane to project on.
 const LEAST_HEIGHT2: f64 = 1e-20;
 
 /// The three stop rules.
@@ -24,34 +24,35 @@ pub enum Bound {
     Texture,
 }
 
-/// What one collapse changes: S(e) and T(e).
+/// Changes caused by one collapse: S(e) and T(e).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Change {
     pub shape: f64,
     pub texture: f64,
-    /// The least S_A of the new star's spokes afterwards: a point of any old triangle may have come to lie in
-    /// any new one, with the changes of the old one behind it. 0 under the paper's rule.
+    /// Minimum S_A for the spokes of the new star. Any point of an old triangle may now be in any new one,
+    /// and brings its accumulated change. 0 under the paper's rule.
     pub least_sum: f64,
 }
 
-/// What has been summed up on an edge.
+/// Sums of changes accumulated on an edge.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accumulated {
     /// S_A
     pub shape: f64,
-    /// The part of T_A that collapses added.
+    /// Part of T_A that collapses added.
     pub texture: f64,
-    /// The part of T_A that was there at the start: T(e) on the mesh before any collapse.
+    /// Initial part of T_A: T(e) on the mesh before any collapse.
     pub contrast: f64,
 }
 
 impl Accumulated {
-    /// T_A
+    /// Return T_A, the sum of both parts.
     #[inline]
     pub fn total_texture(&self) -> f64 {
         self.contrast + self.texture
     }
 
+    /// Return the maximum of each sum.
     #[inline]
     pub(super) fn larger(&self, other: &Self) -> Self {
         Self {
@@ -62,7 +63,7 @@ impl Accumulated {
     }
 }
 
-/// The measure of JIA01 on points of R^D.
+/// Measure of JIA01 on points of R^D.
 pub struct Jia01<const D: usize> {
     bounds: Limits,
     scales: Limits,
@@ -101,11 +102,12 @@ impl<const D: usize> Jia01<D> {
         }
     }
 
+    /// Return the sums of an edge.
     pub fn accumulated(&self, edge: EdgeId) -> &Accumulated {
         &self.accumulated[edge.index()]
     }
 
-    /// The new vertex (4)–(6): the mean of the midpoint's projections on the planes of the star's triangles.
+    /// Compute the new vertex (4)–(6): the mean projection of the midpoint onto the planes of the star.
     fn mean_projection(&self, star: &Star<D>) -> [f64; D] {
         let mut sum = [0.0; D];
         let mut count = 0.0;
@@ -124,7 +126,9 @@ impl<const D: usize> Jia01<D> {
         if count == 0.0 { star.middle } else { add_scaled(&star.middle, 1.0 / count, &sum) }
     }
 
-    /// From `m` to its orthogonal projection on the affine 2-plane through p, q, r in R^D.
+    /// Compute the vector from `m` to its projection onto a plane.
+    ///
+    /// The plane passes through p, q, r in R^D. `None` if they have no area.
     #[inline]
     fn offset_to_plane(&self, m: &[f64; D], p: &[f64; D], q: &[f64; D], r: &[f64; D]) -> Option<[f64; D]> {
         let (h, k, l) = (sub(q, p), sub(r, p), sub(m, p));
@@ -132,7 +136,7 @@ impl<const D: usize> Jia01<D> {
         // e1 = h / |h| and e2 = (k − (e1·k) e1) / |…|, both left unnormalised.
         let e2 = add_scaled(&k, -self.inner(&h, &k) / hh, &h);
         let ee = self.inner(&e2, &e2);
-        // Two equal corners give NaN, which is not larger either.
+        // Two equal corners give NaN, for which the comparison is false.
         let has_area = ee > LEAST_HEIGHT2 * self.inner(&k, &k).max(hh);
         if !has_area {
             return None;
@@ -141,9 +145,9 @@ impl<const D: usize> Jia01<D> {
         Some(sub(&in_plane, &l))
     }
 
-    /// The same on a boundary, with lines for planes: those of the boundary edges before, at and after.
+    /// As [`Self::mean_projection`] for a boundary edge, with the lines of three consecutive boundary edges.
     fn mean_projection_on_boundary(&self, star: &Star<D>, [before, after]: [&[f64; D]; 2]) -> [f64; D] {
-        // The midpoint is its own projection on its own line.
+        // The midpoint is its own projection onto its own edge.
         let mut sum = [0.0; D];
         let mut count = 1.0;
         for (a, b) in [(before, &star.end_points[0]), (&star.end_points[1], after)] {
@@ -170,7 +174,7 @@ impl<const D: usize> Measure<D> for Jia01<D> {
     type Bound = Bound;
     type Change = Change;
 
-    /// The order (7), or the stop rule that holds the edge.
+    /// Order (7), or the stop rule that refuses the edge.
     #[inline]
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Bound> {
         let [a, b] = mesh.connectivity.ends(edge);

@@ -1,16 +1,16 @@
-//! Texture-preserving simplification: JIA01.
+//! Texture-preserving simplification (JIA01).
 //!
-//! Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and
-//! Graphics 6(7), 2001, 613–617, after Johnson and Hebert, "Control of polygonal mesh resolution for 3-D
-//! computer vision", 1998. Equation numbers, here and in the parts, are the paper's.
+//! Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and Graphics
+//! 6(7), 2001, 613–617, after Johnson and Hebert, "Control of polygonal mesh resolution for 3-D computer
+//! vision", 1998. All equation numbers refer to the former paper.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`simplify`](simplify()) | split, then collapse |
-//! | `options` | what a user can set |
+//! | [`simplify`](simplify()) | the whole method: split, then collapse |
+//! | `options` | parameters |
 //! | [`split`] | splitting long edges |
-//! | `measure`, `records` | what a collapse costs and may not do; the sums that are kept of it |
-//! | [`shape`], `contrast` | how far a collapse takes the surface, and its attributes |
+//! | `measure`, `records` | cost and constraints of a collapse; accumulated sums |
+//! | [`shape`], `contrast` | change of the surface and of its attributes by a collapse |
 
 mod contrast;
 mod measure;

@@ -1,6 +1,6 @@
-//! What a user can set.
+//! Parameters of JIA01.
 
-/// One value each for edge length (in the unit of the mesh), shape change (same) and texture change (levels).
+/// Edge length and shape change (both in the unit of the mesh), and texture change (levels).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     pub length: f64,
@@ -12,16 +12,17 @@ impl Limits {
     pub const NONE: Self = Self { length: f64::INFINITY, shape: f64::INFINITY, texture: f64::INFINITY };
 }
 
+/// Parameters of JIA01.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// L, S_max and T_max as bounds; infinite for none. Edges are split only for a finite length.
+    /// Bounds L, S_max and T_max; infinite for none. Edges are split only if the length is finite.
     pub bounds: Limits,
-    /// L, S_max and T_max in the order (7): finite and positive, also where there is no bound.
+    /// Scales of L, S_max and T_max in the order (7): finite and positive, even without a bound.
     pub scales: Limits,
     /// Length that counts as much as one level of an attribute in the placement (4)–(6).
     pub attribute_scale: f64,
-    /// As in the paper: check the sums after a collapse instead of before, and look at vertices only.
+    /// Follow the paper: check the sums after a collapse instead of before, and only at vertices.
     pub paper_rule: bool,
-    /// Refuse to split beyond this.
+    /// Maximum number of triangles after splitting.
     pub triangle_limit: usize,
 }

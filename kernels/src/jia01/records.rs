@@ -1,4 +1,4 @@
-//! The sums of JIA01 on the whole mesh, from round to round.
+//! Accumulated sums of JIA01 on the whole mesh, between rounds.
 
 use super::contrast::contrast_around;
 use super::measure::{Accumulated, Bound, Change, Jia01};
@@ -8,28 +8,29 @@ use crate::collapse::records::Records;
 use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// What JIA01 has summed up on the whole mesh.
+/// Accumulated sums of JIA01 on the whole mesh.
 pub struct JiaRecords {
     options: Options,
-    /// Contrast around each vertex, before the first round.
+    /// Contrast by vertex, before the first round; empty afterwards.
     around: Vec<f64>,
-    /// From then on, what the pieces of the last round have summed up, and the number of the first triangle of each.
+    /// Sums of each region of the last round, with the index of its first triangle.
     pieces: Vec<(u32, Sums)>,
     pub largest: Change,
 }
 
-/// Sums on the edges of a piece. An edge has them at one corner of a triangle, on the rim at one in each piece.
+/// Sums on the edges of a region. Each edge stores them at one corner of a triangle; an edge on a rim, in
+/// each region.
 pub struct Sums {
-    /// Which corners of a triangle have sums, a bit each.
+    /// By triangle: bit mask of the corners that store sums.
     corners: Vec<u8>,
-    /// Where the sums of each triangle start.
+    /// By triangle: index of its first sums.
     starts: Vec<u32>,
     accumulated: Vec<Accumulated>,
     largest: Change,
 }
 
 impl Sums {
-    /// Corners of a triangle that have sums, and these.
+    /// Iterate over the corners of a triangle that store sums, and the sums.
     fn of(&self, triangle: usize) -> impl Iterator<Item = (usize, &Accumulated)> {
         let corners = (0..3).filter(move |corner| self.corners[triangle] >> corner & 1 == 1);
         corners.zip(&self.accumulated[self.starts[triangle] as usize..])
@@ -58,7 +59,7 @@ impl<const D: usize> Records<D> for JiaRecords {
                 accumulated[edge.index()].contrast = self.around[a].max(self.around[b]);
             }
         }
-        // Triangles come in the order of the whole mesh, and so piece after piece.
+        // Triangles are in the order of the whole mesh, and so region by region.
         let mut pieces = self.pieces.iter().peekable();
         let mut piece = pieces.next();
         for (local, &t) in region.triangle_source.iter().enumerate() {
@@ -67,7 +68,7 @@ impl<const D: usize> Records<D> for JiaRecords {
             }
             for (corner, sums) in piece.iter().flat_map(|(first, sums)| sums.of((t - first) as usize)) {
                 let edge = connectivity.edge(HalfedgeId((3 * local + corner) as u32));
-                // An edge on the rim, where nothing changes, may have lost its sums in one of its pieces.
+                // An edge on a rim does not change, but one of its regions may have lost its sums.
                 accumulated[edge.index()] = accumulated[edge.index()].larger(sums);
             }
         }

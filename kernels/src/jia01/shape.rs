@@ -1,10 +1,11 @@
-//! How far a collapse takes the surface: S(e) of JIA01, and what S(e) does not see.
+//! Change of the surface by a collapse: S(e) of JIA01, and the gap that S(e) misses.
 
 use crate::base::geometry::{Vec3, cross, dot, norm2, position, segment_distance2, sub, triangle_distance2};
 use crate::mesh::star::Star;
 
-/// S(e) (1)–(2). The ring is common to both stars, so only the ends against the new star and the new vertex
-/// against the old one count.
+/// Compute S(e) (1)–(2).
+///
+/// Both stars have the same ring, so only the old ends and the new vertex count.
 pub fn shape_change<const D: usize>(star: &Star<D>, point: &[f64; D]) -> f64 {
     let to = position(point);
     let ends = star.end_points.map(|p| position(&p));
@@ -27,8 +28,9 @@ pub fn shape_change<const D: usize>(star: &Star<D>, point: &[f64; D]) -> f64 {
     largest2.max(least(apexes.chain(wings), largest2)).sqrt()
 }
 
-/// S(e) on a boundary edge: the distances between the boundary polylines before and after. They are part
-/// of the stars, so the distances to the stars are never larger.
+/// Compute S(e) of a boundary edge: the distance between the boundary polylines before and after.
+///
+/// The polylines are parts of the stars, so the distances to the stars are never larger.
 pub fn boundary_change<const D: usize>(star: &Star<D>, neighbours: [&[f64; D]; 2], point: &[f64; D]) -> f64 {
     let to = position(point);
     let [first, second] = star.end_points.map(|p| position(&p));
@@ -41,8 +43,9 @@ pub fn boundary_change<const D: usize>(star: &Star<D>, neighbours: [&[f64; D]; 2
     nearest(&first, &new).max(nearest(&second, &new)).max(nearest(&to, &old)).sqrt()
 }
 
-/// The least of some distances, or anything up to `enough` if one is that small: what then follows cannot
-/// change the maximum.
+/// Compute the minimum of some distances, stopping at the first one ≤ `enough`.
+///
+/// Smaller ones cannot change the maximum.
 #[inline]
 fn least(distances: impl Iterator<Item = f64>, enough: f64) -> f64 {
     let mut least = f64::INFINITY;
@@ -55,20 +58,20 @@ fn least(distances: impl Iterator<Item = f64>, enough: f64) -> f64 {
     least
 }
 
-/// The old and the new star drawn on one sheet.
+/// Overlay of the old and the new star, projected onto one plane.
 #[derive(Clone, Debug, Default)]
 pub struct Overlay {
-    /// From the new vertex to the end of every spoke: two coordinates on the sheet, then the height.
+    /// Vector from the new vertex to the end of each spoke: two coordinates in the plane, then the height.
     spokes: Vec<Vec3>,
 }
 
 impl Overlay {
-    /// How far the two stars are apart between their vertices.
+    /// Compute the largest gap between the two stars at crossings of their edges.
     ///
-    /// Seen along the mean normal they cover the same ground, and the height of one above the other is linear
-    /// between the points where old and new edges cross. It is largest at a vertex, which S(e) sees, or at such a
-    /// crossing, which it does not: a long triangle can swing away from a crease while every vertex stays
-    /// close. On a machined part that took the surface twenty times as far as S_max.
+    /// Projected along the mean normal, both stars cover the same area. The height of one over the other is
+    /// linear between the crossings of old and new edges. Its maximum is at a vertex, which S(e) measures, or
+    /// at a crossing, which S(e) misses: a long triangle can move away from a crease while every vertex stays
+    /// close. On a machined part, this moved the surface by twenty times S_max.
     pub fn crossing_gap<const D: usize>(&mut self, star: &Star<D>, point: &[f64; D]) -> f64 {
         let to = position(point);
         let up = star.mean_normal();
@@ -88,7 +91,7 @@ impl Overlay {
     }
 }
 
-/// Whether no triangle of the old or the new star turns its back when seen along `up`.
+/// Test if every triangle of both stars faces `up`.
 fn is_height_field<const D: usize>(star: &Star<D>, to: &Vec3, up: &Vec3) -> bool {
     let ends = star.end_points.map(|p| position(&p));
     let faces = |p: &Vec3, a: &Vec3, b: &Vec3| dot(&cross(&sub(a, p), &sub(b, p)), up) >= 0.0;
@@ -104,19 +107,22 @@ fn is_height_field<const D: usize>(star: &Star<D>, to: &Vec3, up: &Vec3) -> bool
             .all(|(side, (_, _, apex))| faces(&ends[side], &ends[1 - side], &position(apex)))
 }
 
-/// A bound that always holds: no point moves farther when both ends are dragged to the new vertex, and the
-/// triangles with them.
+/// Compute a fallback bound: the maximum distance from an end to the new vertex.
+///
+/// No point moves farther if both ends are dragged there.
 fn farthest_end<const D: usize>(star: &Star<D>, to: &Vec3) -> f64 {
     star.end_points.iter().map(|end| norm2(&sub(to, &position(end)))).fold(0.0, f64::max).sqrt()
 }
 
-/// Largest difference of height where the old edge `from`–`to` crosses new edges, which go from the origin to `spokes`.
+/// Find the largest height difference where an old edge crosses new edges.
+///
+/// The old edge is `from`–`to`; new edges run from the origin to `spokes`.
 #[inline]
 fn gap_along(from: &Vec3, to: &Vec3, spokes: &[Vec3]) -> f64 {
     let old = sub(to, from);
     let mut largest = 0f64;
     for new in spokes {
-        // from + t·old = u·new on the sheet, with t = at_old / area and u = at_new / area.
+        // Solve from + t·old = u·new in the plane, with t = at_old / area and u = at_new / area.
         let area = old[0] * new[1] - old[1] * new[0];
         let at_old = (new[0] * from[1] - new[1] * from[0]) * area.signum();
         let at_new = (old[0] * from[1] - old[1] * from[0]) * area.signum();
@@ -128,7 +134,7 @@ fn gap_along(from: &Vec3, to: &Vec3, spokes: &[Vec3]) -> f64 {
     largest
 }
 
-/// An orthonormal frame whose third axis is a given direction.
+/// Orthonormal frame whose third axis is a given direction.
 struct Frame([Vec3; 3]);
 
 impl Frame {

@@ -1,4 +1,4 @@
-//! The whole of JIA01.
+//! The complete JIA01 method.
 
 use super::split::split_long_edges;
 use crate::base::errors::KernelError;
@@ -16,7 +16,7 @@ use super::measure::Bound;
 use super::options::Options;
 use super::records::JiaRecords;
 
-/// Edges refused at the end, each under the rule that refused it last.
+/// Number of edges refused at the end, by the last rule that refused each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
     pub length: usize,
@@ -28,27 +28,28 @@ pub struct Refused {
     pub fold: usize,
 }
 
+/// Result of JIA01.
 #[derive(Clone, Debug)]
 pub struct Simplified<const D: usize> {
     pub mesh: Compact<D>,
     pub stop: Stop,
     pub refused: Refused,
-    /// Triangles after splitting.
+    /// Number of triangles after splitting.
     pub split_triangles: usize,
     pub splits: u64,
     pub collapses: u64,
     pub attempts: u64,
     /// Largest sum of S on any edge at any time.
     pub largest_shape_change: f64,
-    /// Largest sum of T on any edge at any time, without the contrast it starts with.
+    /// Largest sum of T on any edge at any time, without the initial contrast.
     pub largest_texture_change: f64,
-    /// What the collapses began with, where a record was asked for and that is not the input: after splitting.
+    /// The mesh after splitting; `None` if no edge was split or no record was requested.
     pub split: Option<Compact<D>>,
-    /// In numbers of that mesh.
+    /// Vertex indices refer to `split`, or to the input if that is `None`.
     pub way: Way<D>,
 }
 
-/// Split and collapse: the whole of JIA01.
+/// Simplify by JIA01: split long edges, then collapse.
 ///
 /// # Errors
 /// [`KernelError::TooManyTriangles`] from the splits and [`KernelError::Interrupted`].
@@ -60,7 +61,7 @@ pub fn simplify<const D: usize>(
 ) -> Result<Simplified<D>, KernelError> {
     let (mesh, splits, origin) = split_whole(mesh, options, progress)?;
     let split_triangles = mesh.triangles.len();
-    // The mesh may be much larger than the input.
+    // After splitting, the mesh may be much larger than the input.
     let _reserve = Reserve::for_rows(if splits > 0 { mesh.points.len() + split_triangles } else { 0 })?;
     let split = origin.clone().filter(|_| goal.record).map(|origin| Compact {
         points: mesh.points.clone(),
@@ -98,8 +99,10 @@ pub fn simplify<const D: usize>(
     })
 }
 
-/// Split what is longer than the bound of length; most meshes have no such edge. What comes out is a mesh of its own,
-/// whose parts the last value takes back to the input.
+/// Split all edges longer than the length bound; most meshes have none.
+///
+/// Returns the mesh, the number of splits, and the sources of the new vertices and triangles (`None` without
+/// splits).
 fn split_whole<const D: usize>(
     mesh: Whole<D, Bound>,
     options: &Options,

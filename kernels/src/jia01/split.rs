@@ -1,4 +1,4 @@
-//! Splitting long edges: the first phase of JIA01 (step 1), which evens the mesh out before it is simplified.
+//! Splitting of long edges: the first phase of JIA01 (step 1), which evens out edge lengths.
 
 use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
@@ -9,11 +9,10 @@ use crate::collapse::queue::Queue;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// Split every edge longer than `longest` at its midpoint, the longest first, until none is left.
-/// Returns the number of splits.
+/// Split every edge longer than `longest` at its midpoint, longest first. Returns the number of splits.
 ///
 /// # Errors
-/// [`KernelError::TooManyTriangles`], before any split where that can be foreseen.
+/// [`KernelError::TooManyTriangles`], before any split if that can be predicted.
 pub fn split_long_edges<const D: usize>(
     mesh: &mut Mesh<D>,
     longest: f64,
@@ -55,8 +54,10 @@ pub fn split_long_edges<const D: usize>(
     Ok(splits)
 }
 
-/// A lower bound of what splitting leads to: an edge of length l becomes 2^⌈log2(l/L)⌉ pieces, and each
-/// split cuts the triangles beside it in two. (Edges across, which can be long as well, are not foreseen.)
+/// Compute a lower bound on the number of triangles after splitting.
+///
+/// An edge of length l becomes 2^⌈log2(l/L)⌉ edges, and each split bisects the adjacent triangles. New edges
+/// across them may be long, too, but are not counted.
 fn foreseen_triangles<const D: usize>(
     mesh: &Mesh<D>,
     longest: f64,

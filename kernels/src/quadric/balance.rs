@@ -1,36 +1,39 @@
-//! How much a level of colour should count in metres: what a mesh of the wanted size cannot show of either.
+//! Default weight of colour against shape, from the detail that a mesh of the target size cannot represent.
 //!
-//! Over a piece of surface as large as one triangle of the result, the input's distance to its best plane is about
-//! the error of shape that has to be expected, and its colours' difference to their best linear fit that of
-//! colour. A weight that makes both equal follows the data; one relative to the mesh's extent does not.
+//! Patches are as large as one triangle of the result. The distance of the input from the best plane of a
+//! patch estimates the expected shape error. The difference of its colours from their best linear fit
+//! estimates the expected colour error. A weight that makes both equal adapts to the data, unlike one
+//! relative to the extent of the mesh.
 
 use crate::base::geometry::{Vec3, around, cross, diagonal, norm2, position, sub};
 use crate::base::parallel::fill;
 
-/// A cell needs this many triangles for a plane and a linear fit to say something.
+/// Minimum number of triangles for which a plane and a linear fit are meaningful.
 const LEAST_TRIANGLES: usize = 12;
 
-/// Cells whose normals cancel out to less than this share hold more than one sheet.
+/// Minimum ratio of the summed normal to the area; below it, a cell contains several sheets.
 const LEAST_AGREEMENT: f64 = 0.7;
 
-/// Triangles to look at; more would not change the mean.
+/// Number of triangles to sample; more would not change the mean.
 const SAMPLE: usize = 100_000;
 
-/// Below a level of colour lies the rounding of the input.
+/// Rounding error of the input colours, in levels.
 const LEAST_LEVELS: f64 = 0.5;
 
-/// Share of the balanced weight. With it, the shape error of two scans and a globe is at most a sixth larger than without
-/// colours (`benches/simplify.py`, default against default × 0).
+/// Factor on the balanced weight. With it, the shape error of two scans and a globe is at most a sixth larger
+/// than without colours (`benches/simplify.py`, default against default × 0).
 const SHARE: f64 = 0.4;
 
-/// On a flat mesh any weight above rounding lets colours decide: so much of the diagonal does.
+/// Minimum weight relative to the diagonal. On a flat mesh, any weight above rounding lets colours decide.
 const LEAST_WEIGHT: f64 = 1e-7;
 
-/// Where the mesh is too small to tell, a level counts as a hundredth of a percent of its diagonal.
+/// Weight relative to the diagonal if the mesh is too small for an estimate.
 const USUAL_WEIGHT: f64 = 1e-4;
 
-/// The length that counts as much as one level, so that shape and colour count alike in a result of `target` triangles,
-/// with some preference for shape.
+/// Estimate the length that should count as much as one colour level.
+///
+/// In a result of `target` triangles, shape and colour then count about equally, with some preference for
+/// shape.
 pub fn balanced<const D: usize>(
     points: &[[f64; D]],
     triangles: &[[u32; 3]],
@@ -45,8 +48,11 @@ pub fn balanced<const D: usize>(
     }
 }
 
-/// Root mean square of the distance to the plane and of the difference to the linear fit, over pieces as large as
-/// a triangle of a result with `target` triangles. No point is below `low`. None where no piece is large enough, or nothing has a colour.
+/// Compute the typical distance to a local plane, and colour difference to a linear fit.
+///
+/// Both are root mean squares. Patches are as large as a triangle of a result with `target` triangles. `low`
+/// is the lower corner of the bounding box. `None` if no patch has enough triangles or the mesh has no
+/// colours.
 fn residuals<const D: usize>(
     points: &[[f64; D]],
     triangles: &[[u32; 3]],
@@ -62,7 +68,7 @@ fn residuals<const D: usize>(
         let [a, b, c] = corner(t).map(position);
         cross(&sub(&b, &a), &sub(&c, &a)).map(|x| 0.5 * x)
     };
-    // What is added up, or looked at, in the order of the triangles is the same for any number of threads.
+    // Sums in triangle order do not depend on the number of threads.
     let mut areas = vec![0.0; triangles.len()];
     fill(&mut areas, threads, |t| norm2(&normal(&triangles[t])).sqrt());
     let area: f64 = areas.into_iter().sum();
@@ -98,7 +104,7 @@ fn residuals<const D: usize>(
     (areas > 0.0).then(|| ((shape / areas).sqrt(), (colour / areas).sqrt().max(LEAST_LEVELS)))
 }
 
-/// The grid cell of a triangle's centre, as one number.
+/// Compute the grid cell of the centre of a triangle, as one integer.
 pub fn cell<const D: usize>(corners: [&[f64; D]; 3], low: &Vec3, side: f64) -> u64 {
     (0..3).fold(0, |key, i| {
         let centre = corners.iter().map(|p| p[i]).sum::<f64>() / 3.0;
@@ -106,12 +112,12 @@ pub fn cell<const D: usize>(corners: [&[f64; D]; 3], low: &Vec3, side: f64) -> u
     })
 }
 
-/// Spread cell numbers evenly (Fibonacci hashing), so that the chosen ones lie all over the mesh.
+/// Hash a cell index (Fibonacci hashing), to spread sampled cells over the mesh.
 pub fn scrambled(cell: u64) -> u64 {
     cell.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32
 }
 
-/// Sums over a piece of surface, weighted with area.
+/// Area-weighted sums over a patch.
 struct Moments<const D: usize> {
     area: f64,
     normal: Vec3,
@@ -139,8 +145,10 @@ impl<const D: usize> Moments<D> {
         }
     }
 
-    /// Mean squares of the distance to the plane through the mean, at a right angle to the mean normal, and of
-    /// the attributes' difference to their linear fit along that plane.
+    /// Compute the mean squared distance to the plane, and the residual of the attributes.
+    ///
+    /// The plane passes through the mean, perpendicular to the mean normal. The residual is the mean squared
+    /// difference to a linear fit on the plane.
     fn residuals(&self) -> (f64, f64) {
         let mean = self.first.map(|x| x / self.area);
         let covariance = |j: usize, i: usize| self.with_place[j][i] / self.area - mean[j] * mean[i];

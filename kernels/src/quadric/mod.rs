@@ -1,10 +1,10 @@
-//! Simplification by attribute quadrics, and how much a colour counts in it.
+//! Simplification by attribute quadrics, and the default weight of colours.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
 //! | [`qem`] | the measure |
-//! | [`balance`] | how much a level of colour should count: what follows from the data |
-//! | [`trial`] | and what that costs in shape |
+//! | [`balance`] | estimate of the colour weight from the data |
+//! | [`trial`] | limit on the colour weight from its measured shape error |
 
 pub mod balance;
 pub mod qem;

@@ -1,10 +1,10 @@
-//! Simplification by attribute quadrics: the measure.
+//! Measure of the simplification by attribute quadrics.
 //!
-//! A vertex has the quadric of the triangles around it as they are now, not of the input's: "memoryless"
-//! (Lindstrom and Turk, "Fast and memory efficient polygonal simplification", 1998; Hoppe 1999 for attributes). The
-//! next edge is the one whose collapse changes least, measured against the surface as it is. That sounds worse than
-//! remembering, and is better: on scans, shape errors are a sixth lower at equal weight of the colours. What
-//! drifts is put right at the end by the fit.
+//! The quadric of a vertex sums over its current triangles, not over triangles of the input: "memoryless"
+//! (Lindstrom and Turk, "Fast and memory efficient polygonal simplification", 1998; Hoppe 1999 for
+//! attributes). The next edge is the one whose collapse changes the current surface least. On scans, shape
+//! errors are a sixth lower than with accumulated quadrics, at an equal weight of the colours. The final
+//! least-squares fit corrects the drift.
 
 use crate::base::geometry::{Vec3, distance2, position};
 use crate::base::ids::{EdgeId, VertexId};
@@ -16,22 +16,23 @@ use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::quadrics::placement::{best_place, shorter_first};
 use crate::quadrics::quadric::Quadric;
 
-/// Weight of the boundary: of the squared distance from each boundary edge's own side wall, against the area of
-/// the square over the edge.
+/// Weight of boundary walls: the squared distance to the wall through each boundary edge, times the squared
+/// length of the edge.
 const BOUNDARY: f64 = 1.0;
 
+/// Measure of the simplification by attribute quadrics.
 pub struct Qem<const D: usize, const K: usize> {
     /// Length that counts as much as one level of an attribute.
     weight: f64,
     quadrics: Vec<Quadric<K>>,
-    /// Factor of the error around each vertex; empty for 1.
+    /// Factor on the error by vertex; empty for 1.
     importance: Vec<f64>,
 }
 
-/// What quadrics are made with.
+/// Parameters from which quadrics are computed.
 pub struct QemRecords<const K: usize> {
     pub weight: f64,
-    /// Factor of the error around each vertex; empty for 1.
+    /// Factor on the error by vertex; empty for 1.
     pub importance: Vec<f64>,
 }
 
@@ -58,7 +59,7 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         qem
     }
 
-    /// The quadric of a vertex.
+    /// Return the quadric of a vertex.
     pub fn quadric(&self, v: VertexId) -> &Quadric<K> {
         &self.quadrics[v.index()]
     }
@@ -88,7 +89,9 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         quadrics
     }
 
-    /// Add the squared distance to the wall that stands on a boundary edge, at a right angle to its triangle.
+    /// Add the squared distance to the wall through a boundary edge.
+    ///
+    /// The wall is perpendicular to the triangle of the edge.
     fn add_wall(&self, mesh: &Mesh<D>, edge: EdgeId, quadric: &mut Quadric<K>) {
         let h = mesh.connectivity.halfedge(edge);
         let ends = mesh.connectivity.ends(edge);
@@ -98,7 +101,7 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         quadric.add_wall(BOUNDARY * importance, [&a, &b, &c]);
     }
 
-    /// The quadric of a vertex, from all that is around it.
+    /// Compute the quadric of a vertex from its current triangles and boundary edges.
     fn afresh(&self, mesh: &Mesh<D>, v: VertexId) -> Quadric<K> {
         let mut quadric = Quadric::default();
         for h in mesh.connectivity.fan(v) {
@@ -114,7 +117,7 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         quadric
     }
 
-    /// The best place for the vertex an edge becomes, and the error there.
+    /// Find the best position for the vertex that replaces an edge; also returns the error.
     fn place(&self, mesh: &Mesh<D>, edge: EdgeId, together: &Quadric<K>) -> (Vec3, f64) {
         let ends = mesh.connectivity.ends(edge);
         let [a, b] = ends.map(|v| position(mesh.point(v)));
@@ -164,10 +167,10 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
         Ok(())
     }
 
-    /// Every triangle of the star has changed: take its old quadric out of its corners and put its new one in.
+    /// Replace the quadrics of all changed triangles at their corners.
     fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, (): ()) {
         let ends = star.ends.map(|v| self.importance(v));
-        // On a boundary there is one, which then is computed beside itself.
+        // A boundary edge has only one vanishing triangle, which then fills both lanes.
         let sides = [0, star.vanishing.len() - 1].map(|side| &star.vanishing[side]);
         let [first, second] = &star.end_points;
         let corners = sides.map(|(_, _, apex_point)| [first, second, apex_point]);
@@ -195,7 +198,7 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
             self.importance[survivor.index()] = most;
         }
         self.quadrics[survivor.index()] = own;
-        // A wall depends on the triangle beside it, too.
+        // A wall also depends on its triangle.
         let on_boundary = |v: VertexId| mesh.connectivity.is_boundary_vertex(v);
         if on_boundary(survivor) {
             self.quadrics[survivor.index()] = self.afresh(mesh, survivor);
@@ -208,7 +211,7 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
 
 impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
     type Measure = Qem<D, K>;
-    /// Importance of the vertices inside, if there is any.
+    /// Importance of the vertices that are not on the rim; empty for 1.
     type Remains = Vec<f64>;
 
     fn load(&self, region: &Mesh<D>) -> Qem<D, K> {

@@ -1,8 +1,8 @@
-//! What a weight of colour costs in shape, tried on a sample of the mesh.
+//! Shape error caused by a colour weight, measured on a sample of the mesh.
 //!
-//! How far colours may lead vertices away from the best shape cannot be told from the input alone: on a machined part
-//! with a photograph on it, planes and edges are met exactly, unless colours count. So a small mesh, or pieces of a large
-//! one, are simplified with and without them.
+//! The input alone does not show how far colours pull vertices away from the best shape. On a machined part
+//! with a photographic texture, planes and edges are met exactly unless colours count. So a small mesh, or
+//! patches of a large one, are simplified with and without colours.
 
 use crate::base::errors::KernelError;
 use crate::base::geometry::{around, cross, diagonal, norm2, position, sub};
@@ -14,25 +14,28 @@ use crate::collapse::whole::Whole;
 use crate::quadric::balance::{cell, scrambled};
 use crate::quadric::qem::QemRecords;
 
-/// The error of shape that is allowed, against that without colours.
+/// Maximum ratio of the shape error with colours to the error without.
 const MOST: f64 = 1.2;
 
-/// Triangles of a first sample, and of one that decides.
+/// Number of triangles of the first sample, and of the sample that decides.
 const SAMPLE: usize = 1 << 13;
 const LARGE_SAMPLE: usize = 1 << 15;
 
-/// Triangles of a piece, on average, and at least.
+/// Mean and minimum number of triangles of a patch.
 const PIECE: usize = 1 << 11;
 const LEAST_PIECE: usize = 1 << 9;
 
-/// Errors of shape below this share of the diagonal are none.
+/// Shape errors below this ratio of the diagonal count as zero.
 const LEAST_ERROR: f64 = 1e-6;
 
-/// Weights that are tried; each is chosen as if the additional error grew with the weight.
+/// Maximum number of weights to try. Each next weight assumes that the additional error grows with the
+/// weight.
 const TRIALS: usize = 6;
 
-/// The largest weight up to `weight` that was found to make the error of shape at most a fifth larger than it is without
-/// colours, when `target` triangles are left. A mesh that is no manifold keeps the weight.
+/// Find the largest weight ≤ `weight` whose shape error is acceptable.
+///
+/// With `target` triangles left, it increases the shape error by at most a fifth. A non-manifold mesh keeps
+/// the weight.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -48,24 +51,26 @@ pub fn affordable<const D: usize, const K: usize>(
     let mut tried = |size, trials| {
         sample(points, triangles, size, threads).affordable::<K>(share, weight, trials, threads, progress)
     };
-    // A small sample may be wrong; where it finds fault a larger one decides.
+    // A small sample may be wrong: if it rejects the weight, a larger one decides.
     if is_larger(triangles, SAMPLE) && tried(SAMPLE, 1)? == weight {
         return Ok(weight);
     }
     tried(LARGE_SAMPLE, TRIALS)
 }
 
-/// Whether a sample of this size is not the whole mesh.
+/// Test if the mesh is clearly larger than a sample of this size.
 fn is_larger(triangles: &[[u32; 3]], size: usize) -> bool {
     triangles.len() > size + size / 2
 }
 
+/// A mesh on which weights are tried.
 struct Sample<const D: usize> {
     points: Vec<[f64; D]>,
     triangles: Vec<[u32; 3]>,
 }
 
-/// The mesh, or pieces of it that a grid cuts out; the same for any number of threads.
+/// Return the mesh, or patches of it from random grid cells; the result does not depend on the number of
+/// threads.
 fn sample<const D: usize>(
     points: &[[f64; D]],
     triangles: &[[u32; 3]],
@@ -98,9 +103,9 @@ fn sample<const D: usize>(
     by_fans(points, kept.collect())
 }
 
-/// A mesh of some triangles of another. Where they leave several fans around a vertex, each has one of its own.
+/// Create a mesh from some triangles, with a separate vertex for each fan.
 fn by_fans<const D: usize>(points: &[[f64; D]], triangles: Vec<[u32; 3]>) -> Sample<D> {
-    // Corners that are one vertex, joined across the edges.
+    // Union-find over corners: corners that share an edge are one vertex.
     let mut parent: Vec<u32> = (0..3 * triangles.len() as u32).collect();
     let mut sides: Vec<(u32, u32, u32, u32)> = Vec::with_capacity(parent.len());
     for (t, corners) in triangles.iter().enumerate() {
@@ -146,7 +151,9 @@ fn join(parent: &mut [u32], a: u32, b: u32) {
 }
 
 impl<const D: usize> Sample<D> {
-    /// The largest weight found in so many trials, `weight` the first of them, when a share of the triangles is left.
+    /// Find the largest acceptable weight in `trials` attempts, starting with `weight`.
+    ///
+    /// `share` is the ratio of triangles that is left.
     fn affordable<const K: usize>(
         &self,
         share: f64,
@@ -161,7 +168,7 @@ impl<const D: usize> Sample<D> {
         }
         let mut error = |weight| self.shape_error::<K>(left, weight, threads, progress);
         let least = LEAST_ERROR * diagonal(&around(self.points.iter().map(position)));
-        // All of it may be one point.
+        // All vertices may be at the same point.
         let alone = error(0.0)?.map(|e| e.max(least)).filter(|e| *e > 0.0);
         let Some(alone) = alone else { return Ok(weight) };
         let mut tried = weight;
@@ -175,8 +182,9 @@ impl<const D: usize> Sample<D> {
         Ok(tried)
     }
 
-    /// Root mean square of the distance of its vertices from what is left of it; none if it is no manifold, or nothing is
-    /// left.
+    /// Measure the root mean square distance of the vertices from the simplified sample.
+    ///
+    /// `None` if the sample is not manifold or nothing is left.
     fn shape_error<const K: usize>(
         &self,
         left: usize,
@@ -207,7 +215,7 @@ mod tests {
     use super::*;
     use crate::base::progress::Control;
 
-    /// A sheet of n² squares, z by place, and stripes one square wide.
+    /// Build a sheet of n² squares with heights `z` and a fine colour pattern.
     fn sheet(n: u32, z: impl Fn(f64, f64) -> f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
         let point = |x: u32, y: u32| {
             let (u, v) = (f64::from(x), f64::from(y));

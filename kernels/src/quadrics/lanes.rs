@@ -1,16 +1,18 @@
-//! Numbers side by side: each operation is done to all of them, in the same order as to one, with the same bits.
+//! SIMD lanes: each operation applies to all lanes and gives the same bits as the scalar operation.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+/// N numbers that are processed together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lanes<const N: usize>(pub [f64; N]);
 
-/// A vector for each lane.
+/// One vector per lane.
 pub type LaneVec3<const N: usize> = [Lanes<N>; 3];
 
 impl<const N: usize> Lanes<N> {
     pub const ZERO: Self = Self([0.0; N]);
 
+    /// Set all lanes to one value.
     #[inline]
     pub fn all(x: f64) -> Self {
         Self([x; N])

@@ -1,4 +1,4 @@
-//! Quadrics of shape and attributes, for every method that is led by them.
+//! Quadrics of shape and attributes, shared by several methods.
 
 pub mod lanes;
 pub mod placement;

@@ -1,16 +1,17 @@
-//! Attribute quadrics: where a merged vertex does least harm to shape and colour together.
+//! Attribute quadrics: the error of a merged vertex in shape and colour.
 //!
-//! Garland and Heckbert, "Surface simplification using quadric error metrics", 1997; Hoppe, "New quadric metric
-//! for simplifying meshes with appearance attributes", 1999. The error of a vertex at p with attributes s is the
-//! integral, over the input triangles it stands for, of the squared distance of p to each triangle's plane plus
-//! the squared difference of s to what the triangle's linear attributes are at p:
+//! Garland and Heckbert, "Surface simplification using quadric error metrics", 1997; Hoppe, "New quadric
+//! metric for simplifying meshes with appearance attributes", 1999. The error of a vertex at p with
+//! attributes s is an integral over the triangles of the quadric. One term is the squared distance of p to
+//! the plane of each triangle. The other is the squared difference of s to the linear attributes of the
+//! triangle at p:
 //!
 //! ```text
 //! Q(p, s) = Σ area · [ (n·p + d)² + w² Σ_j (g_j·p + d_j − s_j)² ]
 //! ```
 //!
-//! For any p the best s is the mean of the predictions, so that only a system of three equations is left, however
-//! many attributes there are.
+//! For any p, the best s is the mean of the predictions. So only a system of three equations has to be
+//! solved, for any number of attributes.
 
 use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
 use crate::quadrics::lanes::{self, LaneVec3, Lanes};
@@ -18,6 +19,7 @@ use crate::quadrics::lanes::{self, LaneVec3, Lanes};
 /// Symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz.
 pub type Symmetric = [f64; 6];
 
+/// Add w · v vᵀ.
 #[inline]
 fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
     m[0] += w * v[0] * v[0];
@@ -28,6 +30,7 @@ fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
     m[5] += w * v[2] * v[2];
 }
 
+/// Multiply a symmetric matrix by a vector.
 #[inline]
 fn times(m: &Symmetric, v: &Vec3) -> Vec3 {
     [
@@ -37,7 +40,7 @@ fn times(m: &Symmetric, v: &Vec3) -> Vec3 {
     ]
 }
 
-/// Solution of M x = r for a positive definite M, by Cramer's rule.
+/// Solve M x = r for a positive definite M, by Cramer's rule.
 #[inline]
 fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
     let c0 = m[3] * m[5] - m[4] * m[4];
@@ -47,19 +50,19 @@ fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
     let c3 = m[0] * m[5] - m[2] * m[2];
     let c4 = m[1] * m[2] - m[0] * m[4];
     let c5 = m[0] * m[3] - m[1] * m[1];
-    // Beyond the range of numbers there is no determinant.
+    // The determinant may overflow.
     let solvable = determinant > 0.0 && determinant.is_finite();
     solvable.then(|| times(&[c0, c1, c2, c3, c4, c5], r).map(|x| x / determinant))
 }
 
-/// The quadratic form Q with K attributes, each multiplied by w.
+/// Quadratic form Q with K attributes, each multiplied by w.
 #[derive(Clone, Copy, Debug)]
 pub struct Quadric<const K: usize> {
-    /// Σ area · n nᵀ, and of the attributes Σ area · g gᵀ
+    /// Σ area · n nᵀ, plus Σ area · g gᵀ of the attributes
     shape: Symmetric,
-    /// Σ area · d n, likewise
+    /// Σ area · d n, plus the same sum for the attributes
     linear: Vec3,
-    /// Σ area · d², likewise
+    /// Σ area · d², plus the same sum for the attributes
     constant: f64,
     /// Σ area
     pub area: f64,
@@ -74,14 +77,14 @@ impl<const K: usize> Default for Quadric<K> {
 }
 
 impl<const K: usize> Quadric<K> {
-    /// The quadric of one triangle, whose attributes stand behind its coordinates. One without area has none.
+    /// Compute the quadric of one triangle, whose attributes follow its coordinates; zero if it has no area.
     #[inline]
     pub fn of_triangle<const D: usize>(corners: [&[f64; D]; 3], weight: f64) -> Self {
         let [quadric] = Self::of_triangles([corners], weight);
         quadric
     }
 
-    /// The quadrics of several triangles, side by side: two take little longer than one.
+    /// Compute the quadrics of several triangles in SIMD lanes: two take little longer than one.
     #[inline]
     pub fn of_triangles<const D: usize, const N: usize>(
         corners: [[&[f64; D]; 3]; N],
@@ -143,8 +146,9 @@ impl<const K: usize> Quadric<K> {
         self.constant += weight * offset * offset;
     }
 
-    /// Add the squared distance to the wall that stands on the side a–b of a triangle, at a right angle to it; `weight`
-    /// is against the area of the square over the side.
+    /// Add the squared distance to the wall through side a–b of a triangle.
+    ///
+    /// The wall is perpendicular to the triangle. `weight` is multiplied by the squared length of the side.
     #[inline]
     pub fn add_wall(&mut self, weight: f64, [a, b, c]: [&Vec3; 3]) {
         let along = sub(b, a);
@@ -165,6 +169,7 @@ impl<const K: usize> Quadric<K> {
         self.attributes.iter_mut().flatten().for_each(|x| *x *= factor);
     }
 
+    /// Add another quadric.
     #[inline]
     pub fn add(&mut self, other: &Self) {
         (0..6).for_each(|i| self.shape[i] += other.shape[i]);
@@ -176,11 +181,13 @@ impl<const K: usize> Quadric<K> {
         }
     }
 
+    /// Subtract another quadric.
     #[inline]
     pub fn subtract(&mut self, other: &Self) {
         self.add(&Self::default().minus(other));
     }
 
+    /// Return the difference to another quadric.
     #[inline]
     pub fn minus(&self, other: &Self) -> Self {
         Self {
@@ -192,6 +199,7 @@ impl<const K: usize> Quadric<K> {
         }
     }
 
+    /// Return the sum with another quadric.
     #[inline]
     pub fn sum(&self, other: &Self) -> Self {
         let mut sum = *self;
@@ -199,7 +207,7 @@ impl<const K: usize> Quadric<K> {
         sum
     }
 
-    /// Q as a function of the position alone, the attributes being the best ones.
+    /// Reduce Q to a function of the position, with optimal attributes.
     #[inline]
     fn reduced(&self) -> (Symmetric, Vec3, f64) {
         let (mut shape, mut linear, mut constant) = (self.shape, self.linear, self.constant);
@@ -216,8 +224,9 @@ impl<const K: usize> Quadric<K> {
         (shape, linear, constant)
     }
 
-    /// The position of least error, drawn towards `anchor` with a spring of strength `tether` (a share of the
-    /// quadric's area), and the error there, spring included.
+    /// Find the position of minimum error; also returns the error, including the spring.
+    ///
+    /// A spring to `anchor` has strength `tether`, relative to the area of the quadric.
     #[inline]
     pub fn minimum(&self, anchor: &Vec3, tether: f64) -> (Vec3, f64) {
         let (mut shape, linear, constant) = self.reduced();
@@ -234,14 +243,14 @@ impl<const K: usize> Quadric<K> {
         }
     }
 
-    /// The error at `p` with the best attributes.
+    /// Compute the error at `p` with the best attributes.
     #[inline]
     pub fn error(&self, p: &Vec3) -> f64 {
         let (shape, linear, constant) = self.reduced();
         (dot(p, &times(&shape, p)) + 2.0 * dot(p, &linear) + constant).max(0.0)
     }
 
-    /// The error at `p` with attributes `s`, which are lengths already.
+    /// Compute the error at `p` with attributes `s`, already multiplied by the weight.
     #[inline]
     pub fn error_with(&self, p: &Vec3, s: &[f64; K]) -> f64 {
         let mut error = dot(p, &times(&self.shape, p)) + 2.0 * dot(p, &self.linear) + self.constant;
@@ -251,7 +260,7 @@ impl<const K: usize> Quadric<K> {
         error.max(0.0)
     }
 
-    /// The attributes of least error at `p`; `fallback` where there is no area to tell.
+    /// Compute the best attributes at `p`; `fallback` if the quadric has no area.
     #[inline]
     pub fn attributes_at(&self, p: &Vec3, fallback: &[f64; K]) -> [f64; K] {
         if self.area <= 0.0 {
@@ -260,7 +269,7 @@ impl<const K: usize> Quadric<K> {
         self.attributes.map(|[x, y, z, d]| (dot(p, &[x, y, z]) + d) / self.area)
     }
 
-    /// `p` with the best attributes for it; `fallback` where there is no area to tell.
+    /// Append the best attributes to `p`; `fallback` if the quadric has no area.
     #[inline]
     pub fn with_attributes<const D: usize>(&self, p: &Vec3, weight: f64, fallback: &[f64; D]) -> [f64; D] {
         if self.area <= 0.0 || weight <= 0.0 {
@@ -280,7 +289,7 @@ impl<const K: usize> Quadric<K> {
 mod tests {
     use super::*;
 
-    /// A triangle without area among them spoils nobody else's numbers.
+    /// A triangle without area must not affect the other lanes.
     #[test]
     fn several_triangles_at_once_have_the_bits_each_has_alone() {
         let points: [[f64; 4]; 5] = [

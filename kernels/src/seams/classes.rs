@@ -1,28 +1,28 @@
-//! What the wedges around an edge become when it collapses, and where its vertex may go.
+//! Merge plan of an edge: classes of wedges and candidate positions.
 
 use super::wedges::NONE;
 use crate::base::geometry::Vec3;
 use crate::base::ids::EdgeId;
 use crate::quadrics::quadric::Quadric;
 
-/// Where the star of an edge may go.
+/// A candidate position for the vertex that replaces an edge.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub place: Vec3,
-    /// The end whose texture coordinates are kept; none if the quadrics tell them.
+    /// The end whose texture coordinates are kept; `None` to compute them from the quadrics.
     pub keep: Option<usize>,
     pub cost: f64,
 }
 
-/// A seam edge that takes in the place of one that shrinks.
+/// A seam edge that grows when its neighbour shrinks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run {
     pub next: EdgeId,
-    /// How far its image is then from what it was in the input, at the most.
+    /// Upper bound on the distance of its texture coordinates from the seam in the input.
     pub drift: f64,
 }
 
-/// A wedge at an end of the edge, and what it becomes part of.
+/// A wedge at an end of the edge, and its class.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
     pub wedge: u32,
@@ -30,13 +30,13 @@ pub(super) struct Member {
     pub class: usize,
 }
 
-/// What several wedges become.
+/// Wedges that merge into one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Class<const K: usize> {
     pub quadric: Quadric<K>,
-    /// A wedge of it at each end, if there is one.
+    /// A wedge of the class at each end, or `NONE`.
     pub at_end: [u32; 2],
-    /// Whether it has several wedges at an end that differ in their place in the image.
+    /// By end: the class has several wedges with different texture coordinates there.
     pub is_torn: [bool; 2],
     pub is_merged: bool,
     pub value: [f64; K],
@@ -44,38 +44,38 @@ pub(super) struct Class<const K: usize> {
 }
 
 impl<const K: usize> Class<K> {
-    /// Whether nothing but one wedge, of the end that is kept, is in it.
+    /// Test if the class consists of a single wedge at the kept end.
     pub fn is_only_at(&self, keep: Option<usize>) -> bool {
         !self.is_merged && keep.is_some_and(|end| self.at_end[end] != NONE)
     }
 
-    /// One of its wedges.
+    /// Return any wedge of the class.
     pub fn some(&self) -> u32 {
         if self.at_end[0] != NONE { self.at_end[0] } else { self.at_end[1] }
     }
 
-    /// The wedge that goes on when the end `survivor` does.
+    /// Return the wedge that remains if the end `survivor` does.
     pub fn kept(&self, survivor: usize) -> u32 {
         if self.at_end[survivor] != NONE { self.at_end[survivor] } else { self.at_end[1 - survivor] }
     }
 }
 
-/// What is worked out about one edge.
+/// Merge plan of one edge.
 #[derive(Clone, Debug)]
 pub(super) struct Plan<const K: usize> {
     pub members: Vec<Member>,
     pub classes: Vec<Class<K>>,
     pub candidates: Vec<Candidate>,
-    /// Wedges of the two sides of the edge, at its first and second end; none on a boundary.
+    /// Wedges on both sides of the edge, at its first and second end; `None` for a missing side.
     pub sides: [Option<[u32; 2]>; 2],
     pub is_plain: bool,
-    /// The shape quadrics of both ends together; only set where `is_plain` is not.
+    /// Sum of the shape quadrics of both ends; only set if `is_plain` is false.
     pub shape: Quadric<0>,
     pub runs: [Option<Run>; 2],
 }
 
 impl<const K: usize> Plan<K> {
-    /// What a wedge at an end becomes part of.
+    /// Find the class of a wedge at an end.
     pub fn class_of(&self, end: usize, wedge: u32) -> Option<&Class<K>> {
         let member = self.members.iter().find(|m| m.end == end && m.wedge == wedge)?;
         Some(&self.classes[member.class])

@@ -1,10 +1,10 @@
-//! A list in parts, so that parts need not be copied to be one.
+//! A list in parts, which can be joined without copying.
 
-/// What the regions of a round left, one after the other; members are numbered through.
+/// Concatenation of the results of all regions, with consecutive indices.
 #[derive(Clone, Debug)]
 pub struct Joined<T> {
     parts: Vec<Vec<T>>,
-    /// The number of the first member of each part.
+    /// Index of the first element of each part.
     starts: Vec<u32>,
     count: u32,
 }
@@ -16,12 +16,14 @@ impl<T> Default for Joined<T> {
 }
 
 impl<T> Joined<T> {
+    /// Create from one part.
     pub fn of(part: Vec<T>) -> Self {
         let mut joined = Self::default();
         joined.push(part);
         joined
     }
 
+    /// Append a part.
     pub fn push(&mut self, part: Vec<T>) {
         self.starts.push(self.count);
         self.count += part.len() as u32;
@@ -36,17 +38,18 @@ impl<T> Joined<T> {
         self.count == 0
     }
 
+    /// Return the element with an index.
     pub fn at(&self, number: u32) -> &T {
         let part = self.part(number);
         &self.parts[part][(number - self.starts[part]) as usize]
     }
 
-    /// The part of a member.
+    /// Find the part that contains an element.
     pub fn part(&self, number: u32) -> usize {
         self.starts.partition_point(|&start| start <= number) - 1
     }
 
-    /// The number of the first member of a part.
+    /// Return the index of the first element of a part.
     pub fn start(&self, part: usize) -> u32 {
         self.starts[part]
     }

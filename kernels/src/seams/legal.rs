@@ -1,5 +1,5 @@
-//! What a collapse may not do to the image and to sheets that touch; what it may not do to triangles in space is the business
-//! of [`crate::mesh::legality`].
+//! Constraints of a collapse on the texture and on touching sheets. [`crate::mesh::legality`] checks
+//! triangles in space.
 
 use super::classes::{Candidate, Plan};
 use super::state::{Rule, Seams};
@@ -14,8 +14,10 @@ use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
-    /// Whether a candidate leaves all triangles of space and image their sides up, every texture coordinate in its
-    /// chart and seams near where they were; completes the plan.
+    /// Check a candidate in space and texture, and complete the plan for it.
+    ///
+    /// No triangle may fold in space or texture. Every texture coordinate must stay in its chart, and seams
+    /// within the drift bound.
     pub(super) fn try_candidate(
         &self,
         mesh: &Mesh<3>,
@@ -52,7 +54,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         if drift > self.knobs.seam_drift { Err(Rule::Drift) } else { Ok(()) }
     }
 
-    /// Whether every triangle of the star that has an image keeps its side up in it.
+    /// Test if no textured triangle of the star folds in the texture.
     fn images_keep_their_side(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &Plan<K>) -> bool {
         star.wings.iter().all(|wing| {
             let v = star.ends[wing.end];
@@ -71,8 +73,10 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         })
     }
 
-    /// Find the triangle of the input that holds each class's texture coordinate. Whether there is one for all: of a
-    /// coordinate that `is_kept` from an end that is known, and only the way there can leave the chart.
+    /// Find the input triangle that contains the texture coordinate of each class.
+    ///
+    /// False if one of them has no triangle. If `is_kept`, the coordinate comes from an end and is valid even
+    /// if the walk leaves the chart.
     fn find_homes(&self, plan: &mut Plan<K>, is_kept: bool) -> bool {
         plan.classes.iter_mut().all(|class| {
             let mut own = class.at_end.into_iter().filter(|&w| w != NONE);
@@ -91,26 +95,29 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         })
     }
 
-    /// Whether a collapse would lay an edge or a triangle where there is one already that the link condition does not see,
-    /// since it is of another fan of the same set.
+    /// Test if a collapse would duplicate an edge or a triangle of another sheet.
+    ///
+    /// The link condition misses this case, because the other fan has separate vertices of the same set.
     pub(super) fn meets_another_sheet(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         !self.sheets.is_empty()
             && (self.lays_an_edge_twice(mesh, star, survivor)
                 || self.lays_a_triangle_twice(mesh, star, survivor))
     }
 
-    /// The vertices of a set.
+    /// Iterate over the vertices of a set.
     fn of_set(&self, set: u32) -> impl Iterator<Item = VertexId> + '_ {
         let first = self.sheets.partition_point(|&(other, _)| other < set);
         self.sheets[first..].iter().take_while(move |(other, _)| *other == set).map(|&(_, v)| v)
     }
 
-    /// A new spoke of the survivor, to or from a touching vertex.
+    /// Test if a new spoke of the survivor duplicates an edge.
+    ///
+    /// One of its ends is a touching vertex.
     fn lays_an_edge_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
         let own = self.touching(kept);
         let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
-        // Whether a vertex has a neighbour in a set, beside one it is known to have.
+        // Test if a vertex has a neighbour in a set, other than a known one.
         let reaches = |from: VertexId, set: u32, known: VertexId| {
             mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.touching(v) == set)
         };
@@ -121,18 +128,20 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             if touching != TOUCHES_NONE {
                 (own != TOUCHES_NONE && (own == touching || !is_apex(v))) || reaches(kept, touching, v)
             } else {
-                // Its own spokes may not all be of this region, while those of the set are.
+                // Some spokes of `v` may be in another region, but all vertices of the set are in this one.
                 let others = || self.of_set(own).filter(|&other| other != kept);
                 own != TOUCHES_NONE && !is_apex(v) && others().any(|other| is_beside(other, v))
             }
         })
     }
 
-    /// A triangle with the corners of another one. Two of them are touching then: elsewhere the link condition sees it.
+    /// Test if a moved triangle gets the same corners as another one.
+    ///
+    /// Two of them are touching vertices then; the link condition covers all other cases.
     fn lays_a_triangle_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         let connectivity = &mesh.connectivity;
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
-        // What a vertex is afterwards, in space: its set, or itself.
+        // Identity of a vertex in space after the collapse: its set, or the vertex itself.
         let place = |v: VertexId| {
             let v = if v == gone { kept } else { v };
             let set = self.touching(v);
@@ -157,14 +166,14 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
     }
 }
 
-/// Whether a position lies in a box.
+/// Test if a position is in a box.
 fn is_in_box([low, high]: &[Vec3; 2], place: &Vec3) -> bool {
     (0..3).all(|i| low[i] <= place[i] && place[i] <= high[i])
 }
 
-/// Check that a position is no farther from the middle of the star than the ends of its spokes.
+/// Check that a position is no farther from the middle than the star's vertices.
 ///
-/// Planes that are nearly parallel meet far away, where their quadric is small and the surface is not.
+/// Nearly parallel planes intersect far away, where their quadric is small but the surface is not.
 fn is_within_reach(star: &Star<3>, place: &Vec3) -> bool {
     let ends = star.end_points.iter().chain(star.spokes.iter().map(|(_, point)| point));
     let reach2 = ends.map(|point| distance2(point, &star.middle)).fold(0.0, f64::max);

@@ -1,14 +1,16 @@
-//! What a collapse costs, where it leads and what it may not do, on a surface with seams.
+//! Measure of the simplification of a surface with seams: cost, new position and constraints.
 //!
-//! Two quadrics (Feng, Ni and Luo 2012): one of shape alone for each vertex, from the triangles of all its copies
-//! and from the walls that stand on seams and boundaries; one of shape and attributes for each wedge, from the
-//! wedge's own triangles. Away from seams the second says all. Where a seam is near, the place comes from the first,
-//! the attributes of each wedge from its own second, and the cost is the weighted sum of both. See [`super::quadrics`].
+//! There are two quadrics (Feng, Ni and Luo 2012). Each vertex has one of shape alone, from the triangles of
+//! all its copies and the walls on seams and boundaries. Each wedge has one of shape and attributes, from its
+//! own triangles. Away from seams, only the wedge quadric is used. Near a seam, the position comes from the
+//! shape quadric, and the attributes of each wedge from its own quadric. The cost is the weighted sum of
+//! both. See [`super::quadrics`].
 //!
-//! A seam is a curve of edges. What lies beside it collapses into it, and an edge of it shrinks along it, to the
-//! texture coordinates that one of its ends has on each side: so they remain on the chart's border. Where that end
-//! goes from lies in further charts, as where three meet, it keeps its place in those. Where a seam ends inside a chart, its tip
-//! may go on there, or become one with that of the next seam: a pole of a globe sends out one for each triangle of its fan.
+//! A seam is a curve of edges. Vertices next to a seam collapse into it. A seam edge shrinks along the seam.
+//! It keeps the texture coordinates of one end on each side, so they stay on the border of the chart. If the
+//! removed end is in further charts, as where three charts meet, it keeps its texture coordinates there. The
+//! tip of a seam that ends inside a chart may move on in the chart, or merge with the tip of the adjacent
+//! seam. For example, the pole of a globe emits one seam for each triangle of its fan.
 
 use super::classes::Plan;
 use super::state::{Rule, Seams, common};
@@ -23,7 +25,7 @@ use crate::quadrics::placement::{best_place, shorter_first};
 use crate::quadrics::quadric::Quadric;
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
-    /// The cheapest place for a star that is legal, and that someone else `allows`, too.
+    /// Find the cheapest legal position for a star that `allows` accepts.
     pub fn propose_among(
         &mut self,
         mesh: &Mesh<3>,
@@ -36,7 +38,9 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         proposal
     }
 
-    /// Where the star goes: the cheapest place that is legal, which is then first in the plan.
+    /// Find the cheapest legal position.
+    ///
+    /// Its candidate moves to the front of the plan.
     fn proposal(
         &self,
         mesh: &Mesh<3>,
@@ -61,7 +65,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         self.first_legal(mesh, star, plan, allows)
     }
 
-    /// The cheapest candidate that is legal, first in the plan; or why the last one is not.
+    /// Move the cheapest legal candidate to the front of the plan; otherwise return the last refusal.
     fn first_legal(
         &self,
         mesh: &Mesh<3>,
@@ -92,7 +96,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         Err(refusal)
     }
 
-    /// Give every class of a plan to the wedge of it that goes on, and to the corners around the survivor theirs.
+    /// Merge each class into its remaining wedge, and reassign the corners around the survivor.
     fn merge_wedges(
         &mut self,
         connectivity: &Connectivity,
@@ -103,7 +107,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let end = usize::from(star.ends[1] == survivor);
         for class in &plan.classes {
             let wedge = class.kept(end);
-            // Filled from the triangles that are left.
+            // Recomputed later from the remaining triangles.
             self.quadrics[wedge as usize] = Quadric::default();
             if self.wedges.put(wedge, class.at_end, class.value, class.home)
                 && let Some(changes) = &mut self.changes
@@ -131,7 +135,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// Look at the survivor and the corners across again.
+    /// Update the summaries of the survivor and of the apexes.
     fn merge_spots(
         &mut self,
         connectivity: &Connectivity,
@@ -143,7 +147,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let own = &mut self.spots[survivor.index()];
         (own.material, own.part) = (common(a.material, b.material), common(a.part, b.part));
         if is_plain {
-            // Inside a chart: one wedge goes on, and two edges have become one on either side.
+            // Inside a chart: one wedge remains, and two edges merge on either side.
             own.valence = a.valence + b.valence - 4;
         } else {
             let is_seam = |edge: EdgeId| self.is_seam[edge.index()];
@@ -160,7 +164,9 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// Find the seams around a vertex again: where a chart has vanished between two others, they may be one.
+    /// Recompute the seams around a vertex.
+    ///
+    /// A chart between two seams may have vanished.
     fn look_again(&mut self, connectivity: &Connectivity, v: VertexId) {
         for (edge, _) in connectivity.spokes(v) {
             self.is_seam[edge.index()] = self.wedges.is_seam(connectivity, edge);

@@ -1,15 +1,15 @@
-//! Simplification of surfaces whose vertices are doubled: along texture seams, between materials and parts.
+//! Simplification of surfaces with duplicated vertices, along texture seams and between materials and parts.
 //!
-//! Feng, Ni and Luo, "Improved surface simplification with multi-attributes", 2012. A file doubles a vertex that has
-//! two texture coordinates; collapses that know nothing of its copies tear the surface open. Here the copies are
-//! one vertex of the connectivity ([`weld`]) with several *wedges* (Hoppe 1999): runs of corners around it with equal
-//! attributes ([`wedges`]). So all copies move together, and an edge that runs along a seam collapses on both
-//! sides in one step, because it is one edge. Of the two quadrics of the paper, that of the shape belongs to
-//! the vertex and takes in the triangles of all its copies; that of shape and attributes belongs to the wedge
+//! Feng, Ni and Luo, "Improved surface simplification with multi-attributes", 2012. A file duplicates a
+//! vertex that has two texture coordinates, and collapses that ignore the copies tear the surface open. Here
+//! the copies are one vertex of the connectivity ([`weld`]) with several *wedges* (Hoppe 1999): runs of
+//! corners with equal attributes ([`wedges`]). All copies therefore move together, and a seam edge collapses
+//! on both sides in one step. Of the two quadrics in the paper, the shape quadric belongs to the vertex and
+//! covers the triangles of all its copies. The quadric of shape and attributes belongs to the wedge
 //! ([`measure`]).
 //!
-//! The texture is held to more than the paper asks ([`texture`]): no triangle turns over in the image, a seam keeps its
-//! image within a bound, and a texture coordinate never leaves the chart it came from.
+//! The constraints on the texture are stricter than in the paper ([`texture`]): no triangle folds in the
+//! texture, a seam stays within a drift bound, and a texture coordinate never leaves its chart.
 
 mod classes;
 mod joined;

@@ -1,4 +1,4 @@
-//! What a collapse costs: the wedges around an edge, the places its vertex may go to, and the price of each.
+//! Planning of a collapse: classes of wedges around an edge, candidate positions, and their cost.
 
 use super::classes::{Candidate, Class, Member, Plan, Run};
 use super::state::{HIGH_VALENCE, Rule, SEVERAL, Seams, common};
@@ -11,7 +11,7 @@ use crate::mesh::triangle_mesh::Mesh;
 use crate::quadrics::placement::{best_place, shorter_first};
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
-    /// The factor that the penalties come to.
+    /// Compute the cost factor of all penalties.
     pub(super) fn penalty(&self, ends: [VertexId; 2], wedges: usize) -> f64 {
         let [a, b] = ends.map(|v| &self.spots[v.index()]);
         let valence = (a.valence + b.valence).saturating_sub(4 + HIGH_VALENCE);
@@ -25,7 +25,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         factor + self.knobs.wedges * wedges.saturating_sub(2) as f64
     }
 
-    /// Work out what wedges become and where the edge may go, the cheapest place first.
+    /// Compute the classes of wedges and the candidate positions, cheapest first.
     pub(super) fn plan(&self, mesh: &Mesh<3>, edge: EdgeId, plan: &mut Plan<K>) -> Result<(), Rule> {
         let connectivity = &mesh.connectivity;
         let ends = connectivity.ends(edge);
@@ -35,7 +35,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
         plan.is_plain = self.is_plain(ends);
         if plan.is_plain && stays == [false, false] {
-            // No place is better; its ends are for where that one is not legal.
+            // No other position is cheaper; the ends are only tried if this one is not legal.
             self.group_plain(ends, plan);
             let best = best_place(&plan.classes[0].quadric, ends.map(|v| mesh.point(v))).0;
             plan.candidates.clear();
@@ -43,7 +43,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             return Ok(());
         }
         let on_seam = self.is_seam[edge.index()];
-        // Beside a seam, what lies on it stays there.
+        // A vertex on a seam must not move along an edge that is not part of the seam.
         let may_go = |end: usize| {
             let is_beside = || self.spots[ends[end].index()].seam_degree == 0;
             !stays[end] && (on_seam || is_beside() || self.may_tip_go(mesh, edge, end))
@@ -53,7 +53,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
         let first = connectivity.halfedge(edge);
         self.group(connectivity, ends, [first, connectivity.twin(first)], plan);
-        // The tip of a seam has one wedge for both sides: nothing tells which side it would go to.
+        // The tip of a seam has one wedge for both sides, so its target side would be ambiguous.
         let [goes_to_first, goes_to_second] =
             [0, 1].map(|end| may_go(1 - end) && plan.classes.iter().all(|class| !class.is_torn[end]));
 
@@ -79,7 +79,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         if plan.candidates.is_empty() { Err(Rule::Seam) } else { Ok(()) }
     }
 
-    /// A place for the edge's vertex, and what it costs.
+    /// Compute the cost of a candidate position.
     pub(super) fn priced(
         &self,
         mesh: &Mesh<3>,
@@ -100,12 +100,12 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             cost += self.knobs.shape * plan.shape.error(&place);
         }
         cost += self.input_error(ends, &place);
-        // Seam drift is bounded, but costs nothing: its visible part, the shift of the texture next to the seam, is in the
-        // quadrics of the wedges.
+        // Seam drift is bounded, but costs nothing: its visible part, the shift of the texture next to the
+        // seam, is in the quadrics of the wedges.
         Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost }
     }
 
-    /// Put the wedges of both ends into classes: those that meet along the edge, on one side of it, become one.
+    /// Group the wedges of both ends: those that meet along the edge, on the same side, form one class.
     fn group(
         &self,
         connectivity: &Connectivity,
@@ -140,7 +140,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             let (kept, gone) = (one.min(other), one.max(other));
             plan.members.iter_mut().filter(|m| m.class == gone).for_each(|m| m.class = kept);
         }
-        // Classes without gaps, in the order of their first member.
+        // Renumber the classes without gaps, in the order of their first member.
         for i in 0..plan.members.len() {
             let Member { wedge, end, class } = plan.members[i];
             let quadric = &self.quadrics[wedge as usize];
@@ -170,7 +170,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// The same where each end has one wedge: they become one.
+    /// As [`Self::group`] if each end has one wedge: they form one class.
     fn group_plain(&self, ends: [VertexId; 2], plan: &mut Plan<K>) {
         let at_end = ends.map(|v| self.spots[v.index()].only);
         let [a, b] = at_end.map(|wedge| &self.quadrics[wedge as usize]);
@@ -189,7 +189,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         });
     }
 
-    /// Attributes of a class at a place.
+    /// Compute the attributes of a class at a position.
     pub(super) fn value(
         &self,
         plan: &Plan<K>,
@@ -205,8 +205,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let uv = match keep {
             Some(end) if class.at_end[end] != NONE => Some(self.wedges.uv(class.at_end[end])),
             Some(end) => {
-                // A wedge of the other end alone may differ by colour or normal only from one that meets the
-                // edge. Where it is in another chart, it stays at its place in there.
+                // A wedge only at the other end may differ only by colour or normal from a wedge that meets
+                // the edge. If it is in another chart, it keeps its texture coordinate.
                 let own = class.at_end[1 - end];
                 let meets = |side: &&[u32; 2]| self.wedges.is_same_place(side[1 - end], own);
                 let beside = plan.sides.iter().flatten().find(meets).map(|side| side[end]);
@@ -221,22 +221,26 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         if let Some(uv) = uv {
             value[..2].copy_from_slice(&uv);
         }
-        // To the bit, so that what has not changed is known for it.
+        // Exact copy, so that unchanged attributes are recognised.
         if let Some(end) = keep.filter(|&end| K == 2 && class.at_end[end] != NONE) {
             value = self.wedges.at(class.at_end[end]).attributes;
         }
         value
     }
 
-    /// Whether a vertex is where a seam ends inside a chart: it has one wedge, for both sides of its seam.
+    /// Test if a vertex is the tip of a seam that ends inside a chart.
+    ///
+    /// One wedge covers both sides there.
     #[inline]
     pub(super) fn is_tip(&self, v: VertexId) -> bool {
         let spot = &self.spots[v.index()];
         spot.seam_degree == 1 && spot.only != NONE
     }
 
-    /// Whether the tip of a seam may leave its place along an edge that is none: where it goes on inside the chart, or where
-    /// its seam becomes one with that of the other end, as those do that a pole sends out, one for each triangle of its fan.
+    /// Test if the tip of a seam may move along an edge off the seam.
+    ///
+    /// It may move on inside the chart, or merge with the seam of the other end. An example is the pole of a
+    /// globe, which emits one seam for each triangle of its fan.
     fn may_tip_go(&self, mesh: &Mesh<3>, edge: EdgeId, end: usize) -> bool {
         let connectivity = &mesh.connectivity;
         let ends = connectivity.ends(edge);
@@ -253,8 +257,9 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         [first, connectivity.twin(first)].into_iter().any(|h| h.is_some() && closes(h))
     }
 
-    /// The seams that end at an edge which is none, when it becomes one vertex: how far their tips are then from where
-    /// they were in the image.
+    /// Find the seams whose tips are ends of a collapsing edge.
+    ///
+    /// The edge itself is no seam. Returns their texture drift after the collapse.
     pub(super) fn follow_tips(
         &self,
         mesh: &Mesh<3>,
@@ -282,8 +287,10 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         })
     }
 
-    /// The runs of seam that change when a seam edge shrinks to its end `keep`: on each side of it the next seam
-    /// edge beyond the other end, and how far the image is then from what it was.
+    /// Find the seam edges that grow when a seam edge shrinks to its end `keep`.
+    ///
+    /// On each side of the edge, this is the next seam edge beyond the other end. Returns their texture drift
+    /// after the collapse.
     pub(super) fn follow_seam<'a>(
         &'a self,
         mesh: &'a Mesh<3>,

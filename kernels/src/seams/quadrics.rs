@@ -1,9 +1,10 @@
-//! Quadrics of a surface with seams, kept up to date as edges collapse.
+//! Quadrics of a surface with seams, updated as edges collapse.
 //!
-//! Quadrics sum over the current triangles, not over the input's: "memoryless" (Lindstrom and Turk, "Fast and memory
-//! efficient polygonal simplification", 1998), as in [`crate::quadric`]. With quadrics summed over the input's triangles,
-//! shape errors are a quarter larger, and the walls on a boundary keep the weight of edges that are long gone, so that
-//! areas outweigh them late in the run. The input's triangles have a say in the cost all the same: see `MEMORY`.
+//! Quadrics sum over the current triangles, not over triangles of the input: "memoryless" (Lindstrom and
+//! Turk, "Fast and memory efficient polygonal simplification", 1998), as in [`crate::quadric`]. With quadrics
+//! summed over the input, shape errors are a quarter larger. Walls on a boundary would also keep the weight
+//! of vanished edges, and be outweighed by areas late in the run. The input still has a part in the cost: see
+//! `MEMORY`.
 
 use super::state::{Moved, Seams};
 use crate::base::geometry::{Vec3, position};
@@ -13,10 +14,10 @@ use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 use crate::quadrics::quadric::Quadric;
 
-/// Weight of the wall on a boundary, against the area of the square over the edge.
+/// Weight of the wall on a boundary edge, times the squared length of the edge.
 const BOUNDARY: f64 = 1.0;
 
-/// The same for each of the two walls on a seam: it may move on the surface as long as the image moves with it.
+/// Weight of each of the two walls on a seam: it may move on the surface if the texture moves along.
 const SEAM: f64 = 0.25;
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
@@ -32,7 +33,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// Subtract the triangles that a collapse removes from the corners across from its edge.
+    /// Subtract the triangles that a collapse removes from the wedges of their apexes.
     pub(super) fn remove_vanished(&mut self, connectivity: &Connectivity, star: &Star<3>) {
         for (side, &(t, _, apex_point)) in star.vanishing.iter().enumerate() {
             // Removed halfedges keep the index of their edge.
@@ -50,7 +51,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// Note the corners that a collapse has moved, before their wedges change.
+    /// Store the corners that a collapse moves, before their wedges change.
     pub(super) fn note_moved(&mut self, connectivity: &Connectivity, star: &Star<3>, survivor: VertexId) {
         self.moved.clear();
         for wing in &star.wings {
@@ -62,7 +63,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// Bring the quadrics around the noted corners up to date.
+    /// Update the quadrics around the stored corners.
     pub(super) fn update_quadrics(&mut self, mesh: &Mesh<3>) {
         for i in 0..self.moved.len() {
             let Moved { corner, before } = self.moved[i];
@@ -80,7 +81,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// The shape quadric of a vertex: its triangles, and the walls on the seams and boundaries it lies on.
+    /// Compute the shape quadric of a vertex: its triangles, and the walls on its seams and boundaries.
     pub(super) fn shape_of(&self, mesh: &Mesh<3>, v: VertexId) -> Quadric<0> {
         if let Some(quadric) = self.shape.borrow()[v.index()] {
             return quadric;
@@ -99,14 +100,16 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         quadric
     }
 
-    /// Forget the shape quadrics around a vertex that has moved.
+    /// Invalidate the shape quadrics around a vertex that has moved.
     pub(super) fn forget_shape(&mut self, connectivity: &Connectivity, v: VertexId) {
         let shape = self.shape.get_mut();
         shape[v.index()] = None;
         connectivity.spokes(v).for_each(|(_, other)| shape[other.index()] = None);
     }
 
-    /// Add a wall on an edge for each of its triangles if the wedges differ at both ends: a seam that ends inside a chart
+    /// Add the walls on an edge, one for each of its triangles.
+    ///
+    /// Only if the wedges differ at both ends: a seam that ends inside a chart gets no wall at its tip, so it
     /// may be pulled back.
     fn add_walls(&self, mesh: &Mesh<3>, edge: EdgeId, quadric: &mut Quadric<0>) {
         let connectivity = &mesh.connectivity;
@@ -128,7 +131,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
     }
 
-    /// A corner's position and attributes.
+    /// Return the position and attributes of a corner.
     #[inline]
     fn corner(&self, h: HalfedgeId, point: &Vec3) -> [f64; D] {
         let attributes = &self.wedges.at(self.wedges.of(h)).attributes;

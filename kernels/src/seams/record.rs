@@ -1,66 +1,70 @@
-//! The progressive record: all that has to be known to have the surface at any number of triangles.
+//! Progressive record: the data needed to restore the surface at any number of triangles.
 
 use crate::collapse::logs::{self, in_order};
 
-/// Collapses in their order, and what each did to wedges.
+/// Ordered collapses, with their effects on wedges.
 #[derive(Clone, Debug, Default)]
 pub struct Log<const K: usize> {
-    /// Vertices by the numbers of `corner_vertex`: which vanished, which took it in, and where that went.
+    /// Vertices as numbered in `corner_vertex`: removed vertex, survivor, and new position of the survivor.
     pub removed: Vec<u32>,
     pub survivor: Vec<u32>,
     pub places: Vec<[f64; 3]>,
-    /// Wedges that became part of others, and the collapse that did it.
+    /// Merged wedges: removed wedge, remaining wedge, and index of the collapse.
     pub wedge_removed: Vec<u32>,
     pub wedge_survivor: Vec<u32>,
     pub wedge_when: Vec<u32>,
-    /// Wedges that took new attributes, and the collapse that gave them.
+    /// Wedges with new attributes.
     pub changed: Vec<u32>,
     pub changed_to: Vec<[f64; K]>,
-    /// The corner of the input that has the same, if one has.
+    /// Corner of the input with equal attributes, or `NONE`.
     pub changed_source: Vec<u32>,
     pub changed_when: Vec<u32>,
-    /// Wedge and vertex of each corner of the input; none in triangles that were left out.
+    /// Wedge and vertex of each corner of the input; `NONE` in dropped triangles.
     pub corner_wedge: Vec<u32>,
     pub corner_vertex: Vec<u32>,
 }
 
-/// What the collapses of one region did to wedges, each named as at the start, and by the place of its collapse among
-/// those of the region.
+/// Effects of the collapses of one region on wedges. Wedges have their initial names; collapses are numbered
+/// in the region.
 #[derive(Clone, Debug, Default)]
 pub struct Changes<const K: usize> {
-    /// The collapse, the wedge that became part of another, and that one.
+    /// Index of the collapse, removed wedge, remaining wedge.
     merged: Vec<(u32, u32, u32)>,
-    /// The collapse, the wedge that took new attributes, these, and the corner of the input that has them.
+    /// Index of the collapse, wedge, new attributes, corner of the input with equal attributes.
     changed: Vec<(u32, u32, [f64; K], u32)>,
-    /// The collapse that what is told next belongs to.
+    /// Index of the collapse being recorded.
     now: u32,
 }
 
 impl<const K: usize> Changes<K> {
+    /// Record that a wedge has new attributes.
     pub fn changed(&mut self, wedge: u32, to: [f64; K], source: u32) {
         self.changed.push((self.now, wedge, to, source));
     }
 
+    /// Record that a wedge merged into another one.
     pub fn merged(&mut self, wedge: u32, into: u32) {
         self.merged.push((self.now, wedge, into));
     }
 
-    /// The collapse has been told.
+    /// Finish recording a collapse.
     pub fn next(&mut self) {
         self.now += 1;
     }
 }
 
 impl<const K: usize> Log<K> {
-    /// The collapses of all regions in one order, with what they did to wedges: `changes` has an entry for each of
-    /// `logs`. `corners` are wedge and vertex of each corner of the input.
+    /// Order the collapses of all regions, with their effects on wedges.
+    ///
+    /// `changes` has one entry for each of `logs`. `corner_wedge` and `corner_vertex` are by corner of the
+    /// input.
     pub fn new(
         logs: &[logs::Log<3>],
         changes: &[Changes<K>],
         [corner_wedge, corner_vertex]: [Vec<u32>; 2],
     ) -> Self {
         let mut log = Self { corner_wedge, corner_vertex, ..Self::default() };
-        // Each region's changes come in the order of its collapses, and so does what `in_order` gives.
+        // `in_order` keeps the order of the collapses within a region, so one cursor per region is enough.
         let mut told = vec![(0, 0); changes.len()];
         for (region, i) in in_order(logs) {
             let when = log.removed.len() as u32;

@@ -19,50 +19,51 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::quadrics::quadric::Quadric;
 
-/// Marks the wedge of a vertex on the rim, named by its number on the whole surface.
+/// Marks the wedge of a vertex on the rim, which keeps its index on the whole surface.
 const ON_RIM: u32 = 1 << 31;
 
 /// State of a vertex between rounds.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
-    /// The set it must stay with; see [`super::weld`].
+    /// Set of touching vertices that must stay together; see [`super::weld`].
     pub touching: u32,
-    /// Of all triangles it stands for, or [`SEVERAL`].
+    /// Common value of all triangles that the vertex represents, or [`SEVERAL`].
     pub material: i32,
     pub part: i32,
-    /// Shape quadric of the triangles of the input that the vertex stands for.
+    /// Shape quadric of the input triangles that the vertex represents.
     pub history: Quadric<0>,
 }
 
-/// A seam's drift at a corner: triangle, corner and drift.
+/// Drift of a seam edge: triangle, corner and drift.
 type Drift = (u32, u8, f64);
 
 /// The surface before any collapse.
 pub struct Given<'a, const K: usize> {
     pub surface: &'a Surface<K>,
     pub charts: &'a Charts,
-    /// No vertex leaves this box.
+    /// Bounding box that no vertex may leave.
     pub bounds: [Vec3; 2],
 }
 
+/// State of the whole surface between rounds.
 pub struct SeamRecords<'a, const D: usize, const K: usize> {
     knobs: Knobs,
     given: Given<'a, K>,
     places: Joined<Place>,
     pub wedges: Joined<Wedge<K>>,
-    /// Wedges of the corners of each triangle.
+    /// Wedges of the corners, by triangle.
     pub corners: Joined<[u32; 3]>,
-    /// Factor of the error of each triangle; empty for 1.
+    /// Factor on the error, by triangle; empty for 1.
     importance: Joined<f64>,
-    /// Of each part of the triangles, by its own numbers.
+    /// By part of the triangle list, with local triangle indices.
     drifts: Vec<Vec<Drift>>,
     pub largest_drift: f64,
     has_touching: bool,
-    /// Of each region of each round, if they are recorded.
+    /// By region of each round, if recorded.
     pub changes: Option<Vec<Changes<K>>>,
 }
 
-/// What is left of a region.
+/// State that a region returns after simplification.
 pub struct Remains<const K: usize> {
     places: Vec<Place>,
     wedges: Vec<Wedge<K>>,
@@ -99,7 +100,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
         }
     }
 
-    /// The wedges of a region, and their numbers on the whole surface.
+    /// Load the wedges of a region; also returns their indices on the whole surface.
     fn load_wedges(&self, region: &Mesh<3>) -> (Wedges<K>, Vec<u32>) {
         let connectivity = &region.connectivity;
         let some = connectivity.vertex_slots() + connectivity.vertex_slots() / 4;
@@ -108,7 +109,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
             all: Vec::with_capacity(some),
         };
         let mut numbers = Vec::with_capacity(some);
-        // The last wedge met of each vertex, and of each wedge the one before at the same vertex.
+        // Linked list of the wedges found at each vertex: last one per vertex, previous one per wedge.
         let mut last = vec![NONE; connectivity.vertex_slots()];
         let mut before: Vec<u32> = Vec::with_capacity(some);
         for (local, &t) in region.triangle_source.iter().enumerate() {
@@ -130,7 +131,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
         (wedges, numbers)
     }
 
-    /// The importance of each triangle of a region; empty for 1.
+    /// Load the importance of each triangle of a region; empty for 1.
     fn load_importance(&self, region: &Mesh<3>) -> Vec<f64> {
         if self.importance.is_empty() {
             return vec![];
@@ -175,7 +176,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
     }
 }
 
-/// How far the seams at the corners of a region's triangles have come.
+/// Collect the drift of the seams at the corners of a region's triangles.
 fn drifts_left(connectivity: &Connectivity, drifts: &Drifts) -> Vec<Drift> {
     let mut left = vec![];
     for (number, t) in connectivity.triangles().enumerate() {
@@ -193,7 +194,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
     type Measure = Seams<'a, D, K>;
     type Remains = Remains<K>;
 
-    /// What touches where it is not joined is worked on together or not at all.
+    /// Put touching vertices into the same region, or onto the rim.
     fn keep_together(&self, owner: &mut [u32]) {
         if !self.has_touching {
             return;
@@ -290,7 +291,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
     }
 
     fn join(self, rim: &[u32], mut pieces: Vec<Remains<K>>) -> Self {
-        // Wedges of the rim that any corner still has, in their order.
+        // Wedges on the rim that are still used, in order.
         let mut new_number = vec![NONE; self.wedges.len()];
         for &wedge in pieces.iter().flat_map(|piece| &piece.corners).flatten().filter(|w| *w & ON_RIM != 0) {
             new_number[(wedge & !ON_RIM) as usize] = 0;
@@ -328,7 +329,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
     }
 }
 
-/// What is kept of each vertex at the start. `touching` is the set of each, or [`TOUCHES_NONE`].
+/// Create the initial state of each vertex; `touching` is its set, or [`TOUCHES_NONE`].
 pub fn places<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, touching: &[u32]) -> Vec<Place> {
     let history = Quadric::default();
     let place = |&touching: &u32| Place { touching, material: SEVERAL, part: SEVERAL, history };

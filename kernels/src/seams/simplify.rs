@@ -1,4 +1,4 @@
-//! Weld, collapse, and give out what is left.
+//! Simplification of a surface with seams: weld, collapse, and extract the result.
 
 use super::record::Log;
 use super::records::{Given, SeamRecords, places};
@@ -19,28 +19,28 @@ use crate::fitting::fit::{BOX_MARGIN, Input, fit};
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
 
-/// What is left of a surface.
+/// Simplified surface.
 #[derive(Clone, Debug)]
 pub struct Outcome<const K: usize> {
     pub points: Vec<Vec3>,
     pub triangles: Vec<[u32; 3]>,
     pub corners: Vec<[f64; K]>,
-    /// The corner of the input (3 × triangle + corner) that has this corner's attributes to the bit, if one has.
+    /// Corner of the input (3 × triangle + corner) with exactly equal attributes, or `NONE`.
     pub corner_source: Vec<u32>,
     pub vertex_source: Vec<u32>,
     pub triangle_source: Vec<u32>,
     pub stop: Stop,
-    /// Edges that are left, by the rule that refused them last.
+    /// Remaining edges by the last rule that refused each.
     pub refused: Refused,
     pub collapses: usize,
     pub attempts: u64,
-    /// Largest distance in the image between a seam and what it was, as a length.
+    /// Largest distance in the texture between a seam and its original, as a length.
     pub seam_drift: f64,
     pub is_fitted: bool,
     pub log: Option<Log<K>>,
 }
 
-/// Edges by the rule that refused them last.
+/// Number of edges by the last rule that refused each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
     pub topology: usize,
@@ -76,16 +76,16 @@ impl Refused {
     }
 }
 
-/// How far to go, and what to do besides.
+/// Target of a simplification, and optional fit.
 #[derive(Clone, Copy, Debug)]
 pub struct Goal {
-    /// How far, how and on how many threads to collapse.
+    /// Target, regions and threads of the collapse loop.
     pub rounds: rounds::Goal,
-    /// Move vertices along their normals to fit the input at the end.
+    /// Finally move vertices along their normals to fit the input.
     pub fit: bool,
 }
 
-/// Collapse as far as the goal says.
+/// Simplify a surface up to the goal.
 ///
 /// # Errors
 /// [`KernelError`] for an index out of range, a value that is not finite, or when interrupted.
@@ -100,11 +100,12 @@ pub fn simplify<const D: usize, const K: usize>(
     })
 }
 
-/// What the rounds leave of a surface with seams.
+/// Result of the collapse loop on a surface with seams.
 pub type Collapsed<'a, const D: usize, const K: usize> = rounds::Outcome<3, SeamRecords<'a, D, K>>;
 
-/// The same, with a collapse that may ask for more: it is given the welded surface, the records, the vertex of the input that
-/// each vertex is, and the progress.
+/// As [`simplify`], with a custom collapse loop that may add constraints.
+///
+/// `collapse` receives the welded surface, the records, the input vertex of each vertex, and the progress.
 ///
 /// # Errors
 /// As [`simplify`].
@@ -172,7 +173,7 @@ pub fn simplify_by<const D: usize, const K: usize>(
     })
 }
 
-/// A welded surface as a mesh, with touching vertices locked.
+/// Create the mesh of a welded surface, with touching vertices locked.
 fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
     let slots = welded.connectivity.vertex_slots();
     let mut points = vec![[0.0; 3]; slots];
@@ -190,7 +191,7 @@ fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
     Mesh { connectivity, points, vertex_source, triangle_source, locks }
 }
 
-/// Wedge and vertex of each corner of the input; none in triangles that were left out.
+/// Map each corner of the input to its wedge and vertex; `NONE` in dropped triangles.
 fn numbered<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, of_corner: &[u32]) -> [Vec<u32>; 2] {
     let mut numbered = [0, 1].map(|_| vec![NONE; 3 * surface.triangles.len()]);
     for (h, &wedge) in of_corner.iter().enumerate() {
@@ -202,8 +203,9 @@ fn numbered<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, of_corner: &[u
     numbered
 }
 
-/// Attributes of the corners that are left, in the order of the triangles at the start, and the corners of the input
-/// that have the same.
+/// Collect the attributes of the remaining corners, and the input corners with equal attributes.
+///
+/// Triangles are in the order of their sources.
 fn corners_left<const D: usize, const K: usize>(
     mesh: &Whole<3, Rule>,
     records: &SeamRecords<'_, D, K>,
@@ -228,8 +230,10 @@ impl Before {
         Self { points: points.clone(), triangles: triangles.clone(), locked: locked.clone() }
     }
 
-    /// Move what became of it along its normals, to fit it by least squares. Whether that was done: not where sheets
-    /// touch in a way that their vertices alone do not tell.
+    /// Fit the simplified surface to this one by least squares.
+    ///
+    /// Returns false if the fit was skipped, because sheets touch in a way that makes the indexed mesh
+    /// non-manifold.
     fn fit(
         &self,
         compact: &mut Compact<3>,
@@ -247,7 +251,7 @@ impl Before {
                 light.locks[number] = Lock::Locked;
             }
         }
-        // Of collapses in several regions of a round none needs another.
+        // Collapses in different regions of a round are independent, so any order of the logs works.
         for merge in logs.iter().flat_map(|log| &log.merges).rev() {
             became[merge.removed.index()] = became[merge.survivor.index()];
         }

@@ -1,4 +1,4 @@
-//! What is known of a surface with seams while it is simplified.
+//! State of a region of a surface with seams during simplification.
 
 use std::cell::RefCell;
 
@@ -11,102 +11,104 @@ use crate::base::geometry::Vec3;
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::quadrics::quadric::Quadric;
 
-/// Weight of the input's triangles in the cost of a collapse, against the current triangles. Current triangles alone
-/// forget that a surface has moved before; the input's alone are a quarter worse on meshes without seams.
+/// Weight of the input triangles in the cost of a collapse, relative to the current triangles. With current
+/// triangles alone, earlier displacements are forgotten. With input triangles alone, results are a quarter
+/// worse on meshes without seams.
 const MEMORY: f64 = 0.4;
 
-/// A penalty for valence counts from here.
+/// Valence above which the penalty applies.
 pub(super) const HIGH_VALENCE: u32 = 8;
 
-/// What a user can set.
+/// Cost parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knobs {
-    /// Share of itself by which the cost of a collapse grows that meets several materials.
+    /// Relative cost increase for a collapse across materials.
     pub across_materials: f64,
-    /// The same for several parts.
+    /// Relative cost increase for a collapse across parts.
     pub across_parts: f64,
-    /// The same for each edge a vertex would have beyond eight.
+    /// Relative cost increase for each edge of the new vertex above eight.
     pub valence: f64,
-    /// The same for each wedge of the ends beyond two.
+    /// Relative cost increase for each wedge of both ends above two.
     pub wedges: f64,
-    /// Weight of the quadric of shape against that of shape and attributes, near seams.
+    /// Weight of the shape quadric, relative to the quadric of shape and attributes, near seams.
     pub shape: f64,
-    /// Largest distance in the image between a seam and what it was, as a length.
+    /// Maximum distance in the texture between a seam and its original, as a length.
     pub seam_drift: f64,
 }
 
-/// A refusal of this measure.
+/// Reason for a refusal by this measure.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Rule {
-    /// Both ends must stay where they are.
+    /// Neither end may move.
     Locked,
     /// A triangle would turn over, or lose its area.
     Fold,
-    /// A seam would be cut, joined with another, or left.
+    /// A seam would be cut, merged with another one, or left.
     Seam,
-    /// A triangle of the image would turn over, or a texture coordinate leave its chart.
+    /// A triangle would fold in the texture, or a texture coordinate would leave its chart.
     Chart,
-    /// The image of a seam would be too far from what it was.
+    /// The drift of a seam would exceed its bound.
     Drift,
-    /// The surface would be too far from what it was.
+    /// The surface would exceed the bound on shape.
     Shape,
     /// A triangle would become too thin for a proof.
     Needle,
 }
 
-/// Materials, or parts, that differ.
+/// Marks vertices with several materials or parts.
 pub(super) const SEVERAL: i32 = i32::MIN;
 
-/// What is looked at together of a vertex, and kept together for it.
+/// Summary of a vertex, stored together for cache locality.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spot {
-    /// The wedge of all its corners, or none.
+    /// The wedge of all its corners, or `NONE` if there are several.
     pub only: u32,
-    /// Its seam and boundary edges.
+    /// Number of its seam and boundary edges.
     pub seam_degree: u32,
     pub valence: u32,
-    /// Of all triangles around it, or [`SEVERAL`].
+    /// Common value of all triangles around the vertex, or [`SEVERAL`].
     pub material: i32,
     pub part: i32,
 }
 
-/// What two have in common.
+/// Return the common value of two, or [`SEVERAL`].
 #[inline]
 pub(super) fn common(a: i32, b: i32) -> i32 {
     if a == b { a } else { SEVERAL }
 }
 
-/// A region, while it is simplified.
+/// Measure of a region with seams.
 pub struct Seams<'a, const D: usize, const K: usize> {
     pub(super) knobs: Knobs,
     pub(super) charts: &'a Charts,
-    /// No vertex leaves this box.
+    /// Bounding box that no vertex may leave.
     pub(super) bounds: [Vec3; 2],
     pub(super) wedges: Wedges<K>,
-    /// Cache of the shape quadrics of vertices near seams; none after a change.
+    /// Cached shape quadrics of vertices near seams; `None` after a change.
     pub(super) shape: RefCell<Vec<Option<Quadric<0>>>>,
     /// Quadrics of shape and attributes, by wedge.
     pub(super) quadrics: Vec<Quadric<K>>,
-    /// Shape quadrics of the input's triangles that each vertex stands for.
+    /// By vertex: shape quadric of the input triangles that it represents.
     pub(super) history: Vec<Quadric<0>>,
-    /// Factor of the error of each triangle; empty for 1.
+    /// Factor on the error, by triangle; empty for 1.
     pub(super) importance: Vec<f64>,
-    /// Corners that a collapse moves, as they were before it; used again for the next.
+    /// Corners moved by the current collapse, as they were before it; the buffer is reused.
     pub(super) moved: Vec<Moved<D>>,
     pub(super) spots: Vec<Spot>,
     pub(super) is_seam: Vec<bool>,
-    /// The set of each vertex that must stay with others; see [`super::weld`]. Empty if no vertex must.
+    /// By vertex: set of touching vertices that must stay together; see [`super::weld`]. Empty if there are
+    /// none.
     pub(super) touching: Vec<u32>,
-    /// Tied vertices by their sets, in order.
+    /// Touching vertices, sorted by set.
     pub(super) sheets: Vec<(u32, VertexId)>,
     pub(super) drifts: Drifts,
     pub(super) plan: RefCell<Plan<K>>,
     pub(super) changes: Option<Changes<K>>,
-    /// The numbers of the region's wedges on the whole surface.
+    /// Indices of the wedges on the whole surface.
     pub(super) numbers: Vec<u32>,
 }
 
-/// A corner that a collapse moves: its halfedge, and where it was before, attributes included.
+/// A corner that a collapse moves: its halfedge, and its old position and attributes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moved<const D: usize> {
     pub corner: HalfedgeId,
@@ -114,26 +116,26 @@ pub(super) struct Moved<const D: usize> {
 }
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
-    /// Whether a wedge has a texture coordinate.
+    /// Test if a wedge has a texture coordinate.
     #[inline]
     pub(super) fn is_textured(&self, wedge: u32) -> bool {
         self.wedges.at(wedge).is_textured
     }
 
-    /// Whether the ends have one wedge each and no seam: the most there is of a surface.
+    /// Test if both ends have one wedge and no seam (the usual case).
     #[inline]
     pub(super) fn is_plain(&self, ends: [VertexId; 2]) -> bool {
         ends.map(|v| &self.spots[v.index()]).iter().all(|spot| spot.only != NONE && spot.seam_degree == 0)
     }
 
-    /// Error of a collapse to `place` by the input's triangles that both ends stand for, with its weight.
+    /// Compute the weighted error of a collapse against the input triangles of both ends.
     #[inline]
     pub(super) fn input_error(&self, ends: [VertexId; 2], place: &Vec3) -> f64 {
         let [a, b] = ends.map(|v| self.history[v.index()].error(place));
         MEMORY * (a + b)
     }
 
-    /// The set of a vertex that must stay with others.
+    /// Return the set of touching vertices that contains a vertex, or [`TOUCHES_NONE`].
     #[inline]
     pub(super) fn touching(&self, v: VertexId) -> u32 {
         self.touching.get(v.index()).copied().unwrap_or(TOUCHES_NONE)

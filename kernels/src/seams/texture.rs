@@ -1,4 +1,4 @@
-//! The image of the surface in its texture: where a texture coordinate may go.
+//! Texture space: charts, folds, and seam drift.
 
 use super::surface::Surface;
 use super::wedges::{input_corner, uv_of};
@@ -7,18 +7,21 @@ use crate::base::parallel::fill;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
+/// Texture coordinate, as a length.
 pub type Uv = [f64; 2];
 
-/// Twice the signed area of a triangle of the image.
+/// Compute twice the signed area of a triangle in the texture.
 #[inline]
 pub fn signed_area(a: Uv, b: Uv, c: Uv) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// A triangle of the image is degenerate when twice its area is below this share of its longest side squared.
+/// Minimum ratio of twice the area to the squared longest side of a triangle in the texture.
 const LEAST_FLATNESS: f64 = 1e-4;
 
-/// Whether a triangle of the image keeps its side up, and its area if it had one.
+/// Test if a triangle in the texture keeps its orientation and area.
+///
+/// A triangle without area passes.
 pub fn keeps_side(before: [Uv; 3], after: [Uv; 3]) -> bool {
     let side2 = |a: Uv, b: Uv| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
     let longest2 = |[a, b, c]: [Uv; 3]| side2(a, b).max(side2(b, c)).max(side2(c, a));
@@ -26,7 +29,7 @@ pub fn keeps_side(before: [Uv; 3], after: [Uv; 3]) -> bool {
     if was == 0.0 {
         return true;
     }
-    // A sliver may stay one as long as it gets no thinner.
+    // A thin triangle may stay if it does not become thinner.
     let flatness = |area: f64, longest2: f64| area.abs() / longest2.max(f64::MIN_POSITIVE);
     let is_flatter = || {
         let now = flatness(is, longest2(after));
@@ -35,19 +38,19 @@ pub fn keeps_side(before: [Uv; 3], after: [Uv; 3]) -> bool {
     was * is > 0.0 && !is_flatter()
 }
 
-/// A triangle's image, and the halfedges beyond its sides in the same chart.
+/// Texture coordinates of a triangle, and the opposite halfedges in the same chart.
 #[derive(Clone, Copy)]
 struct Face {
     uvs: [Uv; 3],
     across: [u32; 3],
 }
 
-/// The charts of the input: its triangles' image, connected where no seam lies between.
+/// Charts of the input: its triangles in the texture, connected except across seams.
 pub struct Charts {
     faces: Vec<Face>,
 }
 
-/// The longest way in search of a triangle; longer ones go round in circles in an image that is folded.
+/// Maximum number of steps of a walk; in a folded texture, a walk might cycle.
 const MOST_STEPS: usize = 4096;
 
 const NONE: u32 = u32::MAX;
@@ -74,8 +77,9 @@ impl Charts {
         Self { faces }
     }
 
-    /// The triangle that holds `uv`, found by walking there from `start` within its chart; none if the way leaves the
-    /// chart, crosses a fold or is too long.
+    /// Find the triangle that contains `uv` by walking from `start` within its chart.
+    ///
+    /// `None` if the walk leaves the chart, crosses a fold or is too long.
     pub fn locate(&self, start: u32, uv: Uv) -> Option<u32> {
         let area = |[a, b, c]: [Uv; 3]| signed_area(a, b, c);
         let mut t = start;
@@ -86,7 +90,7 @@ impl Charts {
             if area(*points) * side <= 0.0 {
                 return None;
             }
-            // Which side to look at first turns from step to step, so that no walk runs in a circle.
+            // Rotate the side tested first from step to step, so that no walk cycles.
             let outside = (0..3).map(|i| (i + step) % 3).find(|&i| {
                 let h = 3 * t + i as u32;
                 h != came_from && signed_area(points[i], points[(i + 1) % 3], uv) * side < 0.0
@@ -104,12 +108,16 @@ impl Charts {
     }
 }
 
-/// Distance of two points in the image. Lengths of images are far from the limits that `hypot` guards against.
+/// Compute the distance of two points in the texture.
+///
+/// The values are far from the limits that `hypot` guards against.
 pub fn distance(a: Uv, b: Uv) -> f64 {
     ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt()
 }
 
-/// The next seam edge beyond the target of `h`, in the same chart: the halfedge on it that starts there.
+/// Find the next seam edge from the target of `h`, in the same chart.
+///
+/// Returns the halfedge that starts there.
 pub fn seam_after(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeId {
     let connectivity = &mesh.connectivity;
     let mut at = Connectivity::next(h);
@@ -119,7 +127,9 @@ pub fn seam_after(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeId
     at
 }
 
-/// The seam edge before the origin of `h`, in the same chart: the halfedge on it that ends there.
+/// Find the previous seam edge at the origin of `h`, in the same chart.
+///
+/// Returns the halfedge that ends there.
 pub fn seam_before(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeId {
     let connectivity = &mesh.connectivity;
     let mut at = Connectivity::prev(h);
@@ -129,9 +139,11 @@ pub fn seam_before(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeI
     at
 }
 
-/// Distance of `p` from the segment `a`–`b`. When the seam's vertex at `p` goes and what is left of it is that segment, no
-/// point of the old run is farther from the new one than this, nor one of the new from the old: matched end with end
-/// and `p` with the point nearest to it, both are straight between.
+/// Compute the distance of `p` from the segment `a`–`b`.
+///
+/// If the seam vertex at `p` vanishes and the segment remains, this is the maximum distance between the old
+/// and the new seam, in both directions. To see this, match the ends with each other and `p` with its nearest
+/// point: between them, both seams are straight.
 pub fn from_segment(p: Uv, a: Uv, b: Uv) -> f64 {
     let (along, to_p) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
     let length2 = along[0] * along[0] + along[1] * along[1];
@@ -140,7 +152,7 @@ pub fn from_segment(p: Uv, a: Uv, b: Uv) -> f64 {
     distance(to_p, along.map(|x| t * x))
 }
 
-/// What is recorded of seams: how far each edge's image is from what it was in the input, at the most.
+/// By seam edge: upper bound on the texture distance from the seam of the input.
 pub struct Drifts {
     of_edge: Vec<f64>,
     pub largest: f64,
@@ -155,6 +167,7 @@ impl Drifts {
         self.of_edge[edge.index()]
     }
 
+    /// Raise the drift of an edge to at least `drift`.
     pub fn raise(&mut self, edge: EdgeId, drift: f64) {
         let own = &mut self.of_edge[edge.index()];
         *own = own.max(drift);

@@ -1,21 +1,23 @@
-//! Charts, the seams between them, and wedges: runs of corners around a vertex with equal attributes in one chart (Hoppe,
-//! "New quadric metric for simplifying meshes with appearance attributes", 1999). A vertex inside a chart has one, one
-//! on a seam two or more.
+//! Charts, seams and wedges.
+//!
+//! A wedge is a run of corners around a vertex with equal attributes in one chart (Hoppe, "New quadric metric
+//! for simplifying meshes with appearance attributes", 1999). A vertex inside a chart has one wedge, a vertex
+//! on a seam has two or more.
 
 use super::surface::Surface;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// No corner of the input, no triangle.
+/// Marks the absence of a corner, a wedge or a triangle.
 pub const NONE: u32 = u32::MAX;
 
-/// The corner of the input that a halfedge starts from.
+/// Return the corner of the input at the origin of a halfedge.
 pub fn input_corner(mesh: &Mesh<3>, h: HalfedgeId) -> usize {
     3 * mesh.triangle_source[h.index() / 3] as usize + (h.0 % 3) as usize
 }
 
-/// Which edges the surface's image is torn at: where texture coordinates or materials differ, and where it ends.
+/// Mark seams: edges where texture coordinates or materials differ, and boundaries.
 pub fn seams<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>) -> Vec<bool> {
     let connectivity = &mesh.connectivity;
     let look = |h: HalfedgeId| {
@@ -34,7 +36,7 @@ pub fn seams<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>) -> Vec<bool> 
     (0..connectivity.edge_slots()).map(|e| is_seam(EdgeId::from_index(e))).collect()
 }
 
-/// The chart of each triangle: triangles with no seam between are of one.
+/// Number the charts: connected components of triangles, separated by seams.
 pub fn charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
     let mut chart = vec![NONE; connectivity.triangle_slots()];
     let mut count = 0;
@@ -59,27 +61,27 @@ pub fn charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
     chart
 }
 
-/// The first two attributes, where there are two.
+/// Return the first two attributes, or zeros if there are fewer.
 #[inline]
 pub fn uv_of<const K: usize>(attributes: &[f64; K]) -> [f64; 2] {
     if K < 2 { [0.0; 2] } else { [attributes[0], attributes[1]] }
 }
 
-/// A wedge: what its corners have in common.
+/// A wedge: the common state of its corners.
 #[derive(Clone, Copy, Debug)]
 pub struct Wedge<const K: usize> {
     pub attributes: [f64; K],
-    /// Its number at the start.
+    /// Initial index.
     pub name: u32,
-    /// The corner of the input that has these attributes to the bit; none once they have changed.
+    /// Corner of the input with exactly equal attributes, or `NONE` once they have changed.
     pub source: u32,
-    /// A triangle of the input whose image holds the texture coordinate.
+    /// Input triangle that contains the texture coordinate.
     pub home: u32,
     pub chart: u32,
     pub is_textured: bool,
 }
 
-/// The wedges of a surface before any collapse, and that of each corner.
+/// Create the wedges of a surface before any collapse; also returns the wedge of each corner.
 pub fn wedges<const K: usize>(
     mesh: &Mesh<3>,
     surface: &Surface<K>,
@@ -88,7 +90,7 @@ pub fn wedges<const K: usize>(
     let connectivity = &mesh.connectivity;
     let chart = charts(connectivity, is_seam);
     let attributes = |h: HalfedgeId| &surface.corners[input_corner(mesh, h)];
-    // Whether a corner goes on with the wedge of the one before it, clockwise.
+    // Test if a corner has the same wedge as the previous one, clockwise.
     let goes_on = |h: HalfedgeId, before: HalfedgeId| {
         !is_seam[connectivity.edge(h).index()] && attributes(h) == attributes(before)
     };
@@ -98,7 +100,7 @@ pub fn wedges<const K: usize>(
     for v in connectivity.vertices() {
         fan.clear();
         fan.extend(connectivity.fan(v));
-        // A closed fan begins where a wedge does.
+        // In a closed fan, start where a wedge starts.
         if !connectivity.is_boundary_vertex(v) {
             let last = fan.len() - 1;
             let begin = (0..=last).find(|&i| !goes_on(fan[i], fan[if i == 0 { last } else { i - 1 }]));
@@ -122,16 +124,18 @@ pub fn wedges<const K: usize>(
     (wedges, of_corner)
 }
 
-/// The wedges of a region.
+/// Wedges of a region.
 pub struct Wedges<const K: usize> {
-    /// Wedge of each corner, by its halfedge.
+    /// Wedge of each corner, by halfedge.
     pub of_corner: Vec<u32>,
     pub all: Vec<Wedge<K>>,
 }
 
 impl<const K: usize> Wedges<K> {
-    /// Give a wedge attributes and home; `merged` are those it is made of, and where one of them had the same attributes
-    /// to the bit, their source is known. Whether the attributes are others than before.
+    /// Set the attributes and home of a wedge. Returns true if the attributes changed.
+    ///
+    /// `merged` are the wedges it was merged from. If one of them has exactly the same attributes, its source
+    /// is used.
     pub fn put(&mut self, wedge: u32, merged: [u32; 2], attributes: [f64; K], home: u32) -> bool {
         self.all[wedge as usize].home = home;
         if self.at(wedge).attributes == attributes {
@@ -144,6 +148,7 @@ impl<const K: usize> Wedges<K> {
         true
     }
 
+    /// Return the wedge of a corner, given by its halfedge.
     #[inline]
     pub fn of(&self, h: HalfedgeId) -> u32 {
         self.of_corner[h.index()]
@@ -154,13 +159,13 @@ impl<const K: usize> Wedges<K> {
         &self.all[wedge as usize]
     }
 
-    /// Texture coordinate of a wedge.
+    /// Return the texture coordinate of a wedge.
     #[inline]
     pub fn uv(&self, wedge: u32) -> [f64; 2] {
         uv_of(&self.at(wedge).attributes)
     }
 
-    /// Whether two wedges are at one place of one chart.
+    /// Test if two wedges are at the same point of one chart.
     #[inline]
     pub fn is_same_place(&self, a: u32, b: u32) -> bool {
         if a == b {
@@ -170,7 +175,7 @@ impl<const K: usize> Wedges<K> {
         one.chart == other.chart && (!one.is_textured || self.uv(a) == self.uv(b))
     }
 
-    /// Whether the surface's image is torn at an edge, or its material changes, or it ends.
+    /// Test if an edge is a seam: a texture seam, a change of material, or a boundary.
     pub fn is_seam(&self, connectivity: &Connectivity, edge: EdgeId) -> bool {
         let h = connectivity.halfedge(edge);
         let twin = connectivity.twin(h);
@@ -179,7 +184,7 @@ impl<const K: usize> Wedges<K> {
             || !self.is_same_place(self.of(Connectivity::next(h)), self.of(twin))
     }
 
-    /// The wedge of all corners of a vertex, if there is only one.
+    /// Find the wedge of all corners of a vertex; `None` if there are several.
     pub fn only(&self, connectivity: &Connectivity, v: VertexId) -> Option<u32> {
         let mut fan = connectivity.fan(v).map(|h| self.of(h));
         let first = fan.next()?;

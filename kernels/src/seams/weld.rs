@@ -1,34 +1,37 @@
-//! One vertex for the copies that files make of it.
+//! Welding of duplicated vertices.
 //!
-//! Triangles are joined where exactly two of them, of like orientation, meet at an edge between two sets. Where more
-//! meet, those that share the edge's own vertices in the file are joined, if they are two; the others stay
-//! open there. What still touches without being joined, at an edge or only at a vertex, must stay
-//! where it is, or the surface would come apart.
+//! Two triangles are joined if exactly two of equal orientation meet at an edge between two sets. If more
+//! triangles meet, those with the same file vertices at the edge are joined if there are exactly two; the
+//! others stay open there. Sheets that still touch at an edge or a vertex without being joined must not move,
+//! or the surface would come apart.
 
 use crate::base::errors::KernelError;
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::mesh::connect::check_indices;
 use crate::mesh::connectivity::Connectivity;
 
-/// No set: the vertex may move.
+/// Marks a vertex without a set, which may move.
 pub const TOUCHES_NONE: u32 = u32::MAX;
 
+/// Connectivity of a surface after welding.
 pub struct Welded {
     pub connectivity: Connectivity,
-    /// For each halfedge the vertex it starts from.
+    /// Vertex at the origin of each halfedge.
     pub corner_vertex: Vec<VertexId>,
-    /// Triangle of the input that each triangle was; those with two corners in one set are left out.
+    /// Input triangle of each triangle; triangles with two corners in one set are dropped.
     pub triangle_source: Vec<u32>,
-    /// The set of each vertex that touches others of it without being joined.
+    /// By vertex: its set if it touches other vertices of that set without being joined.
     pub touching: Vec<u32>,
 }
 
-/// A halfedge at an edge between two sets: the higher set and the file's own vertices, then which halfedge it is, and
-/// whether it runs from the lower set to the higher.
+/// A halfedge between two sets: (higher set and file vertices), index, and true if it runs from the lower set
+/// to the higher.
 type Side = ((u32, u32, u32), u32, bool);
 
+/// Weld the vertices of each set, and build the connectivity.
+///
 /// # Errors
-/// An index out of range, or more triangles than have numbers.
+/// An index out of range, or more triangles than the maximum.
 pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError> {
     check_indices(sets.len(), triangles)?;
     let has_area = |&t: &u32| {
@@ -41,7 +44,7 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
     let corner = |h: u32| kept[h as usize / 3][h as usize % 3];
     let set = |h: usize| sets[corner(h as u32) as usize] as usize;
     let (mut twins, mut torn) = twins(3 * kept.len(), set_count, |h| (set(h as usize) as u32, corner(h)));
-    // Two triangles back to back are no surface.
+    // Two triangles back to back are not a surface.
     let across = |h: HalfedgeId| set(Connectivity::prev(h).index());
     for h in (0..twins.len()).map(HalfedgeId::from_index) {
         let twin = twins[h.index()];
@@ -75,13 +78,14 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
     Ok(Welded { connectivity, corner_vertex, triangle_source, touching })
 }
 
-/// The halfedge across from each, and which lie where more than two meet. `origin` gives set and vertex.
+/// Find the twin of each halfedge, and mark halfedges where more than two meet. `origin` returns set and
+/// vertex.
 fn twins(count: usize, sets: usize, origin: impl Fn(u32) -> (u32, u32)) -> (Vec<HalfedgeId>, Vec<bool>) {
     let ends = |h: u32| {
         let (a, b) = (origin(h), origin(Connectivity::next(HalfedgeId(h)).0));
         if a.0 < b.0 { (a, b, true) } else { (b, a, false) }
     };
-    // Grouped by the lower set in linear time; a group is as small as a vertex's degree.
+    // Group by the lower set in linear time; a group is as small as the degree of a vertex.
     let mut group = vec![0u32; sets + 1];
     for h in 0..count as u32 {
         group[ends(h).0.0 as usize + 1] += 1;
@@ -114,15 +118,17 @@ fn twins(count: usize, sets: usize, origin: impl Fn(u32) -> (u32, u32)) -> (Vec<
     (twins, torn)
 }
 
-/// Join two sides between the same vertices, as each of two boxes has them that share an edge; and take fans apart, triangle by
-/// triangle, where two edges would still have the same vertices: afterwards an edge is known by its vertices. More than
-/// two triangles meet there, so that nothing around moves. Whether any was.
+/// Make edges unique by their vertices. Returns true if anything changed.
+///
+/// Two open sides between the same vertices are joined, as at the common edge of two boxes. Where two edges
+/// would still have the same vertices, fans are split into single triangles. More than two triangles meet
+/// there, so no vertex around it moves.
 fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [bool]) -> bool {
     let ends = |h: usize| {
         let [a, b] = [h, Connectivity::next(HalfedgeId::from_index(h)).index()].map(|h| corner_vertex[h]);
         [a.min(b), a.max(b)]
     };
-    // Only edges where more than two triangles meet can be such, or where two were left open.
+    // Only edges where more than two triangles meet, or with two open sides, can be ambiguous.
     let open = |h: &usize| torn[*h];
     let mut sides: Vec<([VertexId; 2], usize)> =
         (0..twins.len()).filter(open).map(|h| (ends(h), h)).collect();
@@ -154,6 +160,7 @@ fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [
     !apart.is_empty() || !joined.is_empty()
 }
 
+/// Make two sides twins if there are exactly two, in opposite directions.
 fn join(sides: &[Side], twins: &mut [HalfedgeId]) -> bool {
     match *sides {
         [(_, g, up), (_, h, also_up)] if up != also_up => {
@@ -165,7 +172,8 @@ fn join(sides: &[Side], twins: &mut [HalfedgeId]) -> bool {
     }
 }
 
-/// The vertex of every corner: corners are of one vertex where joined triangles lead from one to the other.
+/// Assign a vertex to every corner: corners connected through joined triangles share one. Also returns the
+/// count.
 fn fans(twins: &[HalfedgeId]) -> (Vec<VertexId>, usize) {
     let mut vertex = vec![VertexId::NONE; twins.len()];
     let mut count = 0;
@@ -175,7 +183,7 @@ fn fans(twins: &[HalfedgeId]) -> (Vec<VertexId>, usize) {
         }
         let v = VertexId::from_index(count);
         count += 1;
-        // Counter-clockwise, and back the other way if that ends at an open edge.
+        // Counter-clockwise first, then clockwise if that ends at an open edge.
         let mut h = HalfedgeId::from_index(start);
         while h.is_some() && vertex[h.index()].is_none() {
             vertex[h.index()] = v;

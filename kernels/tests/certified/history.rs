@@ -1,4 +1,4 @@
-//! Collapses taken back: what is left is a mesh that there was, and taking back all of them leads to the input.
+//! Undo of collapses: every intermediate state is a valid mesh, and undoing all collapses restores the input.
 
 use crate::promises::common::{Noise, Triangles, coloured, gallery, torus};
 use scanloom_kernels::base::progress::{Control, Progress};
@@ -10,10 +10,10 @@ use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::quadric::qem::QemRecords;
 
-/// A triangle that is left: its number and its corners' in the input, and where they are.
+/// A remaining triangle: its input index, the input indices of its corners, and their positions.
 type Left = (u32, [u32; 3], [[f64; 4]; 3]);
 
-/// Simplify as far as it goes, in small regions; what is left, and how it came to be.
+/// Simplify to a tenth in small regions; returns the remaining triangles and the logs.
 fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<Left>, Vec<Log<4>>) {
     let whole = Whole::<4, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
     let records = QemRecords::<1> { weight: 0.01, importance: vec![] };
@@ -50,7 +50,7 @@ fn the_history_knows_the_mesh_it_led_to() {
         assert_eq!(kept(&history, &triangles).len(), left.len(), "{name}");
         for (source, corners, places) in left {
             let mut known = history.corners(source).unwrap();
-            // The same corners in the same sense, beginning with any of them.
+            // Compare up to rotation of the corners.
             while known[0] != corners[0] {
                 known.rotate_left(1);
             }
@@ -76,7 +76,7 @@ fn what_is_left_after_taking_some_back_is_the_same_surface() {
             let (count, mut splits) = (history.kept(), 0);
             history.undo(latest, &mut |history, around_one, around_both| {
                 splits += 1;
-                // Each gives back the one or two triangles it took.
+                // Each collapse had removed one or two triangles.
                 let gained = around_both.len() - around_one.len();
                 assert!(gained == 1 || gained == 2, "{name}: {gained}");
                 assert!(around_one.iter().all(|t| around_both.contains(t)), "{name}");
@@ -108,9 +108,9 @@ fn only_what_was_built_on_a_collapse_goes_with_it() {
         for (t, corners) in before.into_iter().enumerate() {
             assert!(history.corners(t as u32) == corners || touched.contains(&(t as u32)));
         }
-        // A second time there is nothing to take back.
+        // Undoing it again does nothing.
         let kept = history.kept();
-        history.undo(number, &mut |_, _, _| panic!("taken back twice"));
+        history.undo(number, &mut |_, _, _| panic!("undone twice"));
         assert_eq!(history.kept(), kept);
     }
 }

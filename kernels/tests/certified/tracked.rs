@@ -1,4 +1,5 @@
-//! Bounded simplification: samples stay within their limits after every collapse, and the proof at the end holds.
+//! Certified simplification: samples stay within their limits after every collapse, and the final proof
+//! holds.
 
 use crate::promises::common::{Noise, coloured, gallery, sheet, torus};
 use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position};
@@ -19,7 +20,7 @@ fn goal(threads: usize, region: usize) -> Goal {
     Goal { triangles: 0, threads, region, least: 0.0, record: false }
 }
 
-/// A torus dense enough to lose most of its triangles, shaken a little, with colours that turn smoothly.
+/// Create a finely triangulated, slightly noisy torus with smooth colours.
 fn painted_torus() -> (Vec<[f64; 6]>, Vec<[u32; 3]>) {
     let (points, triangles) = torus(60, 30);
     let mut noise = Noise(5);
@@ -31,7 +32,7 @@ fn painted_torus() -> (Vec<[f64; 6]>, Vec<[u32; 3]>) {
     (painted.collect(), triangles)
 }
 
-/// The nearest point on any of some triangles, by looking at all of them: distance and attributes.
+/// Find the nearest point on some triangles by brute force: distance and attributes.
 fn nearest<const D: usize>(p: &Vec3, points: &[[f64; D]], triangles: &[[u32; 3]]) -> (f64, Vec<f64>) {
     let mut best = (f64::INFINITY, vec![]);
     for corners in triangles {
@@ -88,7 +89,7 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
             }
             for v in mesh.connectivity.vertices() {
                 let (distance, _) = nearest(&position(mesh.point(v)), &points, &triangles);
-                assert!(distance <= limits.shape * (1.0 + 1e-9), "{name}: {v:?} strayed by {distance}");
+                assert!(distance <= limits.shape * (1.0 + 1e-9), "{name}: {v:?} is {distance} away");
             }
         }
         assert_eq!(engine.mesh().connectivity.vertices().count(), before - collapses);
@@ -183,7 +184,7 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
     let mesh = result.mesh;
     for (v, _) in locked.iter().enumerate().filter(|(_, is_locked)| **is_locked) {
         let place =
-            mesh.vertex_source.iter().position(|&s| s as usize == v).expect("a locked vertex is gone");
+            mesh.vertex_source.iter().position(|&s| s as usize == v).expect("a locked vertex was removed");
         assert_eq!(mesh.points[place], points[v]);
     }
     let connectivity = Connectivity::from_triangles(mesh.points.len(), &mesh.triangles).unwrap();
@@ -192,7 +193,9 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
     assert!(connectivity.edges().all(|e| !connectivity.is_boundary_edge(e)));
 }
 
-/// Two rough sheets close to each other: a nearest point changes from one to the other between the samples.
+/// Create two rough sheets close to each other.
+///
+/// Between samples, the nearest point switches from one sheet to the other.
 fn two_layers() -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
     let (flat, one) = sheet(40, 40);
     let mut noise = Noise(21);
@@ -279,5 +282,5 @@ fn what_is_proven_part_by_part_is_proven_of_the_whole() {
         assert!(result.mesh.triangles.len() < triangles.len());
         assert!(whole.attained.within(result.certificate.bound));
     }
-    assert!(again > 3, "nothing was taken back");
+    assert!(again > 3, "no collapse was undone");
 }

@@ -1,4 +1,4 @@
-//! Bounds between two surfaces: never below what brute force finds, whatever the triangles.
+//! Bounds between two surfaces are never below brute force, for any triangles.
 
 use crate::promises::common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::base::errors::KernelError;
@@ -27,7 +27,7 @@ fn distance<const D: usize>(p: &[f64; 3], (points, triangles): &Soup<D>) -> f64 
     triangles.iter().map(to).fold(f64::INFINITY, f64::min).sqrt()
 }
 
-/// Every mesh of the gallery, and the same with its points moved.
+/// Pair every mesh of the gallery with a copy whose points are moved randomly.
 fn pairs() -> Vec<(&'static str, Soup<6>, Soup<6>)> {
     let mut noise = Noise(11);
     let moved = |(name, points, triangles): (&'static str, Vec<[f64; 3]>, Vec<[u32; 3]>)| {
@@ -87,7 +87,7 @@ fn some_triangles_are_bounded_like_all_and_nothing_is_said_of_others() {
             assert!(found.result[t].within(most) && own.within(found.result[t]), "{name} {t}");
         }
         assert!(found.original[1..].iter().all(|other| *other == nothing), "{name}");
-        // What falls on the result from the one triangle asked falls somewhere.
+        // Deviation from the one triangle asked for is attributed to some triangle of the result.
         let fallen = found.result.iter().fold(Deviation::default(), |most, d| most.max(*d));
         assert!(found.original[0].shape <= fallen.shape, "{name}");
         for (mesh, other, t, of) in
@@ -117,7 +117,7 @@ fn more_effort_decides_what_few_pieces_leave_open() {
         };
         let [few, more] = [0.0, 8.0].map(decided);
         assert!(few.iter().zip(&more).all(|(few, more)| more.bound.within(few.bound)));
-        // Neither proven nor found to be beyond.
+        // Neither proven nor found to exceed the limit.
         let is_open = |v: &&Verdict| !v.bound.within(limit) && v.attained.within(limit);
         open = [open[0] + few.iter().filter(is_open).count(), open[1] + more.iter().filter(is_open).count()];
     }
@@ -215,7 +215,7 @@ fn a_part_of_the_triangles_is_decided_as_the_whole() {
     }
 }
 
-/// A sheet over 12 × 12 with bumps, as fine as asked for; its colours follow the place.
+/// Build a bumpy sheet over 12 × 12 with colours that depend on the position.
 fn bumps(squares: u32, noise: &mut Noise, by: f64) -> Soup<6> {
     let (points, triangles) = sheet(squares, squares);
     let step = 12.0 / f64::from(squares);
@@ -230,12 +230,12 @@ fn bumps(squares: u32, noise: &mut Noise, by: f64) -> Soup<6> {
     (points.collect(), triangles)
 }
 
-/// The point of a triangle that takes so much of each corner.
+/// Interpolate the corners of a triangle.
 fn blended(weights: [f64; 3], corners: [[f64; 6]; 3]) -> [f64; 6] {
     std::array::from_fn(|i| (0..3).map(|k| weights[k] * corners[k][i]).sum())
 }
 
-/// Distance to the nearest point of a soup, and the difference to its colour.
+/// Measure the distance to a triangle soup, and the difference to its colour.
 fn deviation(p: &[f64; 6], (points, triangles): &Soup<6>) -> Deviation {
     let mut nearest = Deviation { shape: f64::INFINITY, color: 0.0 };
     for t in triangles {
@@ -251,7 +251,7 @@ fn deviation(p: &[f64; 6], (points, triangles): &Soup<6>) -> Deviation {
     Deviation { shape: nearest.shape.sqrt(), ..nearest }
 }
 
-/// Large triangles over many small ones and the other way round, with a hole, and with a tear along an edge.
+/// Large triangles against many small ones and vice versa, with a hole, and with a tear along an edge.
 #[test]
 fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
     let mut noise = Noise(8);
@@ -294,7 +294,7 @@ fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
     }
 }
 
-/// A square of the sheet is missing: its middle is half a square from what is left.
+/// A square of the sheet is missing; its centre is half a square from the rest.
 #[test]
 fn a_hole_under_a_large_triangle_is_seen() {
     let (points, mut triangles) = sheet(12, 12);
@@ -303,7 +303,7 @@ fn a_hole_under_a_large_triangle_is_seen() {
         vec![corner(0.0, 0.0), corner(12.0, 0.0), corner(12.0, 12.0), corner(0.0, 12.0)],
         vec![[0, 1, 2], [0, 2, 3]],
     );
-    // Column 8 of row 3 is under the first triangle.
+    // Column 8 of row 3 is below the first triangle.
     triangles.drain(2 * (3 * 12 + 8)..2 * (3 * 12 + 9));
     let original = (points, triangles);
     for (limit, proven) in [(0.45, [false, true]), (0.55, [true, true]), (0.09, [false, false])] {
@@ -331,7 +331,7 @@ fn every_triangle_whose_box_meets_is_visited() {
     assert_eq!(found, expected);
 }
 
-/// A power of two changes no digit, so the same pieces must follow.
+/// Scaling by a power of two is exact, so the pieces must be the same.
 #[test]
 fn the_unit_of_length_does_not_matter() {
     for (name, result, original) in pairs() {
@@ -360,7 +360,7 @@ fn a_part_that_is_missing_shows_on_the_triangles_beside_it() {
     let (points, triangles) = sheet(6, 1);
     let left = triangles[..6].to_vec();
     let found = bounds(&(points.clone(), left), &(points, triangles), &Options::default());
-    // Half the sheet is gone: its far end is three squares from the last edge that is left.
+    // Half of the sheet is missing: its far end is three squares from the last edge.
     assert!((3.0..3.0 * 1.06).contains(&found.bound.shape), "{:?}", found.bound);
     assert!(found.result[0].shape < 1e-3);
     assert!(found.original[..6].iter().all(|d| d.shape < 1e-3));

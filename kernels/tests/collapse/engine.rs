@@ -1,4 +1,4 @@
-//! The engine carries other measures than JIA01: here the shortest edge first, half-edge, with locked vertices.
+//! The engine with another measure than JIA01: shortest edge first, half-edge collapses, locked vertices.
 
 use crate::promises::common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::base::geometry::{cross, distance2, sub};
@@ -7,8 +7,8 @@ use scanloom_kernels::collapse::engine::{Collapsed, Engine, Measure, Proposal, R
 use scanloom_kernels::mesh::star::Star;
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 
-/// What later simplifiers need of the engine, in its simplest form: a survivor chosen among the ends, vertices
-/// that must stay, and a set of input triangles on every triangle, as the normal mesh remesher keeps them.
+/// Test measure with the features that simplifiers need: a choice of the survivor, locked vertices, and a set
+/// of input triangles per triangle, as the normal-mesh remesher keeps it.
 struct ShortestHalfEdge {
     locked: Vec<bool>,
     associated: Vec<Vec<TriangleId>>,
@@ -49,7 +49,7 @@ impl<const D: usize> Measure<D> for ShortestHalfEdge {
             around.iter().flat_map(|t| std::mem::take(&mut self.associated[t.index()])).collect();
         union.sort_unstable();
         union.dedup();
-        // The tip of an ear moves no triangle: what it leaves goes to those of the survivor.
+        // Removing the tip of an ear moves no triangle: its set goes to the triangles of the survivor.
         let none_moves = !star.wings.iter().any(|w| moved(w.end));
         for wing in star.wings.iter().filter(|w| moved(w.end) || none_moves) {
             self.associated[wing.triangle.index()].extend(&union);
@@ -111,7 +111,7 @@ fn locked_vertices_stay_and_their_edges_are_counted() {
         assert!(engine.mesh().connectivity.vertices().any(|w| w == v));
         assert_eq!(engine.mesh().point(v), &points[v.index()]);
     }
-    // All that is left of the sheet is its border: each of its 24 edges is locked.
+    // Only the border of the sheet is left: each of its 24 edges is locked.
     let is_locked = |edge: &EdgeId| engine.refusal(*edge) == Some(Refusal::Barred(Locked));
     assert!(engine.mesh().connectivity.edges().filter(is_locked).count() >= 24);
 }
@@ -132,7 +132,7 @@ fn commit_sees_which_triangles_vanished_and_moved() {
     assert_eq!(covered, (0..triangles.len() as u32).collect::<Vec<_>>());
 }
 
-/// Twice the height above the paper's plane of what a flat mesh turns up, for each of its triangles.
+/// Iterate over the z components of the normals (of length twice the area) of a flat mesh.
 fn turned_up(mesh: &Mesh<3>) -> impl Iterator<Item = f64> + '_ {
     mesh.connectivity.triangles().map(|t| {
         let [a, b, c] = mesh.connectivity.corners(t).map(|v| mesh.point(v));
@@ -140,7 +140,7 @@ fn turned_up(mesh: &Mesh<3>) -> impl Iterator<Item = f64> + '_ {
     })
 }
 
-/// Collapse all that a flat sheet allows; every triangle shows its upper side after each step.
+/// Collapse a flat sheet completely; no triangle may turn over in any step.
 fn require_upper_sides(points: &[[f64; 3]], triangles: &[[u32; 3]]) {
     let mut engine = engine(points, triangles, &[]);
     assert!(turned_up(engine.mesh()).all(|up| up > 0.0));
@@ -164,7 +164,7 @@ fn no_triangle_turns_over() {
     require_upper_sides(&points, &triangles);
 }
 
-/// Corners of this sheet stand in rows: many a collapse would put three of them on one line.
+/// The corners of this sheet are on lines: without a check, collapses would make three of them collinear.
 #[test]
 fn no_triangle_becomes_a_line() {
     let (points, triangles) = sheet(14, 14);

@@ -1,4 +1,5 @@
-//! Simplification region by region: sound for any cut, the same bits for any number of threads, as far as asked.
+//! Simplification by regions: valid for any partition, bit-identical for any number of threads, and as far as
+//! requested.
 
 use crate::promises::common::{Noise, Triangles, coloured, gallery, sheet, sheet_with_hole, torus};
 use scanloom_kernels::base::errors::KernelError;
@@ -32,7 +33,7 @@ fn compact(outcome: Outcome<6, QemRecords<3>>) -> Compact<6> {
     outcome.mesh.into_compact()
 }
 
-/// A wavy torus of 2 · w · h triangles, coloured at random.
+/// Create a noisy torus of 2 · w · h triangles with random colours.
 fn wavy(w: u32, h: u32) -> (Vec<[f64; 6]>, Triangles) {
     let (points, triangles) = torus(w, h);
     (coloured(&points, 0.02, 3), triangles)
@@ -50,7 +51,7 @@ fn every_cut_keeps_every_invariant() {
         let mesh = Mesh::new(points.clone(), &triangles).unwrap();
         let (topology, vertices) = (mesh.connectivity.topology(), mesh.connectivity.vertices().count());
         for region in [1, 7, 40, 300, REGION_TRIANGLES] {
-            // Regions of one triangle are for small meshes.
+            // Very small regions are only tested on small meshes.
             if triangles.len() > 100 * region {
                 continue;
             }
@@ -64,7 +65,7 @@ fn every_cut_keeps_every_invariant() {
                 assert_eq!(mesh.connectivity.validate(), Ok(()), "{name} {region} {share}");
                 assert_eq!(mesh.connectivity.topology(), topology, "{name} {region} {share}");
                 assert_eq!(stop == Stop::Target, left <= goal.triangles, "{name} {region} {share}");
-                // Two triangles a collapse, one at a boundary.
+                // A collapse removes two triangles, or one at a boundary.
                 assert!(left + 1 >= goal.triangles, "{name} {region} {share}: {left}");
                 assert_eq!(result.vertex_source.len() + merges, vertices, "{name} {region} {share}");
             }
@@ -118,7 +119,7 @@ fn jia01_keeps_its_bounds_in_regions_too() {
         assert!((0.8..1.25).contains(&ratio), "{region}: {ratio}");
         assert_eq!(run(region, 2).mesh, result.mesh);
     }
-    // Without the rounds that do next to nothing it ends sooner, with next to no more triangles.
+    // With a minimum ratio of collapses it ends sooner, with hardly more triangles.
     let (all, most) = (run(100, 1), run_to(Goal { region: 100, least: 0.02, ..GOAL }));
     assert_eq!((all.stop, most.stop), (Stop::Exhausted, Stop::Few));
     assert!(most.largest_shape_change <= bounds.shape);
@@ -135,7 +136,7 @@ fn what_is_wrong_is_named_whatever_the_cut() {
         simplified::<3, 0>(&points, &triangles, vec![], Goal { region, ..GOAL }).err()
     };
     for region in [10, 50, REGION_TRIANGLES] {
-        // Vertices 40 and 41 are the ends of an edge inside; 5 and 6 of one on the boundary.
+        // Vertices 40 and 41 are the ends of an interior edge; 5 and 6 of a boundary edge.
         assert_eq!(refused([40, 41, 0], region), Some(KernelError::NonManifoldEdges(vec![[40, 41]])));
         assert_eq!(refused([5, 6, 80], region), Some(KernelError::InconsistentEdges(vec![[5, 6]])));
         assert!(matches!(refused([0, 60, 129], region), Some(KernelError::PinchedVertices(_))));
@@ -145,7 +146,7 @@ fn what_is_wrong_is_named_whatever_the_cut() {
 #[test]
 fn fixed_vertices_stay_bit_for_bit() {
     let (points, triangles) = wavy(40, 30);
-    // One by one, and two with an edge between them.
+    // Isolated locked vertices, and pairs joined by an edge.
     for (locks, region) in [(1, 150), (1, REGION_TRIANGLES), (2, 150), (2, REGION_TRIANGLES)] {
         let locked: Vec<bool> = (0..points.len()).map(|v| v % 17 < locks).collect();
         let goal = Goal { triangles: 200, region, ..GOAL };
@@ -201,8 +202,10 @@ fn a_record_leads_to_the_result() {
     assert_eq!(left.filter(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).count(), result.triangles.len());
 }
 
-/// Integral of the squared distance to the plane of a triangle and of the squared difference to its attributes, the
-/// sum that a quadric stands for, spelled out.
+/// Compute a quadric directly.
+///
+/// It is the integral of the squared distance to the plane of a triangle and of the squared difference to its
+/// attributes.
 fn direct(p: &[f64; 6], triangles: &[[[f64; 6]; 3]], weight: f64) -> f64 {
     let mut sum = 0.0;
     for [a, b, c] in triangles {
@@ -238,7 +241,7 @@ fn a_quadric_is_the_sum_it_stands_for() {
         let least = direct(&best, &triangles, weight);
         assert!((least - error).abs() < 1e-9 * (1.0 + error), "{least} {error}");
         assert!((quadric.error(&place) - error).abs() < 1e-9 * (1.0 + error));
-        // Nothing around is better.
+        // The minimum is a minimum.
         for i in 0..6 {
             for step in [-1e-3, 1e-3] {
                 let mut other = best;
@@ -249,7 +252,7 @@ fn a_quadric_is_the_sum_it_stands_for() {
     }
 }
 
-/// The quadrics that are kept up to date collapse by collapse are those of the triangles as they are.
+/// Quadrics updated collapse by collapse are equal to quadrics of the current triangles.
 #[test]
 fn quadrics_follow_the_mesh() {
     use scanloom_kernels::collapse::engine::{Engine, Step};

@@ -1,4 +1,4 @@
-//! Fitting a result to its input: what is exact stays, what is off comes closer, what is locked does not move.
+//! Fit to the input: an exact mesh does not change, an inexact one gets closer, locked vertices do not move.
 
 use crate::promises::common::{coloured, sheet, torus};
 use scanloom_kernels::base::geometry::{nearest_on_triangle, norm2, sub};
@@ -13,7 +13,7 @@ fn fitted<const D: usize>(
     triangles: &[[u32; 3]],
     threads: usize,
 ) -> Vec<[f64; D]> {
-    // Start each search at the vertex of the result that is nearest.
+    // Start each search at the nearest vertex of the result.
     let near = |p: &[f64; D]| {
         let distance = |v: usize| (0..3).map(|i| (mesh.points[v][i] - p[i]).powi(2)).sum::<f64>();
         let nearest = (0..mesh.points.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
@@ -32,7 +32,7 @@ fn what_fits_stays() {
     let mesh = Mesh::new(points.clone(), &triangles).unwrap();
     let after = fitted(mesh, &points, &triangles, 1);
     for (a, b) in after.iter().flatten().zip(points.iter().flatten()) {
-        // Weights of the nearest points are in single precision.
+        // Barycentric coordinates are in single precision.
         assert!((a - b).abs() < 1e-6 * 255.0);
     }
 }

@@ -1,4 +1,4 @@
-//! The measure of JIA01 on its engine: bounds after every collapse, splits, stops, degenerate input.
+//! JIA01 on the collapse engine: bounds after every collapse, splits, stop rules, degenerate input.
 
 use crate::promises::common::{Noise, coloured, gallery, sheet, tetrahedron, torus};
 use scanloom_kernels::base::errors::KernelError;
@@ -157,7 +157,7 @@ fn triangles_without_area_do_no_harm() {
     let mut noise = Noise(3);
     for (name, points, triangles) in gallery() {
         for share in [0.2, 1.0] {
-            // Vertices fall together or onto a line.
+            // Some vertices coincide or become collinear.
             let flat: Vec<[f64; 3]> = points
                 .iter()
                 .map(|p| if noise.next() < share { [p[0].round(), 0.0, 0.0] } else { *p })
@@ -173,7 +173,7 @@ fn triangles_without_area_do_no_harm() {
     }
 }
 
-/// A power of two changes no digit, so the same collapses must follow.
+/// Scaling by a power of two is exact, so the collapses must be the same.
 #[test]
 fn the_unit_of_length_does_not_matter() {
     let (points, triangles) = torus(24, 16);

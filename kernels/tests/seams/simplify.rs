@@ -1,4 +1,4 @@
-//! Surfaces with seams: what is one in space stays one, and charts keep their triangles' side up.
+//! Surfaces with seams: copies stay joined in space, and no triangle folds in the texture.
 
 use crate::promises::common::{Noise, torus};
 use scanloom_kernels::base::progress::{Control, Progress};
@@ -18,8 +18,9 @@ const KNOBS: Knobs = Knobs {
     seam_drift: f64::INFINITY,
 };
 
-/// A torus whose image is its w × h grid: a seam around and one along, with every triangle a vertex of its own for
-/// each corner, as the worst files have it.
+/// Create a torus with its w × h grid as texture: one seam around and one along.
+///
+/// No vertex is shared between triangles, as in the worst files.
 fn painted(w: u32, h: u32) -> Surface<2> {
     let (points, triangles) = torus(w, h);
     let mut noise = Noise(11);
@@ -51,7 +52,7 @@ fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
     let rounds =
         rounds::Goal { triangles: target, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: true };
     let goal = Goal { rounds, fit: true };
-    simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
+    simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a valid surface")
 }
 
 fn euler(outcome: &Outcome<2>) -> i64 {
@@ -78,7 +79,7 @@ fn a_torus_cut_open_twice_stays_a_torus_at_every_number_of_triangles() {
     }
 }
 
-/// Regions that meet along seams and across them, on one thread and on three.
+/// Region borders along and across seams, with one and three threads.
 #[test]
 fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
     let surface = painted(48, 32);
@@ -87,7 +88,7 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
             let rounds = rounds::Goal { triangles: 400, threads, region, least: 0.0, record: true };
             let control = Control::default();
             let goal = Goal { rounds, fit: false };
-            simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a sound surface")
+            simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a valid surface")
         });
         assert_eq!(euler(&one), 0, "{region}");
         assert!((399..=400).contains(&one.triangles.len()), "{region}: {}", one.triangles.len());
@@ -96,8 +97,8 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
         for corners in one.corners.chunks_exact(3) {
             assert!(signed_area(corners[0], corners[1], corners[2]) > 0.0, "{region}");
         }
-        // Every vertex that is gone went in a collapse that was told, to a place that was told.
-        let log = one.log.expect("a record was asked for");
+        // Every removed vertex is in the log, and the remaining ones are at logged positions.
+        let log = one.log.expect("a record was requested");
         assert_eq!(log.removed.len(), one.collapses);
         let mut place = std::collections::BTreeMap::new();
         place.extend(log.survivor.iter().copied().zip(log.places));
@@ -107,7 +108,7 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
     }
 }
 
-/// Two sheets cross along an edge that both of them pass twice: each vertex keeps a name for every fan.
+/// Two sheets cross along an edge that both contain twice: each fan gets a separate vertex.
 #[test]
 fn an_edge_is_known_by_its_vertices() {
     let ring = |v: u32| [[0, 1, v], [1, 0, v + 1], [v, 1, v + 1], [0, v, v + 1]];
@@ -139,7 +140,7 @@ fn what_has_not_changed_names_its_corner() {
     let kept: Vec<_> = sources.filter(|(_, source)| **source != u32::MAX).collect();
     assert!(!kept.is_empty());
     assert!(kept.iter().all(|(uv, source)| surface.corners[**source as usize] == **uv));
-    // Coordinates on the border of the image are those of vertices that lay there.
+    // Texture coordinates on the border come from vertices that were on the border.
     let on_border = |uv: &[f64; 2]| uv[0] == 0.0 || uv[0] == 24.0 || uv[1] == 0.0 || uv[1] == 16.0;
     let border = outcome.corners.iter().zip(&outcome.corner_source).filter(|(uv, _)| on_border(uv));
     assert!(border.clone().count() > 0);
@@ -169,7 +170,8 @@ fn three_triangles_at_an_edge_and_two_back_to_back_stay_open_there() {
     assert!(pillow.touching.iter().all(|&touching| touching != TOUCHES_NONE));
 }
 
-/// Three shallow pyramids over one triangle: their rims are touching, and each of them alone could become that triangle.
+/// Three shallow pyramids over one triangle: their rims touch, and each of them could collapse to that
+/// triangle.
 #[test]
 fn sheets_with_one_rim_do_not_become_the_same_triangle() {
     let rim = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
@@ -187,8 +189,7 @@ fn sheets_with_one_rim_do_not_become_the_same_triangle() {
     assert_eq!(outcome.triangles.len(), 1 + 3 + 3, "one of them is flat");
 }
 
-/// A plank that stands on one edge, where it meets a corner of walls: there it is open, and could fold up to two
-/// triangles.
+/// A plank on one edge, at a corner of walls: it is open there, and could collapse to two triangles.
 #[test]
 fn a_plank_on_an_edge_does_not_fold_up() {
     let (x, y, z) = ([0.0, 140.0], [0.0, 8.0], [0.0, 1.0]);
@@ -217,7 +218,7 @@ fn a_plank_on_an_edge_does_not_fold_up() {
     assert!(outcome.triangles.len() > 4, "the plank has an inside");
 }
 
-/// How many triangles have the corners of another one.
+/// Number of triangles with the same corners as another one.
 fn doubled(outcome: &Outcome<2>) -> usize {
     let mut sorted: Vec<[[u64; 3]; 3]> = outcome
         .triangles
@@ -234,7 +235,7 @@ fn doubled(outcome: &Outcome<2>) -> usize {
     count - sorted.len()
 }
 
-/// A surface without an image.
+/// Create a surface without texture.
 fn flat(points: Vec<[f64; 3]>, sets: Vec<u32>, triangles: Vec<[u32; 3]>) -> Surface<2> {
     let (vertices, count) = (points.len(), triangles.len());
     Surface {

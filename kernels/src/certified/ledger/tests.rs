@@ -1,17 +1,17 @@
-//! What the ledger keeps, against what is found anew and against all triangles one by one.
+//! Incremental proofs against proofs from scratch and against brute force.
 
 use super::*;
 use crate::base::progress::Control;
 
 const SIDE: u32 = 9;
 
-/// Numbers from 0 to 1, by chance but the same each time.
+/// Return a deterministic pseudo-random number in [0, 1).
 fn chance(state: &mut u64) -> f64 {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*state >> 40) as f64 / (1u64 << 24) as f64
 }
 
-/// A rough sheet, of many colours, and a second one close under it.
+/// Create a rough sheet with random colours, and a second one close below it.
 fn two_sheets(state: &mut u64) -> Original<6> {
     let (mut points, mut triangles) = (vec![], vec![]);
     for sheet in 0..2 {
@@ -34,18 +34,18 @@ fn input(original: &Original<6>) -> Whole<6, Bound> {
 }
 
 fn ledger<'a>(original: &'a Original<6>, bounds: Deviation) -> Ledger<'a, 6> {
-    // Without effort each triangle is decided as if it were asked alone.
+    // With effort 0, the decision about a triangle does not depend on the other triangles.
     let options = certify::Options { limit: Some(bounds), threads: 1, effort: 0.0, ..Default::default() };
     Ledger::new(original, options, None).unwrap()
 }
 
-/// Triangles of the mesh, by their sources, and of the input that have no proof.
+/// List the unproven triangles of the mesh (by source) and of the input.
 fn failing(ledger: &Ledger<'_, 6>) -> [Vec<u32>; 2] {
     let of_result = ledger.failing_of_result().map(|i| ledger.result[i].source).collect();
     [of_result, ledger.failing_of_input().map(|failing| failing.triangle).collect()]
 }
 
-/// Points all over a triangle.
+/// Sample a triangle on a regular grid.
 fn samples(corners: &[[f64; 6]; 3]) -> impl Iterator<Item = Vec3> {
     let [a, b, c] = corners.each_ref().map(position);
     (0..=6).flat_map(move |i| {
@@ -67,7 +67,7 @@ fn what_is_kept_of_a_triangle_is_what_would_be_found_anew() {
         let mut mesh = input(&original);
         kept.look(&mesh, &mut progress).unwrap();
         for _ in 0..12 {
-            // Some vertices move, a few of them far, and some come back.
+            // Move some vertices, a few of them far; restore others.
             for _ in 0..4 {
                 let v = (chance(&mut state) * mesh.points.len() as f64) as usize;
                 mesh.points[v] = original.points[v];
@@ -106,7 +106,7 @@ fn a_triangle_s_reach_is_no_less_than_the_way_to_the_mesh() {
             close += usize::from(reach.is_finite());
         }
         assert!(close > original.triangles.len() / 4, "{close}");
-        // A triangle that comes is looked at by all that it may be nearest to a point of.
+        // Every input triangle that a new triangle may be nearest to must be rechecked.
         for _ in 0..40 {
             let at = original.points[(chance(&mut state) * original.points.len() as f64) as usize];
             let corners = [0; 3].map(|_| at.map(|x| x + 0.8 * (chance(&mut state) - 0.5)));

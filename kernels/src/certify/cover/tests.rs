@@ -1,4 +1,5 @@
-//! The quick proof of colours against brute force, where triangles are larger or smaller than the one that is proven.
+//! The fast proof of colours against brute force, for target triangles larger or smaller than the proven
+//! triangle.
 
 use super::super::piece::Wanted;
 use super::super::surface::Surface;
@@ -7,7 +8,7 @@ use crate::base::geometry::{add_scaled, cross, dot, midpoint, nearest_on_triangl
 
 type Triangle = [Corner; 3];
 
-/// Numbers from −1 to 1 that look random and are the same every time.
+/// Deterministic pseudo-random numbers from −1 to 1.
 struct Noise(u64);
 
 impl Noise {
@@ -25,7 +26,9 @@ impl Noise {
         parts.map(|x| x / parts.iter().sum::<f64>())
     }
 
-    /// About as long as 1. In one case of three its colours lie on one line and follow one direction in space.
+    /// Create a random triangle with sides of about 1.
+    ///
+    /// In one case of three, its colour changes along one direction only.
     fn large(&mut self) -> Triangle {
         let (across, color, plain) = (self.vector(1.0), self.vector(100.0), self.next() < -0.33);
         [0, 1, 2].map(|_| {
@@ -35,7 +38,9 @@ impl Noise {
         })
     }
 
-    /// Over or beside a large one, and coloured as it, continued, more or less.
+    /// Create a random small triangle above or next to `large`.
+    ///
+    /// Its colours continue the large one, plus noise of size `paint`.
     fn small_near(&mut self, large: &Triangle, size: f64, paint: f64) -> Triangle {
         let [places, colors] = [large.map(|c| c.at), large.map(|c| c.color)];
         let facet = Facet::new(&places).unwrap();
@@ -47,11 +52,13 @@ impl Noise {
         })
     }
 
-    /// A large triangle, a small one and the slack, so that no colour can differ more than it does here: the way
-    /// out of the large one is along the gradient, and so is the slack. `share` is how far outside it the small
-    /// one is, by the height; negative for inside, and then it is over it.
+    /// Build the worst case for [`larger_differs`]: a large triangle, a small one, and the slack.
+    ///
+    /// The vector from the large triangle to the small one, and the slack, both follow the colour gradient.
+    /// `share` is the distance outside the large triangle relative to its height; if negative, the small
+    /// triangle is above it.
     fn along_the_gradient(&mut self, share: f64) -> (Triangle, Triangle, f64) {
-        // Two equal sides from the tip, and one colour along the third.
+        // An isosceles triangle whose base has a constant colour.
         let [a, b, tip] = self.large();
         let (along, middle) = (sub(&b.at, &a.at), midpoint(&a.at, &b.at));
         let down = sub(&middle, &tip.at);
@@ -60,7 +67,7 @@ impl Noise {
         let (places, colors) = (large.map(|c| c.at), large.map(|c| c.color));
         let facet = Facet::new(&places).unwrap();
         let height = norm2(&down).sqrt();
-        // Over the triangle the height is no way along its plane.
+        // Above the triangle, the height is no distance along its plane.
         let lift = if share < 0.0 { 0.3 } else { 0.0 } / norm2(&along).sqrt();
         let place = add_scaled(&add_scaled(&middle, share, &down), lift, &cross(&along, &down));
         let (drop, own) = (sub(&colors[0], &colors[2]), self.next().abs());
@@ -72,9 +79,11 @@ impl Noise {
         (large, small, 0.1 * height)
     }
 
-    /// A large triangle and a smaller one, so that no colour can differ more than it does between two points: the
-    /// tip of the smaller one points along the gradient of the large one, and there is a point beyond it. That is
-    /// returned too, with the slack. `height` is that of the smaller triangle, and negative below the large one.
+    /// Build the worst case for [`View::smaller_differs`]: a large triangle, a smaller one, a point, and the
+    /// slack.
+    ///
+    /// The tip of the smaller triangle points along the colour gradient of the large one, and the point is
+    /// beyond the tip. `height` is the height of the smaller triangle; negative below the large one.
     fn beyond_the_tip(&mut self, height: f64, own: f64) -> (Triangle, Triangle, Corner, f64) {
         let (tip, unit) = (self.vector(1.0), |v: Vec3| v.map(|x| x / norm2(&v).sqrt()));
         let down = unit(self.vector(1.0));
@@ -86,7 +95,7 @@ impl Noise {
             Corner { at, color: add_scaled(&color, y + more, &drop), reach: 0.0 }
         };
         let large = [corner(0.0, 0.0, 0.0, 0.0), corner(1.0, 1.0, 0.0, 0.0), corner(-1.0, 1.0, 0.0, 0.0)];
-        // Thin, so that the way to a corner is the way along the gradient.
+        // Thin, so that the direction to each corner is the direction of the gradient.
         let small = [(0.0, 0.5), (1e-4, 0.4), (-1e-4, 0.4)].map(|(x, y)| corner(x, y, height, -own));
         (large, small, corner(0.0, 0.5 + 0.25, 0.0, 0.0), 0.05)
     }
@@ -103,14 +112,14 @@ fn against(target: &Surface, slack: f64) -> Against<'_> {
     Against { target, slack, color_range: f64::INFINITY, with_color: true, wanted: Wanted::None }
 }
 
-/// Whether the colour of all of `triangle` is proven to be within `level`.
+/// Test if the colours of all of `triangle` are proven to be within `level`.
 fn proves(against: &Against<'_>, triangle: &Triangle, level: f64, cover: &mut Cover) -> bool {
     let near = triangle.map(|c| against.target.nearest(&c.at, 0));
     let triangle = [0, 1, 2].map(|i| Corner { reach: near[i].distance, ..triangle[i] });
     cover.proves(against, &triangle, near.map(|f| f.slot), Deviation { shape: 9.0, color: level }, None)
 }
 
-/// Corners and other points of a triangle: place and colour.
+/// Sample the corners and random points of a triangle: position and colour.
 fn samples(triangle: &Triangle, noise: &mut Noise) -> Vec<(Vec3, Vec3)> {
     let corners = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let weights = corners.into_iter().chain((0..12).map(|_| noise.weights()));
@@ -118,8 +127,9 @@ fn samples(triangle: &Triangle, noise: &mut Noise) -> Vec<(Vec3, Vec3)> {
     weights.map(|w| (of(&w, triangle.map(|c| c.at)), of(&w, triangle.map(|c| c.color)))).collect()
 }
 
-/// The distance of a point from a triangle, and the most its colour differs from that of the nearest point
-/// or one within the slack of it. Along the lines to the corners the farthest of those are looked at.
+/// Compute the brute-force distance to a triangle, and the largest colour difference near the foot.
+///
+/// Colours are compared within the slack of the nearest point, on the lines to the corners only.
 fn brute(at: &Vec3, color: &Vec3, triangle: &Triangle, slack: f64) -> (f64, f64) {
     let [places, colors] = [triangle.map(|c| c.at), triangle.map(|c| c.color)];
     let (weights, distance2) = nearest_on_triangle(at, places.each_ref());
@@ -135,7 +145,7 @@ fn brute(at: &Vec3, color: &Vec3, triangle: &Triangle, slack: f64) -> (f64, f64)
 #[test]
 fn no_colour_differs_more_from_a_larger_triangle_than_is_said() {
     let mut noise = Noise(3);
-    // By how many corners of the small triangle have their feet beside the large one.
+    // Test cases by the number of corners of the small triangle that project outside the large one.
     let mut cases = [0; 4];
     for case in 0..4000 {
         let large = noise.large();
@@ -150,7 +160,7 @@ fn no_colour_differs_more_from_a_larger_triangle_than_is_said() {
         let facet = Facet::new(&large.map(|c| c.at)).unwrap();
         let beside = small.iter().filter(|c| facet.weights(&c.at).iter().any(|&w| w < 0.0)).count();
         cases[beside] += 1;
-        // No farther than it has to be for all of the small triangle to be looked at.
+        // The smallest `around` that covers all of the small triangle.
         let said = larger_differs(&against(&target, slack), &small, 0, far).unwrap();
         assert!(truth <= said + 1e-9 * (1.0 + said), "{case}, {beside} beside: {truth} > {said}");
     }
@@ -176,7 +186,7 @@ fn a_larger_triangle_as_near_within_the_slack_as_another_one_counts() {
         let (large, small, slack) = noise.along_the_gradient([0.2, 1.0][case % 2]);
         let Corner { at, color, .. } = small[0];
         let (far, truth) = brute(&at, &color, &large, slack);
-        // The nearest one has the right colour.
+        // The nearest triangle has the right colour.
         let [a, b, c] = large.map(|c| c.at);
         let normal = cross(&sub(&b, &a), &sub(&c, &a));
         let floor = add_scaled(&at, (far - 0.99 * slack) / norm2(&normal).sqrt(), &normal);
@@ -195,7 +205,7 @@ fn a_larger_triangle_as_near_within_the_slack_as_another_one_counts() {
 #[test]
 fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
     let mut noise = Noise(8);
-    // Points of the large triangle that were compared: under the small one, all of it on one side, and others.
+    // Number of compared points: feet of points of the small triangle, and points around the feet.
     let mut compared = [0; 2];
     for case in 0..4000 {
         let large = noise.large();
@@ -203,7 +213,7 @@ fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
         let slack = [1e-9, 1e-3, 0.05][case / 9 % 3];
         let Some(view) = View::new(&large) else { continue };
         let target = surface(&[small]);
-        // What the target holds, in single precision.
+        // The target stores colours in single precision.
         let colors = target.corner_colors(0);
         let small = [0, 1, 2].map(|i| Corner { color: colors[i], ..small[i] });
         let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
@@ -214,7 +224,7 @@ fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
         let mut truth = 0.0f64;
         for (at, _) in samples(&small, &mut noise) {
             for reach in [0.0, 0.3, 1.0] {
-                // In some direction from the foot.
+                // A random direction from the foot.
                 let weights = facet.weights(&add_scaled(&at, reach * around, &noise.vector(1.0)));
                 if weights.iter().all(|&w| w >= 0.0) {
                     let (x, color) =
@@ -272,7 +282,7 @@ fn a_smaller_triangle_as_near_within_the_slack_as_another_one_counts() {
     for case in 0..200 {
         let (near, own) = (0.3, [0.0, 0.7][case % 2]);
         let (large, small, _, slack) = noise.beyond_the_tip(near + 0.025, own);
-        // The nearest one has the right colour, and is that much larger that it is under all of the other.
+        // The nearest triangle has the right colour, and is so large that it is below all of the other one.
         let view = View::new(&large).unwrap();
         let middle = Polygon::new(large).centre().0;
         let floor = large.map(|c| {
@@ -290,7 +300,9 @@ fn a_smaller_triangle_as_near_within_the_slack_as_another_one_counts() {
     }
 }
 
-/// The greatest difference of colour between some places and the triangles that may be nearest to them.
+/// Compute the largest colour difference between points and their nearest triangles by brute force.
+///
+/// All triangles within the slack of the nearest one count.
 fn greatest_difference(
     places: impl IntoIterator<Item = (Vec3, Vec3)>,
     triangles: &[Triangle],
@@ -305,7 +317,7 @@ fn greatest_difference(
     truth
 }
 
-/// Whether half as much again is proven; less than the truth must not be.
+/// Test if 1.5 × `truth` is proven; assert that less than `truth` is not.
 fn proves_no_less(against: &Against<'_>, triangle: &Triangle, truth: f64, cover: &mut Cover) -> bool {
     assert!(!proves(against, triangle, 0.999 * truth, cover), "not within {truth}");
     proves(against, triangle, 1.5 * truth + 1.0, cover)
@@ -364,8 +376,9 @@ fn a_triangle_that_is_one_point_has_all_its_colours_there() {
     assert!(!within(0.999 * truth) && within(1.01 * truth));
 }
 
-/// A sheet of so many squares a side over a triangle, with steps up and down, and a little more than it; painted as the
-/// triangle is, more or less.
+/// Build a bumpy sheet of `squares` × `squares` over a triangle and its surroundings.
+///
+/// Heights vary by `rough`; colours follow the triangle plus noise of size `paint`.
 fn sheet(triangle: &Triangle, squares: usize, rough: f64, paint: f64, noise: &mut Noise) -> Vec<[Corner; 3]> {
     let view = View::new(triangle).unwrap();
     let [low, high] = [f64::min, f64::max].map(|pick| {
@@ -395,7 +408,7 @@ fn sheet(triangle: &Triangle, squares: usize, rough: f64, paint: f64, noise: &mu
         .collect()
 }
 
-/// The surface of triangles that share the corners that are in one place.
+/// Create a surface in which corners at equal positions are one vertex.
 fn joined(triangles: &[Triangle]) -> Surface {
     let mut points: Vec<[f64; 6]> = vec![];
     let mut number = |c: &Corner| {
@@ -436,11 +449,11 @@ fn a_colour_under_a_sheet_that_passes_the_limit_is_never_proven_within() {
             assert!(farthest <= cover.reach + 1e-9, "{case}: {farthest} > {}", cover.reach);
         }
     }
-    // What is soon found does not tell most of these: parts are what this is about.
+    // Most cases need cells, so the test does exercise them.
     assert!(proven > 150 && cells > 300, "{proven} {cells}");
 }
 
-/// Whether the shape of all of a triangle with these corners is proven to be within `limit` of a surface without colours.
+/// Test if a triangle is proven to be within `limit` of a sheet without colours.
 fn covers(corners: [Vec3; 3], sheet: &[[Vec3; 3]], limit: f64) -> bool {
     let of = |at: Vec3| Corner { at, color: [0.0; 3], reach: 0.0 };
     let target = joined(&sheet.iter().map(|t| t.map(of)).collect::<Vec<_>>());
@@ -468,10 +481,10 @@ fn a_border_along_the_sides_of_a_triangle_leaves_none_of_it_bare() {
         let roof = [[a, b, tip], [b, c, tip], [c, a, tip]];
         assert!(covers([a, b, c], &roof, 1.01 * height));
         assert!(!covers([a, b, c], &roof, 0.99 * height));
-        // Borders that go on from two corners, away from the triangle.
+        // Borders that continue from two corners away from the triangle.
         let beyond = add_scaled(&add_scaled(&a, 1.0, &sub(&b, &c)), height, &view.axes[2]);
         assert!(covers([a, b, c], &[roof[0], roof[1], roof[2], [b, a, beyond]], 1.01 * height));
-        // A hole between two corners and the tip, and one that begins at a corner.
+        // A gap between two corners and the tip, and a gap that starts at a corner.
         assert!(!covers([a, b, c], &roof[1..], 1.01 * height));
         let side = combine(&[0.5, 0.5, 0.0], &[a, b, c]);
         assert!(!covers([a, b, c], &[[a, side, tip], roof[1], roof[2]], 1.01 * height));
