@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of all rooms, with explanations."""
+"""Diagnostic codes that are not specific to a stage, with explanations."""
 
 from __future__ import annotations
 

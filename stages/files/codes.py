@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of files, with explanations."""
+"""Diagnostic codes of file access, with explanations."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Read depth from OpenEXR files: one channel of numbers, as phones and renderers write it.
+"""Depth from OpenEXR files, as phones and renderers write it.
 
-The header is read here, and what it promises is checked before the library allocates it.
+The header is parsed and validated here, before the OpenEXR library allocates memory for the image.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from scanloom.stages.files.room import require_room
 
 _HEADER_BYTES = 1 << 19
 _START = b"v/1\x01"
-# Flags of the version: tiles, deep pixels, several parts.
+# Version flags that are not supported: tiles, deep pixels, multiple parts.
 _UNREAD = 0x200 | 0x800 | 0x1000
-# Rows of pixels a chunk, by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB.
+# Scan lines per chunk, by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB.
 _ROWS = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
-# Of the largest kind of number, once as it is decoded and once as it is handed out.
+# Bytes per number: 32-bit values, held once by the decoder and once in the result.
 _NUMBER_BYTES = 8
-# What depth is called, the surest first; a lone channel may have any name.
+# Channel names of depth, most specific first. A single channel may have any name.
 _NAMES = ("Z", "Depth.Z", "depth.Z", "depth", "Depth", "D", "Y", "V")
-# The library reports faults of a file with print(), which has one destination for all threads.
+# The library reports errors with print(); redirecting stdout affects all threads.
 _printing = threading.Lock()
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What is needed of a header; `end` is where the table of chunks begins."""
+    """OpenEXR header; `end` is the byte offset of the chunk table."""
 
     width: int
     height: int
@@ -48,7 +48,7 @@ class _Header:
 
 
 def exr_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) in pixels, from the header alone.
+    """Read the (width, height) of an OpenEXR file from its header, pixels.
 
     Raises
     ------
@@ -66,12 +66,16 @@ def exr_size(path: Path) -> tuple[int, int]:
 
 
 def read_exr(path: Path) -> NDArray[Any]:
-    """Return the depth of an OpenEXR file, (h, w) float16, float32 or uint32, in the file's own unit.
+    """Read the depth channel of an OpenEXR file.
+
+    Returns
+    -------
+    (h, w) float16, float32 or uint32, in the unit of the file.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged or cut short, or which of its channels is depth cannot be told.
+        If the file is missing, damaged or cut short, or if its depth channel is ambiguous.
     """
     import OpenEXR
 
@@ -111,14 +115,20 @@ def _depth_of(channels: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
     if len(channels) == 1 or name is not None:
         return channels[name or next(iter(channels))]
     colors = [channels[name] for name in "RGB" if name in channels]
-    # Depth that was saved as a grey colour image.
+    # Some exporters save depth as a grey RGB image.
     if len(colors) == 3 and all(colors[0].tobytes() == other.tobytes() for other in colors[1:]):
         return colors[0]
     return None
 
 
 def _header(data: bytes, path: Path) -> _Header:
-    """Return the header of an OpenEXR file whose size is one that can be."""
+    """Parse the header and check that its image size is plausible.
+
+    Raises
+    ------
+    InputError
+        If the header is damaged, or the file has tiles, several parts, deep pixels or unknown compression.
+    """
     if data[:4] != _START or len(data) < 8:
         raise InputError(FILE_DAMAGED, "this is no OpenEXR image, or its start is damaged.", path)
     if int.from_bytes(data[4:8], "little") & _UNREAD:
@@ -153,7 +163,13 @@ def _header(data: bytes, path: Path) -> _Header:
 
 
 def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
-    """Return the attributes by name, and where the header ends; raise ValueError where it does not."""
+    """Parse the header attributes; return them by name, and the offset behind the header.
+
+    Raises
+    ------
+    ValueError, IndexError
+        If the header is cut short.
+    """
     found: dict[bytes, bytes] = {}
     at = 8
     while data[at] != 0:
@@ -169,7 +185,10 @@ def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
 
 
 def _channel_count(table: bytes) -> int:
-    """Return how many channels a list holds: a name each, its end, and 16 bytes about it."""
+    """Count the channels of a `chlist` attribute.
+
+    Each entry is a null-terminated name and 16 bytes of description.
+    """
     count = at = 0
     while table[at] != 0:
         at = table.index(0, at) + 17
@@ -178,7 +197,7 @@ def _channel_count(table: bytes) -> int:
 
 
 def _is_cut_short(data: bytes, header: _Header) -> bool:
-    """Say whether a chunk that the table of chunks names is not all there."""
+    """Return True if a chunk of the chunk table extends beyond the file."""
     count = -(-header.height // _ROWS[header.compression])
     if header.end + 8 * count > len(data):
         return True
