@@ -31,7 +31,7 @@ def listening(listener: Callable[[Diagnostic], object], *, forward: bool = True)
     Parameters
     ----------
     forward : pass the diagnostics to enclosing blocks, too. False for attempts whose results may be
-    discarded.
+        discarded.
     """
     token = _LISTENERS.set((*_LISTENERS.get(), listener) if forward else (listener,))
     try:

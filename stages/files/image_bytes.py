@@ -56,8 +56,7 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     """Decode an image as (h, w, 3) RGB or (h, w, 4) RGBA uint8.
 
     The top row comes first. 16-bit images are converted to 8 bits. Returns None if the image is damaged or
-    too
-    large.
+    too large.
     """
     require_opencv()
     import cv2

@@ -1,7 +1,7 @@
 """Apple's LZFSE compression, with the decompressed size checked first.
 
-The block headers state the decompressed size. The sizes are summed before decompression, so that a few
-bytes cannot expand to gigabytes.
+The block headers state the decompressed size. The sizes are summed before decompression, so that a few bytes
+cannot expand to gigabytes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Opening of input files, restricted to regular files.
 
-A pipe, device or socket in place of a file could block a reader or never end. All inputs are opened by
-this module; `tests/stages/files/test_opening.py` searches the sources for exceptions.
+A pipe, device or socket in place of a file could block a reader or never end. All inputs are opened by this
+module; `tests/stages/files/test_opening.py` searches the sources for exceptions.
 """
 
 from __future__ import annotations

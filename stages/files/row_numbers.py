@@ -12,8 +12,7 @@ def numbers_on(line: str) -> list[float]:
     """Parse the numbers on a line.
 
     Commas separate numbers, as in CSV. They are decimal commas if the line has no point and every word
-    between
-    white space or semicolons is a number with at most one comma.
+    between white space or semicolons is a number with at most one comma.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of reading scans, with explanations."""
+"""Diagnostic codes of reading scans, with explanations."""
 
 from __future__ import annotations
 

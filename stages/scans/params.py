@@ -1,4 +1,4 @@
-"""What a person may say about a scan folder: which layout it is of, and what every layout may be told."""
+"""Parameters of reading a scan: its layout, its scale, and what all layouts have in common."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.tags import FAMILIES
 from scanloom.stages.scans.table import LAYOUTS
 
-# What makes a scan metric; one of them is enough.
+# Parameters that make a scan metric; they exclude each other.
 _SCALES = ("scale", "known_distance", "tag_size")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanParams(ReadingParams):
-    """How to read a scan folder; everything is found in the folder when not given."""
+    """Parameters of reading a scan folder; unset ones are taken from the folder."""
 
     layout: str | None = param(
         None,
@@ -65,12 +65,14 @@ class ScanParams(ReadingParams):
         self.stated_scale()
 
     def stated_scale(self) -> float | None:
-        """Return the metres of a unit that `scale` or `known_distance` states; None if neither is given.
+        """Return the metres per unit from `scale` or `known_distance`.
+
+        None if neither is given.
 
         Raises
         ------
         UsageError
-            If the distance is not what it should be.
+            If `known_distance` cannot be parsed or is not positive.
         """
         if self.known_distance is None:
             return self.scale

@@ -1,4 +1,4 @@
-"""Recognise a scan folder and read it."""
+"""Detection of the layout of a scan folder, and reading of the scan."""
 
 from __future__ import annotations
 
@@ -46,23 +46,26 @@ from scanloom.stages.scans.transforms.masks import with_masks
 from scanloom.stages.scans.transforms.scale import with_scale
 from scanloom.stages.scans.transforms.up import with_up
 
-# Folders inside one that are said to look like scans.
+# Maximum number of subfolders that a message names as scans.
 _MOST_NAMED = 6
 
 
 def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
-    """Read a scan folder: frames in order, in metres and OpenCV axes, images left on disk until asked for.
+    """Read a scan folder.
+
+    Frames are in capture order, lengths in metres (if the scan is metric) and poses in OpenCV axes. Images
+    stay on disk until they are needed.
 
     Parameters
     ----------
-    folder : the folder that holds the scan, or the file that is one.
-    options : what to use in place of what the folder says.
-    complete : refuse a scan without poses or calibration; else its `missing` says what it lacks.
+    folder : folder of the scan, or a recording file.
+    options : parameters that replace or complete what the folder states.
+    complete : reject a scan without poses or calibration. If False, `Scan.missing` lists what is missing.
 
     Raises
     ------
     InputError
-        If the folder is of no known layout, or something a scan needs is missing or wrong.
+        If the layout is unknown, or required data is missing or invalid.
     """
     require_buffers(1)
     require_opencv()
@@ -77,7 +80,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    """Read all frames of a folder, and return those that are chosen."""
+    """Read all frames, apply poses, masks and scale, and return the selected frames."""
     layout = _layout_of(folder, options)
     with noting() as noted, collecting(forward=False) as diagnostics:
         read = layout.read(folder, options)
@@ -85,12 +88,13 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     emit(*merge_repeated(diagnostics))
     read = _as_meant(read, options.pose_convention)
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
-    if layout.name != "sun-rgbd":  # It looks for itself.
+    if layout.name != "sun-rgbd":  # its reader detects rotated bits itself
         scan = with_bits_turned_back(scan, options.depth_scale, is_own=layout.name == "plain-rgbd")
     masks = options.file("masks", folder)
     if masks is not None:
         scan = with_masks(scan, masks)
-    # Before what `adjust` found, which it found in metres; of all frames, so that a selection has the same.
+    # Scale before the adjusted cameras, which are in metres already. The scale is estimated from all frames,
+    # so that it does not depend on the selection.
     scan = with_scale(scan, options, folder)
     adjusted = options.file("adjusted", folder)
     if adjusted is not None:
@@ -111,14 +115,14 @@ def _layout_of(folder: Path, options: ScanParams) -> Layout:
     found = matching(folder)
     if found is not None:
         return found[0]
-    # Photos alone are no scan, but here their poses are said to be elsewhere.
+    # Photos without poses are not a scan, but here a trajectory file is given.
     if options.poses is not None and place_of_photos(folder) is not None:
         return plain_views.LAYOUT
     raise InputError(SCAN_LAYOUT_UNKNOWN, _unknown(folder), folder)
 
 
 def _as_meant(scan: Scan, convention: str) -> Scan:
-    """Return the scan with its poses as the person says they are meant."""
+    """Convert the poses from the convention that the user states to camera-to-world."""
     if convention == AS_WRITTEN:
         return scan
     frames = [
@@ -133,7 +137,13 @@ def _as_meant(scan: Scan, convention: str) -> Scan:
 def _require_used(
     options: ScanParams, folder: Path, layout: Layout, read: Scan, noted: Collection[Path]
 ) -> None:
-    """Raise UsageError for what the person states and the layout's reader has no use for."""
+    """Check that the layout used all options that the user gave.
+
+    Raises
+    ------
+    UsageError
+        If an option has no effect or conflicts with another.
+    """
     opened = {os.path.realpath(path) for path in noted}
     for name in ("poses", "calibration"):
         path = options.file(name, folder if folder.is_dir() else folder.parent)
@@ -184,7 +194,7 @@ def _require_used(
 
 
 def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:
-    """Return the files that a scan was read from and will be."""
+    """Return the files that were read, and the image files of all frames."""
     images = [
         image
         for frame in scan.frames
@@ -195,7 +205,13 @@ def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:
 
 
 def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
-    """Raise InputError if a scan lacks what a mesh needs; poses only if it has to be `posed`."""
+    """Check that a scan has calibration and, with `posed`, poses.
+
+    Raises
+    ------
+    InputError
+        If something is missing.
+    """
     lacking = [one for one in scan.missing if posed or one.code != POSE_MISSING.name]
     if len(lacking) == 1:
         raise InputError.of(replace(lacking[0], severity=Severity.ERROR).at(folder))
@@ -205,12 +221,16 @@ def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
-    """Return the layout of a folder, or of a file that is a scan by itself, and why it is taken for it.
+    """Detect the layout of a scan folder or recording file.
+
+    Returns
+    -------
+    The layout, and the reason for the match in words.
 
     Raises
     ------
     InputError
-        If there is no such folder, it is empty, or of no layout that can be read.
+        If the path does not exist, is an empty folder, or has no supported layout.
     """
     found = matching(folder)
     if found is None:
@@ -219,12 +239,12 @@ def recognise(folder: Path) -> tuple[Layout, str]:
 
 
 def matching(folder: Path) -> tuple[Layout, str] | None:
-    """Return the layout of a folder or file and why, as `recognise`, or None if it is of none.
+    """Detect the layout as `recognise` does; None if no layout matches.
 
     Raises
     ------
     InputError
-        If there is no such folder, it cannot be listed, or it is of a layout that cannot be read yet.
+        If the path does not exist, cannot be listed, or has a known but unsupported layout.
     """
     _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
     if folder.is_file():
@@ -241,7 +261,13 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
 
 
 def _require_place(folder: Path, suffixes: Collection[str]) -> None:
-    """Raise InputError unless this is a folder that can be listed, or a file of these suffixes."""
+    """Check that a path is a readable folder or a file with one of the suffixes.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
     if folder.is_file() and folder.suffix.lower() in suffixes:
         return
     if folder.is_file() and (known := refused(folder)) is not None:
@@ -262,13 +288,13 @@ def _refusal(known: Refused) -> str:
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:
-    # What is odd about a file is reported when the scan is read.
+    # Diagnostics are discarded here; reading the scan emits them again.
     with collecting(forward=False):
         return next(((one, reason) for one in layouts if (reason := one.matches(folder)) is not None), None)
 
 
 def _unknown(folder: Path) -> str:
-    """Say what was found and what would have been recognised."""
+    """Describe a folder of unknown layout: its content, and the supported layouts."""
     content = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
     if not content:
         return "the folder is empty."
@@ -289,7 +315,7 @@ def _unknown(folder: Path) -> str:
 
 
 def _scans_inside(folder: Path) -> list[tuple[str, str]]:
-    """Name the first folders within one that look like scans, and their layouts."""
+    """Return (name, layout) of up to six subfolders that are scans."""
     children = sorted(path for path in folder.iterdir() if path.is_dir())
     matches = ((child.name, _first_match(LAYOUTS, child)) for child in children)
     return list(islice(((name, match[0].name) for name, match in matches if match is not None), _MOST_NAMED))
@@ -313,7 +339,7 @@ def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
 
 
 def _split(scan: Scan, every: int | None) -> Scan:
-    """Keep every n-th frame apart, beginning in the middle of the first n."""
+    """Hold out every n-th frame, starting in the middle of the first n."""
     if every is None:
         return scan
     kept = [frame for number, frame in enumerate(scan.frames) if number % every != every // 2]
@@ -329,7 +355,10 @@ def _split(scan: Scan, every: int | None) -> Scan:
 
 
 def _without_still_poses(scan: Scan) -> Scan:
-    """Take constant poses for none: recorders without tracking write the same one for every frame."""
+    """Discard the poses if all are identical.
+
+    Recorders without tracking write the same pose for every frame.
+    """
     poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if len(poses) < 2 or any(not np.array_equal(poses[0], pose) for pose in poses[1:]):
         return scan
@@ -348,7 +377,7 @@ def _without_still_poses(scan: Scan) -> Scan:
 
 
 def _at_origin(scan: Scan) -> Scan:
-    """Take the camera of a single frame without a pose for the world."""
+    """Place the camera of a single frame without a pose at the origin."""
     (frame,) = scan.frames
     if frame.world_from_camera is not None:
         return scan
@@ -361,7 +390,10 @@ def _at_origin(scan: Scan) -> Scan:
 
 
 def _without_absent(scan: Scan) -> Scan:
-    """Leave out the frames an image of which is not there: excerpts often keep the lists of the whole."""
+    """Skip frames with a missing image file.
+
+    Excerpts of data sets often keep the lists of the complete data set.
+    """
     frames, absent = [], []
     for frame in scan.frames:
         held = (frame.color, frame.right, frame.depth, frame.confidence, frame.mask)
@@ -376,7 +408,15 @@ def _without_absent(scan: Scan) -> Scan:
 
 
 def _without_lost(scan: Scan, folder: Path) -> Scan:
-    """Leave out the frames whose pose is lost, unless the scan has no poses at all and says so."""
+    """Skip frames without a pose.
+
+    A scan without any poses is returned unchanged if its `missing` states that.
+
+    Raises
+    ------
+    InputError
+        If no frame is left.
+    """
     frames = [frame for frame in scan.frames if frame.world_from_camera is not None]
     if not frames and scan.missing and scan.frames:
         return scan
@@ -423,7 +463,7 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
 
 
 def _check_times(frames: Sequence[Frame]) -> None:
-    """Warn of times that are repeated, that go back, and of gaps."""
+    """Warn about repeated timestamps, decreasing timestamps and gaps."""
     times = [frame.timestamp for frame in frames if frame.timestamp is not None]
     steps = np.diff(np.array(times, np.float64))
     if repeated := int(np.count_nonzero(steps == 0)):

@@ -1,4 +1,4 @@
-"""What a person may say about a scan folder that the folder itself does not."""
+"""Parameters that all layout readers have in common."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scanloom.stages.scans.model.scan import Camera
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingParams:
-    """What every layout's reader may be told; everything is found in the folder when not given."""
+    """Parameters of every layout reader; unset ones are taken from the folder."""
 
     intrinsics: str | None = param(
         None,
@@ -111,7 +111,13 @@ class ReadingParams:
         self.camera(1, 1)
 
     def camera(self, width: int, height: int) -> Camera | None:
-        """Return the camera that `intrinsics` states, for images of this size; None if not given."""
+        """Return the camera from `intrinsics` for a given image size; None if not given.
+
+        Raises
+        ------
+        UsageError
+            If `intrinsics` is not four numbers, or a focal length is not positive.
+        """
         if self.intrinsics is None:
             return None
         try:
@@ -128,7 +134,10 @@ class ReadingParams:
         return Camera(width, height, fx, fy, cx, cy)
 
     def file(self, name: str, folder: Path) -> Path | None:
-        """Return the file that a parameter names: as it stands, or inside the scan folder."""
+        """Return the path that a parameter names; None if not given.
+
+        If the path does not exist but exists inside the scan folder, the latter is returned.
+        """
         value = getattr(self, name)
         if value is None:
             return None
