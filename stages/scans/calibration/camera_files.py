@@ -1,6 +1,7 @@
-"""Read cameras of calibration files: JSON, TOML, OpenCV, Kalibr and ORB-SLAM YAML, matrices as text.
+"""Reader for calibration files of one camera.
 
-Whatever the names its writer used; every number is checked before it becomes a camera.
+Supports JSON, TOML, YAML (OpenCV, Kalibr, ORB-SLAM), and matrices as text, with all common key names. Every
+number is validated.
 """
 
 from __future__ import annotations
@@ -46,36 +47,45 @@ from scanloom.stages.scans.codes import (
 )
 from scanloom.stages.scans.model.scan import Camera
 
-# What files call OpenCV's fisheye model, and the models of its ordinary one.
+# Names of OpenCV's fisheye model, and of the models that OpenCV's standard distortion covers.
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
-# Matrices that begin with the camera's.
+# Shapes of matrices whose upper left part is the camera matrix.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
-# Suffixes of files that hold bare numbers, or lines of names and numbers; NumPy's of one array, of more.
+# Suffixes of files of numbers or name-value lines, of a NumPy array, and of a NumPy archive.
 ARRAY, ARCHIVE = ".npy", ".npz"
 TEXTS = (".txt", ".csv", ".ini", ".conf", ARRAY)
 MATRIX_AND_BASELINE = 10
 _THREE_BY_FOUR, _MOST_NUMBERS = 12, 16
-# Of a depth map, in a metre.
+# Units of depth per metre: smaller values are metres per unit; and the value of millimetres.
 _LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
-# Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
+# Name of the colour camera of a device. Depth maps are usually aligned to colour, rarely the reverse.
 _OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
-# Tables that programs put a camera's numbers into, beside its lens.
+# Keys of a nested table that holds the camera matrix, with the distortion in the outer table.
 _INNER = ("intrinsic", "intrinsics")
-# Pixels; beyond these, single precision cannot hold where a camera sees things.
+# Pixels; beyond this range, projections are not representable in float32.
 _FOCAL_LENGTHS = (1e-3, 1e9)
-# The rational model's terms, which cancel each other, are some hundreds.
+# Coefficients of the rational model reach some hundreds, because its terms cancel each other.
 _LARGEST_DISTORTION = 1e6
 
 
 def read_camera(path: Path, width: int, height: int) -> Camera:
-    """Read one camera, for images of this size in pixels.
+    """Read one camera for a given image size in pixels.
 
-    A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML, YAML or .npz with `fx
-    fy cx cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (as Open3D, column-major), and `distortion`;
-    Kalibr's camchain of one camera; ORB-SLAM's settings, RealSense's and Azure Kinect's. Of several the one
-    for this size is taken, or that of colour; a camera for another size of the same shape is scaled. Both
-    give a warning.
+    Supported forms:
+
+    - 3x3 or 4x4 matrix as text or .npy; text lines of names and numbers;
+    - JSON, TOML, YAML or .npz with `fx fy cx cy`, or with `camera_matrix`, `K` or `intrinsic_matrix` (Open3D,
+      column-major), and `distortion`;
+    - Kalibr camchain of one camera, ORB-SLAM settings, RealSense and Azure Kinect calibrations.
+
+    If the file has several cameras, the camera for this image size is used, or the colour camera. A camera
+    for another size of the same aspect ratio is scaled. Both emit a warning.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, something is missing, or a number is implausible.
     """
     document = document_of(path)
     if document is None:
@@ -84,7 +94,7 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
 
 def document_of(path: Path) -> dict[str, Any] | None:
-    """Return what a calibration file states under names; None for one of bare numbers."""
+    """Read a calibration file as a table of names and values; None for bare numbers."""
     if path.suffix == ARCHIVE:
         return named_arrays.tables(path)
     if path.suffix not in TEXTS:
@@ -96,7 +106,13 @@ def document_of(path: Path) -> dict[str, Any] | None:
 
 
 def read_depth_scale(path: Path) -> float | None:
-    """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
+    """Read the depth units per metre from a camera file; None if not stated.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or the scale is not positive.
+    """
     document = document_of(path)
     if document is None:
         return None
@@ -111,19 +127,20 @@ def read_depth_scale(path: Path) -> float | None:
             CAMERA_CALIBRATION_INVALID, "depth_scale is {scale:g}; it must be positive.", path, scale=scale
         )
     if "cam_K" in values:
-        # BOP's data sets say how many millimetres a unit is.
+        # BOP states millimetres per unit.
         return _MILLIMETRES / scale
-    # No unit is longer than a metre: RealSense's library says how many metres a unit is.
+    # Depth units are at most 1 m, so a value below 0.5 is metres per unit (RealSense).
     return 1 / scale if scale < _LEAST_UNITS else scale
 
 
 def checked(camera: Camera, path: Path) -> Camera:
-    """Return the camera when its numbers can be right.
+    """Check that the intrinsics of a camera are plausible, and return the camera.
 
     Raises
     ------
     InputError
-        If a number is not finite, a focal length is not positive, or the centre is far outside the image.
+        If a value is not finite, a focal length is not positive, a coefficient is too large, or the principal
+        point is far outside the image.
     """
     if not all(
         math.isfinite(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
@@ -170,12 +187,12 @@ def checked(camera: Camera, path: Path) -> Camera:
 
 
 def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
-    """Return the camera of a table, under any of the usual names, for images of this size in pixels.
+    """Create a camera from a calibration table for a given image size in pixels.
 
     Raises
     ------
     InputError
-        If something is missing, a number cannot be right, or the table is for images of another shape.
+        If something is missing, a number is implausible, or the aspect ratio differs.
     """
     if azure_kinect.is_one(values):
         values = azure_kinect.as_table(values, width, height, path)
@@ -204,7 +221,11 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
 
 
 def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
-    """Return a camera's table: the one given, or one in it, for such images or, of several, of colour."""
+    """Select the table of one camera.
+
+    This is the table itself, its only nested camera, or the nested camera for this image size; if there are
+    several, the colour camera.
+    """
     if is_of_adjust(values):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -246,12 +267,12 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
 
 
 def is_of_adjust(values: dict[str, Any]) -> bool:
-    """Say whether a table is the cameras.json of `adjust`."""
+    """Return True if a table is the cameras.json of `adjust`."""
     return isinstance(values.get("accepted"), bool)
 
 
 def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
-    """Return a table with the numbers of its `intrinsic` as its own."""
+    """Merge the values of a nested `intrinsic` or `intrinsics` table into its parent."""
     inner = next((values[name] for name in _INNER if isinstance(values.get(name), dict)), None)
     return values if inner is None or not _is_camera(inner) else values | inner
 
@@ -264,7 +285,7 @@ def _without_model(
     values: dict[str, Any], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
     if "intrinsic_matrix" in values:
-        # Open3D stores it column by column.
+        # Open3D stores the matrix column-major.
         matrix = matrix_in(values, "intrinsic_matrix", path)
         if matrix.shape in _CAMERA_SHAPES and matrix[2, :2].any():
             matrix = matrix.T
@@ -284,7 +305,7 @@ def _without_model(
 
 
 def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, path: Path) -> Camera:
-    """Read a camera of Kalibr's camchain: `intrinsics: [fu, fv, cu, cv]`, and its lens."""
+    """Read one camera of a Kalibr camchain: `intrinsics: [fu, fv, cu, cv]` and distortion."""
     table = table_in(values, side, path)
     if table.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
@@ -311,7 +332,13 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
 def matrix_camera(
     matrix: NDArray[np.float64], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
-    """Return the checked camera of a 3x3 matrix (or one that begins with it)."""
+    """Create a camera from a 3x3, 3x4 or 4x4 matrix.
+
+    Raises
+    ------
+    InputError
+        If the matrix has another shape, or the intrinsics are implausible.
+    """
     if matrix.shape not in _CAMERA_SHAPES:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -324,7 +351,13 @@ def matrix_camera(
 
 
 def text_numbers(path: Path) -> list[float]:
-    """Return the bare numbers of a text or an array; raises InputError if it holds something else."""
+    """Read the bare numbers of a text file or a .npy array.
+
+    Raises
+    ------
+    InputError
+        If the file holds anything else.
+    """
     if path.suffix == ARRAY:
         array = read_array(path, "the camera matrix")
         if array.dtype.kind not in "uif" or array.size > _MOST_NUMBERS:
@@ -349,7 +382,12 @@ def text_numbers(path: Path) -> list[float]:
 
 
 def text_matrix(path: Path) -> NDArray[np.float64]:
-    """Return a matrix written as rows of numbers, or the four numbers fx fy cx cy as one."""
+    """Read a camera matrix from rows of numbers, or from the four numbers fx fy cx cy.
+
+    Returns
+    -------
+    (3, 3), (3, 4) or (4, 4) float64. A tenth number behind a 3x3 matrix is a baseline and ignored.
+    """
     values = text_numbers(path)
     if len(values) == MATRIX_AND_BASELINE:
         values.pop()
@@ -370,12 +408,14 @@ def text_matrix(path: Path) -> NDArray[np.float64]:
 
 
 def is_fisheye(model: object, path: Path) -> bool:
-    """Say whether the name of a distortion model is the fisheye one's; None is the ordinary one.
+    """Return True if a distortion model name means the fisheye model.
+
+    None means OpenCV's standard model.
 
     Raises
     ------
     InputError
-        If it is neither.
+        If the model is not supported.
     """
     if model is None or model in _PINHOLE:
         return False
@@ -393,9 +433,14 @@ def is_fisheye(model: object, path: Path) -> bool:
 
 
 def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
-    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0.
+    """Check OpenCV's distortion coefficients: 0, 4, 5, 8, 12 or 14; empty if all are 0.
 
-    A fisheye's are four: it bends lines even when they are 0.
+    A fisheye camera has four coefficients, which are kept if 0, because its projection is not a pinhole.
+
+    Raises
+    ------
+    InputError
+        For another number of coefficients.
     """
     row = number_row(value, "distortion", path)
     if fisheye:

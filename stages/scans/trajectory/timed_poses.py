@@ -1,4 +1,4 @@
-"""The pose of each frame from a trajectory with times: by the times, or in order where the person says so."""
+"""Assignment of trajectory poses to frames, by timestamp or by order."""
 
 from __future__ import annotations
 
@@ -21,19 +21,22 @@ def poses_at(
     options: ReadingParams,
     read: Callable[[Path], Trajectory] = trajectories.read_trajectory,
 ) -> list[Pose | None]:
-    """Return the pose of each frame; None where none is near enough in time.
+    """Read a trajectory and return the pose of each frame; None where no pose is near in time.
+
+    With `poses_by_order`, poses are assigned by order instead of by time.
 
     Parameters
     ----------
-    path : of the trajectory.
-    moments, names : of the frames, nanoseconds, and how messages call them.
-    tolerance : nanoseconds.
-    read : reads the file.
+    path : trajectory file.
+    moments : timestamps of the frames, nanoseconds.
+    names : names of the frames.
+    tolerance : maximum time between frame and pose, nanoseconds.
+    read : reader of the file format.
 
     Raises
     ------
     InputError
-        If the file cannot be read, its poses have no times, or none of them is near a frame.
+        If the file cannot be read, its poses have no timestamps, or no pose is near a frame.
     """
     trajectory = read(path)
     if options.poses_by_order:

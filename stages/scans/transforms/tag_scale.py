@@ -1,7 +1,7 @@
-"""How long a unit of a scan's world is, by tags of known size that several of its photos show.
+"""Scale of a scan from tags of known size in its photos.
 
-Corners of a tag are placed in the world by the poses of the photos; how long its edges are there, and how
-long they are, tells the scale.
+The corners of each tag are triangulated with the poses of the photos. The scale is the ratio of true to
+triangulated edge length.
 """
 
 from __future__ import annotations
@@ -29,27 +29,26 @@ from scanloom.stages.scans.model.world import Scale
 
 Floats = NDArray[np.float64]
 
-# Photos that are looked at, spread over the scan, and their longer side; larger ones are made smaller.
+# Maximum number of photos, evenly spaced, and maximum length of their longer side in pixels.
 _MOST_PHOTOS = 60
 _LONGEST_SIDE = 2400
-# Photos of these are looked at for tags of other families, to say which there are.
+# Number of photos in which tags of other families are searched, for the error message.
 _LOOKED_AT = 12
-# Views whose couples are tried for where a tag is.
+# Maximum number of views whose pairs are tried as RANSAC hypotheses.
 _TRIED = 12
-# A view agrees where corners land so near to where it shows them: a share of an edge, or pixels if these are
-# more.
+# Inlier threshold of the reprojection error: the larger of a ratio of the edge length and a number of pixels.
 _OFF_SHARE, _OFF_PX = 0.08, 2.0
-# Weights follow from depths, depths from places: three rounds settle them.
+# Reweighting iterations: weights depend on depths, and depths on the corners; three iterations converge.
 _ROUNDS = 3
-# Rays that meet at a smaller angle do not say where, degrees.
+# Minimum triangulation angle, degrees.
 _LEAST_ANGLE_DEG = 2.0
-# Tags that differ by a larger share are not of one size; by the smaller one, a warning is due.
+# Relative differences of tag sizes: above the first, tags are not of one size; above the second, a warning.
 _DISAGREE, _DOUBTFUL = 0.05, 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A photo's pinhole camera, where it stands, and the corners (4, 2) of tags in it by their numbers."""
+    """Pinhole camera and pose of a photo, and its tag corners (4, 2) in pixels by tag id."""
 
     camera: Camera
     camera_from_world: Pose
@@ -58,7 +57,7 @@ class _View:
 
 @dataclass(frozen=True, eq=False)
 class _Tag:
-    """A tag in the world: its edges (4,), units, and the places of the views that agree."""
+    """Triangulated tag: its edge lengths (4,) in world units, and the indices of its inlier views."""
 
     number: int
     edges: Floats
@@ -66,17 +65,18 @@ class _Tag:
 
 
 def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Path) -> Scale:
-    """Return the scale of the world of the frames' poses.
+    """Estimate the scale of the frames' poses from tags of known size.
 
     Parameters
     ----------
-    edge : of the tags' black squares, metres.
+    edge : edge length of the tags' black squares, metres.
     family : one of `scanloom.stages.scans.model.tags.FAMILIES`.
+    folder : scan folder for messages.
 
     Raises
     ------
     InputError
-        If no tag is seen from two places, or tags disagree.
+        If no tag is visible from two positions, or the tags contradict each other.
     """
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
     if not posed:
@@ -127,7 +127,10 @@ def _looked_at(frames: Sequence[Frame], family: str) -> list[_View | None]:
 
 
 def _look(family: str, frame: Frame) -> _View | None:
-    """Return a photo with its tags; None where it cannot be read, which the stage that uses it tells."""
+    """Detect tags in a photo; None if it cannot be read.
+
+    Read errors are reported by the stage that uses the photo.
+    """
     photo = _photo(frame)
     if photo is None:
         return None
@@ -154,7 +157,7 @@ def _photo(frame: Frame) -> tuple[ColorImage, Camera] | None:
 
 
 def _none_found(frames: Sequence[Frame], family: str) -> str:
-    """Say that there are no tags of a family, and of which there are: in two photos the same."""
+    """Describe that no tags were found, and suggest families with a tag in two photos."""
     threads = workers()
     looked_at = read_ahead(_of_any_family, _spread(frames, _LOOKED_AT), threads=threads, ahead=threads + 1)
     counts = Counter(tag for found in looked_at for tag in found)
@@ -175,7 +178,11 @@ def _of_any_family(frame: Frame) -> list[tuple[str, int]]:
 
 
 def _placed(number: int, views: Sequence[_View]) -> _Tag | None:
-    """Return a tag where most views agree that it is; None where not two do, or from one place only."""
+    """Triangulate a tag from the largest consistent set of views.
+
+    Pairs of views give hypotheses; the one with the most inliers is refined with all its inliers. None if
+    fewer than two views agree, or their triangulation angle is too small.
+    """
     places = [at for at, view in enumerate(views) if number in view.tags]
     own = [views[at] for at in places]
     tried = np.unique(np.linspace(0, len(own) - 1, _TRIED).round().astype(int)).tolist() if own else []
@@ -196,7 +203,7 @@ def _placed(number: int, views: Sequence[_View]) -> _Tag | None:
 
 
 def _rays(view: _View, number: int) -> Floats:
-    """Return the rays (4, 3) to a tag's corners, of z = 1, in camera axes."""
+    """Unproject the corners of a tag to rays (4, 3) with z = 1, in camera axes."""
     camera, pixels = view.camera, view.tags[number]
     x = (pixels[:, 0] - camera.cx) / camera.fx
     y = (pixels[:, 1] - camera.cy) / camera.fy
@@ -204,19 +211,23 @@ def _rays(view: _View, number: int) -> Floats:
 
 
 def _angle(views: Sequence[_View], number: int) -> float:
-    """Return the largest angle between rays to the middle of a tag, degrees."""
+    """Compute the maximum triangulation angle at the centre of a tag, degrees."""
     rays = np.array([_rays(view, number).mean(axis=0) @ view.camera_from_world[:3, :3] for view in views])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return math.degrees(math.acos(float(np.clip((rays @ rays.T).min(), -1, 1))))
 
 
 def _corners(views: Sequence[_View], number: int) -> Floats:
-    """Return the corners (4, 3) of a tag in the world, by least squares of pixels in the views."""
+    """Triangulate the corners (4, 3) of a tag in world coordinates.
+
+    Minimises the reprojection error by iteratively reweighted linear least squares.
+    """
     turns = np.array([view.camera_from_world[:3, :3] for view in views])
     shifts = np.array([view.camera_from_world[:3, 3] for view in views])
     rays = np.array([_rays(view, number) for view in views])
     focal = np.array([view.camera.fx for view in views])
-    # x − X / Z = 0 and y − Y / Z = 0, multiplied by Z: linear in the place, and off by Z times what is meant.
+    # x − X / Z = 0 and y − Y / Z = 0, multiplied by Z: linear in the point. The residual is Z times the
+    # reprojection error; the weights 1 / Z undo this.
     rows = rays[:, :, :2, None] * turns[:, None, 2:3] - turns[:, None, :2]
     right = shifts[:, None, :2] - rays[:, :, :2] * shifts[:, None, 2:3]
     corners = np.zeros((4, 3))
@@ -233,7 +244,7 @@ def _corners(views: Sequence[_View], number: int) -> Floats:
 
 
 def _agree(corners: Floats, views: Sequence[_View], number: int) -> list[int]:
-    """Return the places of the views that show a tag's corners near enough to where they are."""
+    """Return the indices of the views in which all corners of a tag are inliers."""
     places = []
     for at, view in enumerate(views):
         seen = corners @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3]
@@ -249,7 +260,13 @@ def _agree(corners: Floats, views: Sequence[_View], number: int) -> list[int]:
 
 
 def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
-    """Return the tags that are of one size, with a warning that names others, if they are fewer."""
+    """Return the tags of the most common size, with a warning about the rejected ones.
+
+    Raises
+    ------
+    InputError
+        If no tag is square, or at most half of the tags have the same size.
+    """
     square = [tag for tag in tags if np.ptp(tag.edges) < 2 * _DISAGREE * tag.edges.mean()]
     if not square:
         edges = tags[0].edges
