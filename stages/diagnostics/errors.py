@@ -90,7 +90,7 @@ class StageError(ScanloomError):
 def bug_explained(error: BaseException) -> str:
     """Format an unexpected exception as a request for a bug report."""
     what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
-    return f"This is a bug in scanloom ({what}). Please report it with what --debug adds to the same command."
+    return f"This is a bug in scanloom ({what}). Please report it with the output of --debug."
 
 
 def is_lack_of_memory(error: BaseException) -> bool:

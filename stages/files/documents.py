@@ -31,8 +31,8 @@ _WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f\x7f-\x84\x86-\x9f]")
 # Maximum nesting depth; documents of scans have about ten levels.
 _DEEPEST = 64
-_TOO_DEEP = f"it is nested more than {_DEEPEST} deep"
-_TOO_LONG = "it holds a whole number of more than 64 bits"
+_TOO_DEEP = f"it is nested more than {_DEEPEST} levels deep"
+_TOO_LONG = "it holds an integer of more than 64 bits"
 # Maximum digits of a number in YAML. TOML integers and timestamps in nanoseconds fit 64 bits (19 digits).
 _LONGEST_NUMBER = 400
 
@@ -49,8 +49,15 @@ def read_text(path: Path) -> str:
         If the file cannot be read, is larger than 512 MiB, or is binary.
     """
     try:
-        if path.stat().st_size > _MAX_TEXT_BYTES:
-            raise InputError(FILE_TEXT_INVALID, "the file is too large for what it should hold.", path)
+        size = path.stat().st_size
+        if size > _MAX_TEXT_BYTES:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "the file is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
+                path,
+                size=size,
+                limit=_MAX_TEXT_BYTES,
+            )
         with opened(path) as file:
             is_wide = file.read(2) in _WIDE_MARKS
         try:
@@ -126,7 +133,7 @@ def parse_json(text: str, path: Path) -> object:
         document: object = json.loads(text)
         require_shallow(document)
     except (ValueError, RecursionError) as error:
-        line = f"; look at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
+        line = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
         raise InputError(FILE_TEXT_INVALID, "the file is not valid JSON{line}.", path, line=line) from error
     return document
 
@@ -159,8 +166,14 @@ def read_document(path: Path) -> dict[str, Any]:
         If the file cannot be read or parsed, is too large, or is not a table of names and values.
     """
     most = _MAX_DOCUMENT_BYTES if path.suffix in (".json", ".toml", ".xml") else _MAX_YAML_BYTES
-    if path.exists() and path.stat().st_size > most:
-        raise InputError(FILE_TEXT_INVALID, "the file is too large for what it should hold.", path)
+    if path.exists() and (size := path.stat().st_size) > most:
+        raise InputError(
+            FILE_TEXT_INVALID,
+            "the file is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
+            path,
+            size=size,
+            limit=most,
+        )
     text = read_text(path)
     try:
         if path.suffix == ".json":
@@ -177,7 +190,7 @@ def read_document(path: Path) -> dict[str, Any]:
             FILE_TEXT_INVALID, "the file does not parse: {summary}.", path, summary=summary
         ) from error
     if not isinstance(document, dict):
-        raise InputError(FILE_TEXT_INVALID, "names with values are expected in it.", path)
+        raise InputError(FILE_TEXT_INVALID, "the file is not a table of names and values.", path)
     return document
 
 
@@ -228,13 +241,13 @@ def _parse_xml(text: str) -> object:
 
     # OpenCV writes no DOCTYPE; entities could expand to billions of characters.
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ValueError("a document type is declared, which is not supported")
+        raise ValueError("it declares a document type, which is not supported")
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ValueError(str(error)) from error
     if root.tag != "opencv_storage":
-        raise ValueError(f"it is not OpenCV's: its outermost tag is {root.tag[:40]}")
+        raise ValueError(f"it is not an OpenCV file: its root tag is {root.tag[:40]}, not opencv_storage")
     return {node.tag: _xml_value(node) for node in root}
 
 

@@ -60,7 +60,7 @@ def exr_size(path: Path) -> tuple[int, int]:
             header = _header(file.read(_HEADER_BYTES), path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
     return header.width, header.height
 
@@ -83,7 +83,7 @@ def read_exr(path: Path) -> NDArray[Any]:
         data = content_of(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
     header = _header(data, path)
     if _is_cut_short(data, header):
@@ -102,9 +102,9 @@ def read_exr(path: Path) -> NDArray[Any]:
         names = ", ".join(sorted(channels))[:80]
         raise InputError(
             FILE_DEPTH_FORMAT,
-            "which channel is depth cannot be told: it holds {names}.",
+            "the depth channel is ambiguous: the image has the channels {names}.",
             path,
-            remedy="Write one channel, Z.",
+            remedy="Write a single channel named Z.",
             names=names,
         )
     return depth
@@ -130,13 +130,13 @@ def _header(data: bytes, path: Path) -> _Header:
         If the header is damaged, or the file has tiles, several parts, deep pixels or unknown compression.
     """
     if data[:4] != _START or len(data) < 8:
-        raise InputError(FILE_DAMAGED, "this is no OpenEXR image, or its start is damaged.", path)
+        raise InputError(FILE_DAMAGED, "this is not an OpenEXR image, or its header is damaged.", path)
     if int.from_bytes(data[4:8], "little") & _UNREAD:
         raise InputError(
             FILE_IMAGE_FORMAT,
-            "OpenEXR with tiles, several parts or deep pixels is not read",
+            "OpenEXR files with tiles, several parts or deep pixels are not supported",
             path,
-            remedy="write scan lines.",
+            remedy="write a single part with scan lines.",
         )
     try:
         attributes, end = _attributes(data)
@@ -147,13 +147,16 @@ def _header(data: bytes, path: Path) -> _Header:
         raise InputError(FILE_DAMAGED, "the header of the image is damaged.", path) from error
     if compression >= len(_ROWS):
         raise InputError(
-            FILE_IMAGE_FORMAT, "its kind of compression is not read", path, remedy="write it with ZIP."
+            FILE_IMAGE_FORMAT,
+            "its compression method is not supported",
+            path,
+            remedy="write it with ZIP compression.",
         )
     width, height = right - left + 1, bottom - top + 1
     if not (width > 0 and height > 0 and channels > 0 and width * height * channels <= MAX_PIXELS):
         raise InputError(
             FILE_DAMAGED,
-            "the image claims to be {width}×{height} pixels of {channels} channels; its header is damaged.",
+            "its header is damaged: it states {width}×{height} pixels of {channels} channels.",
             path,
             width=width,
             height=height,
@@ -178,7 +181,7 @@ def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
         size = int.from_bytes(data[type_end + 1 : type_end + 5], "little")
         start = type_end + 5
         if start + size >= len(data):
-            raise ValueError("an attribute goes beyond the file")
+            raise ValueError("an attribute extends beyond the file")
         found[data[at:name_end]] = data[start : start + size]
         at = start + size
     return found, at + 1

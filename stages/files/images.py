@@ -55,7 +55,7 @@ def image_size(path: Path) -> tuple[int, int]:
             size = promised_size(file.read(_HEADER_BYTES))
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
     if size is not None:
         _require_possible(size, path)
@@ -117,11 +117,13 @@ def require_raw_depth(raw: NDArray[Any], source: Path | str) -> NDArray[Any]:
     """
     if raw.ndim != 2:
         raise InputError(
-            FILE_DEPTH_FORMAT, "a depth map of one channel is expected; this is a colour image.", source
+            FILE_DEPTH_FORMAT, "a single-channel depth map is expected; this is a colour image.", source
         )
     if raw.dtype == np.uint8:
         raise InputError(
-            FILE_DEPTH_FORMAT, "the depth map has 8 bits a pixel; 16-bit or float depth is expected.", source
+            FILE_DEPTH_FORMAT,
+            "the depth map has 8 bits per pixel; 16-bit or float depth is expected.",
+            source,
         )
     if raw.dtype.kind not in "uif" or raw.size > MAX_PIXELS:
         raise InputError(
@@ -153,7 +155,7 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
         raise InputError(
             FILE_IMAGE_FORMAT,
-            "a colour image of 8 bits a channel is expected; this one is {image_dtype}.",
+            "a colour image with 8 bits per channel is expected; this one is {image_dtype}.",
             source,
             image_dtype=image.dtype,
         )
@@ -202,7 +204,7 @@ def read_alpha(path: Path) -> NDArray[np.uint8]:
     """
     image = read_stored(path)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
-        raise InputError(FILE_IMAGE_FORMAT, "an image with 8 bits of transparency (RGBA) is expected.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "an image with an 8-bit alpha channel (RGBA) is expected.", path)
     return np.asarray(255 * (image[:, :, 3] >= 128), np.uint8)
 
 
@@ -231,7 +233,7 @@ def file_bytes(path: Path) -> bytes:
         return content_of(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
 
 
@@ -239,7 +241,7 @@ def _require_possible(size: tuple[int, int], source: Path | str) -> None:
     if not is_possible(size):
         raise InputError(
             FILE_DAMAGED,
-            "the image claims to be {size}×{size_2} pixels; its header is damaged.",
+            "its header is damaged: it states {size}×{size_2} pixels.",
             source,
             size=size[0],
             size_2=size[1],
@@ -264,6 +266,6 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
     if image is None:
         require_room_for(size)
         raise InputError(
-            FILE_DAMAGED, "the image does not decode; it is damaged or of an unknown format.", source
+            FILE_DAMAGED, "the image does not decode; it is damaged or has an unknown format.", source
         )
     return np.asarray(image)

@@ -37,7 +37,7 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
     if promised != size:
         raise InputError(
             FILE_DAMAGED,
-            "it holds {promised} bytes where {size} are expected.",
+            "it decompresses to {promised} bytes, but {size} are expected.",
             source,
             promised=promised,
             size=size,

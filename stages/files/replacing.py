@@ -73,14 +73,17 @@ def _mode_of_replaceable(target: Path, named: Path) -> int | None:
         raise InputError(FILE_PATH_INVALID, "this is a folder", named, remedy="give the name of a file.")
     if not stat.S_ISREG(found.st_mode):
         raise InputError(
-            FILE_OUTPUT_REFUSED, "this is no plain file and is not replaced", named, remedy="name another."
+            FILE_OUTPUT_REFUSED,
+            "this is not a regular file, so it is not replaced",
+            named,
+            remedy="give another path.",
         )
     if not os.access(target, os.W_OK):
         raise InputError(
             FILE_OUTPUT_REFUSED,
-            "this file may not be written",
+            "this file is not writable",
             named,
-            remedy="change its permissions or name another.",
+            remedy="change its permissions or give another path.",
         )
     return stat.S_IMODE(found.st_mode)
 

@@ -75,6 +75,6 @@ def require_replaceable_folder(path: Path, is_ours: Callable[[Path], bool], what
             FILE_OUTPUT_REFUSED,
             "this folder is not empty and is not {what}",
             path,
-            remedy="name a new one.",
+            remedy="give a new folder.",
             what=what,
         )

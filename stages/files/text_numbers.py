@@ -25,7 +25,7 @@ def parse_numbers(text: bytes) -> NDArray[np.float64]:
     if found is not None:
         return np.asarray(found, np.float64)
     bad = next((word for word in text.split() if not _is_number(word)), b"")
-    raise ValueError(f"{bad[:40].decode('latin-1')!r} stands where a number is expected.")
+    raise ValueError(f"{bad[:40].decode('latin-1')!r} is not a number.")
 
 
 def parse_whole_numbers(text: bytes) -> NDArray[np.int64] | None:

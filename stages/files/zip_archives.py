@@ -63,12 +63,17 @@ def entry_content(archive: zipfile.ZipFile, name: str, path: Path, most: int) ->
         entry = archive.getinfo(name)
         if entry.file_size > most:
             raise InputError(
-                FILE_ARCHIVE_DAMAGED, "{name} is too large for what it should hold.", path, name=name
+                FILE_ARCHIVE_DAMAGED,
+                "{name} is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
+                path,
+                name=name,
+                size=entry.file_size,
+                limit=most,
             )
         if not is_bounded(entry):
             raise InputError(
                 FILE_ARCHIVE_DAMAGED,
-                "{name} is compressed in a way that is not read; pack the archive again with deflate.",
+                "{name} has an unsupported compression method; pack the archive again with deflate.",
                 path,
                 name=name,
             )

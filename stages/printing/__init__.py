@@ -27,6 +27,7 @@ _UNITS = {
     "_frames": "frames",
     "_bytes": "bytes",
     "_share": "%",
+    "_ratio": "%",
     "_deg": "°",
     "_mb": "MB",
     "_db": "dB",
@@ -46,13 +47,13 @@ _FAR = 10.0
 def name_and_value(key: str, value: Any) -> tuple[str, str]:
     """Format a metric as name and value.
 
-    The unit suffix of the name becomes the unit of the value; a `_share` becomes a percentage.
+    The unit suffix of the name becomes the unit of the value; a `_share` or `_ratio` becomes a percentage.
     """
     end = next((end for end in _UNITS if key.endswith(end)), "")
     name = key.removesuffix(end).replace("_", " ")
     if value is None or not end:
         return name, value_in_words(value)
-    if end == "_share" and isinstance(value, float):
+    if end in ("_share", "_ratio") and isinstance(value, float):
         value = 100 * value
     text = value_in_words(value)
     if isinstance(value, float) and name.endswith((" bound", " attained")):

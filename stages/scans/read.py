@@ -153,13 +153,13 @@ def _require_used(
             raise UsageError(
                 SCAN_OPTION_UNUSED,
                 "scan.intrinsics and scan.calibration={path_name} both state the camera",
-                remedy="leave one out.",
+                remedy="remove one of them.",
                 path_name=path.name,
             )
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.{name}={path_name} has no use: the layout {layout_name} takes none.",
-            remedy="Leave it out.",
+            "scan.{name}={path_name} has no effect: the layout {layout_name} does not use it.",
+            remedy="Remove the option.",
             name=name,
             path_name=path.name,
             layout_name=layout.name,
@@ -167,29 +167,26 @@ def _require_used(
     if options.baseline is not None and not read.is_stereo:
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            (
-                "scan.baseline is the distance between the two cameras of a pair, and these "
-                "frames are no pairs"
-            ),
-            remedy="leave it out.",
+            ("scan.baseline applies to stereo pairs, and these frames are not stereo pairs"),
+            remedy="remove the option.",
         )
     if options.depth_scale is not None and read.is_stereo:
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.depth_scale is of depth maps, and these pairs have none yet",
-            remedy="leave it out.",
+            "scan.depth_scale applies to depth maps, and stereo pairs have none",
+            remedy="remove the option.",
         )
     if options.least_confidence is not None and all(frame.confidence is None for frame in read.frames):
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.least_confidence is of maps of confidence, and these frames have none",
-            remedy="leave it out.",
+            "scan.least_confidence requires confidence maps, and these frames have none",
+            remedy="remove the option.",
         )
     if options.poses_by_order and options.poses is None and not read.has_poses:
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.poses_by_order pairs a trajectory with the frames, and there is none",
-            remedy="name one with scan.poses=FILE.",
+            "scan.poses_by_order requires a trajectory, and the scan has none",
+            remedy="give one with scan.poses=FILE.",
         )
 
 
@@ -253,7 +250,7 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
     if found is None and (known := refused(folder)) is not None:
         raise InputError(
             SCAN_LAYOUT_UNKNOWN,
-            "{refusal} If it is another layout, name it with scan.layout=NAME.",
+            "{refusal} If it has another layout, set scan.layout=NAME.",
             folder,
             refusal=_refusal(known),
         )
@@ -284,7 +281,7 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
 
 
 def _refusal(known: Refused) -> str:
-    return f"this looks like {known.name}, which cannot be read yet. {known.advice}"
+    return f"this looks like {known.name}, which is not supported. {known.advice}"
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:
@@ -302,16 +299,16 @@ def _unknown(folder: Path) -> str:
         child, layout = inside[0]
         others = ", ".join(f"{name}/" for name, _ in inside[1:])
         also = f", and so do {others}" if others else ""
-        return f"no scan here, but its folder {child}/ looks like one ({layout}); give that{also}."
+        return f"this is no scan, but its folder {child}/ looks like one ({layout}){also}; give that folder."
     if (photos := place_of_photos(folder)) is not None:
         where = f"{photos.name}/" if photos != folder else "it"
         return (
-            f"unknown layout: {where} holds images, and nothing says where they were taken from. Name a file "
-            "with a pose for each by scan.poses=FILE; COLMAP finds them, and its folder is read as it is."
+            f"unknown layout: {where} holds images without poses. Give a trajectory with scan.poses=FILE, or "
+            "estimate poses with COLMAP and give its folder."
         )
     shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
     known = ", ".join(one.name for one in LAYOUTS)
-    return f"unknown layout. The folder holds {shown}. Layouts that can be read are {known}; see the README."
+    return f"unknown layout. The folder holds {shown}. Supported layouts are {known}; see the README."
 
 
 def _scans_inside(folder: Path) -> list[tuple[str, str]]:
@@ -327,7 +324,7 @@ def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
     if not chosen:
         raise UsageError(
             SCAN_SELECTION_EMPTY,
-            "first={first}, last={last} leaves no frame of the scan's {frames_count}.",
+            "scan.first={first}, scan.last={last} selects none of the scan's {frames_count} frames.",
             first=options.first,
             last=options.last,
             frames_count=len(scan.frames),
@@ -347,7 +344,7 @@ def _split(scan: Scan, every: int | None) -> Scan:
     if not held_out:
         raise UsageError(
             SCAN_SELECTION_EMPTY,
-            "hold_out={every} keeps none of the scan's {frames_count} frames apart.",
+            "scan.hold_out={every} holds out none of the scan's {frames_count} frames.",
             every=every,
             frames_count=len(scan.frames),
         )
@@ -368,7 +365,7 @@ def _without_still_poses(scan: Scan) -> Scan:
         missing=(
             *scan.missing,
             poses_missing(
-                "all {count} frames have the same one",
+                "all {count} frames have the same pose",
                 remedy="give a trajectory with scan.poses=FILE",
                 count=len(poses),
             ),
@@ -381,7 +378,7 @@ def _at_origin(scan: Scan) -> Scan:
     (frame,) = scan.frames
     if frame.world_from_camera is not None:
         return scan
-    emit(POSE_ASSUMED.warning("a single frame without a pose: its camera is the origin of the mesh"))
+    emit(POSE_ASSUMED.warning("the only frame has no pose; its camera becomes the origin of the mesh"))
     return replace(
         scan,
         frames=[replace(frame, world_from_camera=np.eye(4))],
@@ -429,7 +426,7 @@ def _without_lost(scan: Scan, folder: Path) -> Scan:
     if not frames:
         reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
         inside = _scans_inside(folder) if folder.is_dir() else []
-        other = f" Its folder {inside[0][0]}/ looks like a scan of its own." if inside else ""
+        other = f" Its folder {inside[0][0]}/ looks like a scan." if inside else ""
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             "none of its {skipped_count} frames can be used{reason}.{other}",
@@ -451,8 +448,8 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
         raise InputError(
             SCAN_IMAGES_UNPAIRED,
             (
-                "left images are {left}×{left_2} and right images {right}×{right_2}; both "
-                "cameras of a pair must give one size."
+                "left images are {left}×{left_2} px and right images {right}×{right_2} px; both "
+                "images of a stereo pair must have the same size."
             ),
             folder,
             left=left[0],
@@ -471,9 +468,14 @@ def _check_times(frames: Sequence[Frame]) -> None:
     if earlier := int(np.count_nonzero(steps < 0)):
         emit(
             SCAN_TIMES_IRREGULAR.warning(
-                "{count} timestamps are earlier than the one before: frames stay in the order of their files",
+                "{count} timestamps are earlier than the previous one; frames stay in the order of "
+                "their files",
                 count=earlier,
             )
         )
     if gaps := int(np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0))) if len(steps) else 0:
-        emit(SCAN_TIMES_IRREGULAR.warning("{count} gaps in time are longer than five frames", count=gaps))
+        emit(
+            SCAN_TIMES_IRREGULAR.warning(
+                "{count} gaps between timestamps are longer than five frames", count=gaps
+            )
+        )

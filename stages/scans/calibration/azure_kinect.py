@@ -56,7 +56,7 @@ def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dic
         if height not in (high, round(width * 9 / 16)):
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "an Azure Kinect takes no images of {width}×{height}; are they cropped or turned?",
+                "an Azure Kinect has no images of {width}×{height} px; were they cropped or rotated?",
                 path,
                 width=width,
                 height=height,
@@ -101,12 +101,12 @@ def color_from_depth(path: Path, depth: Camera) -> Pose | None:
         return None
     place = _camera(values, _COLOR, path).get("Rt")
     if not isinstance(place, dict):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "{color} has no Rt.", path, color=_COLOR)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{color} has no extrinsics (Rt).", path, color=_COLOR)
     turn, shift = (number_row(place.get(key), key, path) for key in ("Rotation", "Translation"))
     if (len(turn), len(shift)) != (9, 3):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the Rt of {color} is no rotation of 9 numbers and a translation of 3.",
+            "the Rt of {color} must be a rotation of 9 numbers and a translation of 3.",
             path,
             color=_COLOR,
         )
@@ -121,7 +121,7 @@ def _camera(values: dict[str, Any], name: str, path: Path) -> dict[str, Any]:
     if found is None:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "its {document} holds no camera {name}.",
+            "its {document} has no camera {name}.",
             path,
             document=_DOCUMENT,
             name=name,

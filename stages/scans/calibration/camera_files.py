@@ -145,7 +145,7 @@ def checked(camera: Camera, path: Path) -> Camera:
     if not all(
         math.isfinite(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
     ):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "the camera holds a value that is not finite.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "a value of the camera is not finite.", path)
     if camera.fx <= 0 or camera.fy <= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -157,7 +157,7 @@ def checked(camera: Camera, path: Path) -> Camera:
     if not all(_FOCAL_LENGTHS[0] <= value <= _FOCAL_LENGTHS[1] for value in (camera.fx, camera.fy)):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "focal lengths of {fx:g} and {fy:g} px cannot be right.",
+            "the focal lengths {fx:g} and {fy:g} px are implausible.",
             path,
             fx=camera.fx,
             fy=camera.fy,
@@ -165,7 +165,7 @@ def checked(camera: Camera, path: Path) -> Camera:
     if max(map(abs, camera.distortion), default=0.0) > _LARGEST_DISTORTION:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "a distortion coefficient of {distortion:g} cannot be right.",
+            "the distortion coefficient {distortion:g} is implausible.",
             path,
             distortion=max(camera.distortion, key=abs),
         )
@@ -174,8 +174,8 @@ def checked(camera: Camera, path: Path) -> Camera:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "the principal point ({cx:g}, {cy:g}) is far outside the images of "
-                "{width}×{height}; is the calibration for another size?"
+                "the principal point ({cx:g}, {cy:g}) is far outside the images of {width}×{height} "
+                "px; is the calibration for another image size?"
             ),
             path,
             cx=camera.cx,
@@ -205,8 +205,8 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "it holds the cameras {chain}, and the one of these images is needed: leave "
-                "only that in a copy of the file."
+                "the file has several cameras ({chain}), and the camera of these images is ambiguous. "
+                "Keep only that camera in a copy of the file."
             ),
             path,
             chain=", ".join(chain[:8]),
@@ -229,7 +229,7 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
     if is_of_adjust(values):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it is what `adjust` found, which scan.adjusted takes; a calibration is expected.",
+            "this is the cameras.json of `adjust`, not a calibration. Pass it as scan.adjusted=FILE.",
             path,
         )
     if _is_camera(values):
@@ -249,15 +249,15 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "it holds the cameras {inner}, and the one of these images is needed: leave "
-                "only that in a copy of the file."
+                "the file has several cameras ({inner}), and the camera of these images is ambiguous. "
+                "Keep only that camera in a copy of the file."
             ),
             path,
             inner=", ".join(list(inner)[:8]),
         )
     emit(
         CAMERA_CALIBRATION_ASSUMED.warning(
-            "it holds the cameras {names}: {chosen} is taken",
+            "the file has several cameras ({names}); {chosen} is used",
             path,
             names=", ".join(list(inner)[:8]),
             chosen=chosen[0],
@@ -296,7 +296,7 @@ def _without_model(
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "no camera in it: neither a matrix (`camera_matrix`, `K`) nor {missing}.",
+            "the file has no camera: neither a matrix (`camera_matrix`, `K`) nor {missing}.",
             path,
             missing=", ".join(missing),
         )
@@ -310,7 +310,7 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
     if table.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "{side} is of camera_model {table}; pinhole is supported.",
+            "{side} has the camera_model {table}; only pinhole is supported.",
             path,
             side=side,
             table=table["camera_model"],
@@ -424,8 +424,8 @@ def is_fisheye(model: object, path: Path) -> bool:
     raise InputError(
         CAMERA_LENS_UNKNOWN,
         (
-            "the lens model {model} is not supported; radial-tangential and equidistant "
-            "are. Undistort the images first."
+            "the lens model {model} is not supported, only radial-tangential and equidistant. "
+            "Undistort the images first."
         ),
         path,
         model=str(model)[:40],
@@ -455,7 +455,7 @@ def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[f
     if len(row) not in (0, 4, 5, 8, 12, 14):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "distortion has {row_count} coefficients; OpenCV knows 4, 5, 8, 12 or 14.",
+            "distortion has {row_count} coefficients; OpenCV supports 4, 5, 8, 12 or 14.",
             path,
             row_count=len(row),
         )

@@ -45,9 +45,9 @@ def check_rig(
         shown = " and ".join(f"{value:.4g} ({name})" for name, value in others[:2])
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states more than one baseline, {length:.4g} ({name}) and {others}: the first is taken",
+                "it states different baselines, {length:.4g} ({name}) and {others}; the first one is used",
                 path,
-                remedy="scan.baseline=METRES states another",
+                remedy="scan.baseline=METRES overrides it",
                 length=length,
                 name=taken,
                 others=shown,
@@ -57,8 +57,8 @@ def check_rig(
     if not 1 / _ALIKE < left / right < _ALIKE:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it has focal lengths of {left:.4g} and {right:.4g} px for the two cameras of a pair: is one "
-                "for another size of the images?",
+                "the focal lengths of its two cameras differ, {left:.4g} and {right:.4g} px. Is one "
+                "of them for another image size?",
                 path,
                 left=left,
                 right=right,
@@ -70,10 +70,10 @@ def warn_not_rectified(rig: StereoRig, path: Path) -> None:
     """Warn that cameras declared as rectified are rotated or distorted."""
     emit(
         CAMERA_CALIBRATION_CONTRADICTORY.warning(
-            "it says that its images are rectified, but its cameras are not those of rectified ones (turned "
-            "by {turn:.2g}° to each other{distortion})",
+            "it declares rectified images, but its cameras are not rectified (rotated by "
+            "{turn:.2g}° to each other{distortion})",
             path,
-            remedy="rectified=false has them rectified here",
+            remedy="set rectified to false in the file to rectify the images in scanloom",
             turn=_degrees(rig.right_from_left),
             distortion=", with distortion" if any(rig.left.distortion + rig.right.distortion) else "",
         )
@@ -94,8 +94,8 @@ def check_relations(first: Pose, second: Pose, names: str, path: Path) -> None:
     if apart > _SAME_LENGTH * max(lengths) or turn > _SAME_TURN_DEG:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states by {names} how its cameras stand to each other, and they differ by {apart:.3g} "
-                "and {turn:.2g}°: the first is taken",
+                "its extrinsics {names} differ by {apart:.3g} in position and {turn:.2g}° in "
+                "rotation; the first one is used",
                 path,
                 names=names,
                 apart=apart,
@@ -115,8 +115,8 @@ def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
     if not 1 / _ALIKE < camera.fx / camera.fy < _ALIKE:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it has focal lengths of {fx:.4g} px across and {fy:.4g} px down, which no lens has: are its "
-                "numbers in the order fx, fy, cx, cy?",
+                "its focal lengths, {fx:.4g} px horizontally and {fy:.4g} px vertically, are "
+                "implausible. Are its numbers in the order fx, fy, cx, cy?",
                 path,
                 fx=camera.fx,
                 fy=camera.fy,
@@ -128,8 +128,8 @@ def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
     if abs(stated - camera.fx) > _SAME_FOCAL_LENGTH * camera.fx:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states the focal lengths {by_matrix:.6g} px, by its matrix, and {stated:.6g} px, by fx: "
-                "the first is taken",
+                "it states different focal lengths, {by_matrix:.6g} px (matrix) and {stated:.6g} px "
+                "(fx); the first one is used",
                 path,
                 by_matrix=camera.fx,
                 stated=stated,

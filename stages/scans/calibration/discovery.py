@@ -37,7 +37,7 @@ _LEAST_POSES = 2
 _OF_PROGRAMS = ("CMakeLists.txt", "requirements.txt", "package.json", "package-lock.json")
 # Words that occur in camera calibration files of any program.
 _OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bmtx|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
-_OFF_CENTRE = "its principal point is far from the middle of these images."
+_OFF_CENTRE = "its principal point is far from the centre of these images."
 # Plausible focal lengths as ratio of the longer image side; other matrices are not camera matrices.
 _FOCAL_LENGTHS = (0.1, 30.0)
 
@@ -172,7 +172,7 @@ def warn_of_rejected(folder: Path, width: int, height: int, read: Callable[[Path
         if fault is not None:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "it seems to state a camera and is not taken: {fault}", path, fault=fault
+                    "it looks like a calibration but is not used: {fault}", path, fault=fault
                 )
             )
 

@@ -44,7 +44,7 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
     if not 0 < omega < _WIDEST:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "a FOV lens of omega {omega:g} cannot be right; it is an angle in radians.",
+            "omega {omega:g} of the FOV lens is implausible; it must be an angle in radians.",
             path,
             omega=omega,
         )
@@ -60,9 +60,9 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "the FOV lens (omega {omega:g}) is {error:.2g} px off from what can be read; "
-                "undistort the images with COLMAP's image_undistorter and give the folder it "
-                "writes."
+                "the FOV lens (omega {omega:g}) cannot be converted to OpenCV's fisheye model: the "
+                "error is {error:.2g} px. Undistort the images with COLMAP's image_undistorter and "
+                "give the folder it writes."
             ),
             path,
             omega=omega,

@@ -81,7 +81,7 @@ def read_headed_text(path: Path) -> HeadedText:
         if frame is not None and direction:
             pose = rigid(_four_rows(matrix, where, path), path, where)
             if frame[0] in poses:
-                raise InputError(SCAN_TABLE_DAMAGED, "there are two poses of {frame}.", path, frame=frame[0])
+                raise InputError(SCAN_TABLE_DAMAGED, "{frame} has two poses.", path, frame=frame[0])
             is_inverse = direction == "world-to-camera"
             poses[frame[0]] = inverted(pose) if is_inverse and pose is not None else pose
         elif _DEPTH_TO_COLOR.search(heading):
@@ -101,7 +101,7 @@ def _pose_direction(heading: str) -> str:
 
 def _four_rows(matrix: NDArray[np.float64], where: str, path: Path) -> NDArray[np.float64]:
     if matrix.shape[1] != 4:
-        raise InputError(SCAN_TABLE_DAMAGED, "{place} is not a pose of 4 columns.", path, place=where)
+        raise InputError(SCAN_TABLE_DAMAGED, "{place} is not a pose, which has 4 columns.", path, place=where)
     return matrix
 
 
@@ -115,14 +115,14 @@ def _blocks(path: Path) -> list[tuple[int, str, NDArray[np.float64]]]:
         elif text:
             if not blocks:
                 raise InputError(
-                    SCAN_TABLE_DAMAGED, "line {number} stands below no heading (`# …`).", path, number=number
+                    SCAN_TABLE_DAMAGED, "line {number} has no heading (`# …`) above it.", path, number=number
                 )
             blocks[-1][2].append(trajectories.numbers_of(text, number, path))
     for number, _, rows in blocks:
         if len({len(row) for row in rows}) > 1:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "the rows below line {number} are of different lengths.",
+                "the rows below line {number} have different lengths.",
                 path,
                 number=number,
             )

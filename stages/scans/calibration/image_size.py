@@ -51,7 +51,7 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
         shown = "×".join(f"{side:g}" for side in size[:4])
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the size of its images, {shown}, cannot be right.",
+            "its image size {shown} is implausible.",
             path,
             shown=shown,
         )
@@ -75,8 +75,9 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "it is for images of {camera_width}×{camera_height}, but these are "
-                "{width}×{height}, which is another shape: they are cropped or turned."
+                "it is for images of {camera_width}×{camera_height} px, but these are "
+                "{width}×{height} px. The aspect ratio differs, so the images were cropped or "
+                "rotated."
             ),
             path,
             remedy="Give the calibration of these images.",
@@ -87,8 +88,8 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         )
     emit(
         CAMERA_CALIBRATION_SCALED.warning(
-            "it is for images of {camera_width}×{camera_height}: its camera is scaled to these of "
-            "{width}×{height}",
+            "it is for images of {camera_width}×{camera_height} px; its camera is scaled to these "
+            "images of {width}×{height} px",
             path,
             camera_width=camera.width,
             camera_height=camera.height,
@@ -154,10 +155,10 @@ def _check_centre(camera: Camera, path: Path) -> None:
         hint = f", such as {larger[0]:.0f}×{larger[1]:.0f}"
     emit(
         CAMERA_CALIBRATION_MISMATCH.warning(
-            "it has its principal point at ({cx:g}, {cy:g}), far from the centre of images of "
-            "{width}×{height}: it may be for another size{hint}",
+            "its principal point ({cx:g}, {cy:g}) is far from the centre of images of "
+            "{width}×{height} px; it may be for another image size{hint}",
             path,
-            remedy="scan.intrinsics=fx,fy,cx,cy states the right one",
+            remedy="scan.intrinsics=fx,fy,cx,cy overrides it",
             cx=camera.cx,
             cy=camera.cy,
             width=camera.width,

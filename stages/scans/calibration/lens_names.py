@@ -51,7 +51,7 @@ def _warn_of_others(values: dict[str, Any], path: Path) -> None:
         if _ALIKE.search(str(key)) and isinstance(value, (list, dict)) and value:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "it states {key}, which is not known: the lens is taken to be straight",
+                    "the key {key} is unknown; the lens is assumed to have no distortion",
                     path,
                     key=str(key)[:40],
                 )

@@ -41,5 +41,9 @@ def tables(path: Path) -> dict[str, Any]:
             if array.size <= _MOST_NUMBERS and array.dtype.kind in "uifbU":
                 found[entry.filename.removesuffix(".npy")] = array.tolist()
     if not found:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "no small array of numbers is in it.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "it contains no numeric array that is small enough for a calibration.",
+            path,
+        )
     return found

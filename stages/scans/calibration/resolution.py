@@ -54,7 +54,7 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
         note(path)
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the camera is read from {file}, which lies beside the images",
+                "the camera is read from {file}, which was found next to the images",
                 file=path.relative_to(folder).as_posix(),
             ),
             *diagnostics,
@@ -63,7 +63,7 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
     if found:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "{files} state different cameras: none is taken",
+                "{files} state different cameras; none of them is used",
                 files=", ".join(path.name for _, path, _ in found[:5]),
             )
         )
@@ -78,14 +78,13 @@ def _guessed_camera(width: int, height: int) -> Camera:
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
     emit(
         CAMERA_INTRINSICS_GUESSED.warning(
-            "the folder has no intrinsics: {fx:g},{fy:g},{cx:g},{cy:g} is guessed, {whose}",
-            remedy="for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
-            "scan.calibration=FILE",
+            "the folder has no intrinsics; {fx:g},{fy:g},{cx:g},{cy:g} is guessed ({whose})",
+            remedy="for another camera set scan.intrinsics=fx,fy,cx,cy or scan.calibration=FILE",
             fx=camera.fx,
             fy=camera.fy,
             cx=camera.cx,
             cy=camera.cy,
-            whose="a Kinect's view" if device is None else f"that of {device}",
+            whose="the field of view of a Kinect" if device is None else f"the camera of {device}",
         )
     )
     return camera

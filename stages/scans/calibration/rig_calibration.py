@@ -131,9 +131,9 @@ def read_rig(
     if infos is not None:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the images are taken as they left the cameras, as ROS's image_raw",
+                "the images are assumed to be unrectified (ROS's image_raw)",
                 path,
-                remedy="for image_rect give a file with P1 and P2 alone",
+                remedy="for image_rect, give a file that contains only P1 and P2",
             )
         )
     looks_rectified = _looks_rectified(left, right, right_from_left)
@@ -242,7 +242,7 @@ def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
     if model is None and _FISHEYE in path.stem.lower():
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "its name says fisheye: its lenses are taken as OpenCV's fisheye model", path
+                "its name contains fisheye, so OpenCV's fisheye model is assumed", path
             )
         )
         return True
@@ -274,9 +274,8 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "P1 is not filled in, as where calibration ended before rectification. The "
-                "cameras' own matrices are needed beside R and T: name the file of both, or "
-                "put intrinsics.yml beside extrinsics.yml."
+                "P1 is not filled in: the calibration ended before rectification. Give a file with "
+                "the camera matrices, R and T, or put intrinsics.yml next to extrinsics.yml."
             ),
             path,
         )
@@ -294,8 +293,8 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     if "left_from_right" in values:
         given = matrix_in(values, "left_from_right", path)
         if given.shape != (4, 4):
-            raise InputError(CAMERA_CALIBRATION_INVALID, "the relation of the cameras must be 4x4.", path)
-        return inverted(_finite_pose(given, "the relation of the cameras", path))
+            raise InputError(CAMERA_CALIBRATION_INVALID, "the extrinsics of the cameras must be 4x4.", path)
+        return inverted(_finite_pose(given, "the extrinsics of the cameras", path))
     matrix = np.eye(4)
     rotation = _named(values, _ROTATION)
     translation = _named(values, _TRANSLATION)
@@ -325,10 +324,7 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     elif required:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            (
-                "how the cameras stand to each other is missing: R and T, or a baseline (or "
-                "set scan.baseline=METRES)."
-            ),
+            ("the extrinsics are missing: R and T, or a baseline. Add them, or set scan.baseline=METRES."),
             path,
         )
     return _finite_pose(matrix, "R, T", path)
@@ -343,7 +339,7 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
     if length == 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the two cameras stand at the same place (baseline 0); no depth can be had.",
+            "the baseline is 0, so no depth can be computed.",
             path,
         )
     if unit is None:
@@ -351,10 +347,10 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
         if unit == "mm":
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "the baseline is {length:g} without a unit, taken as millimetres",
+                    "the baseline {length:g} has no unit and is read as millimetres",
                     path,
-                    remedy="where it is not (in centimetres it were {by_centimetres:g} m), set "
-                    "scan.baseline=METRES",
+                    remedy="if it is not in millimetres (in centimetres it would be {by_centimetres:g} m), "
+                    "set scan.baseline=METRES",
                     length=length,
                     by_centimetres=length / 100,
                 )
@@ -362,10 +358,9 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
         elif length > _WIDE_METRES:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "the baseline is {length:g} without a unit, taken as metres, which few rigs are wide",
+                    "the baseline {length:g} has no unit and is read as metres, which is unusually wide",
                     path,
-                    remedy="where the board was measured in centimetres, or counted in squares, set "
-                    "scan.baseline=METRES",
+                    remedy="if the board was measured in centimetres or squares, set scan.baseline=METRES",
                     length=length,
                 )
             )

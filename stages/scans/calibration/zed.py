@@ -79,7 +79,7 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
     if not isinstance(stereo, dict):
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "[{stereo}], how the cameras stand to each other, is missing.",
+            "the section [{stereo}] with the extrinsics is missing.",
             path,
             stereo=_STEREO,
         )
@@ -106,7 +106,7 @@ def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
         sizes = ", ".join(f"{_SIZES[mode][0]}×{_SIZES[mode][1]}" for mode in there) or "no known size"
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
-            "it is for images of {sizes}, but these are {width}×{height}.",
+            "it is for images of {sizes} px, but these are {width}×{height} px.",
             path,
             sizes=sizes,
             width=width,
@@ -119,7 +119,7 @@ def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[st
     name = f"{side}_CAM_{mode}"
     table = values.get(name)
     if not isinstance(table, dict):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "[{name}] is missing.", path, name=name)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "the section [{name}] is missing.", path, name=name)
     fx, fy, cx, cy, *bent = (
         _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
     )

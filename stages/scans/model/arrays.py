@@ -77,7 +77,7 @@ def check_depth(image: ArrayLike, scale: float | None, where: str) -> NDArray[np
     if not (np.isfinite(units) and units > 0):
         raise InputError(
             USAGE_FRAME_INVALID,
-            "depth_scale must be a positive number of units in one metre, not {units!r}.",
+            "depth_scale must be a positive number of units per metre, not {units!r}.",
             where,
             units=units,
         )
@@ -87,9 +87,9 @@ def check_depth(image: ArrayLike, scale: float | None, where: str) -> NDArray[np
     if scale is None and depth.any() and (median := float(np.median(depth[depth > 0]))) > _MAX_MEDIAN_DEPTH:
         raise InputError(
             USAGE_FRAME_INVALID,
-            "the median depth is {median:,.0f} m.",
+            "the median depth is {median:,.0f} m, which is implausible.",
             where,
-            remedy="Give depth_scale, the units in one metre: 1000 for millimetres, 1 for metres.",
+            remedy="Set depth_scale, the units per metre: 1000 for millimetres, 1 for metres.",
             median=median,
         )
     return depth
@@ -159,9 +159,8 @@ def check_intrinsics(
         raise InputError(
             USAGE_FRAME_INVALID,
             (
-                "intrinsics of fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} px do not fit an "
-                "image of {width} × {height} px. Intrinsics change with the size of the "
-                "image."
+                "intrinsics of fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} px do not fit an image of "
+                "{width} × {height} px. Intrinsics must be scaled with the image size."
             ),
             where,
             fx=fx,

@@ -137,7 +137,7 @@ def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "a mask of 8 bits a channel is expected, not {image_shape} {image_dtype}.",
+            "a mask with 8 bits per channel is expected, not {image_shape} {image_dtype}.",
             _called(frame.mask, frame.name),
             image_shape=image.shape,
             image_dtype=image.dtype,
@@ -208,11 +208,11 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "the image is {width}×{height}, but its camera is calibrated for "
-                "{camera_width}×{camera_height}."
+                "the image is {width}×{height} px, but its camera is calibrated for "
+                "{camera_width}×{camera_height} px."
             ),
             _called(source, name),
-            remedy="Give images of the calibrated size, or the calibration of this size.",
+            remedy="Give images of the calibrated size, or a calibration for this size.",
             width=width,
             height=height,
             camera_width=camera.width,
@@ -262,7 +262,7 @@ def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDAr
     if image.ndim != 2 or image.dtype != np.uint8:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "confidence of 8 bits in one channel is expected, not {image_shape} {image_dtype}.",
+            "a single-channel 8-bit confidence map is expected, not {image_shape} {image_dtype}.",
             _called(source, frame.name),
             image_shape=image.shape,
             image_dtype=image.dtype,

@@ -105,7 +105,11 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
         )
     if np.abs(top[:, 3]).max() > LARGEST_VALUE:
         raise InputError(
-            POSE_INVALID, "{at}a place of {max:g} cannot be right.", path, at=at, max=np.abs(top[:, 3]).max()
+            POSE_INVALID,
+            "{at}a translation of {max:g} is implausible.",
+            path,
+            at=at,
+            max=np.abs(top[:, 3]).max(),
         )
     pose = np.eye(4)
     pose[:3] = top
@@ -140,7 +144,7 @@ def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
         raise InputError(
             POSE_INVALID,
-            "{place}: shutter_turn is no rotation vector of three numbers, {most_turn:g} radian at most.",
+            "{place}: shutter_turn must be a rotation vector of three numbers, at most {most_turn:g} rad.",
             path,
             place=where,
             most_turn=_MOST_TURN,

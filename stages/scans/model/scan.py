@@ -288,11 +288,11 @@ class Frame:
                 raise InputError(
                     USAGE_FRAME_INVALID,
                     (
-                        "the colour image of {colors_shape} × {colors_shape_2} px and the depth "
-                        "image of {camera_width} × {camera_height} px differ in shape."
+                        "the colour image of {colors_shape} × {colors_shape_2} px and the depth image of "
+                        "{camera_width} × {camera_height} px differ in aspect ratio."
                     ),
                     where,
-                    remedy="Give color_intrinsics, and color_from_depth if the cameras are apart.",
+                    remedy="Give color_intrinsics, and color_from_depth for cameras at different positions.",
                     colors_shape=colors.shape[1],
                     colors_shape_2=colors.shape[0],
                     camera_width=camera.width,
@@ -301,7 +301,7 @@ class Frame:
         rights = None if right is None else check_color(right, where)
         if rights is not None and (colors is None or rights.shape[:2] != colors.shape[:2]):
             raise InputError(
-                USAGE_FRAME_INVALID, "the right image needs a left image, color, of the same size.", where
+                USAGE_FRAME_INVALID, "the right image needs a left image (color) of the same size.", where
             )
         return cls(
             name=name,
@@ -458,9 +458,7 @@ class Scan:
                 )
         has_depth, has_right = kinds[0]
         if has_right and not has_depth and rig is None:
-            raise InputError(
-                USAGE_FRAME_INVALID, "stereo pairs need rig, a StereoRig with both cameras.", "scan"
-            )
+            raise InputError(USAGE_FRAME_INVALID, "stereo pairs need the argument rig, a StereoRig.", "scan")
         if not (has_depth or has_right) and not any(f.world_from_camera is not None for f in numbered):
             raise InputError(
                 USAGE_FRAME_INVALID, "single images need poses: give world_from_camera to each frame.", "scan"

@@ -59,7 +59,7 @@ class Video:
         if not 0 < self.width * self.height <= MAX_PIXELS:
             raise InputError(
                 RECORDING_DAMAGED,
-                "the video claims to be {width}×{height}; it is damaged.",
+                "its header is damaged: it states {width}×{height} pixels.",
                 path,
                 width=self.width,
                 height=self.height,
@@ -109,7 +109,7 @@ class Video:
         require_room(_PICTURES * 3 * self.width * self.height)
         return InputError(
             RECORDING_DAMAGED,
-            "frame {number} is not there: the video ends or is damaged after {end} frames.",
+            "frame {number} is missing: the video ends or is damaged after {end} frames.",
             self.path,
             number=number,
             end=self._end,
@@ -130,7 +130,9 @@ class Video:
             ) from error
         if start[4:] not in _STARTS:
             raise InputError(
-                RECORDING_DAMAGED, "this is no MP4 or QuickTime video, or its start is damaged.", self.path
+                RECORDING_DAMAGED,
+                "this is not an MP4 or QuickTime video, or its header is damaged.",
+                self.path,
             )
         self._capture: Any = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         self._next = 0

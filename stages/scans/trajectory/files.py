@@ -90,8 +90,8 @@ def read_trajectory(path: Path) -> Trajectory:
     raise InputError(
         POSE_TRAJECTORY_UNREADABLE,
         (
-            "line {first} holds {count} numbers. Expected are 12 or 16 (a matrix), 8 (t "
-            "tx ty tz qx qy qz qw), 7 (the same without t) or 3 (a .log header)."
+            "line {first} holds {count} numbers; expected are 12 or 16 (a matrix), 8 (t tx ty tz "
+            "qx qy qz qw), 7 (the same without t) or 3 (a .log header)."
         ),
         path,
         first=first[0],
@@ -255,7 +255,7 @@ def read_json(path: Path) -> Trajectory:
         if not isinstance(entries, list):
             raise InputError(
                 POSE_TRAJECTORY_UNREADABLE,
-                "it holds none of `parameters`, `nodes` or `poses`, so no trajectory.",
+                "it is not a trajectory: the keys `parameters`, `nodes` and `poses` are missing.",
                 path,
             )
         matrices = [matrix_of(entry, path, f"pose {i}") for i, entry in enumerate(entries)]
@@ -320,7 +320,7 @@ def read_traj(path: Path) -> Trajectory:
         if np.abs(values).max() > LARGEST_VALUE:
             raise InputError(
                 POSE_TRAJECTORY_UNREADABLE,
-                "line {number}: a value of {max:g} cannot be right.",
+                "line {number}: the value {max:g} is implausible.",
                 path,
                 number=number,
                 max=np.abs(values).max(),
@@ -424,7 +424,7 @@ def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose
     if all(pose is None for pose in most):
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "it holds poses of {names!r} and so on, and none of a frame of the scan, such as {names_2!r}.",
+            "its frame names, such as {names!r}, match no frame of the scan, such as {names_2!r}.",
             path,
             names=trajectory.names[0],
             names_2=names[0],
@@ -460,7 +460,8 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
     if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
         emit(
             POSE_ASSUMED.warning(
-                "it holds {value_count} {what} for {frame_count} frames: each has that of its name's number",
+                "it holds {value_count} {what} for {frame_count} frames; they are assigned by the "
+                "number in each frame's name",
                 path,
                 value_count=len(values),
                 what=what,
@@ -472,7 +473,7 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
         POSE_TRAJECTORY_UNREADABLE,
         "it holds {values_count} {what}, but the scan has {names_count} frames.",
         path,
-        remedy="Give one for each frame, or remove the frames without.",
+        remedy="Give one per frame, or remove the frames without one.",
         values_count=len(values),
         what=what,
         names_count=len(names),
@@ -501,7 +502,7 @@ def nanoseconds(seconds: float, path: Path, line: int) -> int:
     if not abs(seconds) < 1 << 32:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "line {line}: the time {seconds:g} s cannot be right.",
+            "line {line}: the time {seconds:g} s is implausible.",
             path,
             line=line,
             seconds=seconds,
@@ -522,7 +523,7 @@ def stamp(word: str, path: Path, line: int) -> int:
     except ValueError as error:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "line {line}: {word!r} is no time in seconds.",
+            "line {line}: {word!r} is not a time in seconds.",
             path,
             line=line,
             word=word[:40],

@@ -45,8 +45,8 @@ def poses_at(
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
             (
-                "its poses have no timestamps, which are needed to find a frame's pose; "
-                "scan.poses_by_order=true takes them in the order of the frames."
+                "its poses have no timestamps, so they cannot be matched to frames by time; "
+                "scan.poses_by_order=true assigns them in order."
             ),
             path,
         )
@@ -58,13 +58,12 @@ def poses_at(
         times = trajectory.timestamps.tolist()
         start, end = (end / 1e9 for end in (min(times), max(times)))
         first, last = (end / 1e9 for end in (min(moments), max(moments)))
-        offered = " As many are frames: scan.poses_by_order=true pairs them in order."
+        offered = " There are as many poses as frames: scan.poses_by_order=true assigns them in order."
         raise InputError(
             RECORDING_CLOCKS_DIFFER,
             (
-                "none of its {times_count} poses is within {tolerance:g} s of a frame: they "
-                "are of {start:.3f} to {end:.3f} s, the frames of {first:.3f} to {last:.3f} "
-                "s.{offered}"
+                "none of its {times_count} poses is within {tolerance:g} s of a frame: the poses "
+                "cover {start:.3f} to {end:.3f} s, the frames {first:.3f} to {last:.3f} s.{offered}"
             ),
             path,
             times_count=len(times),

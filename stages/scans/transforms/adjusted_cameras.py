@@ -46,7 +46,7 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
     if poses and not any(frame.name in poses for frame in scan.frames):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "it is of another scan: none of its frames is one of the {frames_count} here.",
+            "it belongs to another scan: none of its frames is among the {frames_count} frames of this scan.",
             path,
             frames_count=len(frames),
         )
@@ -75,12 +75,12 @@ def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
     if not isinstance(names, dict) or not isinstance(poses, dict) or set(names) != set(poses):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "it lacks the names of its frames",
+            "the names of its frames are missing",
             path,
             remedy="run `scanloom adjust` again.",
         )
     if not all(isinstance(name, str) for name in names.values()):
-        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is no text.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is not a string.", path)
     return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
 
 
@@ -91,7 +91,7 @@ def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64
     if not isinstance(turns, dict) or not set(turns) <= set(names):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "it lacks the names of its frames",
+            "the names of its frames are missing",
             path,
             remedy="run `scanloom adjust` again.",
         )

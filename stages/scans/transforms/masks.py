@@ -34,7 +34,7 @@ def with_masks(scan: Scan, place: Path) -> Scan:
         If the folder does not exist, holds several masks for a frame, or no mask for any frame.
     """
     if not place.is_dir():
-        raise InputError(SCAN_FILES_MISSING, "there is no such folder of masks.", place)
+        raise InputError(SCAN_FILES_MISSING, "the mask folder does not exist.", place)
     files = images(place)
     by_stem, by_number = _grouped(files, by_number=False), _grouped(files, by_number=True)
     found = [_of_frame(frame, by_stem, by_number, place) for frame in scan.frames]

@@ -38,10 +38,10 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
         if not scan.is_metric:
             emit(
                 SCALE_NOT_METRIC.warning(
-                    "this scan has no metric scale: a unit of its world is taken for a metre, and lengths of "
-                    "all results are such units",
+                    "this scan has no metric scale: its unit is treated as a metre, so lengths of all "
+                    "results are in that unit",
                     remedy="scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or "
-                    "scan.tag_size=METRES give metres",
+                    "scan.tag_size=METRES converts to metres",
                 )
             )
         return scan
@@ -53,7 +53,7 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
     if scan.is_metric and not is_stated and abs(factor - 1) > _CORRECTION:
         emit(
             SCALE_NOT_METRIC.warning(
-                "lengths of layout {layout} are metres, and are multiplied by {factor:.4g}",
+                "layout {layout} is metric, but its lengths are multiplied by {factor:.4g}",
                 layout=scan.layout,
                 factor=factor,
             )

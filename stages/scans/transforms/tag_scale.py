@@ -80,9 +80,7 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     """
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
     if not posed:
-        raise InputError(
-            SCALE_TAGS_UNRELIABLE, "tags are looked for in photos with poses, and there are none.", folder
-        )
+        raise InputError(SCALE_TAGS_UNRELIABLE, "tags require photos with poses, and there are none.", folder)
     chosen = _spread(posed, _MOST_PHOTOS)
     views = [view for view in _looked_at(chosen, family) if view is not None]
     seen = sorted({number for view in views for number in view.tags})
@@ -94,8 +92,8 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
         raise InputError(
             SCALE_TAGS_UNRELIABLE,
             (
-                "tags are seen in its photos ({named}), but none in two from different "
-                "places whose poses agree where it is."
+                "tags were detected ({named}), but none in two photos from different positions with "
+                "consistent poses."
             ),
             folder,
             named=named,
@@ -108,7 +106,8 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     if spread > _DOUBTFUL:
         emit(
             SCALE_TAGS_UNRELIABLE.warning(
-                "the scale by tags is known to {spread:.1%} only: so far their sizes differ", spread=spread
+                "the scale from tags is only accurate to {spread:.1%}, because their measured sizes differ",
+                spread=spread,
             )
         )
     which = f"tag {tags[0].number}" if len(tags) == 1 else f"{len(tags)} tags"
@@ -163,11 +162,11 @@ def _none_found(frames: Sequence[Frame], family: str) -> str:
     counts = Counter(tag for found in looked_at for tag in found)
     others = [other for other in FAMILIES if any(one == other and n > 1 for (one, _), n in counts.items())]
     advice = (
-        f"there are such of {' and '.join(others)}: scan.tag_family={others[0]}"
+        f"there are tags of {' and '.join(others)}: set scan.tag_family={others[0]}"
         if others
-        else "scan.tag_family=NAME says of which family they are, if it is another"
+        else "set scan.tag_family=NAME if they are of another family"
     )
-    return f"no tag of {family} is found in the {len(frames)} photos looked at; {advice}."
+    return f"no tag of {family} was found in {len(frames)} photos; {advice}."
 
 
 def _of_any_family(frame: Frame) -> list[tuple[str, int]]:
@@ -273,8 +272,8 @@ def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
         raise InputError(
             SCALE_TAGS_UNRELIABLE,
             (
-                "by the poses, edges of tag {number} are {min:.4g} to {max:.4g} units long: "
-                "that is no square, and tells no scale."
+                "tag {number} is not square, its edges are {min:.4g} to {max:.4g} units long: the "
+                "poses are too inaccurate to estimate the scale."
             ),
             folder,
             number=tags[0].number,
@@ -284,19 +283,20 @@ def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
     sizes = np.array([tag.edges.mean() for tag in square])
     same = np.abs(sizes / np.median(sizes) - 1) <= _DISAGREE
     if len(square) > 1 and np.count_nonzero(same) <= len(square) / 2:
-        told = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
+        scales = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
         raise InputError(
             SCALE_TAGS_UNRELIABLE,
-            "the tags do not agree how many metres a unit is: {told}. Are they of one size?",
+            "the tags give different scales in metres per unit: {scales}. Do they all have the same size?",
             folder,
-            told=told,
+            scales=scales,
         )
     kept = [tag for tag, is_same in zip(square, same, strict=True) if is_same]
     others = [tag.number for tag in tags if tag not in kept]
     if others:
         emit(
             SCALE_TAGS_UNRELIABLE.warning(
-                "tags left out of the scale, of another size than most tags or no squares: {numbers}",
+                "tags ignored for the scale, because they differ in size from most tags or are not "
+                "square: {numbers}",
                 numbers=", ".join(map(str, others)),
             )
         )

@@ -75,8 +75,8 @@ def _measured(frames: Sequence[Frame]) -> WorldUp | None:
     if spread > _LARGEST_SPREAD_DEG:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "what the accelerometer says is up does not go with the poses: it differs from frame to "
-                "frame by {spread:.0f}° (median); it is not used",
+                "the up direction of the accelerometer is inconsistent with the poses: it varies by "
+                "{spread:.0f}° (median) between frames; it is not used",
                 spread=spread,
             )
         )
