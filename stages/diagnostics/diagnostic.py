@@ -213,7 +213,10 @@ def _as_where(where: Location) -> Where | None:
 
 
 def _simple(value: Any) -> float | int | str:
-    """Convert a value to one that JSON supports: scalar arrays to numbers, others to text."""
+    """Convert a value to one that JSON supports.
+
+    Scalar arrays become numbers, other values text.
+    """
     if isinstance(value, (int, float, str)):
         return value
     if hasattr(value, "item") and getattr(value, "size", 0) == 1:

@@ -76,7 +76,10 @@ class InputError(ScanloomError):
 
 
 class MeshError(InputError):
-    """Invalid mesh: an index out of range, a value that is not finite, an edge with three triangles."""
+    """Invalid mesh.
+
+    For example an index out of range, a value that is not finite, or an edge with three triangles.
+    """
 
 
 class UsageError(ScanloomError):

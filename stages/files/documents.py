@@ -236,7 +236,10 @@ def _require_short_numbers(value: object) -> None:
 
 
 def _parse_xml(text: str) -> object:
-    """Parse OpenCV's XML storage: numbers, words, and matrices with rows, cols and data."""
+    """Parse OpenCV's XML storage.
+
+    Values are numbers, words, and matrices with rows, cols and data.
+    """
     from xml.etree import ElementTree
 
     # OpenCV writes no DOCTYPE; entities could expand to billions of characters.
@@ -276,7 +279,7 @@ def _parse_yaml(text: str) -> object:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """PyYAML's safe loader, extended by OpenCV matrices and restricted to documents without aliases."""
+        """PyYAML's safe loader with OpenCV matrices and without aliases."""
 
         def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
             # A few lines of nested aliases can expand to billions of values.

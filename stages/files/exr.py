@@ -166,7 +166,9 @@ def _header(data: bytes, path: Path) -> _Header:
 
 
 def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
-    """Parse the header attributes; return them by name, and the offset behind the header.
+    """Parse the header attributes.
+
+    Returns them by name, and the offset behind the header.
 
     Raises
     ------

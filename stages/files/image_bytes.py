@@ -85,7 +85,10 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
 
 
 def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
-    """Decode formats that OpenCV does not support, such as TGA; None if damaged."""
+    """Decode formats that OpenCV does not support, such as TGA.
+
+    Returns None if damaged.
+    """
     from PIL import Image
 
     try:

@@ -52,7 +52,10 @@ def content_of(path: Path) -> bytes:
 
 
 def text_in(path: Path, encoding: str) -> str:
-    r"""Read the text of a regular file with `\n` line ends; see `opened`."""
+    r"""Read the text of a regular file with `\n` line ends.
+
+    See `opened`.
+    """
     with io.TextIOWrapper(opened(path), encoding) as file:
         return file.read()
 

@@ -58,7 +58,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def _mode_of_replaceable(target: Path, named: Path) -> int | None:
     """Check that a file may be replaced and return its permission bits.
 
-    None if the file does not exist. `named` is the path for messages.
+    Returns None if the file does not exist. `named` is the path for messages.
 
     Raises
     ------

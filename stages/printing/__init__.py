@@ -77,7 +77,10 @@ def value_in_words(value: Any) -> str:
 
 
 def place_in_words(point: Iterable[float]) -> str:
-    """Format coordinates in metres: four significant digits, or millimetres from 10 m on."""
+    """Format coordinates in metres.
+
+    Four significant digits, or millimetres from 10 m on.
+    """
     return ", ".join(f"{x:.4g}" if abs(x) < _FAR else f"{x:.3f}" for x in point)
 
 
@@ -92,7 +95,10 @@ def at_least(value: float) -> str:
 
 
 def counted(count: int, what: str, plural: str = "") -> str:
-    """Format a count with its noun: `1 triangle`, `57,755 triangles`; empty for 0."""
+    """Format a count with its noun: `1 triangle`, `57,755 triangles`.
+
+    The result is empty for 0.
+    """
     return f"{count:,} {what if count == 1 else plural or what + 's'}" if count else ""
 
 
@@ -156,7 +162,9 @@ def rows_table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def extent_in_words(points: NDArray[np.float64]) -> str:
-    """Format the extent of points (n, 3) in metres: `6.2 × 4.1 × 2.4 m`; empty without points.
+    """Format the extent of points (n, 3) in metres: `6.2 × 4.1 × 2.4 m`.
+
+    The result is empty without points.
 
     Extents below 0.1 m are given in millimetres.
     """
@@ -192,7 +200,10 @@ def facts(figures: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _fact(key: str, value: Any) -> str:
-    """Format one metric as a fact; empty for None, False, 0 and mappings."""
+    """Format one metric as a fact.
+
+    The result is empty for None, False, 0 and mappings.
+    """
     if value is None or value is False or isinstance(value, Mapping) or (type(value) is int and value == 0):
         return ""
     if hasattr(value, "shape"):

@@ -1,4 +1,4 @@
-"""Parameters of reading a scan: its layout, its scale, and what all layouts have in common."""
+"""Parameters of reading a scan: layout, scale, and the parameters of all layouts."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ScanParams(ReadingParams):
     def stated_scale(self) -> float | None:
         """Return the metres per unit from `scale` or `known_distance`.
 
-        None if neither is given.
+        Returns None if neither is given.
 
         Raises
         ------

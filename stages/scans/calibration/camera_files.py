@@ -94,7 +94,10 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
 
 def document_of(path: Path) -> dict[str, Any] | None:
-    """Read a calibration file as a table of names and values; None for bare numbers."""
+    """Read a calibration file as a table of names and values.
+
+    Returns None for bare numbers.
+    """
     if path.suffix == ARCHIVE:
         return named_arrays.tables(path)
     if path.suffix not in TEXTS:
@@ -106,7 +109,9 @@ def document_of(path: Path) -> dict[str, Any] | None:
 
 
 def read_depth_scale(path: Path) -> float | None:
-    """Read the depth units per metre from a camera file; None if not stated.
+    """Read the depth units per metre from a camera file.
+
+    Returns None if not stated.
 
     Raises
     ------
@@ -272,7 +277,7 @@ def is_of_adjust(values: dict[str, Any]) -> bool:
 
 
 def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
-    """Merge the values of a nested `intrinsic` or `intrinsics` table into its parent."""
+    """Merge a nested `intrinsic` or `intrinsics` table into its parent."""
     inner = next((values[name] for name in _INNER if isinstance(values.get(name), dict)), None)
     return values if inner is None or not _is_camera(inner) else values | inner
 
@@ -433,7 +438,9 @@ def is_fisheye(model: object, path: Path) -> bool:
 
 
 def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
-    """Check OpenCV's distortion coefficients: 0, 4, 5, 8, 12 or 14; empty if all are 0.
+    """Check OpenCV's distortion coefficients: 0, 4, 5, 8, 12 or 14.
+
+    The result is empty if all are 0.
 
     A fisheye camera has four coefficients, which are kept if 0, because its projection is not a pinhole.
 

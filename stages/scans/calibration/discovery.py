@@ -43,7 +43,10 @@ _FOCAL_LENGTHS = (0.1, 30.0)
 
 
 def places_of_calibrations(folder: Path) -> list[Path]:
-    """Return the scan folder and its subfolders with names like `calib` or `params`."""
+    """List the folders that may contain calibrations.
+
+    These are the scan folder, and its subfolders with names like `calib` or `params`.
+    """
     inside = [path for path in folder.iterdir() if _PLACES.search(path.name) and path.is_dir()]
     return [folder, *sorted(inside)]
 
@@ -118,7 +121,9 @@ def _cameras(folder: Path, width: int, height: int) -> Iterator[Found[Camera]]:
 
 
 def rigs_beside(folder: Path, width: int, height: int, baseline: float | None) -> list[Found[StereoRig]]:
-    """Find the stereo rigs for an image size in the files of a folder; see `cameras_beside`.
+    """Find the stereo rigs for an image size in the files of a folder.
+
+    See `cameras_beside`.
 
     Parameters
     ----------
@@ -138,7 +143,10 @@ def rigs_beside(folder: Path, width: int, height: int, baseline: float | None) -
 
 
 def trajectory_beside(folder: Path, count: int) -> Path | None:
-    """Find the only trajectory file of a folder with `count` poses; else None."""
+    """Find the only trajectory file of a folder with `count` poses.
+
+    Returns None if there is no such file.
+    """
     if count < _LEAST_POSES:
         return None
     with only_looking():
@@ -189,7 +197,10 @@ def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int],
 
 
 def _words_of(path: Path) -> str:
-    """Return the words of a file that indicate a calibration; empty for .npy."""
+    """Return the words of a file that indicate a calibration.
+
+    The result is empty for .npy.
+    """
     if path.suffix == calibration.ARRAY:
         return ""
     if path.suffix == calibration.ARCHIVE:

@@ -24,7 +24,7 @@ _KNOWN = re.compile(
 def tables(text: str) -> dict[str, Any] | None:
     """Parse name-value lines into a table with one nested table per heading.
 
-    None if no table has `fx` and `fy`.
+    Returns None if no table has `fx` and `fy`.
     """
     whole: dict[str, Any] = {}
     here = whole

@@ -50,12 +50,18 @@ _LEAST_FOCAL_LENGTH = 2.0
 
 
 def matrices_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
-    """Return the keys of the left and right camera matrix; None if not unique."""
+    """Return the keys of the left and right camera matrix.
+
+    Returns None if not unique.
+    """
     return _known(values, _MATRICES) or _pair(values, lambda _, array: _is_camera_matrix(array))
 
 
 def lenses_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
-    """Return the keys of the left and right distortion coefficients; None if not unique."""
+    """Return the keys of the left and right distortion coefficients.
+
+    Returns None if not unique.
+    """
     return _known(values, _LENSES) or _pair(
         values, lambda name, array: array.size in _COEFFICIENTS and _OF_A_LENS.search(name) is not None
     )
@@ -81,7 +87,10 @@ def _other_sides(name: str) -> Iterator[str]:
 
 
 def _array_of(value: object) -> NDArray[np.float64]:
-    """Convert a value (nested lists or an OpenCV matrix) to an array; empty if not numeric."""
+    """Convert a value (nested lists or an OpenCV matrix) to an array.
+
+    The result is empty if not numeric.
+    """
     try:
         return np.asarray(value["data"] if isinstance(value, dict) else value, np.float64)
     except (KeyError, TypeError, ValueError, OverflowError):

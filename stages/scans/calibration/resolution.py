@@ -33,7 +33,10 @@ _OF_SIZE = {
 
 
 def stated_camera(options: ReadingParams, folder: Path, width: int, height: int) -> Camera | None:
-    """Return the camera that the user gave as numbers or file; None if not given."""
+    """Return the camera that the user gave as numbers or file.
+
+    Returns None if not given.
+    """
     path = options.file("calibration", folder)
     stated = options.camera(width, height)
     return calibration.read_camera(path, width, height) if stated is None and path is not None else stated

@@ -163,7 +163,7 @@ def read_rig(
 
 
 def states_a_pair(values: dict[str, Any]) -> bool:
-    """Return True if a table has two camera matrices and a translation between the cameras."""
+    """Return True if a table has two camera matrices and a translation."""
     return matrices_of_pair(values) is not None and _named(values, _TRANSLATION) is not None
 
 
@@ -195,7 +195,10 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
 
 
 def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Return the left and right camera_info tables of ROS; None if one lacks a projection."""
+    """Return the left and right camera_info tables of ROS.
+
+    Returns None if one lacks a projection.
+    """
     sides = values.get("left"), values.get("right")
     if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
         return None
@@ -237,7 +240,10 @@ def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
 
 
 def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
-    """Return True if a stereo calibration has fisheye lenses, by its model or file name."""
+    """Return True if a stereo calibration has fisheye lenses.
+
+    The distortion model decides, or the file name if there is no model.
+    """
     model = values.get("distortion_model")
     if model is None and _FISHEYE in path.stem.lower():
         emit(
@@ -289,7 +295,10 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
 
 
 def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
-    """Read right_from_left from R and T, or from a baseline along x, in the unit of the file."""
+    """Read right_from_left (4, 4) in the unit of the file.
+
+    From R and T, from `left_from_right`, or from a baseline along x.
+    """
     if "left_from_right" in values:
         given = matrix_in(values, "left_from_right", path)
         if given.shape != (4, 4):
@@ -399,7 +408,10 @@ def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
 
 
 def _numbers_of_pair(path: Path) -> dict[str, Any]:
-    """Read a rectified pair from nine matrix elements and a baseline, as a table."""
+    """Read a rectified pair as a table.
+
+    The file has nine matrix elements and a baseline, or only a matrix.
+    """
     numbers = text_numbers(path)
     if len(numbers) == MATRIX_AND_BASELINE:
         return {"K": numbers[:-1], "baseline": numbers[-1]}

@@ -37,7 +37,7 @@ _SIDE = re.compile("left|right", re.IGNORECASE)
 def tables(text: str) -> dict[str, Any] | None:
     """Parse the text into the table of a camera, or tables `left` and `right`.
 
-    None if the text has another form.
+    Returns None if the text has another form.
     """
     cameras: list[dict[str, Any]] = []
     numbers: list[float] = []

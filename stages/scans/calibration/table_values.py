@@ -17,7 +17,9 @@ MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam
 
 
 def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
-    """Read a matrix given as nested rows, a flat list, or OpenCV's rows, cols and data.
+    """Read a matrix of a calibration table.
+
+    Forms: nested rows, a flat list, or OpenCV's rows, cols and data.
 
     Raises
     ------
@@ -40,7 +42,9 @@ def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float6
 
 
 def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
-    """Flatten a list of numbers of any shape to a tuple; empty for None.
+    """Flatten a list of numbers of any shape to a tuple.
+
+    The result is empty for None.
 
     Raises
     ------

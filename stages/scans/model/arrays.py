@@ -96,7 +96,9 @@ def check_depth(image: ArrayLike, scale: float | None, where: str) -> NDArray[np
 
 
 def check_gray(image: ArrayLike, name: str, where: str) -> NDArray[np.uint8]:
-    """Check a mask or confidence image, (h, w) uint8 or bool; True becomes 255.
+    """Check a mask or confidence image, (h, w) uint8 or bool.
+
+    True becomes 255.
 
     Raises
     ------

@@ -163,9 +163,11 @@ def read_seen(frame: Frame) -> NDArray[np.bool_]:
 
 
 def read_right(frame: Frame) -> ColorImage | None:
-    """Read the right image of a stereo pair, (h, w, 3) uint8 RGB; None if there is none.
+    """Read the right image of a stereo pair.
 
-    It stays distorted.
+    Returns
+    -------
+    (h, w, 3) uint8 RGB with lens distortion; None if the frame has no right image.
     """
     return None if frame.right is None else _color(frame.right, frame.name)
 

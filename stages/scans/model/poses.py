@@ -39,7 +39,10 @@ def inverted(pose: Pose) -> Pose:
 
 
 def from_opengl(pose: Pose) -> Pose:
-    """Convert world_from_camera (4, 4) from OpenGL camera axes (y up, z backward) to OpenCV axes."""
+    """Convert world_from_camera (4, 4) from OpenGL to OpenCV camera axes.
+
+    OpenGL: y up, z backward. OpenCV: y down, z forward.
+    """
     return np.asarray(pose @ _FLIP)
 
 
@@ -131,9 +134,9 @@ def divided(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
-    """Parse the rotation of a camera during readout, a (3,) rotation vector in radians.
+    """Parse the rotation of a camera during readout.
 
-    See `Frame.shutter_turn`.
+    A (3,) rotation vector in radians, see `Frame.shutter_turn`.
 
     Raises
     ------

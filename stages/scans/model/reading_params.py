@@ -111,7 +111,9 @@ class ReadingParams:
         self.camera(1, 1)
 
     def camera(self, width: int, height: int) -> Camera | None:
-        """Return the camera from `intrinsics` for a given image size; None if not given.
+        """Return the camera from `intrinsics` for a given image size.
+
+        Returns None if not given.
 
         Raises
         ------

@@ -20,9 +20,9 @@ _ROUNDS = 4
 
 
 def late_at(rows: NDArray[np.floating], height: float | NDArray[np.floating]) -> NDArray[np.float64]:
-    """Compute the relative readout time of rows: -0.5 for the first, 0.5 for the last.
+    """Compute the relative readout time of rows.
 
-    The unit is the readout time of the image; the middle row has time 0.
+    The first row has -0.5, the middle row 0 and the last row 0.5, in units of the readout time of the image.
     """
     return np.asarray((rows + 0.5) / height - 0.5, np.float64)
 

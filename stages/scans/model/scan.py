@@ -85,7 +85,10 @@ def pinhole(camera: Camera) -> Camera:
 
 
 def scaled(camera: Camera, width: int, height: int) -> Camera:
-    """Return the camera for the same images resized; pixel centres stay at integers."""
+    """Return the camera for the same images resized.
+
+    Pixel centres stay at integers.
+    """
     sx, sy = width / camera.width, height / camera.height
     return Camera(
         width,
@@ -529,7 +532,7 @@ class Scan:
 
     @property
     def is_views(self) -> bool:
-        """True if the scan consists of single views with poses, whose depth must be computed."""
+        """True if the scan consists of single views whose depth must be computed."""
         return self.rig is None and not any(frame.depth is not None for frame in self.frames)
 
 

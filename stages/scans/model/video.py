@@ -105,7 +105,10 @@ class Video:
                 self._kept.popitem(last=False)
 
     def _ended(self, number: int) -> InputError:
-        """Create the error for a missing frame; raise MemoryError if memory is exhausted."""
+        """Create the error for a missing frame.
+
+        Raise MemoryError if memory is exhausted.
+        """
         require_room(_PICTURES * 3 * self.width * self.height)
         return InputError(
             RECORDING_DAMAGED,

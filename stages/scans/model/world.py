@@ -33,7 +33,10 @@ class WorldUp:
 
 
 def up_of_layout(name: str, direction: Direction) -> WorldUp:
-    """Create the up direction that a layout defines; `direction` is an axis constant of this module."""
+    """Create the up direction that a layout defines.
+
+    `direction` is an axis constant of this module.
+    """
     return WorldUp(direction, f"layout {name}: {_IN_WORDS[direction]}")
 
 

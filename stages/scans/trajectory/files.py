@@ -102,7 +102,7 @@ def read_trajectory(path: Path) -> Trajectory:
 def read_pose(path: Path) -> Pose | None:
     """Read one pose from a file with a row-major 4x4 or 3x4 matrix.
 
-    None if the matrix marks lost tracking.
+    Returns None if the matrix marks lost tracking.
 
     Raises
     ------
@@ -137,7 +137,10 @@ def read_matrices(path: Path) -> Trajectory:
 
 
 def read_stack(path: Path) -> Trajectory:
-    """Read a NumPy array of poses, (n, 3, 4), (n, 4, 4), (n, 12) or (n, 16), camera-to-world."""
+    """Read a NumPy array of camera-to-world poses.
+
+    Shapes are (n, 3, 4), (n, 4, 4), (n, 12) or (n, 16).
+    """
     array = read_array(path, "the trajectory file")
     is_stack = array.ndim > 1 and array.dtype.kind == "f" and array.shape[1:] in _STACKED
     if not is_stack or not 0 < len(array) <= _MOST_POSES:
@@ -181,7 +184,10 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> None:
-    """Write TUM lines: time in seconds, translation in metres, quaternion x y z w; camera-to-world."""
+    """Write a trajectory as TUM lines.
+
+    Time in seconds, translation in metres, quaternion x y z w; poses are camera-to-world.
+    """
     from scipy.spatial.transform import Rotation
 
     lines = ["# seconds tx ty tz qx qy qz qw"]
@@ -192,7 +198,10 @@ def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> No
 
 
 def read_log(path: Path) -> Trajectory:
-    """Read a Redwood or Open3D `.log`: per pose a header of three integers and four rows; camera-to-world."""
+    """Read a Redwood or Open3D `.log` of camera-to-world poses.
+
+    Each pose is a header of three integers and four rows of a matrix.
+    """
     content = list(_number_lines(path))
     poses = []
     for at in range(0, len(content), 5):
@@ -354,7 +363,9 @@ def read_translation_first(path: Path) -> Trajectory:
 
 
 def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | None:
-    """Interpolate the pose at a time; None if no pose is within `tolerance`.
+    """Interpolate the pose at a time.
+
+    Returns None if no pose is within `tolerance`.
 
     Translation is interpolated linearly, rotation along the shortest arc. In a gap of the trajectory the
     nearest pose is returned.
@@ -481,9 +492,9 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
 
 
 def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
-    """Read the timestamp of each frame from a file with seconds per line, in nanoseconds.
+    """Read the timestamp of each frame from a file with seconds per line.
 
-    None for each frame if the file does not exist.
+    Returns nanoseconds; None for each frame if the file does not exist.
     """
     if not path.exists():
         return [None] * len(names)

@@ -21,7 +21,9 @@ def poses_at(
     options: ReadingParams,
     read: Callable[[Path], Trajectory] = trajectories.read_trajectory,
 ) -> list[Pose | None]:
-    """Read a trajectory and return the pose of each frame; None where no pose is near in time.
+    """Read a trajectory and return the pose of each frame.
+
+    Returns None where no pose is near in time.
 
     With `poses_by_order`, poses are assigned by order instead of by time.
 

@@ -1,4 +1,4 @@
-"""Masks from a folder that the user names: one 8-bit image per frame, 0 outside the scene."""
+"""Masks from a folder: one 8-bit image per frame, 0 outside the scene."""
 
 from __future__ import annotations
 
@@ -87,7 +87,10 @@ def _of_frame(
     by_number: Mapping[object, list[Path]],
     place: Path,
 ) -> Path | None:
-    """Find the mask file of a frame: by the name of its image or frame, else by the numbers in them."""
+    """Find the mask file of a frame.
+
+    By the name of its image or frame, else by the numbers in them.
+    """
     file = frame.color.file if isinstance(frame.color, Packed) else frame.color
     names = [frame.name, *([file.stem, file.name] if isinstance(file, Path) else [])]
     for groups, keys in ((by_stem, names), (by_number, [numbers(name) for name in names])):

@@ -48,7 +48,10 @@ _DISAGREE, _DOUBTFUL = 0.05, 0.02
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Pinhole camera and pose of a photo, and its tag corners (4, 2) in pixels by tag id."""
+    """Photo with tags: pinhole camera, pose, and tag corners.
+
+    Corners are (4, 2) pixels by tag id.
+    """
 
     camera: Camera
     camera_from_world: Pose
@@ -57,7 +60,10 @@ class _View:
 
 @dataclass(frozen=True, eq=False)
 class _Tag:
-    """Triangulated tag: its edge lengths (4,) in world units, and the indices of its inlier views."""
+    """Triangulated tag.
+
+    Edge lengths (4,) are in world units; `views` are the indices of the inlier views.
+    """
 
     number: int
     edges: Floats
@@ -156,7 +162,10 @@ def _photo(frame: Frame) -> tuple[ColorImage, Camera] | None:
 
 
 def _none_found(frames: Sequence[Frame], family: str) -> str:
-    """Describe that no tags were found, and suggest families with a tag in two photos."""
+    """Describe that no tags were found.
+
+    Suggests families that have a tag in two photos.
+    """
     threads = workers()
     looked_at = read_ahead(_of_any_family, _spread(frames, _LOOKED_AT), threads=threads, ahead=threads + 1)
     counts = Counter(tag for found in looked_at for tag in found)
