@@ -87,7 +87,7 @@ def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dic
 def color_from_depth(path: Path, depth: Camera) -> Pose | None:
     """Read color_from_depth (4, 4) in metres from a calibration file.
 
-    Returns None if the file is not an Azure Kinect calibration, or if the depth maps are already aligned to colour.
+    Returns None for other files, and if the depth maps are already aligned to colour.
 
     Raises
     ------

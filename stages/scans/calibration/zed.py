@@ -100,7 +100,7 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
 def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
     """Return the mode with the size of the images.
 
-    If there is none, a mode with the same aspect ratio.
+    Otherwise a mode with the same aspect ratio.
     """
     there = [mode for mode in _SIZES if f"LEFT_CAM_{mode}" in values]
     shaped = [mode for mode in there if is_of_shape(_SIZES[mode], (width, height))]
