@@ -1,8 +1,8 @@
-"""The one door to Open3D.
+"""Import of Open3D; every module imports Open3D through this one.
 
-Its Linux wheel wants libusb-1.0.so.0 from the system, which a bare machine lacks. A copy from the
-libusb-package wheel, loaded first, satisfies it without root. Dash, half of what importing it takes, is left
-for when it is used.
+The Linux wheel needs the system library libusb-1.0.so.0, which minimal machines lack. A copy from the
+libusb-package wheel is loaded first, so that no root access is needed. The import of Dash takes half of
+Open3D's import time and is deferred until Dash is used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scanloom.stages.diagnostics.codes import MACHINE_LIBRARY_MISSING
 from scanloom.stages.diagnostics.errors import StageError, is_lack_of_memory
 from scanloom.stages.files.room import require_room
 
-# The system libraries Open3D links to, and the Debian package that brings each.
+# System libraries that Open3D links to, and the Debian package of each.
 _DEBIAN_PACKAGES = {
     "libEGL.so.1": "libegl1",
     "libGL.so.1": "libgl1",
@@ -37,22 +37,23 @@ _DEBIAN_PACKAGES = {
 }
 
 
-# Of a thread that TBB starts: its stack.
+# Stack of a TBB thread, bytes.
 _THREAD_BYTES = 1 << 24
 
 
 def open3d() -> Any:
-    """Import Open3D (half a second, once a process), and have its threads started.
+    """Import Open3D and start its threads.
 
-    TBB, which it computes with, ends the process where it cannot start them: they start while there is room.
+    The import takes about 0.5 s, once per process. TBB, Open3D's thread library, aborts the process if it
+    cannot start its threads. So the threads are started here, after a check of available memory.
 
     Raises
     ------
     StageError, MemoryError
-        As `imported`; also where there is no room for the threads.
+        As `imported`; MemoryError also if there is too little memory for the threads.
     """
     module = imported()
-    # A process that is forked off has none of them.
+    # The cache is per process id: a forked process inherits no threads.
     _start_threads(os.getpid())
     return module
 
@@ -66,24 +67,26 @@ def _start_threads(process: int) -> None:  # noqa: ARG001
 
 @functools.cache
 def imported() -> Any:
-    """Import Open3D without its threads, which processes that are forked off then have to themselves.
+    """Import Open3D without starting its threads.
+
+    For processes that fork: each forked process starts its own threads.
 
     Raises
     ------
     StageError
-        If a system library it needs is absent; the message names the library and its Debian package.
+        If a required system library is absent. The message names the library and its Debian package.
     MemoryError
-        If there is no room for it.
+        If there is too little memory for the import.
     """
     if sys.platform == "linux":
         _provide_libusb()
     try:
         with warnings.catch_warnings(), _dash_later():
-            # Some builds complain of a missing GPU where none was asked for.
+            # Some builds warn about a missing GPU although none was requested.
             warnings.simplefilter("ignore", ImportWarning)
             import open3d  # noqa: TID251
     except ImportError as error:
-        # Ctrl-C inside a compiled module's own imports comes out as a failed import.
+        # Ctrl-C during the imports of a compiled module surfaces as an ImportError.
         if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
         if is_lack_of_memory(error):
@@ -95,9 +98,9 @@ def imported() -> Any:
 
 @contextmanager
 def _dash_later() -> Iterator[None]:
-    """Have what is imported meanwhile import Dash where it first uses it.
+    """Defer imports of Dash inside the block until first use.
 
-    Open3D takes it, and 600 modules with it, for the one function that draws plots in a browser.
+    Open3D imports Dash, with 600 modules, for a single function that draws plots in a browser.
     """
     if "dash" in sys.modules:
         yield
@@ -110,17 +113,17 @@ def _dash_later() -> Iterator[None]:
 
 
 class _Dash(ModuleType):
-    """What `from dash import` takes names from."""
+    """Stand-in for the module `dash`; its attributes are deferred imports."""
 
     def __getattr__(self, name: str) -> Any:
-        # What the machinery of imports asks of a module is not there.
+        # The import system probes for dunder attributes, which the stand-in does not have.
         if name.startswith("__"):
             raise AttributeError(name)
         return _Later(name)
 
 
 class _Later:
-    """A name of Dash."""
+    """Deferred attribute of Dash: imports Dash on first access or call."""
 
     def __init__(self, name: str) -> None:
         self._name = name

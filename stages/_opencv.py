@@ -1,4 +1,4 @@
-"""Room for OpenCV: its import ends the process where there is too little for it."""
+"""Memory check before the import of OpenCV, which aborts the process if memory runs out."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import mmap
 import os
 import sys
 
-# Of address space: its libraries, and a stack for each thread of the OpenBLAS it brings.
+# Address space in bytes: OpenCV's libraries, and one stack for each thread of its OpenBLAS.
 _LIBRARY_BYTES = 400 << 20
 _STACK_BYTES = 8 << 20
 
 
 def require_opencv() -> None:
-    """Look for room for the import of OpenCV, where it is the first.
+    """Check that enough memory is available to import OpenCV.
+
+    Does nothing if OpenCV is already imported.
 
     Raises
     ------
     MemoryError
-        If there is none.
+        If there is too little memory.
     """
     if "cv2" in sys.modules:
         return

@@ -1,4 +1,4 @@
-"""How long work tells how far it is."""
+"""Progress callback protocol."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Called now and then from the working thread; raising from it stops the work."""
+    """Progress callback, called from the worker thread at irregular intervals.
+
+    An exception raised in the callback aborts the work.
+    """
 
     def __call__(self, done: int, total: int) -> object:
-        """Say that `done` of `total` units (frames, collapses) are finished.
+        """Report that `done` of `total` units (frames, collapses) are finished.
 
-        Where part of a result is of use, returning False asks for what there is; elsewhere it means nothing.
+        Returning False requests a partial result. Functions that have no useful partial result ignore the
+        value.
         """
 
 
 def silent(done: int, total: int) -> None:
-    """Progress that nobody watches."""
+    """Ignore progress; the default callback."""

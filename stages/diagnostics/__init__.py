@@ -1,1 +1,1 @@
-"""Diagnostics: what is wrong, odd or not reached, as values with a stable code."""
+"""Diagnostics: warnings, errors and unmet requirements as values with a stable code."""

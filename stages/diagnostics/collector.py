@@ -1,4 +1,4 @@
-"""Collector of diagnostics: code at any depth emits, and its caller collects."""
+"""Collection of diagnostics: code at any depth emits them, and callers collect them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,15 @@ class DiagnosticWarning(UserWarning):
 
 @contextmanager
 def listening(listener: Callable[[Diagnostic], object], *, forward: bool = True) -> Iterator[None]:
-    """Call a function with each diagnostic that is emitted in the block.
+    """Call a function with each diagnostic emitted inside the block.
 
-    The block covers this thread and threads that read ahead for it. Do not yield from a generator inside it.
+    The block covers this thread and threads started by `read_ahead`. A generator must not yield inside the
+    block.
 
     Parameters
     ----------
-    forward : outer blocks receive the diagnostics, too. False for attempts whose results may be dropped.
+    forward : pass the diagnostics to enclosing blocks, too. False for attempts whose results may be
+        discarded.
     """
     token = _LISTENERS.set((*_LISTENERS.get(), listener) if forward else (listener,))
     try:
@@ -40,7 +42,10 @@ def listening(listener: Callable[[Diagnostic], object], *, forward: bool = True)
 
 @contextmanager
 def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
-    """Collect the diagnostics that are emitted in the block, each once; see `listening`."""
+    """Collect the diagnostics emitted inside the block, without duplicates.
+
+    `forward` as in `listening`.
+    """
     collected: list[Diagnostic] = []
 
     def add(diagnostic: Diagnostic) -> None:
@@ -53,7 +58,10 @@ def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
 
 @contextmanager
 def changing(change: Callable[[Diagnostic], Diagnostic]) -> Iterator[None]:
-    """Change the diagnostics of the block, such as their location, before outer blocks receive them."""
+    """Transform diagnostics of the block before enclosing blocks receive them.
+
+    `change` may for example set their location.
+    """
     outer = _LISTENERS.get()
 
     def forward(diagnostic: Diagnostic) -> None:
@@ -66,7 +74,10 @@ def changing(change: Callable[[Diagnostic], Diagnostic]) -> Iterator[None]:
 
 
 def emit(*diagnostics: Diagnostic) -> None:
-    """Hand diagnostics to all blocks around the caller; without any, they become Python warnings."""
+    """Pass diagnostics to all enclosing blocks.
+
+    Without an enclosing block they become Python warnings.
+    """
     listeners = _LISTENERS.get()
     for diagnostic in diagnostics:
         if not listeners:
@@ -76,7 +87,10 @@ def emit(*diagnostics: Diagnostic) -> None:
 
 
 def merge_repeated(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """Merge diagnostics that only differ in their file: keep the first and add the number of others."""
+    """Merge diagnostics that differ only in their location.
+
+    The first one is kept; the number of the others is added to its message.
+    """
     groups: dict[Diagnostic, list[Diagnostic]] = {}
     for one in diagnostics:
         groups.setdefault(replace(one, where=None), []).append(one)

@@ -1,4 +1,4 @@
-"""A diagnostic, and the code that it is an instance of."""
+"""Diagnostic, its location, severity and code."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Severity(str, Enum):
     Attributes
     ----------
     INFO : nothing is lost.
-    WARNING : the result is written, but something was left out, assumed or changed.
-    UNMET : the result is written, but a requirement of the user is not reached.
+    WARNING : the result is written, but something was skipped, assumed or changed.
+    UNMET : the result is written, but a requirement of the user was not reached.
     ERROR : there is no result.
     """
 
@@ -29,16 +29,16 @@ class Severity(str, Enum):
 
 @dataclass(frozen=True)
 class Where:
-    """Location that a diagnostic is about.
+    """Location that a diagnostic refers to.
 
     Attributes
     ----------
     file : path, or the name of an argument such as "mesh".
     frame : name of a frame.
-    parameter : name of a parameter, which begins the message: "voxel_size" + "is 0; …".
-    section : of the configuration, which has the parameter.
-    stage : of the pipeline, in which it was emitted.
-    scan : name in a batch.
+    parameter : name of a parameter. It begins the message: "voxel_size" + "is 0; …".
+    section : configuration section of the parameter.
+    stage : pipeline stage that emitted the diagnostic.
+    scan : name of the scan in a batch.
     """
 
     file: str | None = None
@@ -49,7 +49,7 @@ class Where:
     scan: str | None = None
 
     def figures(self) -> dict[str, str]:
-        """Return what is known, ready for JSON."""
+        """Return the fields that are set, as a JSON object."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
     def __str__(self) -> str:
@@ -67,14 +67,14 @@ Location = Where | Path | str | None
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One instance of something wrong, odd or not reached.
+    """Warning, error, unmet requirement or notice.
 
     Attributes
     ----------
     code : name of the code, such as "file.damaged"; see docs/when-it-goes-wrong.
-    severity : whether there is a result, and whether it is what was asked for.
-    message : complete sentences with units, in the words of Python and TOML.
-    remedy : what the user can do.
+    severity : effect on the result.
+    message : complete sentences with units; parameters are named as in Python and TOML.
+    remedy : recommended action of the user.
     where : file, frame or parameter.
     values : numbers and names in the message.
     """
@@ -93,16 +93,16 @@ class Diagnostic:
         return f"{where}{self.message}{' ' if self.message.endswith(_ENDS) else '; '}{self.remedy}"
 
     def at(self, where: Location) -> Diagnostic:
-        """Return the diagnostic with another location."""
+        """Return a copy with another location."""
         return replace(self, where=_as_where(where))
 
     def within(self, **parts: str | None) -> Diagnostic:
-        """Return the diagnostic with some fields of its location replaced, such as `stage` or `section`."""
+        """Return a copy with some location fields replaced, such as `stage` or `section`."""
         where = replace(self.where or Where(), **parts)
         return replace(self, where=None if where == Where() else where)
 
     def figures(self) -> dict[str, Any]:
-        """Return the diagnostic ready for JSON."""
+        """Return the diagnostic as a JSON object."""
         figures: dict[str, Any] = {
             "code": self.code,
             "severity": self.severity.value,
@@ -115,12 +115,12 @@ class Diagnostic:
 
     @classmethod
     def from_figures(cls, figures: Mapping[str, Any]) -> Diagnostic:
-        """Create the diagnostic that `figures` returned.
+        """Create a diagnostic from the JSON object that `figures` returned.
 
         Raises
         ------
         KeyError, TypeError, ValueError
-            If they are not those of a diagnostic.
+            If the object is not a diagnostic.
         """
         where = figures.get("where")
         return cls(
@@ -139,10 +139,10 @@ class Code:
 
     Attributes
     ----------
-    name : topic and kind, such as "file.damaged"; stable, and part of JSON.
-    title : what all diagnostics of this code have in common; a heading of the documentation.
+    name : topic and kind, such as "file.damaged"; stable, and part of the JSON output.
+    title : heading in the documentation that fits all diagnostics of this code.
     explanation : causes and remedies, Markdown.
-    example : message as it is printed.
+    example : a message as printed.
 
     Raises
     ------
@@ -161,7 +161,7 @@ class Code:
         _DECLARED[self.name] = self
 
     def info(self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any) -> Diagnostic:
-        """Create a diagnostic that only informs; see `create`."""
+        """Create a notice that needs no action; see `create`."""
         return self.create(Severity.INFO, message, where, remedy, values)
 
     def warning(
@@ -173,13 +173,13 @@ class Code:
     def unmet(
         self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
     ) -> Diagnostic:
-        """Create a diagnostic of a requirement that is not reached; see `create`."""
+        """Create a diagnostic for an unmet requirement; see `create`."""
         return self.create(Severity.UNMET, message, where, remedy, values)
 
     def error(
         self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
     ) -> Diagnostic:
-        """Create an error that is kept and not raised; see `create`."""
+        """Create an error without raising an exception; see `create`."""
         return self.create(Severity.ERROR, message, where, remedy, values)
 
     def create(
@@ -189,9 +189,9 @@ class Code:
 
         Parameters
         ----------
-        message : complete sentence; with values it is a template of `str.format`.
-        where : the file, frame or argument that the message is about.
-        remedy : what the user can do; a template, too.
+        message : complete sentence; a `str.format` template if there are values.
+        where : file, frame or argument that the message refers to.
+        remedy : recommended action of the user; also a template.
         values : fields of the templates, such as counts and lengths.
         """
         if values:
@@ -201,12 +201,11 @@ class Code:
 
 
 _ENDS = (".", "?", "!")
-# All declared codes by name.
 _DECLARED: dict[str, Code] = {}
 
 
 def declared_codes() -> dict[str, Code]:
-    """Return the codes of all modules that are imported, by name."""
+    """Return the codes of all imported modules by name."""
     return dict(_DECLARED)
 
 
@@ -215,7 +214,10 @@ def _as_where(where: Location) -> Where | None:
 
 
 def _simple(value: Any) -> float | int | str:
-    """Return a value that JSON can hold."""
+    """Convert a value to one that JSON supports.
+
+    Scalar arrays become numbers, other values text.
+    """
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, (int, float, str)):

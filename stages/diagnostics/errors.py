@@ -1,4 +1,4 @@
-"""What can go wrong, in three kinds; the command line turns each into its exit code."""
+"""Exceptions with a diagnostic: input, usage and stage errors, each with its exit code."""
 
 from __future__ import annotations
 
@@ -12,28 +12,30 @@ from scanloom.stages.diagnostics.diagnostic import Code, Diagnostic, Location, S
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-# What the system's loader says of a library it has no room for, Python of a thread, and Open3D of an array.
-# The loader says "cannot allocate memory in static TLS block" where it lacks something else.
+# Messages for lack of memory from the dynamic loader, Python threads and Open3D arrays. The loader's "cannot
+# allocate memory in static TLS block" has another cause, hence the `$`.
 _NO_ROOM = re.compile(
     "failed to map segment|cannot allocate memory$|can't start new thread|malloc failed|unable to allocate ",
     re.IGNORECASE,
 )
-# OpenCV's own number for it, StsNoMem.
+# cv2.error.code for lack of memory, StsNoMem.
 _OPENCV_NO_MEMORY = -4
 
-# The folder of our own modules, which have no such error.
+# Root of the package. Its modules are free of syntax errors.
 _OURS = Path(__file__).parents[2]
 
 
 class ScanloomError(Exception):
-    """Error with a diagnostic for the user; its text is that of the diagnostic.
+    """Error with a diagnostic for the user.
+
+    Its text is the text of the diagnostic.
 
     Parameters
     ----------
     code : kind of the error.
-    message : complete sentence; with values it is a template of `str.format`.
-    where : the file, frame or argument that the message is about.
-    remedy : what the user can do; a template, too.
+    message : complete sentence; a `str.format` template if there are values.
+    where : file, frame or argument that the message refers to.
+    remedy : recommended action of the user; also a template.
     values : fields of the templates.
 
     Attributes
@@ -52,13 +54,13 @@ class ScanloomError(Exception):
 
     @classmethod
     def of(cls, diagnostic: Diagnostic) -> Self:
-        """Create the error of a diagnostic."""
+        """Create an error from a diagnostic."""
         error = cls.__new__(cls)
         error._set(diagnostic)
         return error
 
     def at(self, where: Location) -> Self:
-        """Return the error with another location."""
+        """Return a copy of the error with another location."""
         return self.of(self.diagnostic.at(where))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -70,29 +72,32 @@ def _restore(kind: type[ScanloomError], diagnostic: Diagnostic) -> ScanloomError
 
 
 class InputError(ScanloomError):
-    """The input cannot be used (exit code 3)."""
+    """Unusable input (exit code 3)."""
 
 
 class MeshError(InputError):
-    """A mesh breaks a rule: an index out of range, a value that is not finite, an edge of three triangles."""
+    """Invalid mesh.
+
+    For example an index out of range, a value that is not finite, or an edge with three triangles.
+    """
 
 
 class UsageError(ScanloomError):
-    """A parameter or option is wrong (exit code 2)."""
+    """Invalid parameter or option (exit code 2)."""
 
 
 class StageError(ScanloomError):
-    """A stage failed on input that looked sound, or the machine ran out of something (exit code 1)."""
+    """Failure of a stage on valid input, or lack of a machine resource (exit code 1)."""
 
 
 def bug_explained(error: BaseException) -> str:
-    """Return what a person is told of an exception that nobody foresaw."""
+    """Format an unexpected exception as a request for a bug report."""
     what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
-    return f"This is a bug in scanloom ({what}). Please report it with what --debug adds to the same command."
+    return f"This is a bug in scanloom ({what}). Please report it with the output of --debug."
 
 
 def is_lack_of_memory(error: BaseException) -> bool:
-    """Whether an exception, of whatever library, says that there is not enough memory."""
+    """Return True if an exception of any library means lack of memory."""
     if isinstance(error, MemoryError):
         return True
     if isinstance(error, OSError):
@@ -100,7 +105,8 @@ def is_lack_of_memory(error: BaseException) -> bool:
     if type(error).__module__ == "cv2":
         return getattr(error, "code", 0) == _OPENCV_NO_MEMORY
     if isinstance(error, SyntaxError):
-        # Python's parser, which runs where no compiled modules are kept, takes it for an error in the text.
+        # Without cached bytecode, modules are compiled on import. If the parser runs out of memory, it raises
+        # SyntaxError.
         return error.filename is not None and _OURS in Path(error.filename).parents
     if isinstance(error, (ImportError, RuntimeError)):
         return _NO_ROOM.search(str(error)) is not None

@@ -1,1 +1,1 @@
-"""Files from outside, read without trusting them, and files that are written whole or not at all."""
+"""Reading of untrusted files, and atomic writing of files and folders."""

@@ -1,7 +1,7 @@
-"""The buffers of OpenBLAS, which multiplies matrices for NumPy.
+"""Preallocation of the buffers of OpenBLAS, NumPy's matrix library.
 
-Every thread takes one when it first multiplies, and where there is no room for it OpenBLAS ends the process,
-or waits for ever: room is looked for, and the buffers are taken, before there is work to lose.
+Each thread allocates a buffer on its first matrix product. If the allocation fails, OpenBLAS aborts the
+process or hangs. So memory is checked and the buffers are allocated before there are results to lose.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-# What a thread takes: a buffer of OpenBLAS 0.3 is 32 MiB, its stack 8 MiB; the rest is for matrices.
+# Bytes per thread: 32 MiB buffer (OpenBLAS 0.3), 8 MiB stack, and 4 MiB for matrices.
 _THREAD_BYTES = 44 << 20
-# Rows of a matrix whose square takes long enough for all threads to be at it together.
+# Matrix rows; a product of this size takes long enough that all threads run at the same time.
 _ROWS = 400
 
 _lock = threading.Lock()
@@ -22,12 +22,12 @@ _taken = 0
 
 
 def require_buffers(threads: int) -> None:
-    """Let so many threads multiply at a time.
+    """Allocate OpenBLAS buffers for a number of concurrent threads.
 
     Raises
     ------
     MemoryError
-        If there is no room for their buffers.
+        If there is too little memory for the buffers.
     """
     global _taken
     with _lock:

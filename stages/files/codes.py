@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of files, with explanations."""
+"""Diagnostic codes of file access, with explanations."""
 
 from __future__ import annotations
 
@@ -6,93 +6,93 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 FILE_ARCHIVE_DAMAGED = Code(
     "file.archive-damaged",
-    "Archives",
+    "Unreadable archives",
     """
-`.r3d` and `.npz` are zip files. Unpacking one and packing it again (`zip -r`) brings it into a form that
-can be read.
+`.r3d` and `.npz` are ZIP files. If an entry has an unsupported compression method, unpack the archive and
+pack it again with `zip -r`.
 """,
     "room.r3d: the archive does not open; it is damaged or was cut short. Copy it again.",
 )
 FILE_DAMAGED = Code(
     "file.damaged",
-    "Cut short or damaged",
+    "Damaged or truncated files",
     """
-Copy the file again from its source. If it is one frame among many, it can also be deleted, or left out
-with `scan.every`, `scan.first` and `scan.last`.
+Copy the file again from its source. If it belongs to one frame among many, it can also be deleted, or the
+frame can be excluded with `scan.every`, `scan.first` and `scan.last`.
 """,
     "room/color/000012.png: the image is cut short; copy it again or leave the frame out.",
 )
 FILE_DEPTH_FORMAT = Code(
     "file.depth-format",
-    "Depth that is not depth",
+    "Depth maps in a wrong format",
     """
-Depth maps are 16-bit images of one channel, `.npy`, `.pfm` or `.exr`. Images of 8 bits or of colours are
-previews: 256 steps are no measurement. Export the raw depth.
+Depth maps are single-channel 16-bit images, `.npy`, `.pfm` or `.exr`. 8-bit and colour images are previews:
+their 256 levels are too coarse for depth. Export the raw depth.
 """,
-    "room/depth/000012.png: a depth map of one channel is expected; this is a colour image.",
+    "room/depth/000012.png: a single-channel depth map is expected; this is a colour image.",
 )
 FILE_IMAGE_FORMAT = Code(
     "file.image-format",
-    "Images in a form that is not read",
+    "Images in an unsupported format",
     """
-Convert the image: colour and masks have 8 bits a channel, and OpenEXR is read where it is a single part
-of scan lines, such as with ZIP compression.
+Convert the image. Colour images and masks need 8 bits per channel. OpenEXR files need a single part with
+scan lines, for example with ZIP compression.
 """,
-    "room/rgb/000012.png: a colour image of 8 bits a channel is expected; this one is uint16.",
+    "room/rgb/000012.png: a colour image with 8 bits per channel is expected; this one is uint16.",
 )
 FILE_PATH_OUTSIDE = Code(
     "file.path-outside",
-    "Paths that lead out of the folder",
+    "Paths outside the scan folder",
     """
-A list in the scan names a file by an absolute path or with `..`. Such a file is not read, whoever wrote
-the list: put the images into the scan folder and write relative paths.
+A list in the scan names a file by an absolute path or with `..`. For security, scanloom does not read such
+files. Put the images into the scan folder and write relative paths.
 """,
     "room/rgb.txt: line 3: '../other/1.png' is not a path inside the folder.",
 )
 FILE_TEXT_INVALID = Code(
     "file.text-invalid",
-    "Texts that do not parse",
+    "Text files that do not parse",
     """
-The line is named where the format has lines. YAML must be indented by spaces, not tabs; JSON has no
-comments and no comma behind the last entry. Sizes are limited: a calibration of many megabytes is
-refused, because it is probably something else.
+The message gives the line if the format has lines. YAML must be indented with spaces, not tabs. JSON has no
+comments, and no comma after the last entry. The file size is limited, because a calibration of many
+megabytes is probably another kind of file.
 """,
-    "room/scan.json: it is nested more than 100 deep.",
+    "room/scan.json: the file is not valid JSON (line 12).",
 )
 FILE_UNREADABLE = Code(
     "file.unreadable",
-    "The system does not let it be opened",
+    "Files that the system cannot open",
     """
-The reason of the operating system stands in brackets: permissions, a broken link, a network drive that is
-gone.
+The reason of the operating system is in brackets: missing permissions, a broken link, or a network drive that
+is not available.
 """,
     "room/depth/000012.png: the file cannot be read (Permission denied).",
 )
 FILE_PATH_INVALID = Code(
     "file.path-invalid",
-    "A path that is not there, or of the wrong kind",
+    "A path that does not exist, or is of the wrong kind",
     """
-Exit code 3. Check the spelling, and that a relative path begins at the current folder of the shell. Names
-with spaces need quotes.
+Exit code 3. Check the spelling. A relative path starts at the current folder of the shell. Names with spaces
+need quotes.
 """,
     "rooom.ply: there is no such file or folder.",
 )
 FILE_OUTPUT_REFUSED = Code(
     "file.output-refused",
-    "An output path that may not be written, or that holds something else",
+    "An output path that cannot be written or replaced",
     """
-Nothing that scanloom has not written itself is replaced in an output folder: move it, name another
-folder, or let `--overwrite` replace it. Where a permission is missing, `ls -l` shows the owner of the
+scanloom only replaces output folders that it has written itself. Move the existing folder, choose another
+one, or allow replacing it with `--overwrite`. If a permission is missing, `ls -l` shows the owner of the
 file.
 """,
     "/srv/out: the permission is missing",
 )
 RECORDING_DAMAGED = Code(
     "recording.damaged",
-    "Cut short or damaged",
+    "Damaged or truncated recordings",
     """
-Copy the file again and compare its size with the original. Of a recording that was not closed, the part
-before the damage is used, with a warning; ROS's own tools can write such a file anew (`rosbag reindex`,
+Copy the file again and compare its size with the original. If a recording was not closed properly, the part
+before the damage is used, with a warning. ROS's own tools can repair such a file (`rosbag reindex`,
 `ros2 bag reindex`, `mcap recover`).
 """,
     "room.bag: its record at byte 81920 of 90112 is damaged or cut short",

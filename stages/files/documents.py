@@ -1,6 +1,7 @@
-"""Read text, JSON, TOML and YAML files from outside: each fault a plain sentence with the file's name.
+"""Readers for text, JSON, TOML, YAML and XML from untrusted sources.
 
-Nothing in a file is executed or trusted: YAML goes through PyYAML's safe loader, sizes are bounded.
+Every error message names the file. YAML is read by PyYAML's safe loader, and the size and nesting of all
+documents are limited.
 """
 
 from __future__ import annotations
@@ -20,31 +21,43 @@ from scanloom.stages.files.opening import opened, text_in
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-# Half a gigabyte of text is more than any trajectory; a calibration is a page or two.
+# Bytes. The largest trajectories stay far below 512 MiB; calibrations are a few kilobytes.
 _MAX_TEXT_BYTES = 1 << 29
 _MAX_DOCUMENT_BYTES = 1 << 22
-# YAML is read at some 100 kB a second.
+# Bytes; PyYAML parses only about 100 kB/s.
 _MAX_YAML_BYTES = 1 << 19
 _LONGEST_NAME = 255
 _WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f\x7f-\x84\x86-\x9f]")
-# Tables in tables: scans go ten deep.
+# Maximum nesting depth; documents of scans have about ten levels.
 _DEEPEST = 64
-_TOO_DEEP = f"it is nested more than {_DEEPEST} deep"
-_TOO_LONG = "it holds a whole number of more than 64 bits"
-# No whole number in a document needs more: TOML has 64 bits, times in nanoseconds fit them.
+_TOO_DEEP = f"it is nested more than {_DEEPEST} levels deep"
+_TOO_LONG = "it holds an integer of more than 64 bits"
+# Maximum digits of a number in YAML. TOML integers and timestamps in nanoseconds fit 64 bits (19 digits).
 _LONGEST_NUMBER = 400
 
 
 def read_text(path: Path) -> str:
-    """Return a text file's content, with a plain sentence when it cannot be read.
+    """Read a text file as UTF-8, UTF-16 or Latin-1.
 
-    UTF-8; UTF-16 where it begins with its mark, as Windows' shell writes it; else Latin-1, which older
-    programs wrote, if there is nothing in it that no text has.
+    UTF-16 is recognised by its byte order mark (PowerShell writes it). Bytes that are not UTF-8 are read as
+    Latin-1, unless they contain control characters.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is larger than 512 MiB, or is binary.
     """
     try:
-        if path.stat().st_size > _MAX_TEXT_BYTES:
-            raise InputError(FILE_TEXT_INVALID, "the file is too large for what it should hold.", path)
+        size = path.stat().st_size
+        if size > _MAX_TEXT_BYTES:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "the file is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
+                path,
+                size=size,
+                limit=_MAX_TEXT_BYTES,
+            )
         with opened(path) as file:
             is_wide = file.read(2) in _WIDE_MARKS
         try:
@@ -63,7 +76,10 @@ def read_text(path: Path) -> str:
 
 
 def lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line numbers (from 1) and the text on them, without `#` comments and empty lines."""
+    """Yield (line number from 1, text) of each line with content.
+
+    `#` comments, surrounding white space and commas are stripped; empty lines are skipped.
+    """
     for number, line in enumerate(read_text(path).splitlines(), 1):
         text = line.split("#")[0].strip().strip(",")
         if text:
@@ -71,14 +87,15 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def require_inside(name: str, path: Path, where: str) -> str:
-    r"""Return a file name that a list states: a path below a folder, of names that file systems allow.
+    r"""Validate a file name listed in a scan as a relative path.
 
-    A `\` of Windows parts folders as `/` does.
+    Scans come from untrusted sources, so their lists may only name files inside the scan folder. `\` is
+    accepted as a separator (Windows) and replaced by `/`.
 
     Raises
     ------
     InputError
-        If it is something else. A scan is read from its own folder only: its lists may come from anywhere.
+        If the name is absolute, contains `..`, or has a part of more than 255 bytes.
     """
     name = name.replace("\\", "/")
     parts = name.split("/")
@@ -98,23 +115,34 @@ def require_inside(name: str, path: Path, where: str) -> str:
 
 
 def read_json(path: Path) -> object:
-    """Return a JSON file's content; NaN and infinite numbers are let through for the checks that follow."""
+    """Read a JSON file.
+
+    NaN and infinity are accepted; callers check their numbers.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is not valid JSON, or is nested too deeply.
+    """
     return parse_json(read_text(path), path)
 
 
 def parse_json(text: str, path: Path) -> object:
-    """Return the content of JSON text that comes from `path`, as `read_json` does."""
+    """Parse JSON text; `path` names its source in messages (see `read_json`)."""
     try:
         document: object = json.loads(text)
         require_shallow(document)
     except (ValueError, RecursionError) as error:
-        line = f"; look at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
+        line = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
         raise InputError(FILE_TEXT_INVALID, "the file is not valid JSON{line}.", path, line=line) from error
     return document
 
 
 def require_shallow(document: object) -> None:
-    """Raise ValueError for tables or lists nested so deep that a walk over them would not end well."""
+    """Raise ValueError if a document is nested too deeply.
+
+    Deeper nesting could overflow the stack of recursive functions.
+    """
     level: list[Any] = [document]
     for _ in range(_DEEPEST):
         level = [item for held in level for item in _held(held) if isinstance(item, (dict, list))]
@@ -128,16 +156,24 @@ def _held(value: object) -> Iterable[object]:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Return the content of a JSON, TOML or YAML file, or one of OpenCV's in YAML or XML, as a dictionary.
+    """Read a JSON, TOML, YAML or OpenCV XML file as a dictionary.
+
+    The suffix selects the format; other suffixes than .json, .toml and .xml are read as YAML.
 
     Raises
     ------
     InputError
-        If the file cannot be read or parsed, or holds no table of names and values.
+        If the file cannot be read or parsed, is too large, or is not a table of names and values.
     """
     most = _MAX_DOCUMENT_BYTES if path.suffix in (".json", ".toml", ".xml") else _MAX_YAML_BYTES
-    if path.exists() and path.stat().st_size > most:
-        raise InputError(FILE_TEXT_INVALID, "the file is too large for what it should hold.", path)
+    if path.exists() and (size := path.stat().st_size) > most:
+        raise InputError(
+            FILE_TEXT_INVALID,
+            "the file is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
+            path,
+            size=size,
+            limit=most,
+        )
     text = read_text(path)
     try:
         if path.suffix == ".json":
@@ -154,26 +190,26 @@ def read_document(path: Path) -> dict[str, Any]:
             FILE_TEXT_INVALID, "the file does not parse: {summary}.", path, summary=summary
         ) from error
     if not isinstance(document, dict):
-        raise InputError(FILE_TEXT_INVALID, "names with values are expected in it.", path)
+        raise InputError(FILE_TEXT_INVALID, "the file is not a table of names and values.", path)
     return document
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the content of a TOML document.
+    """Parse a TOML document.
 
     Raises
     ------
     ValueError
-        If it is none, or holds a whole number of more than 64 bits or tables nested far too deep; the message
-        says which.
+        If the text is not TOML, holds an integer of more than 64 bits, or is nested too deeply. The message
+        states the reason.
     """
     if sys.version_info >= (3, 11):
         import tomllib
     else:
         import tomli as tomllib
 
-    # What stands between separators is a key or a value. The time that keys take grows with the square of
-    # their dots.
+    # Between separators there is one key or value. The parser needs quadratic time in the dots of a key, so
+    # keys with too many dots are rejected first.
     if any(piece.partition("#")[0].count(".") > _DEEPEST for piece in re.split(r"[,={}\[\]\n]", text)):
         raise ValueError(_TOO_DEEP)
     try:
@@ -181,7 +217,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError:
         raise
     except ValueError as error:
-        raise ValueError(_TOO_LONG) from error  # Python's limit on the digits it reads.
+        raise ValueError(_TOO_LONG) from error  # raised by Python's limit on digits of an integer
     except RecursionError as error:
         raise ValueError(_TOO_DEEP) from error
     require_shallow(document)
@@ -190,7 +226,8 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _require_short_numbers(value: object) -> None:
-    # TOML has no others, and Python cannot even print some, in a message that refuses them.
+    # TOML integers have at most 64 bits. Python refuses to print very long integers, even in an error
+    # message.
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         raise ValueError(_TOO_LONG)
     if isinstance(value, (dict, list)):
@@ -199,18 +236,21 @@ def _require_short_numbers(value: object) -> None:
 
 
 def _parse_xml(text: str) -> object:
-    """Return what OpenCV stores in XML: numbers, words, and matrices with their rows, cols and data."""
+    """Parse OpenCV's XML storage.
+
+    Values are numbers, words, and matrices with rows, cols and data.
+    """
     from xml.etree import ElementTree
 
-    # OpenCV writes none, and their entities can stand for billions of characters.
+    # OpenCV writes no DOCTYPE; entities could expand to billions of characters.
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ValueError("a document type is declared, which is not supported")
+        raise ValueError("it declares a document type, which is not supported")
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ValueError(str(error)) from error
     if root.tag != "opencv_storage":
-        raise ValueError(f"it is not OpenCV's: its outermost tag is {root.tag[:40]}")
+        raise ValueError(f"it is not an OpenCV file: its root tag is {root.tag[:40]}, not opencv_storage")
     return {node.tag: _xml_value(node) for node in root}
 
 
@@ -239,15 +279,15 @@ def _parse_yaml(text: str) -> object:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """PyYAML's safe loader, with OpenCV's matrices and without aliases."""
+        """PyYAML's safe loader with OpenCV matrices and without aliases."""
 
         def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-            # Nested aliases of a few lines can stand for billions of values.
+            # A few lines of nested aliases can expand to billions of values.
             if self.check_event(yaml.AliasEvent):
                 raise yaml.YAMLError("aliases (*name) are not supported")
             return super().compose_node(parent, index)
 
-        # Each level is looked at again for each word within it.
+        # PyYAML visits every open level again for each token, so depth is limited while parsing.
         def fetch_flow_collection_start(self, kind: type[yaml.Token]) -> None:
             require_shallow_at(self.flow_level)
             super().fetch_flow_collection_start(kind)
@@ -261,7 +301,7 @@ def _parse_yaml(text: str) -> object:
             raise yaml.YAMLError(_TOO_DEEP)
 
     def number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float | str:
-        # YAML 1.1 takes 1:30 for ninety, and multiplies numbers of a million such places.
+        # YAML 1.1 reads 1:30 as a base-60 number, and needs quadratic time for long ones.
         if ":" in node.value:
             return str(node.value)
         if len(node.value) > _LONGEST_NUMBER:
@@ -278,14 +318,14 @@ def _parse_yaml(text: str) -> object:
     for kind in ("int", "float"):
         Loader.add_constructor(f"tag:yaml.org,2002:{kind}", number)
     try:
-        # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
+        # OpenCV's first line, `%YAML:1.0`, is not a valid YAML directive (`%YAML 1.0` would be).
         header = re.match(r"%YAML:?\s*[\d.]+", text)
         if header is not None:
-            # OpenCV reads `PointSize:2` too, which would be a word.
+            # OpenCV accepts `PointSize:2` without a space; YAML would read it as a string.
             text = re.sub(
                 r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", r"\1: ", text[header.end() :], flags=re.MULTILINE
             )
-        # What ROS echoes of a message ends with the start of a next one.
+        # `rostopic echo` ends each message with the separator of the next document.
         document: object = yaml.load(re.sub(r"\n---\s*\Z", "\n", text), Loader)
     except yaml.MarkedYAMLError as error:
         where = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "

@@ -1,6 +1,6 @@
-"""Read depth from OpenEXR files: one channel of numbers, as phones and renderers write it.
+"""Depth from OpenEXR files, as phones and renderers write it.
 
-The header is read here, and what it promises is checked before the library allocates it.
+The header is parsed and validated here, before the OpenEXR library allocates memory for the image.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from scanloom.stages.files.room import require_room
 
 _HEADER_BYTES = 1 << 19
 _START = b"v/1\x01"
-# Flags of the version: tiles, deep pixels, several parts.
+# Version flags that are not supported: tiles, deep pixels, multiple parts.
 _UNREAD = 0x200 | 0x800 | 0x1000
-# Rows of pixels a chunk, by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB.
+# Scan lines per chunk, by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB.
 _ROWS = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
-# Of the largest kind of number, once as it is decoded and once as it is handed out.
+# Bytes per number: 32-bit values, held once by the decoder and once in the result.
 _NUMBER_BYTES = 8
-# What depth is called, the surest first; a lone channel may have any name.
+# Channel names of depth, most specific first. A single channel may have any name.
 _NAMES = ("Z", "Depth.Z", "depth.Z", "depth", "Depth", "D", "Y", "V")
-# The library reports faults of a file with print(), which has one destination for all threads.
+# The library reports errors with print(); redirecting stdout affects all threads.
 _printing = threading.Lock()
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What is needed of a header; `end` is where the table of chunks begins."""
+    """OpenEXR header; `end` is the byte offset of the chunk table."""
 
     width: int
     height: int
@@ -48,7 +48,7 @@ class _Header:
 
 
 def exr_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) in pixels, from the header alone.
+    """Read the (width, height) of an OpenEXR file from its header, pixels.
 
     Raises
     ------
@@ -60,18 +60,22 @@ def exr_size(path: Path) -> tuple[int, int]:
             header = _header(file.read(_HEADER_BYTES), path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
     return header.width, header.height
 
 
 def read_exr(path: Path) -> NDArray[Any]:
-    """Return the depth of an OpenEXR file, (h, w) float16, float32 or uint32, in the file's own unit.
+    """Read the depth channel of an OpenEXR file.
+
+    Returns
+    -------
+    (h, w) float16, float32 or uint32, in the unit of the file.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged or cut short, or which of its channels is depth cannot be told.
+        If the file is missing, damaged or cut short, or if its depth channel is ambiguous.
     """
     import OpenEXR
 
@@ -79,7 +83,7 @@ def read_exr(path: Path) -> NDArray[Any]:
         data = content_of(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
     header = _header(data, path)
     if _is_cut_short(data, header):
@@ -98,9 +102,9 @@ def read_exr(path: Path) -> NDArray[Any]:
         names = ", ".join(sorted(channels))[:80]
         raise InputError(
             FILE_DEPTH_FORMAT,
-            "which channel is depth cannot be told: it holds {names}.",
+            "the depth channel is ambiguous: the image has the channels {names}.",
             path,
-            remedy="Write one channel, Z.",
+            remedy="Write a single channel named Z.",
             names=names,
         )
     return depth
@@ -111,22 +115,28 @@ def _depth_of(channels: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
     if len(channels) == 1 or name is not None:
         return channels[name or next(iter(channels))]
     colors = [channels[name] for name in "RGB" if name in channels]
-    # Depth that was saved as a grey colour image.
+    # Some exporters save depth as a grey RGB image.
     if len(colors) == 3 and all(colors[0].tobytes() == other.tobytes() for other in colors[1:]):
         return colors[0]
     return None
 
 
 def _header(data: bytes, path: Path) -> _Header:
-    """Return the header of an OpenEXR file whose size is one that can be."""
+    """Parse the header and check that its image size is plausible.
+
+    Raises
+    ------
+    InputError
+        If the header is damaged, or the file has tiles, several parts, deep pixels or unknown compression.
+    """
     if data[:4] != _START or len(data) < 8:
-        raise InputError(FILE_DAMAGED, "this is no OpenEXR image, or its start is damaged.", path)
+        raise InputError(FILE_DAMAGED, "this is not an OpenEXR image, or its header is damaged.", path)
     if int.from_bytes(data[4:8], "little") & _UNREAD:
         raise InputError(
             FILE_IMAGE_FORMAT,
-            "OpenEXR with tiles, several parts or deep pixels is not read",
+            "OpenEXR files with tiles, several parts or deep pixels are not supported",
             path,
-            remedy="write scan lines.",
+            remedy="write a single part with scan lines.",
         )
     try:
         attributes, end = _attributes(data)
@@ -137,13 +147,16 @@ def _header(data: bytes, path: Path) -> _Header:
         raise InputError(FILE_DAMAGED, "the header of the image is damaged.", path) from error
     if compression >= len(_ROWS):
         raise InputError(
-            FILE_IMAGE_FORMAT, "its kind of compression is not read", path, remedy="write it with ZIP."
+            FILE_IMAGE_FORMAT,
+            "its compression method is not supported",
+            path,
+            remedy="write it with ZIP compression.",
         )
     width, height = right - left + 1, bottom - top + 1
     if not (width > 0 and height > 0 and channels > 0 and width * height * channels <= MAX_PIXELS):
         raise InputError(
             FILE_DAMAGED,
-            "the image claims to be {width}×{height} pixels of {channels} channels; its header is damaged.",
+            "its header is damaged: it states {width}×{height} pixels of {channels} channels.",
             path,
             width=width,
             height=height,
@@ -153,7 +166,15 @@ def _header(data: bytes, path: Path) -> _Header:
 
 
 def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
-    """Return the attributes by name, and where the header ends; raise ValueError where it does not."""
+    """Parse the header attributes.
+
+    Returns them by name, and the offset behind the header.
+
+    Raises
+    ------
+    ValueError, IndexError
+        If the header is cut short.
+    """
     found: dict[bytes, bytes] = {}
     at = 8
     while data[at] != 0:
@@ -162,14 +183,17 @@ def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
         size = int.from_bytes(data[type_end + 1 : type_end + 5], "little")
         start = type_end + 5
         if start + size >= len(data):
-            raise ValueError("an attribute goes beyond the file")
+            raise ValueError("an attribute extends beyond the file")
         found[data[at:name_end]] = data[start : start + size]
         at = start + size
     return found, at + 1
 
 
 def _channel_count(table: bytes) -> int:
-    """Return how many channels a list holds: a name each, its end, and 16 bytes about it."""
+    """Count the channels of a `chlist` attribute.
+
+    Each entry is a null-terminated name and 16 bytes of description.
+    """
     count = at = 0
     while table[at] != 0:
         at = table.index(0, at) + 17
@@ -178,7 +202,7 @@ def _channel_count(table: bytes) -> int:
 
 
 def _is_cut_short(data: bytes, header: _Header) -> bool:
-    """Say whether a chunk that the table of chunks names is not all there."""
+    """Return True if a chunk of the chunk table extends beyond the file."""
     count = -(-header.height // _ROWS[header.compression])
     if header.end + 8 * count > len(data):
         return True

@@ -1,4 +1,4 @@
-"""Image files as bytes: which kind they are, and to and from pixels."""
+"""Encoding and decoding of image files in memory, and detection of their format and size."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from numpy.typing import NDArray
 from scanloom.stages._opencv import require_opencv
 from scanloom.stages.files.room import require_room
 
-# Four channels of 16 bits, once as they are decoded and once as they are handed out.
+# Bytes per pixel: four 16-bit channels, held once by the decoder and once in the result.
 _PIXEL_BYTES = 16
-# No camera in use makes larger images; a header that promises more is damaged or hostile.
+# Maximum pixels of an image; no camera in use exceeds 134 megapixels, so a larger header is damaged or
+# hostile.
 MAX_PIXELS = 1 << 27
-# Textures are put together from many images: 16384 texels a side.
+# Maximum texels of a texture atlas: 16384².
 _MOST_TEXELS = 1 << 28
 PNG_START = b"\x89PNG\r\n\x1a\n"
-# JPEG markers that start a frame (and so hold its size): SOF0-15 without DHT, JPG and DAC.
+# JPEG markers of a frame header, which holds the image size: SOF0-15 without DHT, JPG and DAC.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
-# Each kind by how its files begin. TGA files have no such mark: their name tells.
+# Magic bytes, extension and media type. TGA has no magic bytes and is recognised by its file name.
 _BEGINNINGS = (
     (PNG_START, ".png", "image/png"),
     (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
@@ -37,7 +38,10 @@ _UNKNOWN = ("", "application/octet-stream")
 
 
 def kind_of(data: bytes, name: str = "") -> tuple[str, str]:
-    """Return extension and media type of an image file; empty extension for one that is not known."""
+    """Detect the extension and media type of an image file.
+
+    Returns ("", "application/octet-stream") for unknown formats.
+    """
     for beginning, extension, mime in _BEGINNINGS:
         if data.startswith(beginning):
             return extension, mime
@@ -49,7 +53,11 @@ def kind_of(data: bytes, name: str = "") -> tuple[str, str]:
 
 
 def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
-    """Return the image as (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; None if it is damaged."""
+    """Decode an image as (h, w, 3) RGB or (h, w, 4) RGBA uint8.
+
+    The top row comes first. 16-bit images are converted to 8 bits. Returns None if the image is damaged or
+    too large.
+    """
     require_opencv()
     import cv2
 
@@ -77,7 +85,10 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
 
 
 def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
-    """Decode what OpenCV does not know, such as TGA."""
+    """Decode formats that OpenCV does not support, such as TGA.
+
+    Returns None if damaged.
+    """
     from PIL import Image
 
     try:
@@ -91,7 +102,7 @@ def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
 
 
 def encoded_png(image: NDArray[np.uint8]) -> bytes:
-    """Return an RGB or RGBA image as a PNG file."""
+    """Encode an RGB or RGBA image, (h, w, 3) or (h, w, 4) uint8, as PNG."""
     require_opencv()
     import cv2
 
@@ -101,14 +112,20 @@ def encoded_png(image: NDArray[np.uint8]) -> bytes:
 
 
 def encoded_image(image: NDArray[np.uint8], kind: str, quality: int) -> bytes:
-    """Return an RGB image as a file: "jpeg", "webp" or "png"; quality 1 to 100, of the first two."""
+    """Encode an RGB image as "jpeg", "webp" or "png".
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8.
+    quality : 1 to 100, for JPEG and WebP; ignored for PNG.
+    """
     if kind == "png":
         return encoded_png(image)
     require_opencv()
     import cv2
 
     options = {
-        # Colours at full resolution: halved ones fringe red on white.
+        # No chroma subsampling: it causes red fringes on white.
         "jpeg": [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111],
         "webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
     }
@@ -117,7 +134,7 @@ def encoded_image(image: NDArray[np.uint8], kind: str, quality: int) -> bytes:
 
 
 def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    """Return an image (h, w) of one channel as a PNG file."""
+    """Encode a single-channel image, (h, w) uint8 or uint16, as PNG."""
     import cv2
 
     _, encoded = cv2.imencode(".png", image)
@@ -125,23 +142,24 @@ def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 def is_possible(size: tuple[int, int], most: int = MAX_PIXELS) -> bool:
-    """Return whether an image of (width, height) pixels is one, and no larger than cameras make them."""
+    """Return True if a (width, height) is positive and at most `most` pixels."""
     return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= most
 
 
 def require_room_for(size: tuple[int, int] | None) -> None:
-    """Raise MemoryError where an image of this size does not decode for want of memory.
+    """Raise MemoryError if decoding an image of this size lacks memory.
 
-    OpenCV keeps that to itself.
+    OpenCV reports lack of memory as a failed decode, so callers check after a failure.
     """
     width, height = size or (0, 0)
     require_room(_PIXEL_BYTES * width * height)
 
 
 def is_cut_short(data: bytes) -> bool:
-    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey.
+    """Return True if a PNG or JPEG lacks its end marker.
 
-    The parts of a PNG are walked: OpenCV reserves whatever one claims to hold, up to 4 GB, before it is read.
+    Some decoders fill the missing part with grey. The chunk lengths of a PNG are followed to its end, because
+    OpenCV allocates the length that a chunk claims, up to 4 GB, before reading the chunk.
     """
     if data.startswith(PNG_START):
         at = len(PNG_START)
@@ -152,7 +170,10 @@ def is_cut_short(data: bytes) -> bool:
 
 
 def promised_size(data: bytes) -> tuple[int, int] | None:
-    """Return (width, height) as a header states them, whatever they are; None where it cannot be told."""
+    """Read the (width, height) that an image header states, unchecked.
+
+    Supports PNG, JPEG, PNM/PFM, TIFF, BMP, GIF and WebP; None for other formats and damaged headers.
+    """
     if data.startswith(PNG_START) and len(data) >= 24:
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if data.startswith(b"\xff\xd8"):
@@ -172,13 +193,13 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _size_by_pillow(data: bytes) -> tuple[int, int] | None:
-    """Return the size that other formats state, such as TIFF; nothing is decoded."""
+    """Read the size of a TIFF, BMP, GIF or WebP without decoding the image."""
     kind = kind_of(data)[0]
     if kind not in (".tif", ".bmp", ".gif", ".webp"):
         return None
     from PIL import BmpImagePlugin, GifImagePlugin, TiffImagePlugin, WebPImagePlugin
 
-    # By their classes: Image.open has a limit of its own, and raises beyond it.
+    # Image.open would raise beyond Pillow's own size limit, so the plugin classes are used directly.
     readers: dict[str, Callable[[io.BytesIO], Any]] = {
         ".tif": TiffImagePlugin.TiffImageFile,
         ".bmp": BmpImagePlugin.BmpImageFile,
@@ -189,6 +210,6 @@ def _size_by_pillow(data: bytes) -> tuple[int, int] | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             width, height = readers[kind](io.BytesIO(data)).size
-    except Exception:  # Pillow's readers raise whatever the first bad value leads to.
+    except Exception:  # malformed headers raise many different exceptions in Pillow
         return None
     return width, height

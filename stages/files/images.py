@@ -1,6 +1,6 @@
-"""Image files: colour and depth as they are stored, and sizes from headers alone.
+"""Image files: colour and depth as stored, and image sizes from headers.
 
-Files come from anywhere, so what an image promises is checked before a decoder allocates it.
+Files are untrusted: the size in a header is checked before a decoder allocates memory.
 """
 
 from __future__ import annotations
@@ -27,20 +27,23 @@ from scanloom.stages.files.numpy_files import NPY_FAULTS, mapped
 from scanloom.stages.files.opening import content_of, opened, said_of
 from scanloom.stages.files.room import require_room
 
-# Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
+# Bytes to read for the image size. JPEG metadata (EXIF, colour profile) in blocks of up to 64 kB may precede
+# it.
 _HEADER_BYTES = 1 << 19
-# Where a PNG says how its colours are kept, and what it says where they are with transparency.
+# Offset of the colour type in a PNG, and its values for grey + alpha and RGB + alpha.
 _PNG_COLOR_TYPE = 25
 _PNG_WITH_ALPHA = (b"\x04", b"\x06")
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) in pixels, from the header alone where the format is a common one.
+    """Read the (width, height) of an image or depth file, pixels.
+
+    Only the header is read, except for formats without a supported header.
 
     Raises
     ------
     InputError
-        If the file is missing or is no image.
+        If the file is missing or not an image.
     """
     if path.suffix == ".npy":
         height, width = read_raw_depth(path).shape
@@ -52,7 +55,7 @@ def image_size(path: Path) -> tuple[int, int]:
             size = promised_size(file.read(_HEADER_BYTES))
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
     if size is not None:
         _require_possible(size, path)
@@ -62,7 +65,11 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def read_raw_depth(path: Path) -> NDArray[Any]:
-    """Return a depth file's values as they are stored, (h, w) uint16 or float, in the file's own unit.
+    """Read the raw values of a depth file.
+
+    Returns
+    -------
+    (h, w) unsigned or signed integers of at least 16 bits, or floats, in the unit of the file.
 
     Raises
     ------
@@ -79,7 +86,17 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
 
 
 def read_array(path: Path, what: str) -> NDArray[Any]:
-    """Return the array of a .npy file, which stays on disk; raises InputError, which calls it `what`."""
+    """Memory-map the array of a .npy file.
+
+    Parameters
+    ----------
+    what : name of the file's content in messages, such as "the depth map".
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
     try:
         array = mapped(path)
     except NPY_FAULTS as error:
@@ -91,14 +108,22 @@ def read_array(path: Path, what: str) -> NDArray[Any]:
 
 
 def require_raw_depth(raw: NDArray[Any], source: Path | str) -> NDArray[Any]:
-    """Return the values of a depth map, or raise InputError where they are none."""
+    """Check that an array is a raw depth map, (h, w), 16-bit or float.
+
+    Raises
+    ------
+    InputError
+        For colour images, 8-bit images, other dtypes, and images that are too large.
+    """
     if raw.ndim != 2:
         raise InputError(
-            FILE_DEPTH_FORMAT, "a depth map of one channel is expected; this is a colour image.", source
+            FILE_DEPTH_FORMAT, "a single-channel depth map is expected; this is a colour image.", source
         )
     if raw.dtype == np.uint8:
         raise InputError(
-            FILE_DEPTH_FORMAT, "the depth map has 8 bits a pixel; 16-bit or float depth is expected.", source
+            FILE_DEPTH_FORMAT,
+            "the depth map has 8 bits per pixel; 16-bit or float depth is expected.",
+            source,
         )
     if raw.dtype.kind not in "uif" or raw.size > MAX_PIXELS:
         raise InputError(
@@ -112,12 +137,16 @@ def require_raw_depth(raw: NDArray[Any], source: Path | str) -> NDArray[Any]:
 
 
 def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
-    """Return an encoded image (PNG, JPEG, …) as (h, w, 3) uint8 RGB.
+    """Decode an image (PNG, JPEG, …) as (h, w, 3) uint8 RGB.
+
+    Parameters
+    ----------
+    source : file name for messages.
 
     Raises
     ------
     InputError
-        If it does not decode or holds other than 8 bits a channel; `source` is named.
+        If the image does not decode, or does not have 8 bits per channel.
     """
     require_opencv()
     import cv2
@@ -126,7 +155,7 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
         raise InputError(
             FILE_IMAGE_FORMAT,
-            "a colour image of 8 bits a channel is expected; this one is {image_dtype}.",
+            "a colour image with 8 bits per channel is expected; this one is {image_dtype}.",
             source,
             image_dtype=image.dtype,
         )
@@ -137,42 +166,52 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
 
 
 def decode_depth(data: bytes, source: Path | str) -> NDArray[Any]:
-    """Return an encoded depth map (PNG, TIFF, …) as stored, (h, w) uint16 or float.
+    """Decode a depth map (PNG, TIFF, …) as (h, w) uint16 or float, unscaled.
+
+    Parameters
+    ----------
+    source : file name for messages.
 
     Raises
     ------
     InputError
-        If it does not decode, or is an 8-bit or colour image; `source` is named.
+        If the image does not decode, or is an 8-bit or colour image.
     """
     return require_raw_depth(_decoded(data, source), source)
 
 
 def has_alpha(path: Path) -> bool:
-    """Say whether a file is a PNG with transparency beside its colours."""
+    """Return True if a file is a PNG with an alpha channel."""
     try:
         with opened(path) as file:
             start = file.read(_PNG_COLOR_TYPE + 1)
     except OSError:
-        return False  # Reported when the image is read.
+        return False  # reported when the image is read
     return start.startswith(PNG_START) and start[_PNG_COLOR_TYPE:] in _PNG_WITH_ALPHA
 
 
 def read_alpha(path: Path) -> NDArray[np.uint8]:
-    """Return how opaque each pixel of an image is, (h, w) uint8: 255 where it is so by half or more, else 0.
+    """Read the alpha channel of an image as a binary mask.
+
+    Returns
+    -------
+    (h, w) uint8: 255 where alpha is at least 128, else 0.
 
     Raises
     ------
     InputError
-        If the file is missing, does not decode, or has no transparency of 8 bits.
+        If the file is missing, does not decode, or has no 8-bit alpha channel.
     """
     image = read_stored(path)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
-        raise InputError(FILE_IMAGE_FORMAT, "an image with 8 bits of transparency (RGBA) is expected.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "an image with an 8-bit alpha channel (RGBA) is expected.", path)
     return np.asarray(255 * (image[:, :, 3] >= 128), np.uint8)
 
 
 def read_stored(path: Path) -> NDArray[Any]:
-    """Return an image as it is stored, (h, w) or (h, w, channels), channels in OpenCV's order, blue first.
+    """Read an image as stored, (h, w) or (h, w, channels).
+
+    Channels are in OpenCV's order (BGR or BGRA), and the dtype is unchanged.
 
     Raises
     ------
@@ -183,12 +222,18 @@ def read_stored(path: Path) -> NDArray[Any]:
 
 
 def file_bytes(path: Path) -> bytes:
-    """Return what is in a file, or raise InputError where it cannot be opened."""
+    """Read the bytes of an image file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened.
+    """
     try:
         return content_of(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
         ) from error
 
 
@@ -196,7 +241,7 @@ def _require_possible(size: tuple[int, int], source: Path | str) -> None:
     if not is_possible(size):
         raise InputError(
             FILE_DAMAGED,
-            "the image claims to be {size}×{size_2} pixels; its header is damaged.",
+            "its header is damaged: it states {size}×{size_2} pixels.",
             source,
             size=size[0],
             size_2=size[1],
@@ -221,6 +266,6 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
     if image is None:
         require_room_for(size)
         raise InputError(
-            FILE_DAMAGED, "the image does not decode; it is damaged or of an unknown format.", source
+            FILE_DAMAGED, "the image does not decode; it is damaged or has an unknown format.", source
         )
     return np.asarray(image)

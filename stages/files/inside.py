@@ -1,18 +1,18 @@
-"""Whether a name that stands in a file leads to a place inside a folder, on the system this runs on."""
+"""Path traversal check for file names from untrusted lists."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import PurePosixPath
 
-# On Windows they lead to other folders, other drives, and to what hangs on a file beside its content.
+# On Windows `\` and `:` lead to other folders, drives, or alternate data streams.
 _LEADING_AWAY = ("\\", ":") if sys.platform == "win32" else ()
 
 
 def leads_inside(name: str) -> bool:
-    r"""Return whether a name, its parts parted by `/`, is a path below a folder.
+    r"""Return True if a name with `/` separators is a path below a folder.
 
-    It may be text from anywhere: `..` and absolute paths lead elsewhere, and on Windows `C:` and `\` do.
+    Absolute paths, `..` and null characters are rejected; on Windows `:` and `\` as well.
     """
     path = PurePosixPath(name)
     return (

@@ -1,6 +1,7 @@
-"""Apple's LZFSE: data whose size is known beforehand, so that a few bytes cannot become gigabytes.
+"""Apple's LZFSE compression, with the decompressed size checked first.
 
-What a file promises is summed up from the heads of its blocks before anything is decompressed.
+The block headers state the decompressed size. The sizes are summed before decompression, so that a few bytes
+cannot expand to gigabytes.
 """
 
 from __future__ import annotations
@@ -11,18 +12,22 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_DAMAGED
 from scanloom.stages.files.room import require_room
 
-# An encoder fills blocks of tens of kilobytes; thousands of small ones are made to swell.
+# Bytes. Encoders fill blocks of tens of kilobytes; a file of thousands of tiny blocks is an attack.
 _SMALLEST_BLOCK = 1 << 12
 _END = b"bvx$"
 
 
 def decompress(data: bytes, size: int, source: str) -> bytes:
-    """Return the `size` bytes that LZFSE data stands for.
+    """Decompress LZFSE data to exactly `size` bytes.
+
+    Parameters
+    ----------
+    source : file name for messages.
 
     Raises
     ------
     InputError
-        If the data is damaged or stands for another number of bytes; `source` is named.
+        If the data is damaged or decompresses to a different size.
     """
     import lzfse
 
@@ -32,7 +37,7 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
     if promised != size:
         raise InputError(
             FILE_DAMAGED,
-            "it holds {promised} bytes where {size} are expected.",
+            "it decompresses to {promised} bytes, but {size} are expected.",
             source,
             promised=promised,
             size=size,
@@ -48,7 +53,7 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
 
 
 def raw_size(data: bytes) -> int | None:
-    """Return how many bytes LZFSE data says that it stands for; None where it is damaged."""
+    """Sum the decompressed sizes in the block headers, bytes; None if damaged."""
     at = total = blocks = 0
     try:
         while data[at : at + 4] != _END:
@@ -64,7 +69,15 @@ def raw_size(data: bytes) -> int | None:
 
 
 def _block(data: bytes, at: int) -> tuple[int, int]:
-    """Return what a block stands for and how long it is, in bytes; raise ValueError for an unknown one."""
+    """Parse the block header at an offset.
+
+    Returns the decompressed size and the length of the block in the file, both in bytes.
+
+    Raises
+    ------
+    ValueError
+        For an unknown block type.
+    """
     kind = data[at : at + 4]
     if kind == b"bvx-":
         (raw,) = struct.unpack_from("<I", data, at + 4)

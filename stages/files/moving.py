@@ -1,4 +1,4 @@
-"""Move a file or a folder to another name in one step, on every system."""
+"""Atomic rename of files and folders on every system."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import sys
 import time
 from pathlib import Path
 
-# Seconds for which a move is tried again on Windows, and between two tries.
+# Seconds: total time of retries on Windows, and delay between two retries.
 _PATIENCE, _PAUSE = 2.0, 0.05
 
 
 def move(source: Path, target: Path) -> None:
-    """Give a file or a folder another name; a file takes the place of a file, a folder of an empty folder.
+    """Rename a file or folder, replacing a file or an empty folder.
 
-    Windows moves nothing that a program has open, nor a folder in which one has a file open. Scanners and
-    indexers open what is new for moments, so it is tried again for two seconds there.
+    Windows cannot rename a file that any program has open, nor a folder that contains one. Virus scanners and
+    indexers open new files briefly, so the rename is retried for two seconds there.
 
     Raises
     ------

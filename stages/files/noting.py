@@ -1,4 +1,7 @@
-"""Which files were opened while something was read: what a folder holds beside them, nobody used."""
+"""Log of the files that are opened while a scan is read.
+
+Files of the scan folder that are absent from the log were not used.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ _NOTED: ContextVar[set[Path] | None] = ContextVar("noted", default=None)
 
 @contextmanager
 def noting() -> Iterator[set[Path]]:
-    """Collect the paths that are opened in the block, by the thread that runs it."""
+    """Record the paths that this thread opens inside the block."""
     noted: set[Path] = set()
     before = _NOTED.set(noted)
     try:
@@ -23,7 +26,7 @@ def noting() -> Iterator[set[Path]]:
 
 @contextmanager
 def only_looking() -> Iterator[None]:
-    """Note nothing in the block: files are opened to find out what they are."""
+    """Pause recording inside the block, for files opened only to detect their format."""
     before = _NOTED.set(None)
     try:
         yield
@@ -32,7 +35,7 @@ def only_looking() -> Iterator[None]:
 
 
 def note(path: Path) -> None:
-    """Remember that a file is used."""
+    """Record a path as opened."""
     noted = _NOTED.get()
     if noted is not None:
         noted.add(path)

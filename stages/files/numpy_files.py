@@ -1,4 +1,4 @@
-"""NumPy's files of one array, opened by any thread."""
+"""Thread-safe readers for .npy files."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from scanloom.stages.files.opening import require_regular
 
-# Their headers are parsed as Python's own text is, which CPython 3.11 now and then fails at where two threads
-# do so at once (python/cpython#106905).
+# NumPy parses headers with Python's parser, which in CPython 3.11 occasionally fails when two threads use it
+# at once (python/cpython#106905).
 _PARSING = Lock()
-# What numpy raises for damaged headers, which it parses as Python: MemoryError for signs upon signs.
+# Exceptions that NumPy raises for damaged headers, which it parses as Python code. MemoryError comes from
+# deeply nested operators.
 NPY_FAULTS = (
     OSError,
     ValueError,
@@ -32,12 +33,13 @@ NPY_FAULTS = (
 
 
 def mapped(path: Path) -> NDArray[Any]:
-    """Return the array of a .npy file, which stays on disk; a header that promises more than it holds fails.
+    """Memory-map the array of a .npy file.
 
     Raises
     ------
     OSError, ValueError, EOFError
-        As NumPy does, or another of NPY_FAULTS.
+        As NumPy; or another of NPY_FAULTS. A header that states more data than the file holds raises
+        ValueError.
     """
     with _PARSING:
         array: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
@@ -45,12 +47,13 @@ def mapped(path: Path) -> NDArray[Any]:
 
 
 def array_of(content: BytesIO) -> NDArray[Any]:
-    """Return the array of a .npy file's content; none is made that is larger than what there is.
+    """Parse the content of a .npy file without copying the data.
 
     Raises
     ------
     ValueError
-        If the content is none, holds objects, or is shorter than its header says; or another of NPY_FAULTS.
+        If the content is not a .npy file, holds objects, or is shorter than its header states; or another of
+        NPY_FAULTS.
     """
     with _PARSING:
         version = np.lib.format.read_magic(content)

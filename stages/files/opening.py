@@ -1,7 +1,7 @@
-"""Open files that are read: regular ones only.
+"""Opening of input files, restricted to regular files.
 
-A pipe, a device or a socket under the name of a file would keep a reader waiting, or never end. What reads an
-input opens it here; `tests/stages/files/test_opening.py` walks the sources for what does not.
+A pipe, device or socket in place of a file could block a reader or never end. All inputs are opened by this
+module; `tests/stages/files/test_opening.py` searches the sources for exceptions.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from scanloom.stages.files.noting import note
 
-# Bytes as they are, where a system would make others of them; and without waiting, where it can wait.
+# O_BINARY disables newline translation on Windows; O_NONBLOCK prevents blocking on a pipe.
 _READING = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a file"),
@@ -26,16 +26,16 @@ _KINDS = (
 
 
 def opened(path: Path) -> BinaryIO:
-    """Open a regular file, to read its bytes.
+    """Open a regular file for reading bytes.
 
     Raises
     ------
     OSError
-        If there is none, it may not be read, or it is a folder, a pipe, a device or a socket.
+        If the file does not exist, is not readable, or is a folder, pipe, device or socket.
     """
-    # Looked at before it is opened: opening is enough to make some devices do something.
+    # Checked before opening, because opening alone triggers side effects on some devices.
     require_regular(path)
-    # What became a pipe since then does not keep this waiting.
+    # O_NONBLOCK: the path may have become a pipe since the check.
     descriptor = os.open(path, _READING)
     try:
         _require_regular(os.fstat(descriptor).st_mode, path)
@@ -46,26 +46,32 @@ def opened(path: Path) -> BinaryIO:
 
 
 def content_of(path: Path) -> bytes:
-    """Return what is in a regular file; see `opened`."""
+    """Read the bytes of a regular file; see `opened`."""
     with opened(path) as file:
         return file.read()
 
 
 def text_in(path: Path, encoding: str) -> str:
-    """Return the text of a regular file, its lines ended by line feeds alone; see `opened`."""
+    r"""Read the text of a regular file with `\n` line ends.
+
+    See `opened`.
+    """
     with io.TextIOWrapper(opened(path), encoding) as file:
         return file.read()
 
 
 def require_regular(path: Path) -> Path:
-    """Return the path of a regular file for a library that opens it by itself; see `opened`."""
+    """Check that a path is a regular file and record it as opened.
+
+    For libraries that open files themselves; see `opened` for the errors.
+    """
     _require_regular(path.stat().st_mode, path)
     note(path)
     return path
 
 
 def said_of(error: OSError | ValueError) -> str:
-    """Return what the system says of a file that cannot be opened, without its name and a number."""
+    """Describe why a file cannot be opened, without its name and errno."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 

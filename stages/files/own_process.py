@@ -1,6 +1,7 @@
-"""Reading by a foreign library in a process of its own: what crashes, hangs or fills memory ends there.
+"""Reading with third-party libraries in a subprocess.
 
-Some libraries of C++ and Rust abort, or write where they must not, on a damaged file; nothing can catch that.
+Some C++ and Rust libraries abort or corrupt memory on damaged files, which cannot be caught in-process. The
+subprocess also limits run time and memory.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError, ScanloomError
 from scanloom.stages.files.room import require_room
 
-# What the process may take beyond what it has when it begins, bytes.
+# Bytes that the subprocess may allocate in addition to its size at start.
 _MEMORY = 1 << 31
-# Waiting for a disk or for other programs counts less than work does.
+# Ratio of the wall clock limit to the CPU time limit: waiting for a disk or for other programs is not work.
 _WAITING = 20
 _START = """import sys
 sys.path[:] = {path!r}
@@ -29,27 +30,28 @@ import_module({module!r}).main()
 
 
 class DiedError(Exception):
-    """The process ended without an answer: its library crashed, failed, or took too much time."""
+    """Subprocess ended without an answer: its library crashed, failed or timed out."""
 
 
 def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
-    """Run `main` of one of our modules in another Python, with words in `sys.argv`, and return its answer.
+    """Run `main` of a scanloom module in a subprocess and return its answer.
 
-    Diagnostics of that process are emitted here.
+    Diagnostics of the subprocess are emitted in this process.
 
     Parameters
     ----------
-    module : its `main` calls `answer`.
-    seconds : of processor time that it may take.
+    module : name of the module; its `main` calls `answer`.
+    words : arguments of the subprocess, `sys.argv`.
+    seconds : limit of CPU time.
 
     Raises
     ------
     InputError
-        As it says, of the file that it was asked about.
+        If the subprocess raised one.
     MemoryError
-        If there was not enough memory for it.
+        If there was too little memory.
     DiedError
-        If it ended without an answer.
+        If the subprocess ended without an answer.
     """
     try:
         ran = subprocess.run(
@@ -64,7 +66,7 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
     except (subprocess.TimeoutExpired, ValueError) as error:
         said = {"died": repr(error)}
     if "died" in said:
-        # With room for all that it may take, it was not memory that was missing.
+        # A failure although the full memory budget is available is not caused by lack of memory.
         require_room(_MEMORY)
         raise DiedError(said["died"])
     if "error" in said:
@@ -75,9 +77,10 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
 
 
 def started(module: str, words: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start another Python that runs `main` of one of our modules, to be asked many times through its pipes.
+    """Start a subprocess that runs `main` of a module and serves requests.
 
-    It calls `limit_memory` itself; whoever asks ends it, also where an answer takes too long.
+    Requests and answers go through its pipes. The module calls `limit_memory` itself. The caller ends the
+    process, also if an answer takes too long.
     """
     return subprocess.Popen(
         _command(module, words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
@@ -89,9 +92,10 @@ def _command(module: str, words: Sequence[str]) -> list[str]:
 
 
 def answer(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
-    """Do some work with the words that `asked` passed on, within limits, and tell what came of it.
+    """Run work in the subprocess within limits and write its result to stdout.
 
-    What a library raises of its own is as good as its death.
+    Counterpart of `asked`: `work` receives the words that `asked` passed. Exceptions other than ScanloomError
+    are reported like a crash.
     """
     seconds, words = float(sys.argv[1]), sys.argv[2:]
     _limit(seconds)
@@ -102,14 +106,14 @@ def answer(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
         said["diagnostics"] = [one.figures() for one in diagnostics]
     except ScanloomError as error:
         said = {"error": error.diagnostic.figures()}
-    except BaseException as error:  # that of Rust is no Exception
+    except BaseException as error:  # panics of Rust libraries derive from BaseException
         said = {"died": repr(error)}
     sys.stdout.write(json.dumps(said))
 
 
 def _limit(seconds: float) -> None:
-    """Take no more than so much time and memory from here on, where the system has such limits."""
-    if sys.platform != "win32":  # which has none
+    """Limit CPU seconds and memory of this process, except on Windows."""
+    if sys.platform != "win32":  # Windows has no such limits
         import resource
 
         _lower(resource.RLIMIT_CPU, int(seconds) + 1)
@@ -117,14 +121,14 @@ def _limit(seconds: float) -> None:
 
 
 def limit_memory(most: int) -> None:
-    """Take no more than so many bytes from here on, where the system has such limits."""
+    """Limit further memory of this process to `most` bytes, on Linux only."""
     if sys.platform != "win32":
         import resource
 
         _lower(resource.RLIMIT_CORE, 0)
         try:
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        except (OSError, ValueError, IndexError):  # nothing tells how much it has
+        except (OSError, ValueError, IndexError):  # the current size is unknown without /proc
             return
         _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + most)
 

@@ -1,4 +1,4 @@
-"""Write a file beside its place and move it there whole; what is there is replaced as `cp` does."""
+"""Atomic writing of files: write to a temporary file, then rename it."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from scanloom.stages.diagnostics.errors import InputError, StageError
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED, FILE_PATH_INVALID
 from scanloom.stages.files.moving import move
 
-# Bytes of a name that file systems take; a draft's is longer than its file's by the rest.
+# Bytes. File systems limit names to 255; the name of a temporary file is longer by `_ADDED`.
 _LONGEST_NAME = 255
 _ADDED = len(f"..{secrets.token_hex(4)}.part")
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path in the folder of `path`; it takes the name of `path` when the block ends well.
+    """Provide a temporary path that replaces `path` when the block succeeds.
 
-    Whatever happens, a reader finds the old file, the new one or none, never a part. Of a symbolic link the
-    file it leads to is replaced; permissions stay.
+    The temporary file is in the folder of `path`. A reader finds the old file, the new file or no file, never
+    a partial one. If `path` is a symbolic link, its target is replaced. Permissions are kept.
 
     Raises
     ------
     InputError
-        If there is something that is no file, as a folder, or a file that may not be written.
+        If `path` is a folder, is not a regular file, or is not writable.
     StageError
-        If the system refuses to write: no such folder, no permission, no space.
+        If the system refuses to write: missing folder, permissions, disk full.
     """
     target = path.resolve() if path.is_symlink() else path
     part = draft_of(target)
@@ -56,7 +56,15 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _mode_of_replaceable(target: Path, named: Path) -> int | None:
-    """Return the permissions of a file that is to be replaced, None if there is none; refuse all else."""
+    """Check that a file may be replaced and return its permission bits.
+
+    Returns None if the file does not exist. `named` is the path for messages.
+
+    Raises
+    ------
+    InputError
+        If the target is a folder, is not a regular file, or is not writable.
+    """
     try:
         found = target.stat()
     except FileNotFoundError:
@@ -65,25 +73,31 @@ def _mode_of_replaceable(target: Path, named: Path) -> int | None:
         raise InputError(FILE_PATH_INVALID, "this is a folder", named, remedy="give the name of a file.")
     if not stat.S_ISREG(found.st_mode):
         raise InputError(
-            FILE_OUTPUT_REFUSED, "this is no plain file and is not replaced", named, remedy="name another."
+            FILE_OUTPUT_REFUSED,
+            "this is not a regular file, so it is not replaced",
+            named,
+            remedy="give another path.",
         )
     if not os.access(target, os.W_OK):
         raise InputError(
             FILE_OUTPUT_REFUSED,
-            "this file may not be written",
+            "this file is not writable",
             named,
-            remedy="change its permissions or name another.",
+            remedy="change its permissions or give another path.",
         )
     return stat.S_IMODE(found.st_mode)
 
 
 def draft_of(path: Path) -> Path:
-    """Return a path beside `path` for its next content; no two calls give the same one."""
+    """Return a unique temporary path in the folder of `path`."""
     return path.with_name(f".{stem_of_drafts(path.name)}.{secrets.token_hex(4)}.part")
 
 
 def stem_of_drafts(name: str) -> str:
-    """Return what stands for a file's name in those of its drafts: itself, unless they would be too long."""
+    """Return the name stem of temporary files of a file.
+
+    This is the name itself, or its SHA-256 if the temporary name would exceed 255 bytes.
+    """
     if len(os.fsencode(name)) + _ADDED <= _LONGEST_NAME:
         return name
     return hashlib.sha256(os.fsencode(name)).hexdigest()

@@ -1,4 +1,4 @@
-"""Write a folder beside its place and move it there whole."""
+"""Atomic writing of folders: write to a temporary folder, then rename it."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from scanloom.stages.files.replacing import draft_of
 
 @contextmanager
 def replacing_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> Iterator[Path]:
-    """Give a new folder beside `path`; it takes the name of `path` when the block ends well.
+    """Provide a temporary folder that replaces `path` when the block succeeds.
 
-    A reader finds the old folder, the new one or none, never parts of both.
+    A reader finds the old folder, the new folder or no folder, never a mixture.
 
     Parameters
     ----------
-    path : in a folder that is made if need be.
-    is_ours : says of the folder there is already, if it is not empty, whether it may be replaced.
-    what : what such a folder is called.
+    path : final folder; missing parents are created.
+    is_ours : returns True if an existing non-empty folder may be replaced.
+    what : name of such a folder in messages, such as "an asset folder".
 
     Raises
     ------
     InputError
-        If there is something that may not be replaced.
+        If there is a file or folder that may not be replaced.
     StageError
         If the system refuses to write.
     """
@@ -59,12 +59,12 @@ def replacing_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> 
 
 
 def require_replaceable_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> None:
-    """Check that `replacing_folder` may be used for a path; nothing is made yet.
+    """Check that `replacing_folder` may replace a path; nothing is written.
 
     Raises
     ------
     InputError
-        If there is a file, or a folder that is neither empty nor ours.
+        If `path` is a file, or a folder that is neither empty nor accepted by `is_ours`.
     """
     if not path.exists():
         return
@@ -75,6 +75,6 @@ def require_replaceable_folder(path: Path, is_ours: Callable[[Path], bool], what
             FILE_OUTPUT_REFUSED,
             "this folder is not empty and is not {what}",
             path,
-            remedy="name a new one.",
+            remedy="give a new folder.",
             what=what,
         )

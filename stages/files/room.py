@@ -1,19 +1,21 @@
-"""Whether it was memory that ran out, where a decoder only says that something failed."""
+"""Check of available memory, to tell lack of memory from a damaged file."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# What little things take: a decoder's tables, an exception.
+# Bytes for small allocations: decoder tables, exceptions.
 _LITTLE = 1 << 24
 
 
 def require_room(size: int = 0) -> None:
-    """Ask for as much memory as something of `size` bytes takes, before its failure is called damage.
+    """Check that `size` bytes can be allocated.
+
+    Decoders often report lack of memory as a damaged file. Callers check memory before they report damage.
 
     Raises
     ------
     MemoryError
-        If there is no room for it.
+        If the allocation fails.
     """
     np.empty(size + _LITTLE, np.uint8)

@@ -1,4 +1,4 @@
-"""Numbers from text, in bulk."""
+"""Fast parsers for text that consists of numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _OF_WHOLE_NUMBERS = b"0123456789- \n"
-# Whole numbers beyond it are not all told apart by 64 bits of floating point.
+# Larger integers are not exact in float64.
 _LARGEST = 2**53
 
 
@@ -19,24 +19,26 @@ def parse_numbers(text: bytes) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        For the first word that is no number; the message is a sentence that quotes it.
+        If a word is not a number; the message is a sentence that quotes the first one.
     """
     found = _parsed(text, np.float64)
     if found is not None:
         return np.asarray(found, np.float64)
     bad = next((word for word in text.split() if not _is_number(word)), b"")
-    raise ValueError(f"{bad[:40].decode('latin-1')!r} stands where a number is expected.")
+    raise ValueError(f"{bad[:40].decode('latin-1')!r} is not a number.")
 
 
 def parse_whole_numbers(text: bytes) -> NDArray[np.int64] | None:
-    """Parse whole numbers separated by white space; None where one is not whole or beyond 2⁵³.
+    """Parse integers separated by white space.
+
+    Returns None if a number is not an integer or exceeds 2⁵³.
 
     Raises
     ------
     ValueError
-        For the first word that is no number; the message is a sentence that quotes it.
+        If a word is not a number; the message is a sentence that quotes the first one.
     """
-    # Three times as fast, but NumPy takes `- 1` for a number here.
+    # Parsing as int64 is three times as fast, but NumPy accepts `- 1` as a number.
     if not text.translate(None, _OF_WHOLE_NUMBERS) and not re.search(rb"-(?![0-9])", text):
         found = _parsed(text, np.int64)
         if found is not None and (np.abs(found) < _LARGEST).all():
@@ -49,7 +51,7 @@ def parse_whole_numbers(text: bytes) -> NDArray[np.int64] | None:
 
 def _parsed(text: bytes, kind: type[np.generic]) -> NDArray[np.generic] | None:
     if not text.strip():
-        return np.empty(0, kind)  # fromstring would return one number here
+        return np.empty(0, kind)  # np.fromstring returns one number for empty text
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # NumPy 1.26 stops at a bad word with a warning
         try:

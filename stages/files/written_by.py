@@ -1,11 +1,14 @@
-"""What a file says of the program that wrote it."""
+"""Version of the installed program, recorded in output files."""
 
 from __future__ import annotations
 
 
 def installed_version() -> str:
-    """Return the version of the installed distribution; `0+unknown` for sources that are not installed."""
-    from importlib.metadata import PackageNotFoundError, version  # 20 ms that few programs need
+    """Return the version of the installed distribution.
+
+    `0+unknown` if the sources are used without installation.
+    """
+    from importlib.metadata import PackageNotFoundError, version  # takes 20 ms, rarely needed
 
     try:
         return version("scanloom")

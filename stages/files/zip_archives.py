@@ -1,4 +1,4 @@
-"""Read entries of ZIP archives without trusting what they promise."""
+"""Readers for ZIP archives from untrusted sources."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_ARCHIVE_DAMAGED, FILE_DAMAGED
 from scanloom.stages.files.opening import require_regular
 
-# What reading an archive can raise; RuntimeError is for an encryption nobody asked for.
+# Exceptions of reading an archive; RuntimeError is raised for encrypted entries.
 FAULTS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -23,17 +23,17 @@ FAULTS = (
     OverflowError,
     struct.error,
 )
-# The other methods of compression unpack as much as they like at once: gigabytes from a few kilobytes.
+# zipfile limits the output of these methods only; other methods can expand kilobytes to gigabytes at once.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def opened_archive(path: Path) -> zipfile.ZipFile:
-    """Open an archive, its list of entries read.
+    """Open a ZIP archive and read its list of entries.
 
     Raises
     ------
     InputError
-        If it cannot be opened, or is damaged.
+        If the archive cannot be opened, or is damaged.
     """
     try:
         return zipfile.ZipFile(require_regular(path))
@@ -47,34 +47,38 @@ def opened_archive(path: Path) -> zipfile.ZipFile:
 
 
 def entry_content(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes:
-    """Return what an entry holds.
+    """Read the content of an archive entry.
 
     Parameters
     ----------
-    path : of the archive, for messages.
-    most : bytes that it may hold.
+    path : path of the archive, for messages.
+    most : maximum size of the unpacked entry, bytes.
 
     Raises
     ------
     InputError
-        If there is no such entry, it is damaged, would unpack to more, or is compressed in another way than
-        by deflate.
+        If the entry is missing, damaged or larger than `most`, or uses another compression than deflate.
     """
     try:
         entry = archive.getinfo(name)
         if entry.file_size > most:
             raise InputError(
-                FILE_ARCHIVE_DAMAGED, "{name} is too large for what it should hold.", path, name=name
+                FILE_ARCHIVE_DAMAGED,
+                "{name} is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
+                path,
+                name=name,
+                size=entry.file_size,
+                limit=most,
             )
         if not is_bounded(entry):
             raise InputError(
                 FILE_ARCHIVE_DAMAGED,
-                "{name} is compressed in a way that is not read; pack the archive again with deflate.",
+                "{name} has an unsupported compression method; pack the archive again with deflate.",
                 path,
                 name=name,
             )
         with archive.open(entry) as content:
-            # A read of all there is would unpack it before its size is compared with what the entry says.
+            # read() without a size would unpack everything before the size is compared with the header.
             return content.read(max(entry.file_size, 1))
     except FAULTS as error:
         raise InputError(
@@ -83,5 +87,5 @@ def entry_content(archive: zipfile.ZipFile, name: str, path: Path, most: int) ->
 
 
 def is_bounded(entry: zipfile.ZipInfo) -> bool:
-    """Return whether an entry unpacks to no more than it says: it is stored as it is, or deflated."""
+    """Return True if zipfile limits the unpacked size of an entry (stored or deflated)."""
     return entry.compress_type in _METHODS

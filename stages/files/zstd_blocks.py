@@ -1,4 +1,4 @@
-"""Unpack blocks of bytes that are packed with zstd."""
+"""Zstandard decompression with a size limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def unpacked(data: bytes, most: int) -> bytes:
-    """Return what a block holds, but no more than the first `most` bytes of it.
+    """Decompress a zstd block, up to the first `most` bytes.
 
     Raises
     ------

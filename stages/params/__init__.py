@@ -1,8 +1,8 @@
-"""Parameters of a stage, declared once.
+"""Declaration of stage parameters.
 
-A stage's frozen parameter class is the one source for its Python signature, the command's options and
-help, the keys of the config file and the reference page. Every field carries its text, unit and range.
-Parameters of one of several methods are a separate class, nested as a field of the stage's class.
+A stage's frozen parameter class is the single source of its Python signature, command line options, help,
+configuration keys and reference page. Each field declares its text, unit and range. Parameters of one of
+several methods are a separate class, nested as a field of the stage's class.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Described:
-    """What a parameter field says of itself."""
+    """Metadata of a parameter: help text, unit, range, choices and flags; see `param`."""
 
     text: str
     unit: str
@@ -54,10 +54,17 @@ def param(
 ) -> Any:
     """Declare a field of a parameter class.
 
-    `None` as a default means "derived from the data"; `text` then says how. `low` and `high` are the
-    allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
-    change the result (threads, previews), so that the cache ignores it. `group` is a heading for those that
-    belong together, in a help that has many. `is_path` marks the name of a file or folder.
+    Parameters
+    ----------
+    default : default value. None means that the value is derived from the data; `text` then explains the
+        derivation.
+    text : help text.
+    low, high : allowed range, inclusive. With `low_open`, `low` itself is excluded.
+    choices : allowed values.
+    invalidates : False if the parameter cannot change the result (threads, previews). The cache then ignores
+        it.
+    group : heading that groups related parameters in a long help.
+    is_path : the value is the name of a file or folder.
     """
     return field(
         default=default,
@@ -66,19 +73,22 @@ def param(
 
 
 def described(cls: type) -> dict[str, Described]:
-    """Name and description of every parameter of a class, in the order they are declared."""
+    """Return name and metadata of each parameter of a class, in declaration order.
+
+    Nested parameters are not included; see `describe_all`.
+    """
     return {f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata}
 
 
 def find_nested(cls: type) -> dict[str, type]:
-    """Return the nested parameter classes by the names of their fields."""
+    """Return the nested parameter classes by field name."""
     return {
         f.name: type(f.default) for f in fields(cls) if is_dataclass(f.default) and described(type(f.default))
     }
 
 
 def describe_all(cls: type) -> dict[str, Described]:
-    """Return the description of every parameter of a class, nested ones as `planar.crease_angle`."""
+    """Return the metadata of all parameters, nested ones named like `planar.crease_angle`."""
     below = {
         f"{section}.{name}": about
         for section, own in find_nested(cls).items()
@@ -93,7 +103,7 @@ def get_value(params: Any, name: str) -> Any:
 
 
 def find_owner(cls: type, name: str) -> type:
-    """Return the class that declares a parameter: itself, or the nested one."""
+    """Return the class that declares a parameter: `cls` or a nested class."""
     *sections, _ = name.split(".")
     return reduce(lambda owner, section: find_nested(owner)[section], sections, cls)
 
@@ -110,14 +120,17 @@ def get_default(cls: type, name: str) -> Any:
 
 
 def get_group(cls: type, name: str) -> str:
-    """Return the heading of a parameter in a help: its own, or the summary of the nested class."""
+    """Return the heading of a parameter in the help.
+
+    The heading is its group, or else the summary of the nested class that declares it.
+    """
     owner = find_owner(cls, name)
     summary = (owner.__doc__ or "").split("\n")[0].replace("`", "").removesuffix(".")
     return describe_all(cls)[name].group or ("" if owner is cls else summary)
 
 
 def flatten(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of nested mappings under names such as `planar.crease_angle`."""
+    """Flatten nested mappings to names such as `planar.crease_angle`."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
@@ -128,39 +141,47 @@ def flatten(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_changed(params: Any) -> list[str]:
-    """Return the names of the parameters whose values are not the declared defaults."""
+    """Return the names of parameters whose values differ from the declared defaults."""
     cls = type(params)
     return [name for name in describe_all(cls) if get_value(params, name) != get_default(cls, name)]
 
 
 def hints_of(cls: Any) -> Mapping[str, Any]:
-    """Return the type hints of a class; to work them out takes a millisecond, and they never change."""
+    """Return the type hints of a class, cached because resolving takes about 1 ms."""
     return _hints_of(cls)
 
 
-# Of Any: mypy takes no `type[Any]` for hashable.
+# Annotated as Any: mypy does not accept `type[Any]` as hashable.
 @cache
 def _hints_of(cls: Any) -> Mapping[str, Any]:
     return MappingProxyType(get_type_hints(cls))
 
 
 def kinds_of(hint: Any) -> tuple[Any, ...]:
-    """Return the types that a value of a field may have, without None; a row of numbers is one type."""
+    """Return the types that a type hint allows, without None.
+
+    A tuple of numbers counts as one type.
+    """
     if get_origin(hint) is tuple:
         return (hint,)
     return tuple(kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
 
 
 def row_length(hint: Any) -> int:
-    """Return how many numbers a field takes that takes a row of them (`tuple[float, ...]`); else 0."""
+    """Return the length of a tuple-valued parameter (`tuple[float, ...]`); 0 for others."""
     rows = [kind for kind in kinds_of(hint) if get_origin(kind) is tuple]
     return len(get_args(rows[0])) if rows else 0
 
 
 def check(params: Any) -> None:
-    """Raise UsageError for the first value of a wrong type or range; call it in `__post_init__`.
+    """Check the type and range of every parameter; called by `__post_init__`.
 
-    Rows of numbers may be given as any sequence, and are kept as tuples.
+    A tuple of numbers may be given as any sequence and is stored as a tuple.
+
+    Raises
+    ------
+    UsageError
+        For the first invalid value.
     """
     cls: Any = type(params)
     for name, about, kinds, length, may_be_none in _checked(cls):
@@ -188,7 +209,10 @@ def check(params: Any) -> None:
 
 @cache
 def _checked(cls: Any) -> tuple[tuple[str, Described, tuple[Any, ...], int, bool], ...]:
-    """Return of each parameter its name, what it says, its types, its row's length, and if it may be None."""
+    """Collect the facts that `check` needs of each parameter, cached per class.
+
+    Returns name, metadata, allowed types, tuple length (0 for scalars), and True if None is allowed.
+    """
     hints = hints_of(cls)
     return tuple(
         (
@@ -260,13 +284,18 @@ def _check_range(name: str, value: float, about: Described) -> None:
 
 
 def resolve(cls: type[P], params: P | None, changes: Mapping[str, object], *, section: str = "") -> P:
-    """Return the parameters of a call: those given (or the defaults), with the named changes applied.
+    """Return the parameters of a call: `params` or the defaults, with changes applied.
 
-    Nested parameters can be given as a mapping, which changes those that it names.
+    A nested parameter class can be changed by a mapping of the values to replace.
 
     Parameters
     ----------
     section : prefix of names in messages, such as `planar.`.
+
+    Raises
+    ------
+    UsageError
+        If a changed parameter does not exist, or its value is invalid.
     """
     unknown = sorted(set(changes) - set(described(cls)) - set(find_nested(cls)))
     if unknown:
@@ -281,7 +310,7 @@ def resolve(cls: type[P], params: P | None, changes: Mapping[str, object], *, se
 
 
 def apply_changes(params: P, changes: Mapping[str, object]) -> P:
-    """Return parameters with some replaced; a mapping changes single ones of a nested class."""
+    """Replace some parameters; a mapping replaces values of a nested class."""
     values = dict(changes)
     for name, own in find_nested(type(params)).items():
         given = values.get(name)
@@ -298,7 +327,7 @@ def apply_changes(params: P, changes: Mapping[str, object]) -> P:
 
 
 def suggest_parameter(word: str, cls: type) -> str:
-    """Return advice for the name of a parameter that a class does not have."""
+    """Suggest an existing parameter for an unknown name, as part of a sentence."""
     names = [*described(cls), *find_nested(cls)]
     below = [name for name in describe_all(cls) if name.endswith(f".{word}")]
     near = below or difflib.get_close_matches(word, [*names, *describe_all(cls)], n=1)

@@ -1,7 +1,7 @@
-"""How results print: as one line of what matters, and in a notebook as a table with a picture.
+"""Text and notebook representation of results.
 
-No array is printed, however small. A class takes `by_figures` or `by_fields` for its `__repr__`, and `table`
-for its `_repr_html_`.
+Results print as one line of key values. In a notebook they show a table and a thumbnail. Arrays are never
+printed. A class uses `by_figures` or `by_fields` as `__repr__`, and `table` as `_repr_html_`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-# Ends of figure names, longest first, and the unit a person reads instead.
+# Unit suffixes of metric names, longest first, and the unit as displayed.
 _UNITS = {
     "_m_per_level": "m per level",
     "_per_m": "per m",
@@ -27,6 +27,7 @@ _UNITS = {
     "_frames": "frames",
     "_bytes": "bytes",
     "_share": "%",
+    "_ratio": "%",
     "_deg": "°",
     "_mb": "MB",
     "_db": "dB",
@@ -36,20 +37,23 @@ _UNITS = {
     "_m": "m",
     "_s": "s",
 }
-# Characters of a repr, rows of a table, items of a list that are still named one by one.
+# Maximum characters of a repr, rows of a table, and items of a list that are printed individually.
 _LONGEST, _MOST_ROWS, _NAMED = 240, 40, 4
 _LONGEST_CELL = 120
-# Coordinates beyond, metres, have more digits.
+# Metres; larger coordinates are printed to the millimetre.
 _FAR = 10.0
 
 
 def name_and_value(key: str, value: Any) -> tuple[str, str]:
-    """Return a figure's name in words, and its value with the unit that the end of the name stands for."""
+    """Format a metric as name and value.
+
+    The unit suffix of the name becomes the unit of the value; a `_share` or `_ratio` becomes a percentage.
+    """
     end = next((end for end in _UNITS if key.endswith(end)), "")
     name = key.removesuffix(end).replace("_", " ")
     if value is None or not end:
         return name, value_in_words(value)
-    if end == "_share" and isinstance(value, float):
+    if end in ("_share", "_ratio") and isinstance(value, float):
         value = 100 * value
     text = value_in_words(value)
     if isinstance(value, float) and name.endswith((" bound", " attained")):
@@ -58,7 +62,7 @@ def name_and_value(key: str, value: Any) -> tuple[str, str]:
 
 
 def value_in_words(value: Any) -> str:
-    """Return a value as a person reads it: whole numbers in groups, others in four digits."""
+    """Format a value: integers with thousands separators, floats with four significant digits."""
     if value is None or value == {}:
         return "–"
     if isinstance(value, bool):
@@ -73,27 +77,36 @@ def value_in_words(value: Any) -> str:
 
 
 def place_in_words(point: Iterable[float]) -> str:
-    """Return coordinates in metres, in four digits; far from the origin to the millimetre."""
+    """Format coordinates in metres.
+
+    Four significant digits, or millimetres from 10 m on.
+    """
     return ", ".join(f"{x:.4g}" if abs(x) < _FAR else f"{x:.3f}" for x in point)
 
 
 def at_most(value: float) -> str:
-    """Return a bound as a person reads it: rounded up, so that it stays true."""
+    """Format an upper bound, rounded up so that it remains valid."""
     return f"{rounded_up(value):.{DIGITS}g}"
 
 
 def at_least(value: float) -> str:
-    """Return what was found as a person reads it: rounded down, so that it was found."""
+    """Format an attained value, rounded down so that it is not overstated."""
     return f"{rounded_down(value):.{DIGITS}g}"
 
 
 def counted(count: int, what: str, plural: str = "") -> str:
-    """Return a number of things: `1 triangle`, `57,755 triangles`; nothing for none."""
+    """Format a count with its noun: `1 triangle`, `57,755 triangles`.
+
+    The result is empty for 0.
+    """
     return f"{count:,} {what if count == 1 else plural or what + 's'}" if count else ""
 
 
 def line(thing: object, said: Iterable[str]) -> str:
-    """Return `Name(fact, fact)`, without those facts that are empty and the last ones if there are many."""
+    """Format an object as `Name(fact, fact)`.
+
+    Empty facts are dropped. Facts beyond 240 characters are replaced by `…`.
+    """
     shown, left = [], _LONGEST
     for fact in said:
         text = " ".join(fact.split())
@@ -107,18 +120,21 @@ def line(thing: object, said: Iterable[str]) -> str:
 
 
 def by_figures(self: Any) -> str:
-    """For `__repr__`: what the mesh is, if there is one, and the figures that are no tables of their own."""
+    """Format a result for `__repr__`: facts of its mesh, metrics and diagnostic count.
+
+    Nested tables are omitted.
+    """
     diagnostics = counted(len(getattr(self, "diagnostics", ())), "diagnostic")
     return line(self, [*_mesh_facts(getattr(self, "mesh", None)), *facts(_own_figures(self)), diagnostics])
 
 
 def by_fields(self: Any) -> str:
-    """For `__repr__` of a dataclass without figures: its fields, of arrays the shape."""
+    """Format a dataclass without `figures()` for `__repr__`; arrays are shown by shape."""
     return line(self, facts(_fields(self)))
 
 
 def table(self: Any) -> str:
-    """For `_repr_html_`: the figures, or the fields, and a picture of the mesh if there is one."""
+    """Format a result for `_repr_html_`: metrics or fields, diagnostics, mesh thumbnail."""
     mesh = getattr(self, "mesh", self)
     told = ", ".join(filter(None, _mesh_facts(mesh)))
     rows = [("mesh", told)] if told else []
@@ -137,7 +153,7 @@ def table(self: Any) -> str:
 
 
 def rows_table(rows: Sequence[Sequence[str]]) -> str:
-    """For `_repr_html_`: rows of words, the heading first."""
+    """Format rows of cells for `_repr_html_`; the first row is the heading."""
     right = "style='text-align:right'"
     head = "".join(f"<th {right}>{escape(word)}</th>" for word in rows[0])
     body = ("".join(f"<td {right}>{escape(word)}</td>" for word in row) for row in rows[1:])
@@ -146,7 +162,12 @@ def rows_table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def extent_in_words(points: NDArray[np.float64]) -> str:
-    """Return how large the box around points (n, 3) is: `6.2 × 4.1 × 2.4 m`; nothing for none."""
+    """Format the extent of points (n, 3) in metres: `6.2 × 4.1 × 2.4 m`.
+
+    The result is empty without points.
+
+    Extents below 0.1 m are given in millimetres.
+    """
     if not len(points):
         return ""
     sides = [float(side) for side in points.max(axis=0) - points.min(axis=0)]
@@ -158,12 +179,12 @@ def extent_in_words(points: NDArray[np.float64]) -> str:
 
 
 def _mesh_facts(thing: Any) -> list[str]:
-    """Return what a mesh says of itself; nothing for anything else."""
+    """Return the facts of a mesh; an empty list for other objects."""
     return list(thing._facts()) if hasattr(thing, "_facts") else []
 
 
 def _own_figures(thing: Any) -> dict[str, Any]:
-    """Return figures without those that the facts of the mesh tell."""
+    """Return the metrics without those that the mesh facts already contain."""
     told = {"vertices", "triangles"} if _mesh_facts(getattr(thing, "mesh", None)) else set()
     return {name: value for name, value in thing.figures().items() if name not in told}
 
@@ -174,12 +195,15 @@ def _fields(thing: Any) -> dict[str, Any]:
 
 
 def facts(figures: Mapping[str, Any]) -> Iterator[str]:
-    """Return figures as the facts of a line, without those that there is nothing to say of."""
+    """Format metrics as facts for `line`; empty values give empty facts."""
     return (_fact(name, value) for name, value in figures.items())
 
 
 def _fact(key: str, value: Any) -> str:
-    """Return a figure as a fact; empty where there is nothing to say."""
+    """Format one metric as a fact.
+
+    The result is empty for None, False, 0 and mappings.
+    """
     if value is None or value is False or isinstance(value, Mapping) or (type(value) is int and value == 0):
         return ""
     if hasattr(value, "shape"):
@@ -204,7 +228,7 @@ def _listed(key: str, items: list[Any] | tuple[Any, ...]) -> str:
 
 
 def _is_short(value: Any) -> bool:
-    """Return whether this is a list of a few words and numbers, which are named one by one."""
+    """Return True for a list of at most four words or numbers."""
     is_list = isinstance(value, (list, tuple))
     return is_list and len(value) <= _NAMED and all(isinstance(item, (str, int, float)) for item in value)
 
@@ -230,7 +254,7 @@ def _cut(text: str) -> str:
 def _picture(mesh: Any) -> str:
     try:
         png = mesh._thumbnail()
-    except Exception:  # whatever is wrong with a mesh, the table is shown
+    except Exception:  # a damaged mesh must not prevent the table
         png = None
     if png is None:
         return ""

@@ -1,4 +1,4 @@
-"""Numbers for people, rounded so that what is said of them stays true."""
+"""Directed rounding, so that printed bounds remain valid."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ DIGITS = 4
 
 
 def rounded_up(value: float, digits: int = DIGITS) -> float:
-    """Return the least number of so many digits that is not below `value`: for bounds."""
+    """Round up to `digits` significant digits; for upper bounds."""
     return _rounded(value, digits, ROUND_CEILING)
 
 
 def rounded_down(value: float, digits: int = DIGITS) -> float:
-    """Return the greatest number of so many digits that is not above `value`: for what was found."""
+    """Round down to `digits` significant digits; for attained values."""
     return _rounded(value, digits, ROUND_FLOOR)
 
 
 def _rounded(value: float, digits: int, how: str) -> float:
     if not math.isfinite(value):
         return value
-    # By the shortest decimal that is read as this float: a bound of 0.01 is 0.01, though the float is
-    # a little more than that.
+    # The shortest decimal of the float is rounded, so that 0.01 stays 0.01 although the float is slightly
+    # larger.
     return float(Context(prec=digits, rounding=how).create_decimal(Decimal(repr(float(value)))))

@@ -1,1 +1,1 @@
-"""What a scan is, its images and videos; `table` lists the layouts of its folders, `read` reads them."""
+"""Scans: frames, images and videos; `table` lists the supported layouts, `read` reads scan folders."""

@@ -1,4 +1,4 @@
-"""What a person may say about a scan folder: which layout it is of, and what every layout may be told."""
+"""Parameters of reading a scan: layout, scale, and the parameters of all layouts."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.tags import FAMILIES
 from scanloom.stages.scans.table import LAYOUTS
 
-# What makes a scan metric; one of them is enough.
+# Parameters that make a scan metric; they exclude each other.
 _SCALES = ("scale", "known_distance", "tag_size")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanParams(ReadingParams):
-    """How to read a scan folder; everything is found in the folder when not given."""
+    """Parameters of reading a scan folder; unset ones are taken from the folder."""
 
     layout: str | None = param(
         None,
-        "Read the folder as this layout; by default it is recognised.",
+        "Layout of the folder; by default it is detected.",
         choices=tuple(layout.name for layout in LAYOUTS),
     )
     scale: float | None = param(
         None,
-        "What a unit of the scan's world is, where its lengths are no metres (COLMAP, nerfstudio): they are "
-        "multiplied by it, those of depth too.",
+        "Metres per unit of a scan that is not metric (COLMAP, nerfstudio). All lengths are multiplied by "
+        "it, including depth.",
         unit="m",
         low=0,
         low_open=True,
@@ -37,19 +37,19 @@ class ScanParams(ReadingParams):
     )
     known_distance: str | None = param(
         None,
-        "A distance in the scan as it is measured without a scale, and what it is in metres, `1.37 0.75`, or "
-        "two points and the metres between them, `x,y,z x,y,z 0.75`; the scale follows.",
+        "Known distance that determines the scale: its length in units of the scan and in metres, `1.37 "
+        "0.75`, or two points and their distance in metres, `x,y,z x,y,z 0.75`.",
     )
     tag_size: float | None = param(
         None,
-        "Edge of the black square of tags in the photos, all of one size: they are found in two photos or "
-        "more, and the scale follows.",
+        "Edge length of the black square of tags in the scene, from which the scale is estimated. All tags "
+        "have the same size, and at least one is visible in two photos.",
         unit="m",
         low=0,
         low_open=True,
         high=1e3,
     )
-    tag_family: str = param("apriltag-36h11", "Which tags those of `tag_size` are.", choices=FAMILIES)
+    tag_family: str = param("apriltag-36h11", "Family of the tags with edge `tag_size`.", choices=FAMILIES)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,20 +57,22 @@ class ScanParams(ReadingParams):
         if len(given) > 1:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "{given} and {given_2} both say how long a unit is",
-                remedy="leave one of them out.",
+                "{given} and {given_2} both set the scale",
+                remedy="remove one of them.",
                 given=given[0],
                 given_2=given[1],
             )
         self.stated_scale()
 
     def stated_scale(self) -> float | None:
-        """Return the metres of a unit that `scale` or `known_distance` states; None if neither is given.
+        """Return the metres per unit from `scale` or `known_distance`.
+
+        Returns None if neither is given.
 
         Raises
         ------
         UsageError
-            If the distance is not what it should be.
+            If `known_distance` cannot be parsed or is not positive.
         """
         if self.known_distance is None:
             return self.scale
@@ -85,8 +87,9 @@ class ScanParams(ReadingParams):
         if not (0 < units < math.inf and 0 < metres < math.inf):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "is {known_distance!r}; it must be a distance as it is measured and in metres, `1.37 0.75`, "
-                "or two points and the metres between them, `x,y,z x,y,z 0.75`.",
+                "is {known_distance!r}; it must be a measured length and its true length in metres, "
+                "such as `1.37 0.75`, or two points and their distance in metres, such as `x,y,z "
+                "x,y,z 0.75`.",
                 Where(parameter="known_distance"),
                 known_distance=self.known_distance,
             )

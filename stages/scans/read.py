@@ -1,4 +1,4 @@
-"""Recognise a scan folder and read it."""
+"""Detection of the layout of a scan folder, and reading of the scan."""
 
 from __future__ import annotations
 
@@ -46,23 +46,26 @@ from scanloom.stages.scans.transforms.masks import with_masks
 from scanloom.stages.scans.transforms.scale import with_scale
 from scanloom.stages.scans.transforms.up import with_up
 
-# Folders inside one that are said to look like scans.
+# Maximum number of subfolders that a message names as scans.
 _MOST_NAMED = 6
 
 
 def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
-    """Read a scan folder: frames in order, in metres and OpenCV axes, images left on disk until asked for.
+    """Read a scan folder.
+
+    Frames are in capture order, lengths in metres (if the scan is metric) and poses in OpenCV axes. Images
+    stay on disk until they are needed.
 
     Parameters
     ----------
-    folder : the folder that holds the scan, or the file that is one.
-    options : what to use in place of what the folder says.
-    complete : refuse a scan without poses or calibration; else its `missing` says what it lacks.
+    folder : folder of the scan, or a recording file.
+    options : parameters that replace or complete what the folder states.
+    complete : reject a scan without poses or calibration. If False, `Scan.missing` lists what is missing.
 
     Raises
     ------
     InputError
-        If the folder is of no known layout, or something a scan needs is missing or wrong.
+        If the layout is unknown, or required data is missing or invalid.
     """
     require_buffers(1)
     require_opencv()
@@ -77,7 +80,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    """Read all frames of a folder, and return those that are chosen."""
+    """Read all frames, apply poses, masks and scale, and return the selected frames."""
     layout = _layout_of(folder, options)
     with noting() as noted, collecting(forward=False) as diagnostics:
         read = layout.read(folder, options)
@@ -85,12 +88,13 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     emit(*merge_repeated(diagnostics))
     read = _as_meant(read, options.pose_convention)
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
-    if layout.name != "sun-rgbd":  # It looks for itself.
+    if layout.name != "sun-rgbd":  # its reader detects rotated bits itself
         scan = with_bits_turned_back(scan, options.depth_scale, is_own=layout.name == "plain-rgbd")
     masks = options.file("masks", folder)
     if masks is not None:
         scan = with_masks(scan, masks)
-    # Before what `adjust` found, which it found in metres; of all frames, so that a selection has the same.
+    # Scale before the adjusted cameras, which are in metres already. The scale is estimated from all frames,
+    # so that it does not depend on the selection.
     scan = with_scale(scan, options, folder)
     adjusted = options.file("adjusted", folder)
     if adjusted is not None:
@@ -111,14 +115,14 @@ def _layout_of(folder: Path, options: ScanParams) -> Layout:
     found = matching(folder)
     if found is not None:
         return found[0]
-    # Photos alone are no scan, but here their poses are said to be elsewhere.
+    # Photos without poses are not a scan, but here a trajectory file is given.
     if options.poses is not None and place_of_photos(folder) is not None:
         return plain_views.LAYOUT
     raise InputError(SCAN_LAYOUT_UNKNOWN, _unknown(folder), folder)
 
 
 def _as_meant(scan: Scan, convention: str) -> Scan:
-    """Return the scan with its poses as the person says they are meant."""
+    """Convert the poses from the convention that the user states to camera-to-world."""
     if convention == AS_WRITTEN:
         return scan
     frames = [
@@ -133,7 +137,13 @@ def _as_meant(scan: Scan, convention: str) -> Scan:
 def _require_used(
     options: ScanParams, folder: Path, layout: Layout, read: Scan, noted: Collection[Path]
 ) -> None:
-    """Raise UsageError for what the person states and the layout's reader has no use for."""
+    """Check that the layout used all options that the user gave.
+
+    Raises
+    ------
+    UsageError
+        If an option has no effect or conflicts with another.
+    """
     opened = {os.path.realpath(path) for path in noted}
     for name in ("poses", "calibration"):
         path = options.file(name, folder if folder.is_dir() else folder.parent)
@@ -143,13 +153,13 @@ def _require_used(
             raise UsageError(
                 SCAN_OPTION_UNUSED,
                 "scan.intrinsics and scan.calibration={path_name} both state the camera",
-                remedy="leave one out.",
+                remedy="remove one of them.",
                 path_name=path.name,
             )
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.{name}={path_name} has no use: the layout {layout_name} takes none.",
-            remedy="Leave it out.",
+            "scan.{name}={path_name} has no effect: the layout {layout_name} does not use it.",
+            remedy="Remove the option.",
             name=name,
             path_name=path.name,
             layout_name=layout.name,
@@ -157,34 +167,31 @@ def _require_used(
     if options.baseline is not None and not read.is_stereo:
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            (
-                "scan.baseline is the distance between the two cameras of a pair, and these "
-                "frames are no pairs"
-            ),
-            remedy="leave it out.",
+            ("scan.baseline applies to stereo pairs, and these frames are not stereo pairs"),
+            remedy="remove the option.",
         )
     if options.depth_scale is not None and read.is_stereo:
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.depth_scale is of depth maps, and these pairs have none yet",
-            remedy="leave it out.",
+            "scan.depth_scale applies to depth maps, and stereo pairs have none",
+            remedy="remove the option.",
         )
     if options.least_confidence is not None and all(frame.confidence is None for frame in read.frames):
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.least_confidence is of maps of confidence, and these frames have none",
-            remedy="leave it out.",
+            "scan.least_confidence requires confidence maps, and these frames have none",
+            remedy="remove the option.",
         )
     if options.poses_by_order and options.poses is None and not read.has_poses:
         raise UsageError(
             SCAN_OPTION_UNUSED,
-            "scan.poses_by_order pairs a trajectory with the frames, and there is none",
-            remedy="name one with scan.poses=FILE.",
+            "scan.poses_by_order requires a trajectory, and the scan has none",
+            remedy="give one with scan.poses=FILE.",
         )
 
 
 def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:
-    """Return the files that a scan was read from and will be."""
+    """Return the files that were read, and the image files of all frames."""
     images = [
         image
         for frame in scan.frames
@@ -195,7 +202,13 @@ def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:
 
 
 def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
-    """Raise InputError if a scan lacks what a mesh needs; poses only if it has to be `posed`."""
+    """Check that a scan has calibration and, with `posed`, poses.
+
+    Raises
+    ------
+    InputError
+        If something is missing.
+    """
     lacking = [one for one in scan.missing if posed or one.code != POSE_MISSING.name]
     if len(lacking) == 1:
         raise InputError.of(replace(lacking[0], severity=Severity.ERROR).at(folder))
@@ -205,12 +218,16 @@ def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
-    """Return the layout of a folder, or of a file that is a scan by itself, and why it is taken for it.
+    """Detect the layout of a scan folder or recording file.
+
+    Returns
+    -------
+    The layout, and the reason for the match in words.
 
     Raises
     ------
     InputError
-        If there is no such folder, it is empty, or of no layout that can be read.
+        If the path does not exist, is an empty folder, or has no supported layout.
     """
     found = matching(folder)
     if found is None:
@@ -219,12 +236,12 @@ def recognise(folder: Path) -> tuple[Layout, str]:
 
 
 def matching(folder: Path) -> tuple[Layout, str] | None:
-    """Return the layout of a folder or file and why, as `recognise`, or None if it is of none.
+    """Detect the layout as `recognise` does; None if no layout matches.
 
     Raises
     ------
     InputError
-        If there is no such folder, it cannot be listed, or it is of a layout that cannot be read yet.
+        If the path does not exist, cannot be listed, or has a known but unsupported layout.
     """
     _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
     if folder.is_file():
@@ -233,7 +250,7 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
     if found is None and (known := refused(folder)) is not None:
         raise InputError(
             SCAN_LAYOUT_UNKNOWN,
-            "{refusal} If it is another layout, name it with scan.layout=NAME.",
+            "{refusal} If it has another layout, set scan.layout=NAME.",
             folder,
             refusal=_refusal(known),
         )
@@ -241,7 +258,13 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
 
 
 def _require_place(folder: Path, suffixes: Collection[str]) -> None:
-    """Raise InputError unless this is a folder that can be listed, or a file of these suffixes."""
+    """Check that a path is a readable folder or a file with one of the suffixes.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
     if folder.is_file() and folder.suffix.lower() in suffixes:
         return
     if folder.is_file() and (known := refused(folder)) is not None:
@@ -258,17 +281,17 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
 
 
 def _refusal(known: Refused) -> str:
-    return f"this looks like {known.name}, which cannot be read yet. {known.advice}"
+    return f"this looks like {known.name}, which is not supported. {known.advice}"
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:
-    # What is odd about a file is reported when the scan is read.
+    # Diagnostics are discarded here; reading the scan emits them again.
     with collecting(forward=False):
         return next(((one, reason) for one in layouts if (reason := one.matches(folder)) is not None), None)
 
 
 def _unknown(folder: Path) -> str:
-    """Say what was found and what would have been recognised."""
+    """Describe a folder of unknown layout: its content, and the supported layouts."""
     content = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
     if not content:
         return "the folder is empty."
@@ -276,20 +299,20 @@ def _unknown(folder: Path) -> str:
         child, layout = inside[0]
         others = ", ".join(f"{name}/" for name, _ in inside[1:])
         also = f", and so do {others}" if others else ""
-        return f"no scan here, but its folder {child}/ looks like one ({layout}); give that{also}."
+        return f"this is no scan, but its folder {child}/ looks like one ({layout}){also}; give that folder."
     if (photos := place_of_photos(folder)) is not None:
         where = f"{photos.name}/" if photos != folder else "it"
         return (
-            f"unknown layout: {where} holds images, and nothing says where they were taken from. Name a file "
-            "with a pose for each by scan.poses=FILE; COLMAP finds them, and its folder is read as it is."
+            f"unknown layout: {where} holds images without poses. Give a trajectory with scan.poses=FILE, or "
+            "estimate poses with COLMAP and give its folder."
         )
     shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
     known = ", ".join(one.name for one in LAYOUTS)
-    return f"unknown layout. The folder holds {shown}. Layouts that can be read are {known}; see the README."
+    return f"unknown layout. The folder holds {shown}. Supported layouts are {known}; see the README."
 
 
 def _scans_inside(folder: Path) -> list[tuple[str, str]]:
-    """Name the first folders within one that look like scans, and their layouts."""
+    """Return (name, layout) of up to six subfolders that are scans."""
     children = sorted(path for path in folder.iterdir() if path.is_dir())
     matches = ((child.name, _first_match(LAYOUTS, child)) for child in children)
     return list(islice(((name, match[0].name) for name, match in matches if match is not None), _MOST_NAMED))
@@ -301,7 +324,7 @@ def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
     if not chosen:
         raise UsageError(
             SCAN_SELECTION_EMPTY,
-            "first={first}, last={last} leaves no frame of the scan's {frames_count}.",
+            "scan.first={first}, scan.last={last} selects none of the scan's {frames_count} frames.",
             first=options.first,
             last=options.last,
             frames_count=len(scan.frames),
@@ -313,7 +336,7 @@ def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
 
 
 def _split(scan: Scan, every: int | None) -> Scan:
-    """Keep every n-th frame apart, beginning in the middle of the first n."""
+    """Hold out every n-th frame, starting in the middle of the first n."""
     if every is None:
         return scan
     kept = [frame for number, frame in enumerate(scan.frames) if number % every != every // 2]
@@ -321,7 +344,7 @@ def _split(scan: Scan, every: int | None) -> Scan:
     if not held_out:
         raise UsageError(
             SCAN_SELECTION_EMPTY,
-            "hold_out={every} keeps none of the scan's {frames_count} frames apart.",
+            "scan.hold_out={every} holds out none of the scan's {frames_count} frames.",
             every=every,
             frames_count=len(scan.frames),
         )
@@ -329,7 +352,10 @@ def _split(scan: Scan, every: int | None) -> Scan:
 
 
 def _without_still_poses(scan: Scan) -> Scan:
-    """Take constant poses for none: recorders without tracking write the same one for every frame."""
+    """Discard the poses if all are identical.
+
+    Recorders without tracking write the same pose for every frame.
+    """
     poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if len(poses) < 2 or any(not np.array_equal(poses[0], pose) for pose in poses[1:]):
         return scan
@@ -339,7 +365,7 @@ def _without_still_poses(scan: Scan) -> Scan:
         missing=(
             *scan.missing,
             poses_missing(
-                "all {count} frames have the same one",
+                "all {count} frames have the same pose",
                 remedy="give a trajectory with scan.poses=FILE",
                 count=len(poses),
             ),
@@ -348,11 +374,11 @@ def _without_still_poses(scan: Scan) -> Scan:
 
 
 def _at_origin(scan: Scan) -> Scan:
-    """Take the camera of a single frame without a pose for the world."""
+    """Place the camera of a single frame without a pose at the origin."""
     (frame,) = scan.frames
     if frame.world_from_camera is not None:
         return scan
-    emit(POSE_ASSUMED.warning("a single frame without a pose: its camera is the origin of the mesh"))
+    emit(POSE_ASSUMED.warning("the only frame has no pose; its camera becomes the origin of the mesh"))
     return replace(
         scan,
         frames=[replace(frame, world_from_camera=np.eye(4))],
@@ -361,7 +387,10 @@ def _at_origin(scan: Scan) -> Scan:
 
 
 def _without_absent(scan: Scan) -> Scan:
-    """Leave out the frames an image of which is not there: excerpts often keep the lists of the whole."""
+    """Skip frames with a missing image file.
+
+    Excerpts of data sets often keep the lists of the complete data set.
+    """
     frames, absent = [], []
     for frame in scan.frames:
         held = (frame.color, frame.right, frame.depth, frame.confidence, frame.mask)
@@ -376,7 +405,15 @@ def _without_absent(scan: Scan) -> Scan:
 
 
 def _without_lost(scan: Scan, folder: Path) -> Scan:
-    """Leave out the frames whose pose is lost, unless the scan has no poses at all and says so."""
+    """Skip frames without a pose.
+
+    A scan without any poses is returned unchanged if its `missing` states that.
+
+    Raises
+    ------
+    InputError
+        If no frame is left.
+    """
     frames = [frame for frame in scan.frames if frame.world_from_camera is not None]
     if not frames and scan.missing and scan.frames:
         return scan
@@ -389,7 +426,7 @@ def _without_lost(scan: Scan, folder: Path) -> Scan:
     if not frames:
         reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
         inside = _scans_inside(folder) if folder.is_dir() else []
-        other = f" Its folder {inside[0][0]}/ looks like a scan of its own." if inside else ""
+        other = f" Its folder {inside[0][0]}/ looks like a scan." if inside else ""
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             "none of its {skipped_count} frames can be used{reason}.{other}",
@@ -411,8 +448,8 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
         raise InputError(
             SCAN_IMAGES_UNPAIRED,
             (
-                "left images are {left}×{left_2} and right images {right}×{right_2}; both "
-                "cameras of a pair must give one size."
+                "left images are {left}×{left_2} px and right images {right}×{right_2} px; both "
+                "images of a stereo pair must have the same size."
             ),
             folder,
             left=left[0],
@@ -423,7 +460,7 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
 
 
 def _check_times(frames: Sequence[Frame]) -> None:
-    """Warn of times that are repeated, that go back, and of gaps."""
+    """Warn about repeated timestamps, decreasing timestamps and gaps."""
     times = [frame.timestamp for frame in frames if frame.timestamp is not None]
     steps = np.diff(np.array(times, np.float64))
     if repeated := int(np.count_nonzero(steps == 0)):
@@ -431,9 +468,14 @@ def _check_times(frames: Sequence[Frame]) -> None:
     if earlier := int(np.count_nonzero(steps < 0)):
         emit(
             SCAN_TIMES_IRREGULAR.warning(
-                "{count} timestamps are earlier than the one before: frames stay in the order of their files",
+                "{count} timestamps are earlier than the previous one; frames stay in the order of "
+                "their files",
                 count=earlier,
             )
         )
     if gaps := int(np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0))) if len(steps) else 0:
-        emit(SCAN_TIMES_IRREGULAR.warning("{count} gaps in time are longer than five frames", count=gaps))
+        emit(
+            SCAN_TIMES_IRREGULAR.warning(
+                "{count} gaps between timestamps are longer than five frames", count=gaps
+            )
+        )

@@ -1,4 +1,7 @@
-"""The layouts that can be read, in the order they are tried: a new one is one module and one row here."""
+"""Table of the supported layouts in detection order.
+
+A new layout is one module and one row of this table.
+"""
 
 from __future__ import annotations
 
@@ -38,20 +41,20 @@ from scanloom.stages.scans.layouts.kitti import stereo_pairs as kitti_stereo
 from scanloom.stages.scans.layouts.shared.layout import Layout
 from scanloom.stages.scans.layouts.tum import folder as tum
 
-# Known by files that only they have.
+# Layouts with characteristic files.
 DISTINCT: tuple[Layout, ...] = (
     scan_json.LAYOUT,
     frame_list.LAYOUT,
-    # Its folders often hold TUM's lists too.
+    # Before TUM: ICL-NUIM folders often contain TUM's lists, too.
     icl_nuim.LAYOUT,
     tum.LAYOUT,
-    # Its images are named as those of 7-Scenes.
+    # Before 7-Scenes, which has the same image names.
     camera_text.LAYOUT,
     seven_scenes.LAYOUT,
     scannet.LAYOUT,
     scannet_sens.LAYOUT,
     euroc.LAYOUT,
-    # Its folders have the names of the sequences'.
+    # Before KITTI sequences, which have the same folder names.
     kitti_stereo.LAYOUT,
     kitti.LAYOUT,
     middlebury.LAYOUT,
@@ -65,7 +68,7 @@ DISTINCT: tuple[Layout, ...] = (
     replica.LAYOUT,
     tartan_air.LAYOUT,
     colmap.LAYOUT,
-    # Its folders often hold the model of COLMAP too, which tells more.
+    # After COLMAP: LLFF folders often contain a COLMAP model, which has more information.
     llff.LAYOUT,
     augmented_icl.LAYOUT,
     middlebury_mview.LAYOUT,
@@ -73,12 +76,12 @@ DISTINCT: tuple[Layout, ...] = (
     sun_rgbd.LAYOUT,
     ros_bag.LAYOUT,
 )
-# Known by the names of folders that other layouts use too: tried after all those.
+# Layouts that are only known by common folder names, so they are tried last.
 GENERIC: tuple[Layout, ...] = (
     plain_stereo.LAYOUT,
     single_pair.LAYOUT,
     redwood.LAYOUT,
-    # Wants the least: after all that know more of their folders.
+    # Last: it accepts any folder with images and poses.
     plain_views.LAYOUT,
 )
 LAYOUTS: tuple[Layout, ...] = DISTINCT + GENERIC

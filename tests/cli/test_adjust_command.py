@@ -78,13 +78,13 @@ def test_a_colour_camera_that_was_found_is_given_to_other_commands(tmp_path: Pat
     ("change", "said"),
     [
         ({"accepted": None}, "a cameras.json of `scanloom adjust` is expected"),
-        ({"names": {}}, "lacks the names"),
+        ({"names": {}}, "the names of its frames are missing"),
         ({"poses": {"3": [[1, 2], [3, 4]]}}, "not a 4x4 matrix"),
         ({"poses": {"3": np.full((4, 4), np.nan).tolist()}}, "frame 0003"),
         ({"color_camera": [1]}, "color_camera must be a table"),
         ({"color_camera": {"width": 3}}, "width and height"),
-        ({"names": {"3": 3}}, "no text"),
-        ({"names": {"3": "another"}}, "it is of another scan"),
+        ({"names": {"3": 3}}, "not a string"),
+        ({"names": {"3": "another"}}, "it belongs to another scan"),
     ],
 )
 def test_a_damaged_file_of_cameras_is_told(tmp_path: Path, change: dict[str, Any], said: str) -> None:

@@ -124,7 +124,7 @@ def opened(site: Path) -> Iterator[Any]:
     [
         (
             "my_scan/depth/000123.png: the image is cut short; copy it again or leave the frame out.",
-            "Cut short or damaged",
+            "Damaged or truncated files",
         ),
         (
             "warning: the poses are probably world-to-camera: so taken, the depth of one frame meets "
@@ -133,7 +133,7 @@ def opened(site: Path) -> Iterator[Any]:
         ),
         (
             "--set: voxel_size is -1 m; it must be more than 0 m.",
-            "A value of the wrong kind, or out of its range",
+            "A value of the wrong type, or out of its range",
         ),
     ],
 )

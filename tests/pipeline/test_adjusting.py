@@ -119,7 +119,7 @@ def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: obj
 def test_turns_of_nobody_are_told(disturbed: Path, tmp_path: Path) -> None:
     document = {"accepted": True, "names": {}, "poses": {}, "shutter_turns": {"0": [0, 0, 0]}}
     (tmp_path / "cameras.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match="lacks the names"):
+    with pytest.raises(InputError, match="the names of its frames are missing"):
         with_adjusted(read_scan(disturbed), tmp_path / "cameras.json")
 
 

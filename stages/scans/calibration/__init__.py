@@ -1,1 +1,1 @@
-"""Cameras: calibration files, and what stands in for them."""
+"""Camera calibration: file formats, discovery in scan folders, and defaults."""

@@ -1,8 +1,8 @@
-"""The factory calibration of an Azure Kinect, as its recordings and tools hold it (`CalibrationInformation`).
+"""Factory calibration of an Azure Kinect (`CalibrationInformation`), from recordings and tools.
 
-Lengths are shares of the sensor's sides. A mode of depth bins the sensor's pixels and takes a part of them;
-pictures of 16:9 are the middle of those of 4:3 (Azure Kinect Sensor SDK, `calibration` and `transformation`).
-Pixels' middles are whole numbers here, halves there.
+Lengths are ratios of the sensor's sides. Each depth mode bins and crops the sensor; 16:9 colour images are a
+central crop of the 4:3 images (Azure Kinect Sensor SDK, `calibration` and `transformation`). Pixel centres
+are integers in this module, and half-integers in the SDK.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scanloom.stages.scans.model.scan import Camera, Pose
 
 _DOCUMENT = "CalibrationInformation"
 _DEPTH, _COLOR = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
-# By the size of depth maps: the sides of the sensor as binned, and where the maps begin on it.
+# Depth modes by image size: size of the binned sensor, and offset of the crop, pixels.
 _MODES = {
     (640, 576): ((1024, 1024), (192, 180)),
     (320, 288): ((512, 512), (96, 90)),
@@ -32,19 +32,20 @@ _PARAMETERS = 14
 
 
 def is_one(values: dict[str, Any]) -> bool:
-    """Say whether a document is such a calibration."""
+    """Return True if a document is an Azure Kinect calibration."""
     return isinstance(values.get(_DOCUMENT), dict)
 
 
 def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
-    """Return the camera that takes images of this size under the names of our own calibrations.
+    """Convert the camera for an image size to scanloom's calibration keys.
 
-    Of sizes that no mode of depth has it is that of colour: depth maps have then been brought to it.
+    The depth camera is used for the sizes of depth modes. Other sizes belong to the colour camera: the depth
+    maps were then reprojected to colour.
 
     Raises
     ------
     InputError
-        If the camera is missing, has other parameters, or takes no images of this shape.
+        If the camera is missing, has another lens model, or has no images of this aspect ratio.
     """
     if (width, height) in _MODES:
         (wide, high), (left, top) = _MODES[width, height]
@@ -55,7 +56,7 @@ def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dic
         if height not in (high, round(width * 9 / 16)):
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "an Azure Kinect takes no images of {width}×{height}; are they cropped or turned?",
+                "an Azure Kinect has no images of {width}×{height} px; were they cropped or rotated?",
                 path,
                 width=width,
                 height=height,
@@ -84,12 +85,14 @@ def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dic
 
 
 def color_from_depth(path: Path, depth: Camera) -> Pose | None:
-    """Return the (4, 4) color_from_depth of a file; None if it is another, or depth is in colour's place.
+    """Read color_from_depth (4, 4) in metres from a calibration file.
+
+    Returns None for other files, and if the depth maps are already aligned to colour.
 
     Raises
     ------
     InputError
-        If the colour camera's place is no rigid motion.
+        If the extrinsics are missing or not rigid.
     """
     if (depth.width, depth.height) not in _MODES or path.suffix != ".json":
         return None
@@ -98,12 +101,12 @@ def color_from_depth(path: Path, depth: Camera) -> Pose | None:
         return None
     place = _camera(values, _COLOR, path).get("Rt")
     if not isinstance(place, dict):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "{color} has no Rt.", path, color=_COLOR)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{color} has no extrinsics (Rt).", path, color=_COLOR)
     turn, shift = (number_row(place.get(key), key, path) for key in ("Rotation", "Translation"))
     if (len(turn), len(shift)) != (9, 3):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the Rt of {color} is no rotation of 9 numbers and a translation of 3.",
+            "the Rt of {color} must be a rotation of 9 numbers and a translation of 3.",
             path,
             color=_COLOR,
         )
@@ -111,14 +114,14 @@ def color_from_depth(path: Path, depth: Camera) -> Pose | None:
 
 
 def _camera(values: dict[str, Any], name: str, path: Path) -> dict[str, Any]:
-    """Return one of the cameras of a document."""
+    """Find a camera of the document by its location name."""
     cameras = values[_DOCUMENT].get("Cameras")
     tables = [one for one in cameras if isinstance(one, dict)] if isinstance(cameras, list) else []
     found = next((one for one in tables if one.get("Location") == name), None)
     if found is None:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "its {document} holds no camera {name}.",
+            "its {document} has no camera {name}.",
             path,
             document=_DOCUMENT,
             name=name,

@@ -1,6 +1,7 @@
-"""Read cameras of calibration files: JSON, TOML, OpenCV, Kalibr and ORB-SLAM YAML, matrices as text.
+"""Reader for calibration files of one camera.
 
-Whatever the names its writer used; every number is checked before it becomes a camera.
+Supports JSON, TOML, YAML (OpenCV, Kalibr, ORB-SLAM), and matrices as text, with all common key names. Every
+number is validated.
 """
 
 from __future__ import annotations
@@ -46,36 +47,45 @@ from scanloom.stages.scans.codes import (
 )
 from scanloom.stages.scans.model.scan import Camera
 
-# What files call OpenCV's fisheye model, and the models of its ordinary one.
+# Names of OpenCV's fisheye model, and of the models that OpenCV's standard distortion covers.
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
-# Matrices that begin with the camera's.
+# Shapes of matrices whose upper left part is the camera matrix.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
-# Suffixes of files that hold bare numbers, or lines of names and numbers; NumPy's of one array, of more.
+# Suffixes of files of numbers or name-value lines, of a NumPy array, and of a NumPy archive.
 ARRAY, ARCHIVE = ".npy", ".npz"
 TEXTS = (".txt", ".csv", ".ini", ".conf", ARRAY)
 MATRIX_AND_BASELINE = 10
 _THREE_BY_FOUR, _MOST_NUMBERS = 12, 16
-# Of a depth map, in a metre.
+# Units of depth per metre: smaller values are metres per unit; and the value of millimetres.
 _LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
-# Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
+# Name of the colour camera of a device. Depth maps are usually aligned to colour, rarely the reverse.
 _OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
-# Tables that programs put a camera's numbers into, beside its lens.
+# Keys of a nested table that holds the camera matrix, with the distortion in the outer table.
 _INNER = ("intrinsic", "intrinsics")
-# Pixels; beyond these, single precision cannot hold where a camera sees things.
+# Pixels; beyond this range, projections are not representable in float32.
 _FOCAL_LENGTHS = (1e-3, 1e9)
-# The rational model's terms, which cancel each other, are some hundreds.
+# Coefficients of the rational model reach some hundreds, because its terms cancel each other.
 _LARGEST_DISTORTION = 1e6
 
 
 def read_camera(path: Path, width: int, height: int) -> Camera:
-    """Read one camera, for images of this size in pixels.
+    """Read one camera for a given image size in pixels.
 
-    A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML, YAML or .npz with `fx
-    fy cx cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (as Open3D, column-major), and `distortion`;
-    Kalibr's camchain of one camera; ORB-SLAM's settings, RealSense's and Azure Kinect's. Of several the one
-    for this size is taken, or that of colour; a camera for another size of the same shape is scaled. Both
-    give a warning.
+    Supported forms:
+
+    - 3x3 or 4x4 matrix as text or .npy; text lines of names and numbers;
+    - JSON, TOML, YAML or .npz with `fx fy cx cy`, or with `camera_matrix`, `K` or `intrinsic_matrix` (Open3D,
+      column-major), and `distortion`;
+    - Kalibr camchain of one camera, ORB-SLAM settings, RealSense and Azure Kinect calibrations.
+
+    If the file has several cameras, the camera for this image size is used, or the colour camera. A camera
+    for another size of the same aspect ratio is scaled. Both emit a warning.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, something is missing, or a number is implausible.
     """
     document = document_of(path)
     if document is None:
@@ -84,7 +94,10 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
 
 def document_of(path: Path) -> dict[str, Any] | None:
-    """Return what a calibration file states under names; None for one of bare numbers."""
+    """Read a calibration file as a table of names and values.
+
+    Returns None for bare numbers.
+    """
     if path.suffix == ARCHIVE:
         return named_arrays.tables(path)
     if path.suffix not in TEXTS:
@@ -96,7 +109,15 @@ def document_of(path: Path) -> dict[str, Any] | None:
 
 
 def read_depth_scale(path: Path) -> float | None:
-    """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
+    """Read the depth units per metre from a camera file.
+
+    Returns None if not stated.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or the scale is not positive.
+    """
     document = document_of(path)
     if document is None:
         return None
@@ -111,24 +132,25 @@ def read_depth_scale(path: Path) -> float | None:
             CAMERA_CALIBRATION_INVALID, "depth_scale is {scale:g}; it must be positive.", path, scale=scale
         )
     if "cam_K" in values:
-        # BOP's data sets say how many millimetres a unit is.
+        # BOP states millimetres per unit.
         return _MILLIMETRES / scale
-    # No unit is longer than a metre: RealSense's library says how many metres a unit is.
+    # Depth units are at most 1 m, so a value below 0.5 is metres per unit (RealSense).
     return 1 / scale if scale < _LEAST_UNITS else scale
 
 
 def checked(camera: Camera, path: Path) -> Camera:
-    """Return the camera when its numbers can be right.
+    """Check that the intrinsics of a camera are plausible, and return the camera.
 
     Raises
     ------
     InputError
-        If a number is not finite, a focal length is not positive, or the centre is far outside the image.
+        If a value is not finite, a focal length is not positive, a coefficient is too large, or the principal
+        point is far outside the image.
     """
     if not all(
         math.isfinite(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
     ):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "the camera holds a value that is not finite.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "a value of the camera is not finite.", path)
     if camera.fx <= 0 or camera.fy <= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -140,7 +162,7 @@ def checked(camera: Camera, path: Path) -> Camera:
     if not all(_FOCAL_LENGTHS[0] <= value <= _FOCAL_LENGTHS[1] for value in (camera.fx, camera.fy)):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "focal lengths of {fx:g} and {fy:g} px cannot be right.",
+            "the focal lengths {fx:g} and {fy:g} px are implausible.",
             path,
             fx=camera.fx,
             fy=camera.fy,
@@ -148,7 +170,7 @@ def checked(camera: Camera, path: Path) -> Camera:
     if max(map(abs, camera.distortion), default=0.0) > _LARGEST_DISTORTION:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "a distortion coefficient of {distortion:g} cannot be right.",
+            "the distortion coefficient {distortion:g} is implausible.",
             path,
             distortion=max(camera.distortion, key=abs),
         )
@@ -157,8 +179,8 @@ def checked(camera: Camera, path: Path) -> Camera:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "the principal point ({cx:g}, {cy:g}) is far outside the images of "
-                "{width}×{height}; is the calibration for another size?"
+                "the principal point ({cx:g}, {cy:g}) is far outside the images of {width}×{height} "
+                "px; is the calibration for another image size?"
             ),
             path,
             cx=camera.cx,
@@ -170,12 +192,12 @@ def checked(camera: Camera, path: Path) -> Camera:
 
 
 def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
-    """Return the camera of a table, under any of the usual names, for images of this size in pixels.
+    """Create a camera from a calibration table for a given image size in pixels.
 
     Raises
     ------
     InputError
-        If something is missing, a number cannot be right, or the table is for images of another shape.
+        If something is missing, a number is implausible, or the aspect ratio differs.
     """
     if azure_kinect.is_one(values):
         values = azure_kinect.as_table(values, width, height, path)
@@ -188,8 +210,8 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "it holds the cameras {chain}, and the one of these images is needed: leave "
-                "only that in a copy of the file."
+                "the file has several cameras ({chain}), and the camera of these images is ambiguous. "
+                "Keep only that camera in a copy of the file."
             ),
             path,
             chain=", ".join(chain[:8]),
@@ -204,11 +226,15 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
 
 
 def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
-    """Return a camera's table: the one given, or one in it, for such images or, of several, of colour."""
+    """Select the table of one camera.
+
+    This is the table itself, its only nested camera, or the nested camera for this image size; if there are
+    several, the colour camera.
+    """
     if is_of_adjust(values):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it is what `adjust` found, which scan.adjusted takes; a calibration is expected.",
+            "this is the cameras.json of `adjust`, not a calibration. Pass it as scan.adjusted=FILE.",
             path,
         )
     if _is_camera(values):
@@ -228,15 +254,15 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "it holds the cameras {inner}, and the one of these images is needed: leave "
-                "only that in a copy of the file."
+                "the file has several cameras ({inner}), and the camera of these images is ambiguous. "
+                "Keep only that camera in a copy of the file."
             ),
             path,
             inner=", ".join(list(inner)[:8]),
         )
     emit(
         CAMERA_CALIBRATION_ASSUMED.warning(
-            "it holds the cameras {names}: {chosen} is taken",
+            "the file has several cameras ({names}); {chosen} is used",
             path,
             names=", ".join(list(inner)[:8]),
             chosen=chosen[0],
@@ -246,12 +272,12 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
 
 
 def is_of_adjust(values: dict[str, Any]) -> bool:
-    """Say whether a table is the cameras.json of `adjust`."""
+    """Return True if a table is the cameras.json of `adjust`."""
     return isinstance(values.get("accepted"), bool)
 
 
 def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
-    """Return a table with the numbers of its `intrinsic` as its own."""
+    """Merge a nested `intrinsic` or `intrinsics` table into its parent."""
     inner = next((values[name] for name in _INNER if isinstance(values.get(name), dict)), None)
     return values if inner is None or not _is_camera(inner) else values | inner
 
@@ -264,7 +290,7 @@ def _without_model(
     values: dict[str, Any], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
     if "intrinsic_matrix" in values:
-        # Open3D stores it column by column.
+        # Open3D stores the matrix column-major.
         matrix = matrix_in(values, "intrinsic_matrix", path)
         if matrix.shape in _CAMERA_SHAPES and matrix[2, :2].any():
             matrix = matrix.T
@@ -275,7 +301,7 @@ def _without_model(
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "no camera in it: neither a matrix (`camera_matrix`, `K`) nor {missing}.",
+            "the file has no camera: neither a matrix (`camera_matrix`, `K`) nor {missing}.",
             path,
             missing=", ".join(missing),
         )
@@ -284,12 +310,12 @@ def _without_model(
 
 
 def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, path: Path) -> Camera:
-    """Read a camera of Kalibr's camchain: `intrinsics: [fu, fv, cu, cv]`, and its lens."""
+    """Read one camera of a Kalibr camchain: `intrinsics: [fu, fv, cu, cv]` and distortion."""
     table = table_in(values, side, path)
     if table.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "{side} is of camera_model {table}; pinhole is supported.",
+            "{side} has the camera_model {table}; only pinhole is supported.",
             path,
             side=side,
             table=table["camera_model"],
@@ -311,7 +337,13 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
 def matrix_camera(
     matrix: NDArray[np.float64], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
-    """Return the checked camera of a 3x3 matrix (or one that begins with it)."""
+    """Create a camera from a 3x3, 3x4 or 4x4 matrix.
+
+    Raises
+    ------
+    InputError
+        If the matrix has another shape, or the intrinsics are implausible.
+    """
     if matrix.shape not in _CAMERA_SHAPES:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -324,7 +356,13 @@ def matrix_camera(
 
 
 def text_numbers(path: Path) -> list[float]:
-    """Return the bare numbers of a text or an array; raises InputError if it holds something else."""
+    """Read the bare numbers of a text file or a .npy array.
+
+    Raises
+    ------
+    InputError
+        If the file holds anything else.
+    """
     if path.suffix == ARRAY:
         array = read_array(path, "the camera matrix")
         if array.dtype.kind not in "uif" or array.size > _MOST_NUMBERS:
@@ -349,7 +387,12 @@ def text_numbers(path: Path) -> list[float]:
 
 
 def text_matrix(path: Path) -> NDArray[np.float64]:
-    """Return a matrix written as rows of numbers, or the four numbers fx fy cx cy as one."""
+    """Read a camera matrix from rows of numbers, or from the four numbers fx fy cx cy.
+
+    Returns
+    -------
+    (3, 3), (3, 4) or (4, 4) float64. A tenth number behind a 3x3 matrix is a baseline and ignored.
+    """
     values = text_numbers(path)
     if len(values) == MATRIX_AND_BASELINE:
         values.pop()
@@ -370,12 +413,14 @@ def text_matrix(path: Path) -> NDArray[np.float64]:
 
 
 def is_fisheye(model: object, path: Path) -> bool:
-    """Say whether the name of a distortion model is the fisheye one's; None is the ordinary one.
+    """Return True if a distortion model name means the fisheye model.
+
+    None means OpenCV's standard model.
 
     Raises
     ------
     InputError
-        If it is neither.
+        If the model is not supported.
     """
     if model is None or model in _PINHOLE:
         return False
@@ -384,8 +429,8 @@ def is_fisheye(model: object, path: Path) -> bool:
     raise InputError(
         CAMERA_LENS_UNKNOWN,
         (
-            "the lens model {model} is not supported; radial-tangential and equidistant "
-            "are. Undistort the images first."
+            "the lens model {model} is not supported, only radial-tangential and equidistant. "
+            "Undistort the images first."
         ),
         path,
         model=str(model)[:40],
@@ -393,9 +438,16 @@ def is_fisheye(model: object, path: Path) -> bool:
 
 
 def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
-    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0.
+    """Check OpenCV's distortion coefficients: 0, 4, 5, 8, 12 or 14.
 
-    A fisheye's are four: it bends lines even when they are 0.
+    The result is empty if all are 0.
+
+    A fisheye camera has four coefficients, which are kept if 0, because its projection is not a pinhole.
+
+    Raises
+    ------
+    InputError
+        For another number of coefficients.
     """
     row = number_row(value, "distortion", path)
     if fisheye:
@@ -410,7 +462,7 @@ def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[f
     if len(row) not in (0, 4, 5, 8, 12, 14):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "distortion has {row_count} coefficients; OpenCV knows 4, 5, 8, 12 or 14.",
+            "distortion has {row_count} coefficients; OpenCV supports 4, 5, 8, 12 or 14.",
             path,
             row_count=len(row),
         )

@@ -1,4 +1,4 @@
-"""Warnings about numbers of one calibration that contradict each other."""
+"""Warnings about contradicting numbers in a calibration."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from scanloom.stages.scans.calibration.table_values import MATRICES, matrix_in
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
 from scanloom.stages.scans.model.scan import Camera, Pose, StereoRig
 
-# Files round, and fx of a rectified pair is not quite that of its camera.
+# Relative tolerances of baselines and focal lengths: files round, and rectification changes fx slightly.
 _SAME_LENGTH = 0.02
 _SAME_FOCAL_LENGTH = 0.01
-# What one length in metres is in another unit of the same file.
+# Factors between length units: m, cm, mm. Two values of a file may use different units.
 _UNITS = (1.0, 100.0, 1000.0)
-# Cameras of one pair, and the two axes of one camera, have focal lengths that are nearer than so.
+# Maximum ratio of focal lengths between the cameras of a pair, and between fx and fy.
 _ALIKE = 1.25
-# A matrix that nobody filled in.
+# P[0, 0] of a projection matrix that was left at identity.
 _NOT_FILLED_IN = 1.0
 _SAME_TURN_DEG = 0.5
 
@@ -30,13 +30,13 @@ _SAME_TURN_DEG = 0.5
 def check_rig(
     document: dict[str, Any], values: dict[str, Any], rig: StereoRig, length: float, path: Path
 ) -> None:
-    """Warn if a calibration states the baseline twice and differently, or very different cameras.
+    """Warn about contradicting baselines and very different focal lengths.
 
     Parameters
     ----------
-    document, values : as it is written, and under the names of our own calibrations.
-    rig : that was made of it.
-    length : the baseline that is used, in the unit of the file.
+    document, values : content of the file as written, and with scanloom's calibration keys.
+    rig : stereo rig created from the file.
+    length : baseline that is used, in the unit of the file.
     """
     found = list(_baselines(document, values, path))
     others = [(name, value) for name, value in found if not _is_length(value, length)]
@@ -45,9 +45,9 @@ def check_rig(
         shown = " and ".join(f"{value:.4g} ({name})" for name, value in others[:2])
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states more than one baseline, {length:.4g} ({name}) and {others}: the first is taken",
+                "it states different baselines, {length:.4g} ({name}) and {others}; the first one is used",
                 path,
-                remedy="scan.baseline=METRES states another",
+                remedy="scan.baseline=METRES overrides it",
                 length=length,
                 name=taken,
                 others=shown,
@@ -57,8 +57,8 @@ def check_rig(
     if not 1 / _ALIKE < left / right < _ALIKE:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it has focal lengths of {left:.4g} and {right:.4g} px for the two cameras of a pair: is one "
-                "for another size of the images?",
+                "the focal lengths of its two cameras differ, {left:.4g} and {right:.4g} px. Is one "
+                "of them for another image size?",
                 path,
                 left=left,
                 right=right,
@@ -67,13 +67,13 @@ def check_rig(
 
 
 def warn_not_rectified(rig: StereoRig, path: Path) -> None:
-    """Warn that a calibration of rectified images has cameras that are not parallel, or distorted."""
+    """Warn that cameras declared as rectified are rotated or distorted."""
     emit(
         CAMERA_CALIBRATION_CONTRADICTORY.warning(
-            "it says that its images are rectified, but its cameras are not those of rectified ones (turned "
-            "by {turn:.2g}° to each other{distortion})",
+            "it declares rectified images, but its cameras are not rectified (rotated by "
+            "{turn:.2g}° to each other{distortion})",
             path,
-            remedy="rectified=false has them rectified here",
+            remedy="set rectified to false in the file to rectify the images in scanloom",
             turn=_degrees(rig.right_from_left),
             distortion=", with distortion" if any(rig.left.distortion + rig.right.distortion) else "",
         )
@@ -81,15 +81,21 @@ def warn_not_rectified(rig: StereoRig, path: Path) -> None:
 
 
 def check_relations(first: Pose, second: Pose, names: str, path: Path) -> None:
-    """Warn if two relations of the same cameras, of which the first is taken, differ."""
+    """Warn if two extrinsics of the same cameras differ; the first is used.
+
+    Parameters
+    ----------
+    first, second : (4, 4) poses in the same unit.
+    names : keys of both in the file, for the message.
+    """
     lengths = [float(np.linalg.norm(pose[:3, 3])) for pose in (first, second)]
     apart = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
     turn = _degrees(np.linalg.inv(first) @ second)
     if apart > _SAME_LENGTH * max(lengths) or turn > _SAME_TURN_DEG:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states by {names} how its cameras stand to each other, and they differ by {apart:.3g} "
-                "and {turn:.2g}°: the first is taken",
+                "its extrinsics {names} differ by {apart:.3g} in position and {turn:.2g}° in "
+                "rotation; the first one is used",
                 path,
                 names=names,
                 apart=apart,
@@ -99,17 +105,18 @@ def check_relations(first: Pose, second: Pose, names: str, path: Path) -> None:
 
 
 def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
-    """Warn if the table of a camera states a focal length twice, or one that no lens has.
+    """Warn about contradicting focal lengths and implausible fx / fy.
 
     Parameters
     ----------
-    camera : that was made of it, for the images' size that it states.
+    values : table of the camera.
+    camera : camera created from the table, for the image size that the table states.
     """
     if not 1 / _ALIKE < camera.fx / camera.fy < _ALIKE:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it has focal lengths of {fx:.4g} px across and {fy:.4g} px down, which no lens has: are its "
-                "numbers in the order fx, fy, cx, cy?",
+                "its focal lengths, {fx:.4g} px horizontally and {fy:.4g} px vertically, are "
+                "implausible. Are its numbers in the order fx, fy, cx, cy?",
                 path,
                 fx=camera.fx,
                 fy=camera.fy,
@@ -121,8 +128,8 @@ def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
     if abs(stated - camera.fx) > _SAME_FOCAL_LENGTH * camera.fx:
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states the focal lengths {by_matrix:.6g} px, by its matrix, and {stated:.6g} px, by fx: "
-                "the first is taken",
+                "it states different focal lengths, {by_matrix:.6g} px (matrix) and {stated:.6g} px "
+                "(fx); the first one is used",
                 path,
                 by_matrix=camera.fx,
                 stated=stated,
@@ -131,7 +138,10 @@ def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
 
 
 def _baselines(document: dict[str, Any], values: dict[str, Any], path: Path) -> Iterator[tuple[str, float]]:
-    """Yield each baseline that is stated, and where, in the unit of the file; what cannot be read is none."""
+    """Yield (key, baseline) for each baseline in the file, in its unit.
+
+    Unreadable values are skipped.
+    """
     for name in ("T", "translation", "t"):
         if name in values and (shift := _numbers(values, name, path)) is not None and shift.size == 3:
             yield name, float(np.linalg.norm(shift))

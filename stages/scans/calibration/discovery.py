@@ -1,4 +1,4 @@
-"""Camera files that lie beside the images under a name of their own, known by what they hold."""
+"""Discovery of calibration and trajectory files in a scan folder by their content."""
 
 from __future__ import annotations
 
@@ -19,37 +19,45 @@ from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
 from scanloom.stages.scans.model.scan import Camera, StereoRig
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# A camera or rig, the file that states it, and what was emitted while that was read.
+# Camera or rig, its file, and the diagnostics of reading the file.
 T = TypeVar("T")
 Found = tuple[T, Path, list[Diagnostic]]
 
 _SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".conf", ".npy", ".npz")
-# Folders that calibrations are kept in, inside that of a scan.
+# Names of subfolders that may contain calibrations.
 _PLACES = re.compile("calib|param|intrinsic", re.IGNORECASE)
-# A calibration is a page or two; a folder with more texts than this holds something else in them.
+# Bytes of a calibration file, and number of candidate files; folders with more hold other data.
 _MAX_BYTES = 1 << 16
 _MOST_FILES = 64
 _TRAJECTORIES = (".txt", ".log", ".tum", ".traj", ".csv", ".freiburg", ".json", ".npy")
 _MOST_TRAJECTORY_BYTES = 1 << 24
-# A single pose may be any matrix.
+# A single 4x4 matrix is not necessarily a pose.
 _LEAST_POSES = 2
-# Texts of programs, whatever words stand in them.
+# Files of software projects, which may contain matching words.
 _OF_PROGRAMS = ("CMakeLists.txt", "requirements.txt", "package.json", "package-lock.json")
-# What stands in files of cameras, whoever wrote them.
+# Words that occur in camera calibration files of any program.
 _OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bmtx|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
-_OFF_CENTRE = "its principal point is far from the middle of these images."
-# Focal lengths of lenses, as shares of an image's longer side: other matrices are none of a camera.
+_OFF_CENTRE = "its principal point is far from the centre of these images."
+# Plausible focal lengths as ratio of the longer image side; other matrices are not camera matrices.
 _FOCAL_LENGTHS = (0.1, 30.0)
 
 
 def places_of_calibrations(folder: Path) -> list[Path]:
-    """Return a scan's folder, and those in it whose names say that calibrations are in them."""
+    """List the folders that may contain calibrations.
+
+    These are the scan folder, and its subfolders with names like `calib` or `params`.
+    """
     inside = [path for path in folder.iterdir() if _PLACES.search(path.name) and path.is_dir()]
     return [folder, *sorted(inside)]
 
 
 def parts_of_calibration(folder: Path) -> tuple[dict[str, Any], list[Path]]:
-    """Return what the files of a folder that are a matrix or a row each state, by their names; and them."""
+    """Read a calibration that is split into one file per matrix or vector.
+
+    Returns
+    -------
+    Numbers of each file by file stem, and the paths of the files.
+    """
     found, files = {}, []
     for path in small_documents(folder):
         if path.suffix not in calibration.TEXTS:
@@ -63,16 +71,18 @@ def parts_of_calibration(folder: Path) -> tuple[dict[str, Any], list[Path]]:
 
 
 def _documents(folder: Path) -> list[Path]:
-    """Return the files that may be calibrations, of all places of such."""
+    """Return the candidate calibration files of a scan folder."""
     return [path for place in places_of_calibrations(folder) for path in small_documents(place)]
 
 
 def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
-    """Return the files of a folder that may be a page of settings, by name; none if they are too many.
+    """Return the small text and array files of a folder, sorted by name.
+
+    Returns an empty list if there are too many to be calibrations.
 
     Parameters
     ----------
-    most : bytes; larger files are none.
+    most : maximum size of a file, bytes.
     """
     found = sorted(
         path
@@ -83,16 +93,16 @@ def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
         and path.stat().st_size <= most
     )
     if len(found) > _MOST_FILES:
-        # Many texts are poses, one a frame.
+        # Many .txt files are usually one pose per frame.
         found = [path for path in found if path.suffix.lower() != ".txt"]
     return found if len(found) <= _MOST_FILES else []
 
 
 def cameras_beside(folder: Path, width: int, height: int) -> list[Found[Camera]]:
-    """Return the cameras for images of this size that files of a folder state, by the files' names.
+    """Find the cameras for an image size in the files of a folder.
 
-    Those of files for another size of the same shape are scaled; they count only where no file is for this
-    size. Diagnostics of a file are returned and not emitted.
+    Cameras for another size of the same aspect ratio are scaled. They are returned only if no file has a
+    camera for this size. Diagnostics are returned with each camera and not emitted.
     """
     with only_looking():
         found = list(_cameras(folder, width, height))
@@ -111,7 +121,14 @@ def _cameras(folder: Path, width: int, height: int) -> Iterator[Found[Camera]]:
 
 
 def rigs_beside(folder: Path, width: int, height: int, baseline: float | None) -> list[Found[StereoRig]]:
-    """Return the rigs for images of this size that files of a folder state; see `cameras_beside`."""
+    """Find the stereo rigs for an image size in the files of a folder.
+
+    See `cameras_beside`.
+
+    Parameters
+    ----------
+    baseline : metres, overrides the baseline of the files; None to use theirs.
+    """
     found = []
     with only_looking():
         for path in _documents(folder):
@@ -126,7 +143,10 @@ def rigs_beside(folder: Path, width: int, height: int, baseline: float | None) -
 
 
 def trajectory_beside(folder: Path, count: int) -> Path | None:
-    """Return the only file of a folder that holds as many poses as there are frames; None without one."""
+    """Find the only trajectory file of a folder with `count` poses.
+
+    Returns None if there is no such file.
+    """
     if count < _LEAST_POSES:
         return None
     with only_looking():
@@ -135,7 +155,7 @@ def trajectory_beside(folder: Path, count: int) -> Path | None:
 
 
 def texts_of_poses(folder: Path) -> list[Path]:
-    """Return the files of a folder that may hold poses, by their extension and size, in order."""
+    """Return the possible trajectory files of a folder by suffix and size, sorted."""
     found = [path for path in folder.iterdir() if path.suffix.lower() in _TRAJECTORIES and path.is_file()]
     return [path for path in sorted(found)[:_MOST_FILES] if path.stat().st_size <= _MOST_TRAJECTORY_BYTES]
 
@@ -148,14 +168,19 @@ def _count_of_poses(path: Path) -> int:
 
 
 def warn_of_rejected(folder: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> None:
-    """Warn of each file of a folder that seems to state a camera for such images, and say why it is none."""
+    """Warn about each file of a folder that looks like a calibration but was rejected.
+
+    Parameters
+    ----------
+    read : reader for a camera or rig, called with path, width and height.
+    """
     with only_looking():
         doubtful = [(path, _fault(path, width, height, read)) for path in _documents(folder)]
     for path, fault in doubtful:
         if fault is not None:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "it seems to state a camera and is not taken: {fault}", path, fault=fault
+                    "it looks like a calibration but is not used: {fault}", path, fault=fault
                 )
             )
 
@@ -172,7 +197,10 @@ def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int],
 
 
 def _words_of(path: Path) -> str:
-    """Return what tells whether a file is about cameras; an array has no words."""
+    """Return the words of a file that indicate a calibration.
+
+    The result is empty for .npy.
+    """
     if path.suffix == calibration.ARRAY:
         return ""
     if path.suffix == calibration.ARCHIVE:
@@ -181,7 +209,7 @@ def _words_of(path: Path) -> str:
 
 
 def _of_this_size(found: list[Found[T]]) -> list[Found[T]]:
-    """Leave out cameras that are scaled, where others are not."""
+    """Drop scaled cameras if there are unscaled ones."""
     return [one for one in found if not was_scaled(one[2])] or found
 
 

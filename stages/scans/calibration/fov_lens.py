@@ -1,8 +1,8 @@
-"""Lenses of the field-of-view model, as OpenCV's fisheye: the two differ by less than the tenth of a pixel.
+"""Conversion of the field-of-view (FOV) lens model to OpenCV's fisheye model.
 
-A ray at an angle t off the axis is seen r = atan(2 tan(t) tan(omega / 2)) / omega beside the centre, times
-the focal length (Devernay and Faugeras, Straight lines have to be straight, Machine Vision and Applications
-13, 2001, equation 13).
+The models differ by less than 0.1 px. A ray at angle t from the optical axis is imaged at radius
+f · atan(2 tan(t) tan(omega / 2)) / omega (Devernay and Faugeras, Straight lines have to be straight, Machine
+Vision and Applications 13, 2001, equation 13).
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN
 from scanloom.stages.scans.model.scan import Camera
 
-# Radians; below the first the lens bends nothing, beyond the second no lens sees.
+# Radians; a smaller omega is a pinhole camera, and a larger one is not a lens.
 _NARROWEST, _WIDEST = 1e-3, math.pi - 1e-3
 _TOLERANCE = 0.1
 _RAYS = 500
 
 
 def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
-    """Return the fisheye camera that sees what one of the field-of-view model sees.
+    """Fit OpenCV's fisheye model to a camera of the field-of-view model.
 
-    Its coefficients are fitted to the rays that a pinhole camera of the same size and scale holds.
+    The coefficients are fitted to the rays within the image of a pinhole camera of the same size and scale.
 
     Parameters
     ----------
-    camera : its size, focal lengths and centre in pixels, as the model has them.
-    omega : the model's parameter, radians.
-    path : named in messages.
+    camera : image size, focal lengths and principal point of the FOV model, pixels.
+    omega : parameter of the FOV model, radians.
+    path : file for messages.
 
     Raises
     ------
     InputError
-        If omega cannot be right, or no fisheye comes near enough.
+        If omega is implausible, or the fit deviates by 0.1 px or more.
     """
     if abs(omega) < _NARROWEST:
         return camera
     if not 0 < omega < _WIDEST:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "a FOV lens of omega {omega:g} cannot be right; it is an angle in radians.",
+            "omega {omega:g} of the FOV lens is implausible; it must be an angle in radians.",
             path,
             omega=omega,
         )
@@ -60,9 +60,9 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "the FOV lens (omega {omega:g}) is {error:.2g} px off from what can be read; "
-                "undistort the images with COLMAP's image_undistorter and give the folder it "
-                "writes."
+                "the FOV lens (omega {omega:g}) cannot be converted to OpenCV's fisheye model: the "
+                "error is {error:.2g} px. Undistort the images with COLMAP's image_undistorter and "
+                "give the folder it writes."
             ),
             path,
             omega=omega,

@@ -1,4 +1,6 @@
-"""Cameras and poses as text with headings, a file for a folder (the APC vision toolbox, its relatives).
+"""Cameras and poses in a text file with headings, as the APC vision toolbox writes it.
+
+One file per folder. A line that begins with `#` describes the matrix below it:
 
     # Color camera intrinsic matrix
      6.15195190e+02   0.00000000e+00   2.98442688e+02
@@ -7,8 +9,6 @@
      …
     # Camera-to-world extrinsic matrix (camera pose) for frame-000000
      …
-
-A line that begins with `#` says what the rows below it are.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scanloom.stages.scans.model.poses import inverted, rigid
 from scanloom.stages.scans.model.scan import Pose
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# What a heading is of: all words of a row stand in it, in any case.
+# Patterns of headings: type of the matrix, its direction, and its frame.
 _CAMERA_TO_WORLD = re.compile(r"cam\w*[ -](?:to|2)[ -]world|camera pose", re.IGNORECASE)
 _WORLD_TO_CAMERA = re.compile(r"world[ -](?:to|2)[ -]cam", re.IGNORECASE)
 _DEPTH_TO_COLOR = re.compile(r"depth[ -](?:to|2)[ -](?:colou?r|rgb)", re.IGNORECASE)
@@ -38,15 +38,15 @@ _SHAPES = ((3, 3), (3, 4), (4, 4))
 
 @dataclass(frozen=True, eq=False)
 class HeadedText:
-    """What such a file states.
+    """Content of a text file with headings.
 
     Attributes
     ----------
-    color, depth : (3, 3) float64 camera matrices, pixels; None where there is none. A camera that is called
-        neither is colour's.
-    color_from_depth : (4, 4) float64, metres; None where it is not stated.
-    poses : world-from-camera by the frame's name, None where tracking was lost.
-    others : headings of matrices that are something else.
+    color, depth : (3, 3) float64 camera matrices, pixels; None if missing. A camera without a stated type is
+        the colour camera.
+    color_from_depth : (4, 4) float64, metres; None if missing.
+    poses : (4, 4) world_from_camera by frame name, None where tracking was lost.
+    others : headings of matrices of unknown type.
     """
 
     color: NDArray[np.float64] | None
@@ -57,18 +57,18 @@ class HeadedText:
 
 
 def states_frames(text: str) -> bool:
-    """Say whether a text has a heading for the pose of a frame."""
+    """Return True if a text has a heading for the pose of a frame."""
     headings = (line for line in text.splitlines() if line.lstrip().startswith("#"))
     return any(_FRAME.search(line) and _pose_direction(line) for line in headings)
 
 
 def read_headed_text(path: Path) -> HeadedText:
-    """Read the file.
+    """Read cameras and poses from a text file with headings.
 
     Raises
     ------
     InputError
-        If a row holds something that is not a number, or a matrix is not what its heading says.
+        If a row is not numeric, a matrix does not fit its heading, or a frame has two poses.
     """
     cameras: dict[str, NDArray[np.float64]] = {}
     poses: dict[str, Pose | None] = {}
@@ -81,7 +81,7 @@ def read_headed_text(path: Path) -> HeadedText:
         if frame is not None and direction:
             pose = rigid(_four_rows(matrix, where, path), path, where)
             if frame[0] in poses:
-                raise InputError(SCAN_TABLE_DAMAGED, "there are two poses of {frame}.", path, frame=frame[0])
+                raise InputError(SCAN_TABLE_DAMAGED, "{frame} has two poses.", path, frame=frame[0])
             is_inverse = direction == "world-to-camera"
             poses[frame[0]] = inverted(pose) if is_inverse and pose is not None else pose
         elif _DEPTH_TO_COLOR.search(heading):
@@ -101,12 +101,12 @@ def _pose_direction(heading: str) -> str:
 
 def _four_rows(matrix: NDArray[np.float64], where: str, path: Path) -> NDArray[np.float64]:
     if matrix.shape[1] != 4:
-        raise InputError(SCAN_TABLE_DAMAGED, "{place} is not a pose of 4 columns.", path, place=where)
+        raise InputError(SCAN_TABLE_DAMAGED, "{place} is not a pose, which has 4 columns.", path, place=where)
     return matrix
 
 
 def _blocks(path: Path) -> list[tuple[int, str, NDArray[np.float64]]]:
-    """Return the heading of each matrix, the line it stands on (from 1), and the matrix."""
+    """Return the line number (from 1), heading and matrix of each block."""
     blocks: list[tuple[int, str, list[list[float]]]] = []
     for number, line in enumerate(documents.read_text(path).splitlines(), 1):
         text = line.strip()
@@ -115,14 +115,14 @@ def _blocks(path: Path) -> list[tuple[int, str, NDArray[np.float64]]]:
         elif text:
             if not blocks:
                 raise InputError(
-                    SCAN_TABLE_DAMAGED, "line {number} stands below no heading (`# …`).", path, number=number
+                    SCAN_TABLE_DAMAGED, "line {number} has no heading (`# …`) above it.", path, number=number
                 )
             blocks[-1][2].append(trajectories.numbers_of(text, number, path))
     for number, _, rows in blocks:
         if len({len(row) for row in rows}) > 1:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "the rows below line {number} are of different lengths.",
+                "the rows below line {number} have different lengths.",
                 path,
                 number=number,
             )

@@ -1,4 +1,4 @@
-"""The size of images that a calibration states, and its camera for those that are there."""
+"""Image size of a calibration, and scaling of its camera to the actual images."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from scanloom.stages.scans.codes import (
 )
 from scanloom.stages.scans.model.scan import Camera, scaled
 
-# Two numbers, or a name for each.
+# Keys of a size as two numbers, and of its sides.
 _SIZES = ("image_size", "imageSize", "img_size", "resolution", "size")
 _SIDES = (("width", "height"), ("image_width", "image_height"), ("image_Width", "image_Height"), ("w", "h"))
 LARGEST_SIDE = 1 << 16
-# Sides are rounded where images are made smaller: 1280×720 becomes 854×480.
+# Relative tolerance of aspect ratios: downscaling rounds the sides (1280×720 becomes 854×480).
 _SAME_SHAPE = 0.01
-# A lens is not mounted so far from the middle of its images, as a share of them.
+# Maximum distance of a principal point from the image centre, as ratio of the image size.
 _OFF_CENTRE = 0.25
-# Where the centre says another size, both of its numbers say the same one.
+# Relative tolerance between the horizontal and vertical ratio of the principal point. If they agree, another
+# image size is inferred from the principal point.
 _SAME_FACTOR = 0.1
 
 
 def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[int, int]:
-    """Return the (width, height) in pixels that a table states; that of the images where it says nothing.
+    """Return the (width, height) in pixels that a table states, or the image size.
 
     Raises
     ------
     InputError
-        If what it states can be no size.
+        If the stated size is implausible.
     """
     sides = next((names for names in _SIDES if all(name in values for name in names)), None)
     pair = next((name for name in _SIZES if name in values), None)
@@ -50,7 +51,7 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
         shown = "×".join(f"{side:g}" for side in size[:4])
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the size of its images, {shown}, cannot be right.",
+            "its image size {shown} is implausible.",
             path,
             shown=shown,
         )
@@ -58,14 +59,14 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
 
 
 def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
-    """Return the camera of a calibration for images of this size, which are the same ones made smaller.
+    """Scale the camera of a calibration to the size of the images.
 
-    Warns if the camera is scaled, and if its principal point is far from the centre of the images.
+    Warns if the camera is scaled, or if its principal point is far from the image centre.
 
     Raises
     ------
     InputError
-        If the size that the calibration is for has another shape: images are then cropped or turned.
+        If the aspect ratios differ: the images were cropped or rotated.
     """
     if (camera.width, camera.height) == (width, height):
         _check_centre(camera, path)
@@ -74,8 +75,9 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "it is for images of {camera_width}×{camera_height}, but these are "
-                "{width}×{height}, which is another shape: they are cropped or turned."
+                "it is for images of {camera_width}×{camera_height} px, but these are "
+                "{width}×{height} px. The aspect ratio differs, so the images were cropped or "
+                "rotated."
             ),
             path,
             remedy="Give the calibration of these images.",
@@ -86,8 +88,8 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         )
     emit(
         CAMERA_CALIBRATION_SCALED.warning(
-            "it is for images of {camera_width}×{camera_height}: its camera is scaled to these of "
-            "{width}×{height}",
+            "it is for images of {camera_width}×{camera_height} px; its camera is scaled to these "
+            "images of {width}×{height} px",
             path,
             camera_width=camera.width,
             camera_height=camera.height,
@@ -99,9 +101,9 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
 
 
 def is_of_shape(first: tuple[int, int], second: tuple[int, int]) -> bool:
-    """Say whether two sizes, (width, height), are those of one image made smaller.
+    """Return True if two sizes (width, height) have the same aspect ratio.
 
-    Where one side is the same and the other is not, the image was cropped.
+    If exactly one side is equal, the image was cropped, so the result is False.
     """
     if (first[0] == second[0]) != (first[1] == second[1]):
         return False
@@ -109,22 +111,27 @@ def is_of_shape(first: tuple[int, int], second: tuple[int, int]) -> bool:
 
 
 def was_scaled(diagnostics: Sequence[Diagnostic]) -> bool:
-    """Say whether a camera was for another size, by what was emitted while it was read."""
+    """Return True if diagnostics of reading a camera state that the camera was scaled."""
     return any(one.code == CAMERA_CALIBRATION_SCALED.name for one in diagnostics)
 
 
 def is_off_centre(camera: Camera) -> bool:
-    """Say whether the principal point is far from the middle of the images: they are probably others."""
+    """Return True if the principal point is more than a quarter image from the centre.
+
+    The calibration then probably belongs to other images.
+    """
     return any(abs(share - 0.5) > _OFF_CENTRE for share in _centre(camera))
 
 
 def with_rows_first(camera: Camera, width: int, height: int) -> Camera:
-    """Return a camera for images whose size was written rows first, as NumPy has it, if its centre says so.
+    """Swap width and height of a camera if the file stated rows first (NumPy order).
+
+    The sides are swapped only if that brings the principal point closer to the image centre.
 
     Parameters
     ----------
-    camera : as if columns had been first.
-    width, height : of the images, in pixels.
+    camera : camera with the size as stated.
+    width, height : size of the images, pixels.
     """
     if (camera.width, camera.height) != (height, width) or width == height:
         return camera
@@ -134,7 +141,7 @@ def with_rows_first(camera: Camera, width: int, height: int) -> Camera:
 
 
 def _centre(camera: Camera) -> tuple[float, float]:
-    """Return where the principal point is, as shares of the images."""
+    """Return the principal point as ratios of image width and height."""
     return (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
 
 
@@ -148,10 +155,10 @@ def _check_centre(camera: Camera, path: Path) -> None:
         hint = f", such as {larger[0]:.0f}×{larger[1]:.0f}"
     emit(
         CAMERA_CALIBRATION_MISMATCH.warning(
-            "it has its principal point at ({cx:g}, {cy:g}), far from the centre of images of "
-            "{width}×{height}: it may be for another size{hint}",
+            "its principal point ({cx:g}, {cy:g}) is far from the centre of images of "
+            "{width}×{height} px; it may be for another image size{hint}",
             path,
-            remedy="scan.intrinsics=fx,fy,cx,cy states the right one",
+            remedy="scan.intrinsics=fx,fy,cx,cy overrides it",
             cx=camera.cx,
             cy=camera.cy,
             width=camera.width,

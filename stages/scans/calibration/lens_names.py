@@ -1,4 +1,4 @@
-"""Names under which calibrations state the distortion of a lens."""
+"""Lookup of distortion coefficients under the key names of various programs."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ _FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 
 
 def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> object:
-    """Return what a camera's table states: coefficients in a row, also of `k1` and so on; None if nothing.
+    """Find the distortion coefficients in the table of a camera.
 
-    Warns about a lens under a name that is not known.
+    Coefficients are a list, or separate values `k1`, `k2` and so on. Warns about unknown keys that look like
+    distortion. Returns None without coefficients.
     """
     named = {key: value for key, value in values.items() if _KNOWN.fullmatch(str(key))}
     stated = next((value for value in named.values() if value is not None), None)
     terms = values if stated is None else stated
     if isinstance(terms, dict) and {"k1", "k2"} <= terms.keys():
-        # The last three are those of the rational model.
+        # k4 to k6 belong to the rational model.
         names = _FISHEYE_TERMS if fisheye else _TERMS if terms.keys() & set(_TERMS[5:]) else _TERMS[:5]
         return [terms.get(name, 0.0) for name in names]
     if not named:
@@ -34,7 +35,10 @@ def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> objec
 
 
 def distortions_of_pair(values: dict[str, Any], path: Path) -> tuple[object, object]:
-    """Return what a table of two cameras states of the first and the second lens, likewise."""
+    """Find the distortion coefficients of both cameras of a stereo pair.
+
+    Without coefficients: (None, None), and a warning about unknown keys.
+    """
     keys = lenses_of_pair(values)
     if keys is None:
         _warn_of_others(values, path)
@@ -47,7 +51,7 @@ def _warn_of_others(values: dict[str, Any], path: Path) -> None:
         if _ALIKE.search(str(key)) and isinstance(value, (list, dict)) and value:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "it states {key}, which is not known: the lens is taken to be straight",
+                    "the key {key} is unknown; the lens is assumed to have no distortion",
                     path,
                     key=str(key)[:40],
                 )

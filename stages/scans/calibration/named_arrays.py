@@ -1,4 +1,4 @@
-"""Calibrations as NumPy's archives of arrays: `np.savez("calibration.npz", mtx=…, dist=…)`."""
+"""Calibrations as NumPy archives: `np.savez("calibration.npz", mtx=…, dist=…)`."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from scanloom.stages.files.numpy_files import NPY_FAULTS, array_of
 from scanloom.stages.files.zip_archives import entry_content, opened_archive
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID
 
-# Of an array; boards seen in a hundred images, which lie beside the cameras, are more.
+# Bytes of an array; larger ones are detected board corners, which are often saved with the cameras.
 _MOST_BYTES = 1 << 20
 _MOST_ARRAYS = 1 << 10
-# Of the numbers of a camera or of how two stand to each other.
+# Maximum elements of an array with intrinsics, distortion or extrinsics.
 _MOST_NUMBERS = 64
 
 
 def tables(path: Path) -> dict[str, Any]:
-    """Return the small arrays of an archive by name: nested rows, or a number or word where it holds one.
+    """Read the small arrays of a .npz archive by name.
+
+    Arrays become nested lists; arrays of one element become a number or string.
 
     Raises
     ------
     InputError
-        If the archive is damaged, or holds no such array.
+        If the archive is damaged, or holds no small array.
     """
     found: dict[str, Any] = {}
     with opened_archive(path) as archive:
@@ -34,10 +36,14 @@ def tables(path: Path) -> dict[str, Any]:
             try:
                 array = array_of(BytesIO(entry_content(archive, entry.filename, path, _MOST_BYTES)))
             except NPY_FAULTS:
-                # Objects, as of boards with unlike counts of corners: they are nothing of a camera.
+                # Object arrays hold for example board corners of varying count, never cameras.
                 continue
             if array.size <= _MOST_NUMBERS and array.dtype.kind in "uifbU":
                 found[entry.filename.removesuffix(".npy")] = array.tolist()
     if not found:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "no small array of numbers is in it.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "it contains no numeric array that is small enough for a calibration.",
+            path,
+        )
     return found

@@ -1,8 +1,8 @@
-"""Cameras as text of names and numbers, a line each: what scripts print, .ini files, RealSense's own tool.
+"""Cameras as text lines of names and numbers: script output, .ini files, rs-enumerate-devices.
 
     fx: 615.2            PPX (cx) = 318.5            baseline 0.05
 
-Headings part several cameras: `[rgb]`, or `Intrinsic of "Color" / 640x480 / {YUYV}` of rs-enumerate-devices.
+Headings separate several cameras: `[rgb]`, or `Intrinsic of "Color" / 640x480 / {YUYV}`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ _KNOWN = re.compile(
 
 
 def tables(text: str) -> dict[str, Any] | None:
-    """Return the values by name, or such tables by heading; None if the text states no camera so."""
+    """Parse name-value lines into a table with one nested table per heading.
+
+    Returns None if no table has `fx` and `fy`.
+    """
     whole: dict[str, Any] = {}
     here = whole
     for line in text.splitlines():
@@ -41,7 +44,7 @@ def tables(text: str) -> dict[str, Any] | None:
 
 
 def _take(table: dict[str, Any], name: str, beside: str | None, value: str) -> None:
-    """Put a value where cameras have it, if one of its names is known."""
+    """Store a value under its calibration key, if one of its names is known."""
     names = [one.strip().lower() for one in (name, beside or "") if _KNOWN.fullmatch(one.strip().lower())]
     if not names:
         return
@@ -50,7 +53,7 @@ def _take(table: dict[str, Any], name: str, beside: str | None, value: str) -> N
     try:
         numbers = [float(word) for word in words]
     except ValueError:
-        # The lens by its name, beside its coefficients.
+        # The name of the lens model, on a separate line from its coefficients.
         if key in ("distortion", "model"):
             table["model"] = value.strip()
         return

@@ -1,11 +1,11 @@
-"""Settings of ORB-SLAM and its many relatives: `Camera.fx: 535.4` and so on, in OpenCV's YAML.
+"""ORB-SLAM settings in OpenCV's YAML, used by ORB-SLAM and related programs.
 
 Camera.fx fy cx cy k1 k2 p1 p2 k3      or Camera1.fx …, Camera2.fx … (version 3)
-Camera.width, Camera.height            of the images; older files have none
-Camera.bf                              baseline times fx; a made one where there is depth; or Stereo.b, metres
-Stereo.T_c1_c2 or Tlr                  takes points of the right camera to the left
-LEFT.K D R P, RIGHT.K D R P            the pair as it left the cameras
-DepthMapFactor                         units of a depth map that are one metre; or RGBD.DepthMapFactor
+Camera.width, Camera.height            image size; missing in older files
+Camera.bf                              baseline × fx (nominal for RGB-D); or Stereo.b in metres
+Stereo.T_c1_c2 or Tlr                  maps points from right to left camera coordinates
+LEFT.K D R P, RIGHT.K D R P            unrectified stereo pair
+DepthMapFactor                         units of a depth map per metre; or RGBD.DepthMapFactor
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 _BENT = ("k1", "k2", "p1", "p2", "k3")
 _BENT_FISHEYE = ("k1", "k2", "k3", "k4")
 _FISHEYE = "KannalaBrandt8"
-# The names of a side in ROS's camera_info, which it takes its values from.
+# Keys of a side in ROS's camera_info, from which the settings are copied.
 _SIDE = {
     "K": "camera_matrix",
     "D": "distortion_coefficients",
@@ -24,14 +24,14 @@ _SIDE = {
     "width": "width",
     "height": "height",
 }
-# Depth of floating point comes with a factor of 1, which says nothing of files.
+# A factor of 1 belongs to float depth and does not describe depth files.
 _LEAST_FACTOR = 1.0
 
 
 def as_table(values: dict[str, Any]) -> dict[str, Any]:
-    """Return settings under the names of our own calibrations; what is no settings as it is.
+    """Convert ORB-SLAM settings to scanloom's calibration keys.
 
-    Numbers are handed on as they stand: who makes cameras of them checks them.
+    Other tables are returned unchanged. Numbers are not validated here but when the camera is created.
     """
     first = next((name for name in ("Camera1", "Camera") if f"{name}.fx" in values), None)
     if first is None:

@@ -1,9 +1,9 @@
-"""Which of a table's values are of the left and which of the right camera, whatever their writer called them.
+"""Matching of left and right values in a stereo calibration by their key names.
 
     K1 K2    mtxL mtxR    camera_matrix_left camera_matrix_right    Intrinsic_mtx_1 Intrinsic_mtx_2
 
-Two names are a pair where they are one but for the side, and their values of the kind that is looked for.
-Those of OpenCV's samples and tutorials, and of our own tables, need not be: what is wrong there is told.
+Two keys are a pair if they differ only in the side and their values have the right form. For the key names
+of OpenCV's samples and tutorials the values are not checked here, so that errors in them are reported.
 """
 
 from __future__ import annotations
@@ -41,21 +41,27 @@ _SIDES = (
     ("1", "2"),
     ("0", "1"),
 )
-# Of images that were straightened with them: not those that a camera takes.
+# Names of the new camera matrices after undistortion or rectification; they do not belong to the raw images.
 _OF_STRAIGHTENED = re.compile("new|opt|rect|undist", re.IGNORECASE)
 _OF_A_LENS = re.compile("dist|coef|^d", re.IGNORECASE)
 _COEFFICIENTS = (4, 5, 8, 12, 14)
-# Pixels; matrices of one are unit matrices, and turns.
+# Pixels; a 3x3 matrix with ones on its diagonal is an identity or a rotation.
 _LEAST_FOCAL_LENGTH = 2.0
 
 
 def matrices_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
-    """Return the names of the matrices of the left and the right camera; None without one such pair."""
+    """Return the keys of the left and right camera matrix.
+
+    Returns None if not unique.
+    """
     return _known(values, _MATRICES) or _pair(values, lambda _, array: _is_camera_matrix(array))
 
 
 def lenses_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
-    """Return the names of the coefficients of both lenses, likewise."""
+    """Return the keys of the left and right distortion coefficients.
+
+    Returns None if not unique.
+    """
     return _known(values, _LENSES) or _pair(
         values, lambda name, array: array.size in _COEFFICIENTS and _OF_A_LENS.search(name) is not None
     )
@@ -74,14 +80,17 @@ def _pair(values: dict[str, Any], fits: Callable[[str, NDArray[np.float64]], boo
 
 
 def _other_sides(name: str) -> Iterator[str]:
-    """Yield what the right one of a pair may be called, of which the left one has this name."""
+    """Yield the possible keys of the right camera for a key of the left camera."""
     for left, right in _SIDES:
         for found in re.finditer(left, name):
             yield name[: found.start()] + right + name[found.end() :]
 
 
 def _array_of(value: object) -> NDArray[np.float64]:
-    """Return the numbers of a value in rows, as of OpenCV's matrices; an empty array where it has none."""
+    """Convert a value (nested lists or an OpenCV matrix) to an array.
+
+    The result is empty if not numeric.
+    """
     try:
         return np.asarray(value["data"] if isinstance(value, dict) else value, np.float64)
     except (KeyError, TypeError, ValueError, OverflowError):

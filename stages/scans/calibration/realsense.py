@@ -1,18 +1,19 @@
-"""Cameras as RealSense's library names their numbers, and as programs beside it write them down.
+"""Camera intrinsics with the key names of RealSense's library (librealsense).
 
 fx fy ppx ppy, coeffs, model, width, height      of a stream
-depth_scale                                      metres of a depth map's unit, 0.001
+depth_scale                                      metres per unit of the depth map, 0.001
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-# Whatever the name says, the maker's own library projects these like OpenCV, to thousandths of a pixel.
+# librealsense projects all of these models like OpenCV, within thousandths of a pixel, regardless of the
+# name.
 _LIKE_OPENCV = ("brown conrady", "inverse brown conrady", "modified brown conrady", "plumb bob")
 _NAMES = {"ppx": "cx", "ppy": "cy", "coeffs": "distortion"}
 _FISHEYE, _FISHEYE_COEFFICIENTS = "kannala brandt4", 4
-# Where the library's numbers of the models are written in place of their names.
+# Models by their number in librealsense, which some programs write in place of the name.
 _MODELS = (
     "none",
     "modified brown conrady",
@@ -24,18 +25,21 @@ _MODELS = (
 
 
 def is_like_opencv(model: str) -> bool:
-    """Say whether a lens of this name bends as OpenCV's ordinary one."""
+    """Return True if a distortion model is equivalent to OpenCV's standard model."""
     return _plain(model) in _LIKE_OPENCV
 
 
 def as_table(values: dict[str, Any]) -> dict[str, Any]:
-    """Return a stream's camera under the names of our own calibrations; other tables as they are."""
+    """Convert a stream's intrinsics to scanloom's calibration keys.
+
+    Other tables are returned unchanged.
+    """
     if "ppx" not in values or "ppy" not in values:
         return values
     table = {_NAMES.get(key, key): value for key, value in values.items() if key != "model"}
     model, bent = _model(values.get("model", "none")), table.get("distortion")
     if model == _FISHEYE and isinstance(bent, list):
-        # Five numbers are written whatever the lens.
+        # Files have five coefficients for every model.
         return table | {"distortion_model": "equidistant", "distortion": bent[:_FISHEYE_COEFFICIENTS]}
     is_straight = not isinstance(bent, list) or not any(bent)
     return table if is_straight or model in _LIKE_OPENCV else table | {"distortion_model": model}

@@ -1,9 +1,9 @@
-"""Camera intrinsics for folders that do not store them: from the user, from a file nearby, or guessed.
+"""Camera intrinsics of folders that do not store them: from the user, a discovered file, or a guess.
 
-One rule for every layout. A folder of loose files whose camera file is missing gets the guess below, with a
-warning that names the options. Pairs get none, since focal length times baseline is the scale of all they
-show: the calibration is asked for. A file that holds its frames and their camera in one (scan.json, .sens,
-transforms.json, Record3D's metadata.json) is damaged without it, and refused.
+The rule is the same for all layouts. A folder of loose images without a camera file gets a guessed camera
+with a warning that names the options. Stereo pairs never get a guess, because focal length × baseline scales
+every depth: a calibration is required. A file that contains both frames and camera (scan.json, .sens,
+transforms.json, Record3D's metadata.json) is rejected as damaged if the camera is missing.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_INTRI
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera
 
-# A PrimeSense or Kinect sees 62.7 degrees across; it is what Open3D falls back to, and near to a RealSense's.
+# Focal length in image widths of a PrimeSense or Kinect, 62.7° wide; Open3D's default, and close to a
+# RealSense.
 _FOCAL_LENGTH = 525 / 640
-# Depth maps of sizes that one kind of device has, and its focal length, px; a phone is held either way.
+# Focal length in pixels and device, by depth map sizes that are specific to a device. Phones are held in
+# either orientation.
 _OF_SIZE = {
     (192, 256): (187, "a phone's LiDAR"),
     (256, 192): (187, "a phone's LiDAR"),
@@ -31,16 +33,23 @@ _OF_SIZE = {
 
 
 def stated_camera(options: ReadingParams, folder: Path, width: int, height: int) -> Camera | None:
-    """Return the camera that the person states for images of this size, in numbers or as a file, or None."""
+    """Return the camera that the user gave as numbers or file.
+
+    Returns None if not given.
+    """
     path = options.file("calibration", folder)
     stated = options.camera(width, height)
     return calibration.read_camera(path, width, height) if stated is None and path is not None else stated
 
 
 def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | None]:
-    """Return the camera for depth maps of this size that a file beside the images states, and that file.
+    """Find the camera for depth maps of a size in the files of a folder, or guess it.
 
-    Without one the camera is a guess. Both give a warning.
+    Emits a warning in both cases.
+
+    Returns
+    -------
+    The camera, and its file or None for a guess.
     """
     found = cameras_beside(folder, width, height)
     if len({camera for camera, *_ in found}) == 1:
@@ -48,7 +57,7 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
         note(path)
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the camera is read from {file}, which lies beside the images",
+                "the camera is read from {file}, which was found next to the images",
                 file=path.relative_to(folder).as_posix(),
             ),
             *diagnostics,
@@ -57,7 +66,7 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
     if found:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "{files} state different cameras: none is taken",
+                "{files} state different cameras; none of them is used",
                 files=", ".join(path.name for _, path, _ in found[:5]),
             )
         )
@@ -67,19 +76,18 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
 
 
 def _guessed_camera(width: int, height: int) -> Camera:
-    """Return the camera to take for depth maps of this size when nothing is known, with a warning."""
+    """Guess the camera from the size of the depth maps, with a warning."""
     focal, device = _OF_SIZE.get((width, height), (width * _FOCAL_LENGTH, None))
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
     emit(
         CAMERA_INTRINSICS_GUESSED.warning(
-            "the folder has no intrinsics: {fx:g},{fy:g},{cx:g},{cy:g} is guessed, {whose}",
-            remedy="for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
-            "scan.calibration=FILE",
+            "the folder has no intrinsics; {fx:g},{fy:g},{cx:g},{cy:g} is guessed ({whose})",
+            remedy="for another camera set scan.intrinsics=fx,fy,cx,cy or scan.calibration=FILE",
             fx=camera.fx,
             fy=camera.fy,
             cx=camera.cx,
             cy=camera.cy,
-            whose="a Kinect's view" if device is None else f"that of {device}",
+            whose="the field of view of a Kinect" if device is None else f"the camera of {device}",
         )
     )
     return camera

@@ -1,6 +1,6 @@
-"""Read the calibration of a pair of cameras: JSON, TOML, OpenCV, Kalibr, ROS and ORB-SLAM YAML, `K.txt`.
+"""Reader for stereo calibrations: JSON, TOML, YAML (OpenCV, Kalibr, ROS, ORB-SLAM) and `K.txt`.
 
-How the second camera stands to the first, in metres, whatever names and unit the file's writer used.
+Key names and length units of various programs are converted; extrinsics are in metres.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from scanloom.stages.scans.codes import (
 from scanloom.stages.scans.model.poses import inverted, matrix_of, rigid
 from scanloom.stages.scans.model.scan import Camera, Pose, StereoRig
 
-# Names of how the cameras stand to each other.
+# Key names of the rotation and translation between the cameras.
 _ROTATION = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)
 _TRANSLATION = re.compile("T|tr(a?ns?|anslation)(_?vec(tor)?)?", re.IGNORECASE)
 _PROJECTIONS = ("projection_matrix", "P", "p")
 _FISHEYE = "fisheye"
-# No rig carried by hand or car is wider; a larger number is in millimetres.
+# Maximum plausible baseline in metres; a larger number without a unit is in millimetres.
 _WIDEST_METRES = 10.0
-# Few are wider than this; boards measured in centimetres, or in their own squares, give such numbers.
+# Metres; few rigs are wider. Calibration boards measured in centimetres or squares give such numbers.
 _WIDE_METRES = 1.5
 
 
@@ -59,24 +59,31 @@ def read_rig(
     document: dict[str, Any] | None = None,
     baseline: float | None = None,
 ) -> StereoRig:
-    """Read a stereo rig for images of this size in pixels.
+    """Read a stereo rig for a given image size in pixels.
 
-    Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
-    `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T`, under any names that part both sides (`mtxL`,
-    `cam_matrix_right` …), as YAML, XML or NumPy's .npz; `P1 P2` for rectified images; Kalibr's `cam0` and
-    `cam1`; ROS's camera_info under `left` and `right`; ORB-SLAM's settings; a text of the nine numbers of a
-    matrix and a baseline, of a rectified pair. Lengths are metres unless `unit` says `mm`, `cm` or `m`.
+    Supported forms:
+
+    - tables `left` and `right`, with `R`, `T` or `baseline`;
+    - one camera and a `baseline`, for a rectified pair;
+    - OpenCV's `K1 D1 K2 D2 R T` as YAML, XML or .npz, with any key names that distinguish the sides (`mtxL`,
+      `cam_matrix_right` …);
+    - `P1 P2` of rectified images;
+    - Kalibr's `cam0` and `cam1`, ROS's camera_info under `left` and `right`, ORB-SLAM settings, ZED files;
+    - text with the nine numbers of a matrix and a baseline, for a rectified pair.
+
+    Lengths are metres unless `unit` is `mm`, `cm` or `m`. Without a unit, a baseline above 10 is read as
+    millimetres, with a warning.
 
     Parameters
     ----------
-    path : named in messages, and read unless `document` is given.
-    document : the file's content, when several files make it up.
-    baseline : metres, in place of the file's.
+    path : calibration file; only used in messages if `document` is given.
+    document : content, if several files make up the calibration.
+    baseline : metres, overrides the baseline of the file.
 
     Raises
     ------
     InputError
-        If the file does not parse, something is missing, or a number cannot be right.
+        If the file does not parse, something is missing, or a number is implausible.
     """
     if document is None:
         document = document_of(path)
@@ -124,9 +131,9 @@ def read_rig(
     if infos is not None:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the images are taken as they left the cameras, as ROS's image_raw",
+                "the images are assumed to be unrectified (ROS's image_raw)",
                 path,
-                remedy="for image_rect give a file with P1 and P2 alone",
+                remedy="for image_rect, give a file that contains only P1 and P2",
             )
         )
     looks_rectified = _looks_rectified(left, right, right_from_left)
@@ -156,12 +163,12 @@ def read_rig(
 
 
 def states_a_pair(values: dict[str, Any]) -> bool:
-    """Say whether a table has the matrices of two cameras, and how one stands to the other."""
+    """Return True if a table has two camera matrices and a translation."""
     return matrices_of_pair(values) is not None and _named(values, _TRANSLATION) is not None
 
 
 def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
-    """Return the relation of two cameras, their distance set to `baseline` metres (along x if it was 0)."""
+    """Set the length of the baseline, in metres; along x if it was 0."""
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     moved: Pose = right_from_left.copy()
     moved[:3, 3] = (-baseline, 0, 0) if length == 0 else right_from_left[:3, 3] * (baseline / length)
@@ -169,7 +176,11 @@ def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
 
 
 def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
-    """Read Kalibr's camchain of two cameras: `T_cn_cnm1` takes points of camera 0 to camera 1."""
+    """Read a Kalibr camchain of two cameras.
+
+    `T_cn_cnm1` maps points from camera 0 to camera 1. Without it, the extrinsics are computed from
+    `T_cam_imu`.
+    """
     cameras = [kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
     if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
         left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
@@ -184,7 +195,10 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
 
 
 def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Return the tables of two cameras as ROS states them, each with its projection, or None."""
+    """Return the left and right camera_info tables of ROS.
+
+    Returns None if one lacks a projection.
+    """
     sides = values.get("left"), values.get("right")
     if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
         return None
@@ -194,9 +208,10 @@ def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any
 def _ros(
     left: dict[str, Any], right: dict[str, Any], width: int, height: int, path: Path
 ) -> tuple[Camera, Camera, Pose]:
-    """Read two of ROS's camera_info: R turns a camera to be rectified, P[0,3] / P[0,0] is minus the baseline.
+    """Read a stereo pair of ROS camera_info tables.
 
-    A point x of the left camera is R_right^T (R_left x + t) in the right one.
+    R rotates a camera to its rectified axes, and P[0,3] / P[0,0] of the right camera is the negative
+    baseline. A point x in left camera coordinates is R_rightᵀ (R_left x + t) in right camera coordinates.
     """
     cameras = [camera_from_table(side, width, height, path) for side in (left, right)]
     turns = [_rectification(side, path) for side in (left, right)]
@@ -225,12 +240,15 @@ def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
 
 
 def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
-    """Say whether a table of two cameras is of fisheyes: it says so, or its file's name does."""
+    """Return True if a stereo calibration has fisheye lenses.
+
+    The distortion model decides, or the file name if there is no model.
+    """
     model = values.get("distortion_model")
     if model is None and _FISHEYE in path.stem.lower():
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "its name says fisheye: its lenses are taken as OpenCV's fisheye model", path
+                "its name contains fisheye, so OpenCV's fisheye model is assumed", path
             )
         )
         return True
@@ -242,19 +260,19 @@ def _named(values: dict[str, Any], names: re.Pattern[str]) -> str | None:
 
 
 def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
-    """Return T_cam_imu of a camera in Kalibr's camchain: takes points of the body (the IMU) to the camera.
+    """Read T_cam_imu of a Kalibr camchain: maps points from body (IMU) to camera coordinates.
 
     Raises
     ------
     InputError
-        If it is not there or not rigid.
+        If the matrix is missing or not rigid.
     """
     name = f"{side}.T_cam_imu"
     return _finite_pose(matrix_of(table_in(values, side, path).get("T_cam_imu"), path, name), name, path)
 
 
 def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
-    """Read the projection matrices of rectified images: the baseline is -P2[0,3] / P2[0,0]."""
+    """Read the projection matrices of a rectified pair; the baseline is -P2[0,3] / P2[0,0]."""
     left, right = (matrix_in(values, key, path) for key in ("P1", "P2"))
     if left.shape != (3, 4) or right.shape != (3, 4):
         raise InputError(CAMERA_CALIBRATION_INVALID, "P1 and P2 must be 3x4.", path)
@@ -262,9 +280,8 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "P1 is not filled in, as where calibration ended before rectification. The "
-                "cameras' own matrices are needed beside R and T: name the file of both, or "
-                "put intrinsics.yml beside extrinsics.yml."
+                "P1 is not filled in: the calibration ended before rectification. Give a file with "
+                "the camera matrices, R and T, or put intrinsics.yml next to extrinsics.yml."
             ),
             path,
         )
@@ -278,12 +295,15 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
 
 
 def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
-    """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
+    """Read right_from_left (4, 4) in the unit of the file.
+
+    From R and T, from `left_from_right`, or from a baseline along x.
+    """
     if "left_from_right" in values:
         given = matrix_in(values, "left_from_right", path)
         if given.shape != (4, 4):
-            raise InputError(CAMERA_CALIBRATION_INVALID, "the relation of the cameras must be 4x4.", path)
-        return inverted(_finite_pose(given, "the relation of the cameras", path))
+            raise InputError(CAMERA_CALIBRATION_INVALID, "the extrinsics of the cameras must be 4x4.", path)
+        return inverted(_finite_pose(given, "the extrinsics of the cameras", path))
     matrix = np.eye(4)
     rotation = _named(values, _ROTATION)
     translation = _named(values, _TRANSLATION)
@@ -313,22 +333,22 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     elif required:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            (
-                "how the cameras stand to each other is missing: R and T, or a baseline (or "
-                "set scan.baseline=METRES)."
-            ),
+            ("the extrinsics are missing: R and T, or a baseline. Add them, or set scan.baseline=METRES."),
             path,
         )
     return _finite_pose(matrix, "R, T", path)
 
 
 def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
-    """Return the extrinsics in metres; calibration boards are often measured in millimetres."""
+    """Convert extrinsics to metres.
+
+    A missing unit is inferred from the length, because calibration boards are often measured in millimetres.
+    """
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     if length == 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the two cameras stand at the same place (baseline 0); no depth can be had.",
+            "the baseline is 0, so no depth can be computed.",
             path,
         )
     if unit is None:
@@ -336,10 +356,10 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
         if unit == "mm":
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "the baseline is {length:g} without a unit, taken as millimetres",
+                    "the baseline {length:g} has no unit and is read as millimetres",
                     path,
-                    remedy="where it is not (in centimetres it were {by_centimetres:g} m), set "
-                    "scan.baseline=METRES",
+                    remedy="if it is not in millimetres (in centimetres it would be {by_centimetres:g} m), "
+                    "set scan.baseline=METRES",
                     length=length,
                     by_centimetres=length / 100,
                 )
@@ -347,10 +367,9 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
         elif length > _WIDE_METRES:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "the baseline is {length:g} without a unit, taken as metres, which few rigs are wide",
+                    "the baseline {length:g} has no unit and is read as metres, which is unusually wide",
                     path,
-                    remedy="where the board was measured in centimetres, or counted in squares, set "
-                    "scan.baseline=METRES",
+                    remedy="if the board was measured in centimetres or squares, set scan.baseline=METRES",
                     length=length,
                 )
             )
@@ -365,7 +384,10 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
 
 
 def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool:
-    """Say whether rows correspond: no rotation, no distortion, one focal length and row centre."""
+    """Return True if the cameras are parallel, undistorted, and have equal intrinsics.
+
+    cx may differ, because it does not affect the correspondence of rows.
+    """
     shift = right_from_left[:3, 3]
     return (
         np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
@@ -386,7 +408,10 @@ def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
 
 
 def _numbers_of_pair(path: Path) -> dict[str, Any]:
-    """Return the table of a rectified pair written as the nine numbers of its matrix and the baseline."""
+    """Read a rectified pair as a table.
+
+    The file has nine matrix elements and a baseline, or only a matrix.
+    """
     numbers = text_numbers(path)
     if len(numbers) == MATRIX_AND_BASELINE:
         return {"K": numbers[:-1], "baseline": numbers[-1]}

@@ -1,4 +1,4 @@
-"""Cameras as ROS's calibrator prints them (`ost.txt`, and .ini files of the same form).
+"""Cameras as printed by ROS's camera calibrator (`ost.txt`, and .ini files of the same form).
 
     [image]
     width
@@ -13,7 +13,7 @@
     rectification
     projection
 
-A pair is one after the other in one file.
+A stereo pair is two such sections in one file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-# What it calls the values of a camera, and what ROS's YAML calls them.
+# Keys of ROS's YAML by the names in the text.
 _NAMES = {
     "width": "image_width",
     "height": "image_height",
@@ -35,7 +35,10 @@ _SIDE = re.compile("left|right", re.IGNORECASE)
 
 
 def tables(text: str) -> dict[str, Any] | None:
-    """Return the table of a camera, or `left` and `right` of two; None if the text is of another form."""
+    """Parse the text into the table of a camera, or tables `left` and `right`.
+
+    Returns None if the text has another form.
+    """
     cameras: list[dict[str, Any]] = []
     numbers: list[float] = []
     for line in text.splitlines():

@@ -1,4 +1,4 @@
-"""Values of calibration tables, checked: numbers, rows, matrices as nested rows, flat, or OpenCV's."""
+"""Validated access to calibration tables: numbers, rows, matrices and nested tables."""
 
 from __future__ import annotations
 
@@ -12,12 +12,20 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_TABLE_DAMAGED
 
-# What calibrations call the matrix of a camera.
+# Key names of a camera matrix in various programs.
 MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
 
 
 def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
-    """Return a matrix given as nested rows, as a flat list, or as OpenCV's rows, cols and data."""
+    """Read a matrix of a calibration table.
+
+    Forms: nested rows, a flat list, or OpenCV's rows, cols and data.
+
+    Raises
+    ------
+    InputError
+        If the value is not a matrix of numbers.
+    """
     value = values[key]
     shape: tuple[int, ...] | None = None
     try:
@@ -34,14 +42,28 @@ def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float6
 
 
 def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
-    """Return a list of numbers of any shape as one row; empty for None."""
+    """Flatten a list of numbers of any shape to a tuple.
+
+    The result is empty for None.
+
+    Raises
+    ------
+    InputError
+        If the value is not numeric.
+    """
     if value is None:
         return ()
     return tuple(float(number) for number in matrix_in({name: value}, name, path).ravel())
 
 
 def number_of(value: object, key: str, path: Path) -> float:
-    """Return a finite number; raises InputError if the value is none."""
+    """Convert a value to a finite number.
+
+    Raises
+    ------
+    InputError
+        If the value is not a finite number; the message names its `key`.
+    """
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
@@ -58,7 +80,13 @@ def number_of(value: object, key: str, path: Path) -> float:
 
 
 def table_in(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
-    """Return a table in another; raises InputError if the value is none."""
+    """Return a nested table.
+
+    Raises
+    ------
+    InputError
+        If the value under `key` is not a table.
+    """
     table = values[key]
     if not isinstance(table, dict):
         raise InputError(

@@ -1,10 +1,10 @@
-"""The factory calibration of a ZED, `SN12345.conf`: both cameras for each size of images, and their relation.
+"""Factory calibration of a ZED camera, `SN12345.conf`: both cameras per image size, and extrinsics.
 
     [LEFT_CAM_HD]  fx=700.5  fy=…  cx=…  cy=…  k1=…  k2=…  p1=…  p2=…  k3=…
     [RIGHT_CAM_HD] …
     [STEREO]       Baseline=119.87  TY=…  TZ=…  CV_HD=…  RX_HD=…  RZ_HD=…
 
-Lengths are millimetres, turns the radians of a rotation vector (RX, CV, RZ). Its images are not rectified.
+Lengths are in millimetres, rotations are a rotation vector (RX, CV, RZ) in radians. Images are not rectified.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scanloom.stages.scans.codes import (
 _MARK = "[LEFT_CAM_"
 _STEREO = "STEREO"
 _NUMBERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-# (width, height) of one camera's images, by what the sections call them.
+# (width, height) of one camera's images by mode name.
 _SIZES = {
     "2K": (2208, 1242),
     "FHD": (1920, 1080),
@@ -37,7 +37,7 @@ _SIZES = {
 
 
 def tables(text: str) -> dict[str, Any] | None:
-    """Return the sections of such a file, each a table of words; None if the text is none."""
+    """Parse a ZED calibration into tables by section; None for other texts."""
     if _MARK not in text.upper():
         return None
     parser = configparser.ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=("#", ";"))
@@ -49,41 +49,43 @@ def tables(text: str) -> dict[str, Any] | None:
 
 
 def is_one(values: dict[str, Any]) -> bool:
-    """Say whether a document is such a calibration."""
+    """Return True if a document is a ZED calibration."""
     return any(str(name).startswith(_MARK[1:]) for name in values)
 
 
 def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
-    """Return the left camera for images of this size under the names of our own calibrations.
+    """Convert the left camera for an image size to scanloom's calibration keys.
 
     Raises
     ------
     InputError
-        If no camera is for images of this shape, or a number is missing.
+        If no mode has this aspect ratio, or a number is missing.
     """
     return _camera(values, "LEFT", _mode(values, width, height, path), path)
 
 
 def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
-    """Return both cameras and their relation, likewise: x_right = R x_left + T.
+    """Convert both cameras and their extrinsics to scanloom's calibration keys.
+
+    x_right = R x_left + T, in millimetres.
 
     Raises
     ------
     InputError
-        As `as_table`, and if a number of the relation is missing.
+        As `as_table`, and if a number of the extrinsics is missing.
     """
     mode = _mode(values, width, height, path)
     stereo = values.get(_STEREO)
     if not isinstance(stereo, dict):
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "[{stereo}], how the cameras stand to each other, is missing.",
+            "the section [{stereo}] with the extrinsics is missing.",
             path,
             stereo=_STEREO,
         )
     turn = [_stated(stereo, (f"{name}_{mode}", name), path) for name in ("rx", "cv", "rz")]
     aside = [_stated(stereo, (f"{name}_{mode}", name), path, 0.0) for name in ("ty", "tz")]
-    # The maker's own programs align rows with this turn and this line between the cameras.
+    # Stereolabs' own programs align rows with this rotation and baseline direction.
     shift = [-length for length in (_stated(stereo, ("baseline",), path), *aside)]
     return {
         "left": _camera(values, "LEFT", mode, path),
@@ -96,7 +98,10 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
 
 
 def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
-    """Return the mode of images of this size; of others, which were made smaller, the one they may be of."""
+    """Return the mode with the size of the images.
+
+    Otherwise a mode with the same aspect ratio.
+    """
     there = [mode for mode in _SIZES if f"LEFT_CAM_{mode}" in values]
     shaped = [mode for mode in there if is_of_shape(_SIZES[mode], (width, height))]
     found = next((mode for mode in there if _SIZES[mode] == (width, height)), shaped[0] if shaped else None)
@@ -104,7 +109,7 @@ def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
         sizes = ", ".join(f"{_SIZES[mode][0]}×{_SIZES[mode][1]}" for mode in there) or "no known size"
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
-            "it is for images of {sizes}, but these are {width}×{height}.",
+            "it is for images of {sizes} px, but these are {width}×{height} px.",
             path,
             sizes=sizes,
             width=width,
@@ -117,7 +122,7 @@ def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[st
     name = f"{side}_CAM_{mode}"
     table = values.get(name)
     if not isinstance(table, dict):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "[{name}] is missing.", path, name=name)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "the section [{name}] is missing.", path, name=name)
     fx, fy, cx, cy, *bent = (
         _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
     )
@@ -128,7 +133,7 @@ def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[st
 def _stated(
     table: dict[str, Any], names: tuple[str, ...], path: Path, otherwise: float | None = None
 ) -> float:
-    """Return the number under the first of several names that is there."""
+    """Return the number under the first existing name, or `otherwise`."""
     name = next((name.lower() for name in names if name.lower() in table), None)
     if name is None:
         if otherwise is None:

@@ -1,1 +1,1 @@
-"""A scan in memory: frames, cameras, images, and reading ahead."""
+"""Scan in memory: frames, cameras, images, and parallel prefetching."""

@@ -1,4 +1,4 @@
-"""Checks of images, intrinsics and poses that are given as arrays."""
+"""Validation of images, intrinsics and poses given as arrays."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import USAGE_FRAME_INVALID
 from scanloom.stages.scans.model.poses import Pose, rigid
 
-# Units of integer depth in one metre, unless the caller says otherwise: depth cameras count millimetres.
+# Units per metre of integer depth. Depth cameras store millimetres.
 DEPTH_SCALE = 1000.0
-# Median depth (m) above which an array is taken for one of other units: no depth camera measures so far, and
-# millimetres of a room begin here.
+# Metres. A larger median depth means that the unit is wrong: no depth camera reaches 300 m, and 300 mm is the
+# near limit of indoor scans.
 _MAX_MEDIAN_DEPTH = 300.0
-# Focal length in widths of the image: 174 degrees across to 1.4.
+# Focal length in image widths: horizontal fields of view of 174° and 1.4°.
 _MIN_FOCAL, _MAX_FOCAL = 0.025, 40.0
 
 
 def check_color(image: ArrayLike, where: str) -> NDArray[np.uint8]:
-    """Check a colour image, (h, w, 3) or (h, w) uint8; an alpha channel is dropped.
+    """Check a colour image, (h, w, 3) or (h, w) uint8, and drop an alpha channel.
 
     Raises
     ------
@@ -43,18 +43,20 @@ def check_color(image: ArrayLike, where: str) -> NDArray[np.uint8]:
 
 
 def check_depth(image: ArrayLike, scale: float | None, where: str) -> NDArray[np.float32]:
-    """Convert a depth image to float32 metres, 0 where depth is missing, infinite or negative.
+    """Convert a depth image to (h, w) float32 metres.
+
+    Missing, infinite and negative depth becomes 0.
 
     Parameters
     ----------
-    image : (h, w), floating metres or integers.
-    scale : units in one metre; None for 1000 with integers and 1 with floats.
+    image : (h, w) floats in metres, or integers of at least 16 bits.
+    scale : units per metre; None for 1000 with integers and 1 with floats.
 
     Raises
     ------
     InputError
-        For another shape or dtype, for a scale that is not positive, and for depth of hundreds of metres
-        without a scale.
+        For another shape or dtype, a scale that is not positive, and a median depth above 300 m without a
+        scale.
     """
     array = np.asarray(image)
     if array.ndim == 3 and array.shape[2] == 1:
@@ -75,7 +77,7 @@ def check_depth(image: ArrayLike, scale: float | None, where: str) -> NDArray[np
     if not (np.isfinite(units) and units > 0):
         raise InputError(
             USAGE_FRAME_INVALID,
-            "depth_scale must be a positive number of units in one metre, not {units!r}.",
+            "depth_scale must be a positive number of units per metre, not {units!r}.",
             where,
             units=units,
         )
@@ -85,16 +87,18 @@ def check_depth(image: ArrayLike, scale: float | None, where: str) -> NDArray[np
     if scale is None and depth.any() and (median := float(np.median(depth[depth > 0]))) > _MAX_MEDIAN_DEPTH:
         raise InputError(
             USAGE_FRAME_INVALID,
-            "the median depth is {median:,.0f} m.",
+            "the median depth is {median:,.0f} m, which is implausible.",
             where,
-            remedy="Give depth_scale, the units in one metre: 1000 for millimetres, 1 for metres.",
+            remedy="Set depth_scale, the units per metre: 1000 for millimetres, 1 for metres.",
             median=median,
         )
     return depth
 
 
 def check_gray(image: ArrayLike, name: str, where: str) -> NDArray[np.uint8]:
-    """Check a mask or a confidence image, (h, w) uint8 or bool; True becomes 255.
+    """Check a mask or confidence image, (h, w) uint8 or bool.
+
+    True becomes 255.
 
     Raises
     ------
@@ -117,7 +121,7 @@ def check_gray(image: ArrayLike, name: str, where: str) -> NDArray[np.uint8]:
 def check_intrinsics(
     intrinsics: ArrayLike, size: tuple[int, int], where: str
 ) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx and cy in pixels.
+    """Check intrinsics and return fx, fy, cx and cy in pixels.
 
     Parameters
     ----------
@@ -127,7 +131,7 @@ def check_intrinsics(
     Raises
     ------
     InputError
-        For another shape, a skewed matrix, and values that do not fit the image.
+        For another shape, a skewed matrix, and values that are implausible for the image size.
     """
     try:
         values = np.asarray(intrinsics, np.float64)
@@ -157,9 +161,8 @@ def check_intrinsics(
         raise InputError(
             USAGE_FRAME_INVALID,
             (
-                "intrinsics of fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} px do not fit an "
-                "image of {width} × {height} px. Intrinsics change with the size of the "
-                "image."
+                "intrinsics of fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} px do not fit an image of "
+                "{width} × {height} px. Intrinsics must be scaled with the image size."
             ),
             where,
             fx=fx,
@@ -173,7 +176,9 @@ def check_intrinsics(
 
 
 def check_pose(pose: ArrayLike | None, name: str, where: str) -> Pose | None:
-    """Check a rigid transform, (4, 4) or (3, 4); None where all of it is NaN, as trackers mark a lost pose.
+    """Check a rigid transform, (4, 4) or (3, 4).
+
+    Returns None if all values are NaN, which trackers use for a lost pose.
 
     Raises
     ------
@@ -198,12 +203,12 @@ def check_pose(pose: ArrayLike | None, name: str, where: str) -> Pose | None:
 
 
 def check_distortion(values: Sequence[float] | ArrayLike, where: str) -> tuple[float, ...]:
-    """Return distortion coefficients as a tuple of finite floats.
+    """Check distortion coefficients in OpenCV's order and return them as a tuple.
 
     Raises
     ------
     InputError
-        For a count that OpenCV does not know, and values that are not finite.
+        For a number of coefficients that OpenCV does not support, and for values that are not finite.
     """
     array = np.asarray(values, np.float64).reshape(-1)
     if len(array) not in (0, 4, 5, 8, 12, 14) or not np.isfinite(array).all():

@@ -1,4 +1,4 @@
-"""In which range of depth a view shows points that are known of it."""
+"""Depth range of a view, from sparse points that are visible in it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,29 @@ from numpy.typing import NDArray
 
 Range = tuple[float, float]
 
-# Fewer points of a view say little of its depth. Of more, this share (%) at either end may be false.
+# Minimum number of points of a view, minimum valid depth, and percentage of outliers at each end.
 _ENOUGH = 20
 _NEAREST_M = 1e-9
 _FALSE = 2.0
-# The scene goes on beyond the others by this share of what they span in disparity, and of their nearest.
+# The range is extended at both ends: by this ratio of the disparity span, plus this ratio of the disparity of
+# the nearest point.
 _BEYOND = 0.25
 _BEYOND_NEAREST = 0.02
-# What has no points, far behind them, is looked for up to so many times as far away as the farthest.
+# The far limit is at most this multiple of the farthest point; surfaces without points may be farther away.
 _FARTHEST = 2.0
 
 
 def range_of_points(depth: NDArray[np.float64]) -> Range | None:
-    """Return the range of depth of a view from the depths (n,) of points, metres; None if they are few."""
+    """Estimate the (near, far) depth range of a view in metres.
+
+    Parameters
+    ----------
+    depth : (n,) depths of sparse points in the view, metres.
+
+    Returns
+    -------
+    None if fewer than 20 points are in front of the camera.
+    """
     before = depth[depth > _NEAREST_M]
     if len(before) < _ENOUGH:
         return None

@@ -1,8 +1,8 @@
-"""Read a frame's images: 8-bit RGB colour, metric float32 depth.
+"""Reading of frame images: 8-bit RGB colour and float32 depth in metres.
 
-Lens distortion of RGB-D frames is removed here, so that what comes out is a pinhole image; pairs keep theirs,
-because rectification removes it together with the rotation. Where it is known how a camera turns while rows
-are read, they come out as if all were read at once.
+RGB-D images are undistorted here and come out as pinhole images. Stereo pairs stay distorted, because
+rectification removes distortion and rotation together. If the camera's rotation during readout is known,
+rolling shutter distortion is removed, too.
 """
 
 from __future__ import annotations
@@ -32,21 +32,24 @@ from scanloom.stages.scans.model.rolling_shutter import turn_of_color
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from scanloom.stages.scans.model.undistortion import Maps, maps_of, undistorted
 
-# Nothing is nearer than this (m); what would be is no measurement, and its inverse no number.
+# Metres; smaller depth is invalid, and its inverse would overflow.
 _NEAREST = 1e-6
-# By how much an image may be wider or narrower than its camera says, of its height: rounding of its size.
+# Relative tolerance of the aspect ratio between image and camera, for rounded image sizes.
 _SAME_SHAPE = 0.02
 
 
 def read_color(frame: Frame) -> ColorImage | None:
-    """Return the frame's colour (or left) image, (h, w, 3) uint8 RGB, at its own size; None if it has none.
+    """Read the colour (or left) image of a frame at its stored size.
 
-    Grey images come back with three equal channels.
+    Returns
+    -------
+    (h, w, 3) uint8 RGB, grey images with three equal channels. None if the frame has no colour image. Images
+    of frames with depth are undistorted.
 
     Raises
     ------
     InputError
-        If the file is missing, does not decode or holds other than 8 bits a channel.
+        If the file is missing, does not decode, or does not have 8 bits per channel.
     """
     if frame.color is None:
         return None
@@ -58,12 +61,16 @@ def read_color(frame: Frame) -> ColorImage | None:
 
 
 def read_pinhole(frame: Frame) -> ColorImage | None:
-    """Return the colour image of a single view as `read_color` does, but without lens distortion.
+    """Read the colour image of a single view without lens distortion.
+
+    Returns
+    -------
+    (h, w, 3) uint8 RGB; None if the frame has no colour image.
 
     Raises
     ------
     InputError
-        As `read_color`, and if the image is not of the size of the frame's camera.
+        As `read_color`, and if the image size differs from the camera's.
     """
     image = read_color(frame)
     if image is None:
@@ -74,18 +81,20 @@ def read_pinhole(frame: Frame) -> ColorImage | None:
 
 
 def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | None]:
-    """Return a frame's colour image without lens distortion, as sharp as it is, and its pinhole camera.
+    """Read the photo of a frame for texturing: undistorted with cubic interpolation.
 
     Returns
     -------
-    (h, w, 3) uint8 RGB at its own size; the camera for this size, that of the colour image, or, where the
-    frame has none, its own; and which pixels (h, w) show the scene, not those of the mask, nor beyond the
-    edge of the image as it was taken. None if all do.
+    image : (h, w, 3) uint8 RGB at its stored size.
+    camera : pinhole camera of the image: `color_camera`, or `camera` if the frame has no separate one.
+    valid : (h, w) bool, False outside the mask and where undistortion samples beyond the image. None if all
+        pixels are valid.
 
     Raises
     ------
     InputError
-        If there is no image, it cannot be read, or it is of another shape than its camera's.
+        If there is no colour image, it cannot be read, its aspect ratio differs from the camera's, or the
+        camera is not calibrated.
     """
     if frame.color is None:
         raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
@@ -110,14 +119,17 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
 
 
 def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
-    """Return the frame's mask in the size of its camera, (h, w) uint8, 0 where nothing is; None without one.
+    """Read the mask of a frame in the size of its camera.
 
-    Of a mask in colour, black is what counts.
+    Returns
+    -------
+    (h, w) uint8, 0 where the pixel is not part of the scene; None if the frame has no mask. In a colour mask
+    only black pixels are 0.
 
     Raises
     ------
     InputError
-        If the file is missing, does not decode, or has other than 8 bits a channel.
+        If the file is missing, does not decode, or does not have 8 bits per channel.
     """
     if frame.mask is None:
         return None
@@ -125,7 +137,7 @@ def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "a mask of 8 bits a channel is expected, not {image_shape} {image_dtype}.",
+            "a mask with 8 bits per channel is expected, not {image_shape} {image_dtype}.",
             _called(frame.mask, frame.name),
             image_shape=image.shape,
             image_dtype=image.dtype,
@@ -134,9 +146,11 @@ def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
 
 
 def read_seen(frame: Frame) -> NDArray[np.bool_]:
-    """Return which pixels of what `read_pinhole` returns show the scene, (h, w): not those of the mask.
+    """Return the valid pixels of the image that `read_pinhole` returns.
 
-    Where lens distortion is removed, pixels may lie beyond the edge of the image, too.
+    Returns
+    -------
+    (h, w) bool, False outside the mask and where undistortion samples beyond the image.
 
     Raises
     ------
@@ -149,12 +163,22 @@ def read_seen(frame: Frame) -> NDArray[np.bool_]:
 
 
 def read_right(frame: Frame) -> ColorImage | None:
-    """Return the frame's right image as `read_color` does the left one."""
+    """Read the right image of a stereo pair.
+
+    Returns
+    -------
+    (h, w, 3) uint8 RGB with lens distortion; None if the frame has no right image.
+    """
     return None if frame.right is None else _color(frame.right, frame.name)
 
 
 def read_depth(frame: Frame) -> DepthImage | None:
-    """Return the frame's depth map, (h, w) float32 metres along the optical axis, 0 where missing.
+    """Read the depth map of a frame, without lens distortion.
+
+    Returns
+    -------
+    (h, w) float32 metres along the optical axis, 0 where missing, masked or below `least_confidence`. None if
+    the frame has no depth.
 
     Raises
     ------
@@ -164,7 +188,7 @@ def read_depth(frame: Frame) -> DepthImage | None:
     if frame.depth is None:
         return None
     if isinstance(frame.depth, np.ndarray):
-        # A copy: what a mask or too little confidence takes away is taken from it.
+        # Copied, because mask and confidence are applied in place.
         depth = np.array(frame.depth, np.float32)
     else:
         depth = _stored_depth(frame.depth, frame)
@@ -180,17 +204,17 @@ def read_depth(frame: Frame) -> DepthImage | None:
 
 
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
-    """Raise InputError unless the image has the size the camera was calibrated for."""
+    """Raise InputError unless the image has the size of the camera's calibration."""
     height, width = image.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "the image is {width}×{height}, but its camera is calibrated for "
-                "{camera_width}×{camera_height}."
+                "the image is {width}×{height} px, but its camera is calibrated for "
+                "{camera_width}×{camera_height} px."
             ),
             _called(source, name),
-            remedy="Give images of the calibrated size, or the calibration of this size.",
+            remedy="Give images of the calibrated size, or a calibration for this size.",
             width=width,
             height=height,
             camera_width=camera.width,
@@ -235,12 +259,12 @@ def _stored_depth(source: Path | Packed, frame: Frame) -> DepthImage:
 
 
 def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDArray[np.uint8]:
-    """Return the confidence in the size of the depth map, never averaged."""
+    """Read the confidence map, resized to the depth map without interpolation."""
     image = _stored(source)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "confidence of 8 bits in one channel is expected, not {image_shape} {image_dtype}.",
+            "a single-channel 8-bit confidence map is expected, not {image_shape} {image_dtype}.",
             _called(source, frame.name),
             image_shape=image.shape,
             image_dtype=image.dtype,
@@ -258,12 +282,12 @@ def _in_size(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
     import cv2
 
     size = (camera.width, camera.height)
-    # Plain INTER_NEAREST takes the pixel at the corner, not at the middle.
+    # INTER_NEAREST samples at pixel corners; INTER_NEAREST_EXACT samples at pixel centres.
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint8)
 
 
 def _called(source: object, name: str) -> Path | str | Where:
-    """Return how a message calls the image of a frame."""
+    """Return the location of an image for messages."""
     if isinstance(source, Path):
         return source
     return str(source) if isinstance(source, Packed) else Where(frame=name)

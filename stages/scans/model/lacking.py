@@ -1,4 +1,4 @@
-"""Diagnostics of a scan that lacks poses or a calibration, for `Scan.missing`."""
+"""Diagnostics of scans without poses or calibration, for `Scan.missing`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,16 @@ _NAME_CALIBRATION = "name one with scan.calibration=FILE"
 
 
 def poses_missing(reason: str, /, *, remedy: str = _NAME_TRAJECTORY, **values: Any) -> Diagnostic:
-    """Return the diagnostic of a scan without poses; `reason` and `remedy` are templates."""
+    """Create the diagnostic of a scan without poses.
+
+    `reason` and `remedy` are templates.
+    """
     return POSE_MISSING.warning(f"no poses: {reason}", remedy=remedy, **values)
 
 
 def calibration_missing(reason: str, /, *, remedy: str = _NAME_CALIBRATION, **values: Any) -> Diagnostic:
-    """Return the diagnostic of a scan without a calibration; `reason` and `remedy` are templates."""
+    """Create the diagnostic of a scan without calibration.
+
+    `reason` and `remedy` are templates.
+    """
     return CAMERA_PAIR_UNCALIBRATED.warning(f"no calibration: {reason}", remedy=remedy, **values)

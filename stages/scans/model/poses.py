@@ -1,4 +1,4 @@
-"""Rigid poses as files tell them: checked, turned to OpenCV's axes, inverted."""
+"""Rigid poses from files: validation, conversion to OpenCV axes, inversion."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from scanloom.stages.scans.codes import POSE_INVALID
 
 Pose = NDArray[np.float64]
 
-# How far a rotation may be from orthonormal: files round to about six digits.
+# Maximum deviation of RᵀR from identity; files round to about six digits.
 _RIGID_TOLERANCE = 1e-3
-# Metres or radians; nobody carries a camera so far.
+# Maximum plausible translation in metres or rotation in radians; larger values are damaged.
 LARGEST_VALUE = 1e9
-# Radians: no camera turns by more while it reads one image.
+# Radians; no camera rotates more during the readout of one image.
 _MOST_TURN = 1.0
 
-# From a camera with y up and z back (OpenGL) to one with y down and z forward.
+# From camera axes with y up and z backward (OpenGL) to y down and z forward (OpenCV).
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 
-# How poses can be meant, whatever the form of their file says.
+# Pose conventions that the user can state if the file does not follow its format.
 WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP = "world-to-camera", "y-up", "world-to-camera-y-up"
 AS_WRITTEN = "as-written"
 CONVENTIONS = (AS_WRITTEN, WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP)
 
 
 def inverted(pose: Pose) -> Pose:
-    """Return the inverse of a rigid (4, 4) pose: the other direction of the same relation."""
+    """Invert a rigid (4, 4) pose."""
     inverse = np.eye(4)
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
@@ -39,25 +39,35 @@ def inverted(pose: Pose) -> Pose:
 
 
 def from_opengl(pose: Pose) -> Pose:
-    """Return the world_from_camera of a camera whose own axes were OpenGL's: x right, y up, z back."""
+    """Convert world_from_camera (4, 4) from OpenGL to OpenCV camera axes.
+
+    OpenGL: y up, z backward. OpenCV: y down, z forward.
+    """
     return np.asarray(pose @ _FLIP)
 
 
 def meant(pose: Pose, convention: str) -> Pose:
-    """Return the world_from_camera of a pose that is meant by one of `CONVENTIONS`."""
+    """Convert a (4, 4) pose of one of `CONVENTIONS` to world_from_camera in OpenCV axes."""
     if convention in (WORLD_TO_CAMERA, WORLD_TO_CAMERA_Y_UP):
         pose = inverted(pose)
     return from_opengl(pose) if convention in (Y_UP, WORLD_TO_CAMERA_Y_UP) else pose
 
 
 def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pose | None:
-    """Return a valid 4x4 rigid pose from a 3x4 or 4x4 matrix; None when all of it is infinite or NaN (lost).
+    """Check a 3x4 or 4x4 matrix and return it as a rigid (4, 4) pose.
+
+    Returns None if all values are infinite or NaN (lost tracking).
+
+    Parameters
+    ----------
+    path : file for messages.
+    where : location in the file for messages, such as a line.
 
     Raises
     ------
     InputError
-        If only some values are not finite, the rotation is not orthonormal to 1e-3 or mirrors (det -1), or
-        the last row is not 0 0 0 1.
+        If some values are not finite, the rotation is not orthonormal to 1e-3 or is a reflection (det -1), a
+        translation exceeds 1e9, or the last row is not 0 0 0 1.
     """
     at = f"{where}: " if where else ""
     top = np.asarray(matrix, np.float64)[:3]
@@ -82,7 +92,7 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
     rotation = top[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    # Numbers that overflow leave NaN, which is not within the tolerance either.
+    # Overflow makes the deviation NaN; `not <=` rejects it.
     if not deviation <= _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         kind = "mirrors (determinant -1)" if deviation <= _RIGID_TOLERANCE else "is not a rotation"
         raise InputError(
@@ -98,7 +108,11 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
         )
     if np.abs(top[:, 3]).max() > LARGEST_VALUE:
         raise InputError(
-            POSE_INVALID, "{at}a place of {max:g} cannot be right.", path, at=at, max=np.abs(top[:, 3]).max()
+            POSE_INVALID,
+            "{at}a translation of {max:g} is implausible.",
+            path,
+            at=at,
+            max=np.abs(top[:, 3]).max(),
         )
     pose = np.eye(4)
     pose[:3] = top
@@ -106,9 +120,10 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
 
 
 def divided(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a (4, 4) matrix over the last number of its last row, where that makes its 3x3 part a rotation.
+    """Divide a homogeneous (4, 4) pose by its last element.
 
-    Multiplied by a number as a whole, its last row with it, a pose in homogeneous coordinates is the same.
+    Only if its last row is 0 0 0 w and the result has a rotation as its 3x3 part; else the matrix is returned
+    unchanged.
     """
     if matrix[3, :3].any() or not 0 < matrix[3, 3] < math.inf:
         return matrix
@@ -119,18 +134,20 @@ def divided(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
-    """Return the (3,) rotation vector by which a camera turns while its rows are read, as a file tells it.
+    """Parse the rotation of a camera during readout.
+
+    A (3,) rotation vector in radians, see `Frame.shutter_turn`.
 
     Raises
     ------
     InputError
-        If it is not three numbers, of no more than a radian together.
+        If the value is not three numbers, or the angle exceeds 1 radian.
     """
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
         raise InputError(
             POSE_INVALID,
-            "{place}: shutter_turn is no rotation vector of three numbers, {most_turn:g} radian at most.",
+            "{place}: shutter_turn must be a rotation vector of three numbers, at most {most_turn:g} rad.",
             path,
             place=where,
             most_turn=_MOST_TURN,
@@ -141,12 +158,20 @@ def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
 def pose_from_quaternion(
     translation: Sequence[float], quaternion: Sequence[float], path: Path, where: str
 ) -> Pose | None:
-    """Return the pose of a translation and a quaternion x y z w of any length near 1; None when lost."""
+    """Create a (4, 4) pose from a translation (metres) and a quaternion x y z w.
+
+    Returns None if all values are infinite or NaN (lost tracking).
+
+    Raises
+    ------
+    InputError
+        If the length of the quaternion differs from 1 by more than 1 %.
+    """
     x, y, z, w = quaternion
     if not any(math.isfinite(value) for value in (*translation, *quaternion)):
         return None
     length = math.sqrt(x * x + y * y + z * z + w * w)
-    # Real files round to four digits and more; far from unit length it is no rotation.
+    # Files round to four digits or more, so a larger deviation means that the values are not a quaternion.
     if not 0.99 < length < 1.01:
         raise InputError(
             POSE_INVALID,
@@ -165,7 +190,13 @@ def pose_from_quaternion(
 
 
 def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
-    """Return a (4, 4) float64 matrix from nested rows or 16 numbers in a row."""
+    """Convert nested rows (3x4 or 4x4) or 16 row-major numbers to a (4, 4) float64 matrix.
+
+    Raises
+    ------
+    InputError
+        For other values.
+    """
     try:
         matrix = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):

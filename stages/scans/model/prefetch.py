@@ -1,4 +1,4 @@
-"""Work in threads while the caller is busy: on the next items, or on one thing beside another."""
+"""Parallel prefetching, and concurrent execution of two functions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.files.blas_buffers import require_buffers
 from scanloom.stages.scans.model.threads import threads_to_use
 
-# More threads than this wait for memory, and hold that many images.
+# Maximum number of workers: more are limited by memory bandwidth, and each holds images in memory.
 _MOST_WORKERS = 8
 
 T = TypeVar("T")
@@ -22,28 +22,29 @@ S = TypeVar("S")
 
 
 def workers() -> int:
-    """Return how many threads are worth having."""
+    """Return the default number of worker threads."""
     return min(threads_to_use(), _MOST_WORKERS)
 
 
 def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahead: int) -> Iterator[R]:
-    """Yield `work(item)` in the items' order, with at most `ahead` results finished or under way.
+    """Map a function over items in threads and yield the results in order.
 
-    An exception of `work` is raised where its result would have come. Closing the iterator early
-    drops what has not begun and waits for what has.
+    At most `ahead` results are finished or in progress. An exception of `work` is raised in place of its
+    result. Closing the iterator cancels pending items and waits for running ones. Diagnostics are emitted in
+    the order of the items.
 
     Parameters
     ----------
-    threads : workers; `work` must release the GIL (as OpenCV and file reading do) for them to help. One is
-        the caller itself: who asks for one thread gets one, whatever other cores are busy with.
-    ahead : the bound on memory, in results.
+    threads : number of worker threads. They only help if `work` releases the GIL, as OpenCV and file access
+        do. With 1, the calling thread does the work.
+    ahead : maximum number of results in memory.
     """
     if threads == 1:
         yield from map(work, items)
         return
 
     def collected(item: T) -> tuple[R, list[Diagnostic]]:
-        # Emitted when their turn comes, so that their order does not depend on threads.
+        # Diagnostics are emitted later in item order, so that their order does not depend on threads.
         with collecting(forward=False) as diagnostics:
             return work(item), diagnostics
 
@@ -63,10 +64,10 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
 
 
 def both(beside: Callable[[], R], here: Callable[[], S]) -> tuple[R, S]:
-    """Return what two pieces of work return, the first done in a thread while the caller does the second.
+    """Run one function in a thread while the caller runs the other.
 
-    An exception of the first is raised once the second has ended. Where one thread is to be used, one comes
-    after the other.
+    Returns both results. An exception of `beside` is raised after `here` has finished. If only one thread may
+    be used, the functions run one after the other.
     """
     if threads_to_use() == 1:
         return beside(), here()

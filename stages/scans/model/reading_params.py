@@ -1,4 +1,4 @@
-"""What a person may say about a scan folder that the folder itself does not."""
+"""Parameters that all layout readers have in common."""
 
 from __future__ import annotations
 
@@ -16,92 +16,92 @@ from scanloom.stages.scans.model.scan import Camera
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingParams:
-    """What every layout's reader may be told; everything is found in the folder when not given."""
+    """Parameters of every layout reader; unset ones are taken from the folder."""
 
     intrinsics: str | None = param(
         None,
-        "Camera matrix as `fx,fy,cx,cy` (of both cameras of a pair), in place of the folder's.",
+        "Camera intrinsics `fx,fy,cx,cy` (for both cameras of a stereo pair), instead of the folder's.",
         unit="px",
     )
     baseline: float | None = param(
         None,
-        "Distance between the two cameras of a pair, in place of the calibration's.",
+        "Distance between the two cameras of a stereo pair, instead of the calibration's.",
         unit="m",
         low=0,
         low_open=True,
     )
     calibration: str | None = param(
         None,
-        "Calibration file (JSON, TOML, OpenCV YAML or XML, Kalibr or ROS YAML), in place of the folder's.",
+        "Calibration file (JSON, TOML, OpenCV YAML or XML, Kalibr or ROS YAML), instead of the folder's.",
         is_path=True,
     )
     poses: str | None = param(
         None,
-        "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
-        "camera-to-world, but for a .traj.",
+        "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv), instead of the folder's. Poses are "
+        "camera-to-world, in a .traj world-to-camera.",
         is_path=True,
     )
     pose_convention: str = param(
         AS_WRITTEN,
-        "How the poses are meant, if not as the form of their file says: world-to-camera, of a camera with y "
-        "up and z back (OpenGL's), or both.",
+        "Pose convention, if the file does not follow its format: world-to-camera, camera axes with y up and "
+        "z backward (OpenGL), or both.",
         choices=CONVENTIONS,
     )
     poses_by_order: bool = param(
         False,
-        "Take the poses of a trajectory in the order of the frames, one each, whatever their times are.",
+        "Match the poses of a trajectory to the frames by order instead of by timestamp, one pose per frame.",
     )
     masks: str | None = param(
         None,
-        "Folder with an image of 8 bits for each frame, of its name or number: what is 0 in it shows nothing "
-        "of the scene (a backdrop, what moves) and gets no depth.",
+        "Folder with an 8-bit mask for each frame, matched by name or number. Pixels with value 0 are not "
+        "part of the scene (a backdrop, moving objects) and get no depth.",
         is_path=True,
     )
     adjusted: str | None = param(
         None,
-        "A cameras.json of `scanloom adjust`, or of a run's adjusted/: its poses and its colour camera in "
-        "place of the folder's.",
+        "cameras.json of `scanloom adjust`, or of the folder adjusted/ of a run. Its poses and colour camera "
+        "replace the folder's.",
         is_path=True,
     )
     depth_scale: float | None = param(
         None,
-        "Value of a depth file that is one metre (1000 for millimetres); by default the layout's own.",
+        "Units of the depth files per metre (1000 for millimetres); by default the layout's.",
         unit="per m",
         low=0,
         low_open=True,
     )
     least_confidence: int | None = param(
         None,
-        "Depth of less confidence is left out: Polycam has 0, 127 and 255, other phones 0, 1 and 2. "
-        "By default only the lowest is left out.",
+        "Minimum confidence of depth; depth below it is ignored. Polycam has the levels 0, 127 and 255, "
+        "other phones 0, 1 and 2. By default only the lowest level is ignored.",
         low=0,
         high=255,
     )
     align_axes: bool = param(
         False,
-        "Turn the world as the axisAlignment in ScanNet's scene*.txt says, so that walls run along its axes.",
+        "Rotate the world by the axisAlignment in ScanNet's scene*.txt: walls become parallel to the axes.",
     )
     check_poses: bool = param(
         True,
-        "Stop when the depth of the frames fits together clearly better under another reading of the poses: "
-        "world-to-camera, of a camera with y up, or the last pose first.",
+        "Stop if the depth of the frames is clearly more consistent with another pose convention: "
+        "world-to-camera, camera axes with y up, or poses in reverse order.",
         invalidates=False,
     )
-    first: int = param(0, "Position of the first frame to use, counted from 0.", unit="frames", low=0)
+    first: int = param(0, "Index of the first frame to use, counted from 0.", unit="frames", low=0)
     last: int | None = param(
-        None, "Position of the last frame to use; by default the scan's last.", unit="frames", low=0
+        None, "Index of the last frame to use; by default the scan's last.", unit="frames", low=0
     )
     every: int = param(1, "Use every n-th frame.", unit="frames", low=1)
     max_frames: int | None = param(
         None,
-        "Use at most so many frames, spread evenly. Frames without poses and single views are all used: of "
-        "these, neighbours have to overlap.",
+        "Maximum number of frames, evenly spaced. Ignored for frames without poses and for single views, "
+        "because their neighbours must overlap.",
         unit="frames",
         low=2,
     )
     hold_out: int | None = param(
         None,
-        "Keep every n-th frame from all stages; a run then compares its photo with the mesh.",
+        "Hold out every n-th frame from all stages; a run then compares its photo with the mesh.",
         unit="frames",
         low=2,
     )
@@ -111,7 +111,15 @@ class ReadingParams:
         self.camera(1, 1)
 
     def camera(self, width: int, height: int) -> Camera | None:
-        """Return the camera that `intrinsics` states, for images of this size; None if not given."""
+        """Return the camera from `intrinsics` for a given image size.
+
+        Returns None if not given.
+
+        Raises
+        ------
+        UsageError
+            If `intrinsics` is not four numbers, or a focal length is not positive.
+        """
         if self.intrinsics is None:
             return None
         try:
@@ -128,7 +136,10 @@ class ReadingParams:
         return Camera(width, height, fx, fy, cx, cy)
 
     def file(self, name: str, folder: Path) -> Path | None:
-        """Return the file that a parameter names: as it stands, or inside the scan folder."""
+        """Return the path that a parameter names; None if not given.
+
+        If the path does not exist but exists inside the scan folder, the latter is returned.
+        """
         value = getattr(self, name)
         if value is None:
             return None

@@ -1,7 +1,8 @@
-"""Rolling shutters: rows are read one after the other, and images are put right as if all had been at once.
+"""Rolling shutter correction for a camera that rotates during readout.
 
-A camera that turns meanwhile shows the scene sheared and stretched. `Frame.shutter_turn` is by how much it
-turns from the first row to the last one; its pose is that at the middle row.
+The rows of an image are read one after the other, so rotation shears and stretches the image.
+`Frame.shutter_turn` is the rotation from the first to the last row. The frame's pose is the pose at the
+middle row.
 """
 
 from __future__ import annotations
@@ -11,22 +12,26 @@ from numpy.typing import NDArray
 
 from scanloom.stages.scans.model.scan import Camera, Frame
 
-# Pixels between those whose place is worked out; in between it changes evenly.
+# Pixels between nodes of the map; the map is smooth and interpolated linearly between them.
 _STEP = 8
-# Where a row is read decides what it shows, and the other way round; each round leaves a tenth of the error.
+# Fixed-point iterations: the readout time depends on the row, and the row on the readout time. Each iteration
+# reduces the error to a tenth.
 _ROUNDS = 4
 
 
 def late_at(rows: NDArray[np.floating], height: float | NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return how late rows of images of a height are read: -0.5 for the first one, 0.5 for the last.
+    """Compute the relative readout time of rows.
 
-    In shares of the time that all take, from the middle row on.
+    The first row has -0.5, the middle row 0 and the last row 0.5, in units of the readout time of the image.
     """
     return np.asarray((rows + 0.5) / height - 0.5, np.float64)
 
 
 def turn_of_color(frame: Frame) -> NDArray[np.float64] | None:
-    """Return how a frame's colour camera turns while rows are read, in its own axes; None if it does not."""
+    """Return the rotation of the colour camera during readout, in its own axes.
+
+    (3,) rotation vector, radians; None if it is not known.
+    """
     if frame.shutter_turn is None or frame.color_from_depth is None or frame.color_camera is None:
         return frame.shutter_turn
     return np.asarray(frame.color_from_depth[:3, :3] @ frame.shutter_turn)
@@ -35,16 +40,19 @@ def turn_of_color(frame: Frame) -> NDArray[np.float64] | None:
 def as_read(
     camera: Camera, turn: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return where images have what a pinhole camera with the same matrix sees from the middle row's pose.
+    """Compute the sampling map that removes rolling shutter and lens distortion.
+
+    Sampling the image there gives the view of a pinhole camera with the same matrix at the middle row's pose.
 
     Parameters
     ----------
-    camera : of the images' size; its distortion is taken out, too.
-    turn : (3,) rotation vector, radians, in the camera's axes.
+    camera : camera for the image size.
+    turn : (3,) rotation vector during readout, radians, in camera axes.
 
     Returns
     -------
-    Of each pixel (h, w) the column and the row, and depth as that row is read over depth from that pose.
+    Per output pixel, (h, w) float32 each: column and row in the image, and the ratio of depth at the row's
+    readout time to depth at the middle row's pose.
     """
     import cv2
 
@@ -61,7 +69,7 @@ def as_read(
         pixels = _distorted(read, camera)
         rows = pixels[:, 1]
     coarse = np.concatenate([pixels, read[:, 2:]], axis=1).reshape(*across.shape, 3).astype(np.float32)
-    # Pixels are resized about their middles; what lies beyond the outermost ones is cut off again.
+    # cv2.resize aligns pixel centres, so the grid has an extra node at each border, cropped here.
     size = (_STEP * across.shape[1], _STEP * across.shape[0])
     fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
     fine = fine[_STEP : _STEP + camera.height, _STEP : _STEP + camera.width]
@@ -76,7 +84,7 @@ def _turned(rays: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np
 
 
 def _distorted(rays: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-    """Return the (n, 2) pixels of (n, 3) rays in images with distortion."""
+    """Project rays (n, 3) to pixels (n, 2) with lens distortion."""
     import cv2
 
     none, coefficients = np.zeros(3), np.array(camera.distortion or (0.0,) * 4)

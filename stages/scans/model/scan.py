@@ -1,6 +1,7 @@
-"""What a scan folder holds, once a reader has understood it: metres, OpenCV camera axes, row-major poses.
+"""Data model of a scan: frames, cameras and poses, in metres and OpenCV axes.
 
-Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: the top left one at (0, 0).
+Camera axes are x right, y down, z forward. Pixel centres have integer coordinates: the top left pixel is at
+(0, 0).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ Pose = NDArray[np.float64]
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 
-# Ratio by which the shapes of colour and depth image may differ: rounding of their sizes.
+# Relative tolerance between aspect ratios of colour and depth image, for rounded image sizes.
 _SAME_SHAPE = 0.02
 
 
@@ -43,12 +44,12 @@ class Camera:
 
     Attributes
     ----------
-    width, height : pixels.
-    fx, fy, cx, cy : pixels, for exactly this image size; NaN where the scan has no calibration.
+    width, height : image size in pixels.
+    fx, fy, cx, cy : intrinsics in pixels for this image size; NaN if the scan has no calibration.
     distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
-    fisheye : the lens maps equal angles to equal lengths, and `distortion` is k1 k2 k3 k4 of OpenCV's fisheye
-        model (Kannala and Brandt's, Kalibr's equidistant).
-    is_guess : nobody stated it: it is what cameras of this image size usually are.
+    fisheye : equidistant projection; `distortion` is then k1 k2 k3 k4 of OpenCV's fisheye model
+        (Kannala-Brandt, Kalibr's equidistant).
+    is_guess : the intrinsics are a guess from the image size.
     """
 
     width: int
@@ -69,22 +70,25 @@ class Camera:
 
     @property
     def is_calibrated(self) -> bool:
-        """Return whether anything is known of the camera beside its image size."""
+        """True if the intrinsics are known, not only the image size."""
         return not math.isnan(self.fx)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """Return the (3, 3) camera matrix."""
+        """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
 
 
 def pinhole(camera: Camera) -> Camera:
-    """Return the camera of the same images without lens distortion, as they are read."""
+    """Return the camera without lens distortion, for undistorted images."""
     return replace(camera, distortion=(), fisheye=False)
 
 
 def scaled(camera: Camera, width: int, height: int) -> Camera:
-    """Return the camera of the same images in another size; pixel centres stay at whole numbers."""
+    """Return the camera for the same images resized.
+
+    Pixel centres stay at integers.
+    """
     sx, sy = width / camera.width, height / camera.height
     return Camera(
         width,
@@ -101,13 +105,13 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """Two cameras fixed to each other.
+    """Two cameras rigidly mounted to each other.
 
     Attributes
     ----------
-    right_from_left : (4, 4) float64, metres: takes left-camera points to the right camera.
-    rectified : rows of both images already correspond; the baseline is then -right_from_left[0, 3].
-    disparities : the number of disparities the calibration file itself states, or None.
+    right_from_left : (4, 4) float64, metres: maps points from left to right camera coordinates.
+    rectified : rows of both images correspond; the baseline is then -right_from_left[0, 3].
+    disparities : maximum number of disparities if the calibration file states it, or None.
     """
 
     left: Camera
@@ -122,21 +126,21 @@ class StereoRig:
 
     @property
     def baseline(self) -> float:
-        """Return the distance between the camera centres, in metres."""
+        """Distance between the camera centres, in metres."""
         return float(np.linalg.norm(self.right_from_left[:3, 3]))
 
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """An image inside a file that holds more: a frame of a video, an entry of an archive.
+    """Image inside a container file: a video frame or an archive entry.
 
     Attributes
     ----------
-    file : what holds it; another content of it is another image.
-    name : of the image in the file, for messages and so that images of one file differ.
-    load : returns it, (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of `depth_scale` for
-        depth, (h, w) uint8 for confidence and masks; raises InputError. Any thread may call it, any number of
-        times.
+    file : container; the cache treats the image as changed if the container changes.
+    name : name of the image in the container, unique and used in messages.
+    load : reads the image: (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of
+        `depth_scale` for depth, (h, w) uint8 for confidence and masks. Raises InputError. Thread-safe and
+        repeatable.
     """
 
     file: Path
@@ -147,7 +151,7 @@ class Packed:
         return line(self, (str(self),))
 
     def __str__(self) -> str:
-        """Return how messages call the image."""
+        """Return the name of the image in messages."""
         return f"{self.file}: {self.name}"
 
 
@@ -155,35 +159,34 @@ class Packed:
 class Frame:
     """One moment of a scan: a colour image and either a right image or a depth map.
 
-    Images are files or parts of files, read when asked for (see scanloom.stages.scans.model.images), or
-    arrays in memory.
+    Images are paths, `Packed` images or arrays. Files are read on demand, see
+    `scanloom.stages.scans.model.images`.
 
     Attributes
     ----------
-    name : how messages call the frame: its file's stem, or its number.
-    camera : of the depth map, or of the left image.
-    color : file or (h, w, 3) uint8 RGB; the left image of a pair.
-    right : as `color`, for stereo.
+    name : name of the frame in messages: the stem of its file, or its number.
+    camera : camera of the depth map, or of the left image.
+    color : file or (h, w, 3) uint8 RGB; the left image of a stereo pair.
+    right : right image of a stereo pair, as `color`.
     depth : file, or (h, w) float32 metres along the optical axis, 0 where missing.
-    depth_scale : what one metre is in the depth file's units (1000 for millimetres).
-    depth_missing : raw values that mark a missing depth, beside 0.
-    world_from_camera : (4, 4) float64 rigid, metres; None where the scan has no pose for the frame.
+    depth_scale : units of the depth file per metre (1000 for millimetres).
+    depth_missing : raw values that mark missing depth, in addition to 0.
+    world_from_camera : (4, 4) float64 rigid pose, metres; None if the frame has no pose.
     timestamp : nanoseconds, or None.
-    color_camera : of the colour image of an RGB-D frame, for any of its sizes; None where that image shows
-        what the depth map shows, in whatever size.
-    color_from_depth : (4, 4) float64, metres: takes points of the depth camera to the colour camera; None
-        where both stand in one place.
-    confidence : how far each depth is to be trusted, (h, w) of the depth map's size or of another; higher is
-        better.
-    least_confidence : depth of less is missing.
-    mask : 0 where the image shows nothing of the scene (a backdrop, a border, what moves), (h, w) of its size
-        or of another; such pixels get no depth.
-    depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
-        single views are searched for depth in between.
-    up : (3,) float64 of length 1, what is up in the axes of the camera, where an accelerometer tells.
-    shutter_turn : (3,) float64, a rotation vector in the axes of the depth camera, radians: how the camera
-        turns from the first row of its images to the last one, where rows are read one after the other; the
-        pose is that at the middle row. None where all are read at once, or nobody knows.
+    color_camera : camera of the colour image of an RGB-D frame, for any size of the image; None if the colour
+        image is aligned to the depth map, at any resolution.
+    color_from_depth : (4, 4) float64, metres: maps points from depth to colour camera coordinates; None if
+        both cameras have the same position.
+    confidence : confidence of each depth value, higher is better; (h, w) uint8, resized to the depth map.
+    least_confidence : depth with a lower confidence is missing.
+    mask : 0 where the pixel is not part of the scene (a backdrop, a border, moving objects); (h, w), resized
+        to the image. Such pixels get no depth.
+    depth_range : nearest and farthest depth of the frame in metres, if the folder states it; limits the depth
+        search of single views.
+    up : (3,) float64 unit vector, up direction in camera axes, if an accelerometer measured it.
+    shutter_turn : (3,) float64 rotation vector in axes of the depth camera, radians: rotation of the camera
+        from the first to the last row during readout (rolling shutter). The pose is the pose at the middle
+        row. None for a global shutter, or if the rotation is not known.
     """
 
     name: str
@@ -247,24 +250,24 @@ class Frame:
         ----------
         color : (h, w, 3) uint8 RGB, or (h, w) grey. OpenCV reads BGR: reverse its channels.
         depth : (h, w) along the optical axis, floats in metres or integers; 0, NaN and infinity are missing.
-        intrinsics : of the depth image, or of the colour image where there is no depth: (3, 3) camera matrix,
+        intrinsics : of the depth image, or of the colour image if there is no depth: (3, 3) camera matrix,
             fx, fy, cx, cy in pixels, or a `Camera`, which may have lens distortion.
-        world_from_camera : (4, 4) or (3, 4) rigid, metres, OpenCV axes; it takes points of the camera to the
-            world. Open3D's `extrinsic` is its inverse.
-        depth_scale : units of `depth` in one metre; default 1000 for integers, 1 for floats.
+        world_from_camera : (4, 4) or (3, 4) rigid, metres, OpenCV axes; maps points from camera to world
+            coordinates. Open3D's `extrinsic` is its inverse.
+        depth_scale : units of `depth` per metre; default 1000 for integers, 1 for floats.
         right : right image of a stereo pair, as `color`.
-        color_intrinsics : of the colour image; default: it shows what the depth image shows.
-        color_from_depth : (4, 4) or (3, 4) rigid, metres; it takes points of the depth camera to the colour
-            camera. Default: both cameras are at one position.
-        mask : (h, w) uint8 or bool, 0 where the image shows nothing of the scene.
-        confidence : (h, w) uint8; depth of less than `least_confidence` is missing.
+        color_intrinsics : of the colour image; default: the colour image is aligned to the depth image.
+        color_from_depth : (4, 4) or (3, 4) rigid, metres; maps points from depth to colour camera
+            coordinates. Default: both cameras have the same position.
+        mask : (h, w) uint8 or bool, 0 where the pixel is not part of the scene.
+        confidence : (h, w) uint8; depth with confidence below `least_confidence` is missing.
         timestamp : nanoseconds.
-        name : for messages; `Scan.from_frames` numbers frames that have none.
+        name : name in messages; `Scan.from_frames` numbers frames without a name.
 
         Raises
         ------
         InputError
-            For an array of another shape or dtype, and for values that cannot be right.
+            For an array of another shape or dtype, and for implausible values.
         """
         where = f"frame {name}" if name else "frame"
         if color is None and depth is None:
@@ -288,11 +291,11 @@ class Frame:
                 raise InputError(
                     USAGE_FRAME_INVALID,
                     (
-                        "the colour image of {colors_shape} × {colors_shape_2} px and the depth "
-                        "image of {camera_width} × {camera_height} px differ in shape."
+                        "the colour image of {colors_shape} × {colors_shape_2} px and the depth image of "
+                        "{camera_width} × {camera_height} px differ in aspect ratio."
                     ),
                     where,
-                    remedy="Give color_intrinsics, and color_from_depth if the cameras are apart.",
+                    remedy="Give color_intrinsics, and color_from_depth for cameras at different positions.",
                     colors_shape=colors.shape[1],
                     colors_shape_2=colors.shape[0],
                     camera_width=camera.width,
@@ -301,7 +304,7 @@ class Frame:
         rights = None if right is None else check_color(right, where)
         if rights is not None and (colors is None or rights.shape[:2] != colors.shape[:2]):
             raise InputError(
-                USAGE_FRAME_INVALID, "the right image needs a left image, color, of the same size.", where
+                USAGE_FRAME_INVALID, "the right image needs a left image (color) of the same size.", where
             )
         return cls(
             name=name,
@@ -336,7 +339,7 @@ class Frame:
         return thumbnail([one for one in (self.color, self.right) if one is not None])
 
     def figures(self) -> dict[str, Any]:
-        """Return what the frame has, ready for JSON; no image is read."""
+        """Summarise the frame as a JSON object without reading images."""
         return {
             "frame": self.name,
             "size_px": [self.camera.width, self.camera.height],
@@ -350,7 +353,7 @@ class Frame:
         }
 
 
-# Short names of what a scan can lack, by code.
+# Short names of missing data by diagnostic code.
 _LACKING = {POSE_MISSING.name: "poses", CAMERA_PAIR_UNCALIBRATED.name: "calibration"}
 
 
@@ -360,8 +363,8 @@ class SkippedFrame:
 
     Attributes
     ----------
-    name : of the frame.
-    diagnostic : the reason, without the name of the frame.
+    name : name of the frame.
+    diagnostic : reason, without the name of the frame.
     """
 
     name: str
@@ -369,31 +372,34 @@ class SkippedFrame:
 
     @property
     def reason(self) -> str:
-        """Return the reason in words."""
+        """Reason in words."""
         return str(self.diagnostic)
 
     def figures(self) -> dict[str, Any]:
-        """Return name, code and reason, ready for JSON."""
+        """Return name, code and reason as a JSON object."""
         return {"frame": self.name, "code": self.diagnostic.code, "reason": self.reason}
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A lazy, ordered sequence of frames.
+    """Ordered sequence of frames whose images are read on demand.
 
     Attributes
     ----------
-    layout : the name of the recognised layout.
-    rig : set for stereo pairs, None for RGB-D and for single views.
-    skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
-    diagnostics : what is odd.
-    missing : what the scan lacks to become a mesh, of the codes pose.missing and camera.pair-uncalibrated.
-    box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
-    held_out : frames that are kept from all stages, to judge results by.
-    up : which way is up in the world of the poses, where the layout or the folder says it.
-    is_metric : lengths are metres; else one unit that nobody knows, in which depth is too.
-    scale : what made lengths metres that were none.
-    read_from : the files that it was read from, and those of its images, of frames that were not chosen too.
+    layout : name of the detected layout.
+    frames : frames in capture order.
+    rig : set for stereo pairs, None for RGB-D frames and single views.
+    folder : folder or file of the scan.
+    skipped : frames that the reader skipped (pose lost, file missing).
+    diagnostics : warnings of the reader.
+    missing : data that a mesh requires and the scan lacks: diagnostics of the codes pose.missing and
+        camera.pair-uncalibrated.
+    box : (2, 3) float64 metres, minimum and maximum corner of the scanned volume, if the folder states it.
+    held_out : frames that no stage uses, for evaluation.
+    up : up direction in world coordinates, if the layout or the folder states it.
+    is_metric : lengths are metres; otherwise poses and depth have the same unknown unit.
+    scale : conversion to metres that was applied to a scan without metric scale.
+    read_from : all files that the scan was read from, and the image files of all frames, selected or not.
     """
 
     layout: str
@@ -420,20 +426,21 @@ class Scan:
         is_metric: bool = True,
         held_out: Iterable[Frame] = (),
     ) -> Scan:
-        """Create a scan from frames in memory, such as those of `Frame.from_arrays`.
+        """Create a scan from frames in memory, such as from `Frame.from_arrays`.
 
         Parameters
         ----------
-        frames : in the order they were taken; all with depth, all with a right image, or all with neither.
-        rig : the two cameras of stereo pairs.
-        up : (3,) up direction in the world of the poses; default: it is estimated where a stage needs it.
-        is_metric : whether lengths are metres.
-        held_out : frames that no stage uses, to judge results by.
+        frames : in capture order; all with depth, all with a right image, or all with neither.
+        rig : cameras of stereo pairs.
+        up : (3,) up direction in world coordinates; default: stages that need the up direction estimate it.
+        is_metric : lengths are metres.
+        held_out : frames that no stage uses, for evaluation.
 
         Raises
         ------
         InputError
-            For no frames, frames of several kinds, right images without a rig, and views without poses.
+            For no frames, frames of different kinds, right images without a rig, and single views without
+            poses.
         """
         numbered = [
             frame if frame.name else replace(frame, name=f"{number:06d}")
@@ -454,9 +461,7 @@ class Scan:
                 )
         has_depth, has_right = kinds[0]
         if has_right and not has_depth and rig is None:
-            raise InputError(
-                USAGE_FRAME_INVALID, "stereo pairs need rig, a StereoRig with both cameras.", "scan"
-            )
+            raise InputError(USAGE_FRAME_INVALID, "stereo pairs need the argument rig, a StereoRig.", "scan")
         if not (has_depth or has_right) and not any(f.world_from_camera is not None for f in numbered):
             raise InputError(
                 USAGE_FRAME_INVALID, "single images need poses: give world_from_camera to each frame.", "scan"
@@ -495,7 +500,10 @@ class Scan:
         return thumbnail([frame.color for frame in self.frames if frame.color is not None])
 
     def figures(self) -> dict[str, Any]:
-        """Return what the scan has, ready for JSON; no image is read. `inspect` tells far more."""
+        """Summarise the scan as a JSON object without reading images.
+
+        `inspect` reports much more.
+        """
         camera = self.frames[0].camera if self.frames else None
         return {
             "layout": self.layout,
@@ -514,24 +522,24 @@ class Scan:
 
     @property
     def has_poses(self) -> bool:
-        """Return whether any frame has a pose."""
+        """True if any frame has a pose."""
         return any(frame.world_from_camera is not None for frame in self.frames)
 
     @property
     def is_stereo(self) -> bool:
-        """Return whether depth must still be computed from pairs."""
+        """True if the scan consists of stereo pairs, whose depth must be computed."""
         return self.rig is not None
 
     @property
     def is_views(self) -> bool:
-        """Return whether depth must still be computed from single images with poses, without a rig."""
+        """True if the scan consists of single views whose depth must be computed."""
         return self.rig is None and not any(frame.depth is not None for frame in self.frames)
 
 
 def _create_camera(
     intrinsics: Camera | ArrayLike, image: NDArray[np.uint8] | NDArray[np.float32], where: str
 ) -> Camera:
-    """Create the camera of an image, or check that a given one fits it."""
+    """Create the camera of an image, or check that a given camera fits the image."""
     height, width = image.shape[:2]
     if not isinstance(intrinsics, Camera):
         return Camera(width, height, *check_intrinsics(intrinsics, (width, height), where))
@@ -560,7 +568,7 @@ def _describe_kind(kind: tuple[bool, bool]) -> str:
 
 
 def _check_up(up: ArrayLike) -> WorldUp:
-    """Return the up direction with length 1."""
+    """Check an up direction and normalise it to length 1."""
     vector = np.asarray(up, np.float64).reshape(-1)
     length = float(np.linalg.norm(vector))
     if vector.shape != (3,) or not (np.isfinite(length) and length > 0):

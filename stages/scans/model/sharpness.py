@@ -1,6 +1,6 @@
-"""How sharp the images of a scan are: the variance of the Laplacian, which blur takes away.
+"""Image sharpness as the variance of the Laplacian.
 
-The measure also falls where there is little to see, so it ranks the frames of one scan and no more.
+Blur lowers the variance, but so does a lack of texture. So the measure only ranks frames of one scan.
 
 References
 ----------
@@ -19,24 +19,24 @@ from scanloom.stages.scans.model.images import read_color
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import ColorImage, Frame
 
-# Reading more images than this takes longer than a person wants to wait; they are spread over the scan.
+# Maximum number of frames to read, evenly spaced; more would take too long for an interactive command.
 _MOST_FRAMES = 150
-# All are measured at this size, since shrinking takes away blur.
+# Pixels. Downscaling removes blur, so all images are compared at the same width.
 _WIDTH = 640
 
 
 def least_sharp(frames: Sequence[Frame], share: float = 0.05) -> tuple[list[tuple[Frame, float]], int]:
-    """Return the least sharp frames, and how many were looked at.
+    """Find the least sharp frames of a scan.
 
     Parameters
     ----------
-    frames : with colour; those whose images cannot be read are left aside.
-    share : of the frames looked at, rounded up.
+    frames : frames with colour; unreadable images are skipped.
+    share : ratio of the measured frames to return, rounded up.
 
     Returns
     -------
-    The frames, the worst first, each with its sharpness over the median's; and the number of frames measured.
-    None where fewer than two can be compared.
+    Frames, worst first, each with the ratio of its sharpness to the median; and the number of measured
+    frames. The list is empty if fewer than two frames were measured.
     """
     chosen = np.unique(np.linspace(0, len(frames) - 1, _MOST_FRAMES).round().astype(int))
     threads = workers()
@@ -59,7 +59,7 @@ def _sharpness(frame: Frame) -> float | None:
 
 
 def sharpness(color: ColorImage) -> float:
-    """Return the sharpness of an image (h, w, 3), in squared levels."""
+    """Compute the sharpness of an image (h, w, 3): Laplacian variance in grey levels²."""
     import cv2
 
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)

@@ -1,4 +1,4 @@
-"""Tags in photos, AprilTags and ArUco markers, as OpenCV finds them, to a small part of a pixel."""
+"""Detection of AprilTags and ArUco markers with subpixel corners."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.scans.model.scan import ColorImage
 
-# Families of tags by the names people have for them, and OpenCV's: of each kind of ArUco the one that holds
-# the others.
+# OpenCV dictionaries by family name. For each ArUco size, the largest dictionary contains the smaller ones.
 _DICTIONARIES = {
     "apriltag-36h11": "DICT_APRILTAG_36h11",
     "apriltag-25h9": "DICT_APRILTAG_25h9",
@@ -23,24 +22,29 @@ _DICTIONARIES = {
     "aruco-original": "DICT_ARUCO_ORIGINAL",
 }
 FAMILIES = tuple(_DICTIONARIES)
-# Around a tag, as a share of its longest edge, and pixels: its white border is seen whole.
+# Margin around a tag for the second detection: ratio of its longest edge, plus pixels. It includes the white
+# border.
 _AROUND, _AROUND_PX = 0.35, 4.0
-# What a photo holds is light to the power of one over this.
+# Gamma of photos, approximately sRGB.
 _GAMMA = 2.2
-# The finer detector counts from the corner of a pixel, not from its middle.
+# The AprilTag refinement returns coordinates relative to pixel corners, not centres.
 _FROM_CORNER_PX = 0.5
 
 
 def find_tags(image: ColorImage, family: str) -> Mapping[int, NDArray[np.float64]]:
-    """Return the corners (4, 2) of the black squares of tags in an image, pixels, by the tags' numbers.
+    """Detect tags of a family in an image.
 
-    Corners of a square are found where lines along its edges meet: each of them alone lies inwards of where
-    it is by a third of a pixel, which is a per cent of a small tag. A number that is there twice is left out.
+    Corners are intersections of lines fitted to the edges. Corner detectors are biased inwards by a third of
+    a pixel, which is 1 % of a small tag. Tags whose id occurs twice are dropped.
 
     Parameters
     ----------
-    image : without lens distortion.
+    image : (h, w, 3) uint8 RGB without lens distortion.
     family : one of FAMILIES.
+
+    Returns
+    -------
+    Corners of the black square by tag id, (4, 2) pixels each.
     """
     import cv2
 
@@ -64,10 +68,10 @@ def find_tags(image: ColorImage, family: str) -> Mapping[int, NDArray[np.float64
 
 
 def _as_light(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image in proportion to light, the brightest 255.
+    """Linearise a grey image (inverse gamma), with the brightest pixel at 255.
 
-    A lens blurs light, and photos hold about its root: in these, half of the way from black to white lies on
-    the black side of an edge, so that a black square is too small, by 2 % where its edge is 40 pixels.
+    Lens blur is linear in light. In a gamma-encoded photo the half-way level of a blurred edge is on its dark
+    side, so black squares appear too small: by 2 % for edges of 40 pixels.
     """
     light = (grey / np.float32(max(int(grey.max()), 1))) ** np.float32(_GAMMA)
     return np.asarray(np.rint(255 * light), np.uint8)

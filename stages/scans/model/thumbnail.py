@@ -1,4 +1,4 @@
-"""A few photos of a scan side by side, small: for a first look in a notebook."""
+"""Thumbnail strip of a scan's photos, for notebooks."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from scanloom.stages.files.image_bytes import encoded_png
 from scanloom.stages.files.images import decode_color, file_bytes
 
 _HEIGHT = 90
-# Images wider than this, of their height, are shown narrower.
+# Maximum aspect ratio (width / height); wider images are squeezed.
 _WIDEST = 3.0
 _PHOTOS = 4
 
 
 def thumbnail(photos: Sequence[Any]) -> bytes | None:
-    """Return up to four photos, spread evenly, as one PNG file; None without photos.
+    """Render up to four evenly spaced photos as a horizontal strip, encoded as PNG.
+
+    Returns None if there are no photos.
 
     Parameters
     ----------
-    photos : of frames, as a frame has them: files, `Packed`, or (h, w, 3) uint8.
+    photos : colour images of frames: paths, `Packed` images, or (h, w, 3) uint8.
 
     Raises
     ------
     InputError
-        If one cannot be read.
+        If an image cannot be read.
     """
     if not photos:
         return None

@@ -1,4 +1,4 @@
-"""Lens distortion and rolling shutters taken out: what a pinhole camera with the same matrix sees at once."""
+"""Removal of lens distortion and rolling shutter by resampling."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _Map = NDArray[np.float32]
 
 
 class Maps(NamedTuple):
-    """Where images have what each pixel of the pinhole camera sees, (h, w) each.
+    """Sampling positions in the image for each pixel of the pinhole camera, (h, w) float32 each.
 
     Attributes
     ----------
-    across, down : columns and rows, pixels.
-    farther : depth there over that of the pinhole camera; None where it is the same.
+    across, down : columns and rows in the image, pixels.
+    farther : ratio of depth in the image to depth of the pinhole camera; None if the ratio is 1.
     """
 
     across: _Map
@@ -29,12 +29,14 @@ class Maps(NamedTuple):
 
 
 def maps_of(camera: Camera, width: int, height: int, turn: NDArray[np.float64] | None = None) -> Maps | None:
-    """Return the maps for a camera's images of a size; None where these are what a pinhole camera sees.
+    """Compute the sampling maps for images of a camera at a given size.
+
+    Returns None if the images are pinhole images already.
 
     Parameters
     ----------
-    turn : (3,) of the camera while its rows are read, in its own axes, see `Frame.shutter_turn`: what is seen
-        is seen from the pose at the middle row.
+    turn : (3,) rotation vector of the camera during readout in its own axes, radians, see
+        `Frame.shutter_turn`. The output is the view from the pose at the middle row.
     """
     if turn is not None:
         return Maps(*as_read(scaled(camera, width, height), turn))
@@ -42,14 +44,14 @@ def maps_of(camera: Camera, width: int, height: int, turn: NDArray[np.float64] |
 
 
 def undistorted(image: NDArray[Any], maps: Maps | None, *, smooth: bool, sharp: bool = False) -> NDArray[Any]:
-    """Return what the pinhole camera sees; depth is never averaged across an edge.
+    """Resample an image to the pinhole camera.
 
     Parameters
     ----------
-    image : as it was taken; depth if its values are no integers.
-    maps : for its size; as None it stays as it is.
-    smooth : interpolate linearly; else the nearest pixel is taken.
-    sharp : interpolate by a cubic instead, which keeps details.
+    image : (h, w) or (h, w, c); a float image is a depth map, and its values are converted as well.
+    maps : sampling maps for its size; None returns the image unchanged.
+    smooth : interpolate linearly. False takes the nearest pixel, for depth and masks.
+    sharp : interpolate cubically, which preserves details.
     """
     import cv2
 
@@ -63,7 +65,7 @@ def undistorted(image: NDArray[Any], maps: Maps | None, *, smooth: bool, sharp: 
 
 @functools.lru_cache(maxsize=4)
 def _undistortion(camera: Camera, width: int, height: int) -> Maps:
-    """Return the maps for images of a size, the camera's matrix scaled to it."""
+    """Compute the maps of lens distortion for an image size, cached."""
     import cv2
 
     matrix = scaled(camera, width, height).matrix

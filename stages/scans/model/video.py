@@ -1,4 +1,7 @@
-"""Frames of a video by their number, decoded in order: the times in a container are not to be relied on."""
+"""Random access to video frames by index.
+
+Frames are decoded in sequence, because timestamps in containers are unreliable.
+"""
 
 from __future__ import annotations
 
@@ -16,28 +19,34 @@ from scanloom.stages.files.opening import opened
 from scanloom.stages.files.room import require_room
 from scanloom.stages.scans.model.scan import ColorImage
 
-# The last frames stay in memory: threads ask for neighbours in an order of their own.
+# Bytes of decoded frames to keep, because threads request neighbouring frames in varying order.
 _KEPT_BYTES = 1 << 27
-# A decoder keeps up to 16 pictures that others refer to, and some on their way.
+# Images that a decoder holds: up to 16 reference pictures, and some in its pipeline.
 _PICTURES = 20
-# How MP4 and QuickTime begin. FFmpeg knows playlists, too, and would open what they name.
+# First box types of MP4 and QuickTime. FFmpeg also reads playlists, which could make it open other files.
 _STARTS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 
 
 class Video:
-    """The frames of an MP4 or QuickTime file, as they are stored: never turned by what its header says.
+    """Frames of an MP4 or QuickTime file, as stored: rotation metadata is ignored.
 
-    Going back begins again at the first frame. Any thread may ask.
+    Thread-safe. A request for an earlier frame that is no longer in memory decodes from the start.
 
     Attributes
     ----------
-    path : the file.
+    path : video file.
     width, height : pixels.
-    frames : how many its header promises; 0 where it says nothing.
+    frames : number of frames that the header states; 0 if unknown.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a video; raise InputError if it is none, or of a size that cannot be."""
+        """Open a video.
+
+        Raises
+        ------
+        InputError
+            If the file is not a video, or its image size is implausible.
+        """
         self.path = path
         self._lock = threading.Lock()
         self._open()
@@ -50,7 +59,7 @@ class Video:
         if not 0 < self.width * self.height <= MAX_PIXELS:
             raise InputError(
                 RECORDING_DAMAGED,
-                "the video claims to be {width}×{height}; it is damaged.",
+                "its header is damaged: it states {width}×{height} pixels.",
                 path,
                 width=self.width,
                 height=self.height,
@@ -61,12 +70,12 @@ class Video:
         self._end: int | None = None
 
     def frame(self, number: int) -> ColorImage:
-        """Return frame `number`, counted from 0: (h, w, 3) uint8 RGB.
+        """Decode the frame of an index from 0: (h, w, 3) uint8 RGB.
 
         Raises
         ------
         InputError
-            If the video ends before it, or does not decode up to there.
+            If the video ends or is damaged before the frame.
         """
         with self._lock:
             if number not in self._kept:
@@ -96,11 +105,14 @@ class Video:
                 self._kept.popitem(last=False)
 
     def _ended(self, number: int) -> InputError:
-        """Return what to raise, unless it was memory that ended."""
+        """Create the error for a missing frame.
+
+        Raise MemoryError if memory is exhausted.
+        """
         require_room(_PICTURES * 3 * self.width * self.height)
         return InputError(
             RECORDING_DAMAGED,
-            "frame {number} is not there: the video ends or is damaged after {end} frames.",
+            "frame {number} is missing: the video ends or is damaged after {end} frames.",
             self.path,
             number=number,
             end=self._end,
@@ -121,7 +133,9 @@ class Video:
             ) from error
         if start[4:] not in _STARTS:
             raise InputError(
-                RECORDING_DAMAGED, "this is no MP4 or QuickTime video, or its start is damaged.", self.path
+                RECORDING_DAMAGED,
+                "this is not an MP4 or QuickTime video, or its header is damaged.",
+                self.path,
             )
         self._capture: Any = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         self._next = 0

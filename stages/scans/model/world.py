@@ -1,4 +1,4 @@
-"""What is known of the world of a scan's poses: which way is up in it, and how long a unit of it is."""
+"""Up direction and scale of the world coordinates of a scan."""
 
 from __future__ import annotations
 
@@ -16,36 +16,39 @@ _IN_WORDS = {Y_UP: "y up", Z_UP: "z up", Y_DOWN: "y down", Z_DOWN: "z down"}
 
 @dataclass(frozen=True)
 class WorldUp:
-    """Which way is up.
+    """Up direction of the world.
 
     Attributes
     ----------
-    direction : of length 1.
-    source : how it is known, such as `layout polycam: y up`.
+    direction : unit vector.
+    source : origin of the information, such as `layout polycam: y up`.
     """
 
     direction: Direction
     source: str
 
     def figures(self) -> dict[str, Any]:
-        """Return both, as the stage `upright` calls them."""
+        """Return direction and source under the keys of the stage `upright`."""
         return {"up": list(self.direction), "up_source": self.source}
 
 
 def up_of_layout(name: str, direction: Direction) -> WorldUp:
-    """Return what is up by the definition of a layout; `direction` is one of those above."""
+    """Create the up direction that a layout defines.
+
+    `direction` is an axis constant of this module.
+    """
     return WorldUp(direction, f"layout {name}: {_IN_WORDS[direction]}")
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How long a unit of the world was that is in metres now.
+    """Conversion of the world unit to metres.
 
     Attributes
     ----------
-    metres_per_unit : what its lengths were multiplied by.
-    source : how it is known, such as `given`.
-    spread_share : by which share of it what was measured disagrees; None where nothing was.
+    metres_per_unit : factor that was applied to all lengths.
+    source : origin of the information, such as `given`.
+    spread_share : maximum relative deviation of individual measurements; None if nothing was measured.
     """
 
     metres_per_unit: float
@@ -53,7 +56,7 @@ class Scale:
     spread_share: float | None = None
 
     def figures(self) -> dict[str, Any]:
-        """Return all, ready for JSON."""
+        """Return all fields as a JSON object."""
         return {
             "metres_per_unit": self.metres_per_unit,
             "source": self.source,

@@ -1,1 +1,1 @@
-"""Poses: trajectory files, files of one pose each, and times."""
+"""Trajectories: trajectory files, files of one pose each, and matching of poses to frames."""

@@ -1,7 +1,7 @@
-"""Read trajectory files into rigid camera-to-world poses (metres, OpenCV camera axes).
+"""Readers for trajectory files of all supported formats.
 
-Every form that scan folders use is here; what a pose means in the file (its direction, its quaternion order,
-row- or column-major) is undone once, by the reader of that form.
+Poses are rigid and camera-to-world, in metres and OpenCV camera axes. Each reader converts the pose
+direction, quaternion order and matrix order of its format.
 """
 
 from __future__ import annotations
@@ -26,22 +26,23 @@ from scanloom.stages.scans.model.scan import Pose
 
 T = TypeVar("T")
 
-# Of a pose in a NumPy array, and how many there may be: days of frames.
+# Shapes of one pose in a NumPy array, and maximum number of poses (days of video).
 _STACKED = ((3, 4), (4, 4), (12,), (16,))
 _MOST_POSES = 1 << 22
-# Python reads no number of thousands of digits.
+# Characters; Python refuses to parse integers of thousands of digits.
 _LONGEST_NUMBER = 255
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses in the order of their file.
+    """Poses in file order.
 
     Attributes
     ----------
-    poses : (4, 4) float64 world-from-camera (or -body, where the file says so); None where tracking was lost.
-    timestamps : (n,) int64 nanoseconds, or None when the form has none.
-    names : what the file calls the frame of each, its name or its number; None when the form has none.
+    poses : (4, 4) float64 world_from_camera (or world_from_body, depending on the format); None where
+        tracking was lost.
+    timestamps : (n,) int64 nanoseconds; None if the format has none.
+    names : name or number of each pose's frame; None if the format has none.
     """
 
     poses: Sequence[Pose | None]
@@ -53,17 +54,16 @@ class Trajectory:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory file of any known form, told apart by its suffix and its first line of numbers.
+    """Read a trajectory file; the format is detected by suffix and first line.
 
-    KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), the same
-    without times (SLAMBench), Redwood and Open3D `.log`, Open3D `.json` (world-to-camera, column-major),
-    EuRoC `.csv`, ARKitScenes `.traj`, nested rows in JSON, in a list or by frame, and matrices as NumPy's
-    `.npy`.
+    Formats: KITTI (12 numbers per line, row-major), 4x4 matrices (16 numbers per line), TUM
+    (`t tx ty tz qx qy qz qw`), SLAMBench (the same without t), Redwood and Open3D `.log`, Open3D `.json`
+    (world-to-camera, column-major), nested rows in JSON, EuRoC `.csv`, ARKitScenes `.traj`, NumPy `.npy`.
 
     Raises
     ------
     InputError
-        If the form is unknown or a pose is not rigid; the message names the file and the line.
+        If the format is unknown or a pose is not rigid. The message names the file and the line.
     """
     if path.suffix == ".json":
         return read_json(path)
@@ -90,8 +90,8 @@ def read_trajectory(path: Path) -> Trajectory:
     raise InputError(
         POSE_TRAJECTORY_UNREADABLE,
         (
-            "line {first} holds {count} numbers. Expected are 12 or 16 (a matrix), 8 (t "
-            "tx ty tz qx qy qz qw), 7 (the same without t) or 3 (a .log header)."
+            "line {first} holds {count} numbers; expected are 12 or 16 (a matrix), 8 (t tx ty tz "
+            "qx qy qz qw), 7 (the same without t) or 3 (a .log header)."
         ),
         path,
         first=first[0],
@@ -100,7 +100,15 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def read_pose(path: Path) -> Pose | None:
-    """Read one pose from a file with a 4x4 (or 3x4) matrix in rows; None when it marks lost tracking."""
+    """Read one pose from a file with a row-major 4x4 or 3x4 matrix.
+
+    Returns None if the matrix marks lost tracking.
+
+    Raises
+    ------
+    InputError
+        If the file holds another number of values, or the pose is not rigid.
+    """
     values = [value for _, row in _number_lines(path) for value in row]
     if len(values) not in (12, 16):
         raise InputError(
@@ -129,7 +137,10 @@ def read_matrices(path: Path) -> Trajectory:
 
 
 def read_stack(path: Path) -> Trajectory:
-    """Read a NumPy array (n, 3, 4), (n, 4, 4), (n, 12) or (n, 16) of such matrices, camera-to-world."""
+    """Read a NumPy array of camera-to-world poses.
+
+    Shapes are (n, 3, 4), (n, 4, 4), (n, 12) or (n, 16).
+    """
     array = read_array(path, "the trajectory file")
     is_stack = array.ndim > 1 and array.dtype.kind == "f" and array.shape[1:] in _STACKED
     if not is_stack or not 0 < len(array) <= _MOST_POSES:
@@ -150,8 +161,8 @@ def read_stack(path: Path) -> Trajectory:
 def read_tum(path: Path) -> Trajectory:
     """Read TUM lines: seconds, translation, quaternion with the scalar last; camera-to-world.
 
-    A widely used writer forgets to end its header `# …>`, so that the first pose stands in the comment; it is
-    taken from there.
+    A common writer omits the line end after its header `# …>`, so that the first pose is in the comment. That
+    pose is read, too.
     """
     poses, times = [], []
     swallowed = re.match(
@@ -173,7 +184,10 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> None:
-    """Write TUM lines, as `read_tum` reads them: times in seconds, camera-to-world poses in metres."""
+    """Write a trajectory as TUM lines.
+
+    Time in seconds, translation in metres, quaternion x y z w; poses are camera-to-world.
+    """
     from scipy.spatial.transform import Rotation
 
     lines = ["# seconds tx ty tz qx qy qz qw"]
@@ -184,7 +198,10 @@ def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> No
 
 
 def read_log(path: Path) -> Trajectory:
-    """Read a Redwood or Open3D `.log`: a header of three integers, then four rows; camera-to-world."""
+    """Read a Redwood or Open3D `.log` of camera-to-world poses.
+
+    Each pose is a header of three integers and four rows of a matrix.
+    """
     content = list(_number_lines(path))
     poses = []
     for at in range(0, len(content), 5):
@@ -202,7 +219,7 @@ def read_log(path: Path) -> Trajectory:
 
 
 def read_stacked(path: Path) -> Trajectory:
-    """Read three rows of four numbers a pose (SUN3D), one after the other without a mark; camera-to-world."""
+    """Read SUN3D poses: three rows of four numbers each, without separators; camera-to-world."""
     rows = list(_number_lines(path))
     for number, row in rows:
         if len(row) != 4:
@@ -228,11 +245,11 @@ def read_stacked(path: Path) -> Trajectory:
 
 
 def read_json(path: Path) -> Trajectory:
-    """Read poses from JSON: Open3D's camera trajectory or pose graph, or row-major 4x4 matrices.
+    """Read poses from JSON: an Open3D camera trajectory or pose graph, or 4x4 matrices.
 
-    Open3D writes 16 numbers column-major; its camera trajectory holds *world-to-camera* extrinsics, its pose
-    graph camera-to-world poses. Matrices are camera-to-world, in a list, or the values of an object whose
-    names are those of the frames, or their numbers.
+    Open3D stores 16 numbers column-major: world-to-camera extrinsics in a camera trajectory, camera-to-world
+    poses in a pose graph. Other matrices are row-major and camera-to-world, in a list or in an object by
+    frame name or number.
     """
     document = documents.read_json(path)
     if isinstance(document, dict) and isinstance(document.get("parameters"), list):
@@ -247,7 +264,7 @@ def read_json(path: Path) -> Trajectory:
         if not isinstance(entries, list):
             raise InputError(
                 POSE_TRAJECTORY_UNREADABLE,
-                "it holds none of `parameters`, `nodes` or `poses`, so no trajectory.",
+                "it is not a trajectory: the keys `parameters`, `nodes` and `poses` are missing.",
                 path,
             )
         matrices = [matrix_of(entry, path, f"pose {i}") for i, entry in enumerate(entries)]
@@ -268,7 +285,7 @@ def read_euroc(path: Path) -> Trajectory:
     for number, text in documents.lines(path):
         fields = text.split(",")
         try:
-            # An int: a float64 cannot hold nanoseconds since 1970 exactly.
+            # Parsed as int, because float64 cannot represent nanoseconds since 1970 exactly.
             time, row = int(fields[0]), [float(value) for value in fields[1:8]]
         except ValueError as error:
             raise InputError(
@@ -312,7 +329,7 @@ def read_traj(path: Path) -> Trajectory:
         if np.abs(values).max() > LARGEST_VALUE:
             raise InputError(
                 POSE_TRAJECTORY_UNREADABLE,
-                "line {number}: a value of {max:g} cannot be right.",
+                "line {number}: the value {max:g} is implausible.",
                 path,
                 number=number,
                 max=np.abs(values).max(),
@@ -327,7 +344,10 @@ def read_traj(path: Path) -> Trajectory:
 
 
 def read_translation_first(path: Path) -> Trajectory:
-    """Read lines of translation and quaternion, scalar last (TartanAir, SLAMBench); axes as in the file."""
+    """Read lines of translation and quaternion, scalar last (TartanAir, SLAMBench).
+
+    The camera axes stay as in the file.
+    """
     poses = []
     for number, row in _number_lines(path):
         if len(row) != 7:
@@ -343,14 +363,21 @@ def read_translation_first(path: Path) -> Trajectory:
 
 
 def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | None:
-    """Return the pose at a moment, between its two neighbours; None if no pose is within `tolerance`.
+    """Interpolate the pose at a time.
 
-    Translation is interpolated linearly, rotation on the shortest arc.
+    Returns None if no pose is within `tolerance`.
+
+    Translation is interpolated linearly, rotation along the shortest arc. In a gap of the trajectory the
+    nearest pose is returned.
 
     Parameters
     ----------
-    trajectory : with rising timestamps, as `in_order` returns it.
+    trajectory : trajectory with increasing timestamps, see `in_order`.
     time, tolerance : nanoseconds.
+
+    Returns
+    -------
+    (4, 4) world_from_camera.
     """
     times = trajectory.timestamps
     if times is None or not len(times):
@@ -363,7 +390,7 @@ def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | Non
     if min(gaps) > tolerance or first is None or second is None:
         return None
     if before == after or max(gaps) > 2 * tolerance:
-        # Beside a hole in the trajectory the near pose is better than a line across the hole.
+        # Next to a gap, the nearest pose is better than interpolation across the gap.
         return first if gaps[0] <= gaps[1] else second
     from scipy.spatial.transform import Rotation
 
@@ -376,7 +403,7 @@ def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | Non
 
 
 def in_order(trajectory: Trajectory) -> Trajectory:
-    """Return the trajectory sorted by time, lost poses and second poses of one moment left out."""
+    """Sort a trajectory by time, without lost poses and repeated timestamps."""
     if trajectory.timestamps is None:
         return trajectory
     tracked = [i for i, pose in enumerate(trajectory.poses) if pose is not None]
@@ -385,10 +412,15 @@ def in_order(trajectory: Trajectory) -> Trajectory:
 
 
 def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose | None]:
-    """Return the pose of each frame of a form without times: the n-th, or the one its number counts to.
+    """Assign poses to frames for a format without timestamps.
 
-    Where the file names the frames, each has that of its name, or of its name's number, and a frame that is
-    not in the file has none.
+    If the file names its frames, poses are assigned by name or by the number in the name; a frame that is not
+    in the file gets None. Otherwise poses are assigned by order, see `by_number`.
+
+    Raises
+    ------
+    InputError
+        If no frame matches, or the number of poses does not fit.
     """
     if trajectory.names is None:
         return by_number(trajectory.poses, names, path, "poses")
@@ -403,7 +435,7 @@ def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose
     if all(pose is None for pose in most):
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "it holds poses of {names!r} and so on, and none of a frame of the scan, such as {names_2!r}.",
+            "its frame names, such as {names!r}, match no frame of the scan, such as {names_2!r}.",
             path,
             names=trajectory.names[0],
             names_2=names[0],
@@ -416,18 +448,22 @@ def _stem(name: str) -> str:
 
 
 def _last_number(name: str) -> object:
-    """Return the last number in a name; a name without one is like no other."""
+    """Return the last number in a name, or the name if it has no number."""
     digits = re.findall(r"\d+", _stem(name)[-_LONGEST_NUMBER:])
     return int(digits[-1]) if digits else name
 
 
 def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) -> list[T]:
-    """Return the value of each frame name: in order when the counts agree, else by the number in the name.
+    """Assign values to frames: by order if the counts agree, else by the number in the name.
+
+    Parameters
+    ----------
+    what : plural noun for the values in messages, such as "poses".
 
     Raises
     ------
     InputError
-        If there are fewer values than frames, or more and the names are not their positions.
+        If there are fewer values than frames, or more and the numbers in the names are not valid indices.
     """
     if len(values) == len(names):
         return list(values)
@@ -435,7 +471,8 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
     if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
         emit(
             POSE_ASSUMED.warning(
-                "it holds {value_count} {what} for {frame_count} frames: each has that of its name's number",
+                "it holds {value_count} {what} for {frame_count} frames; they are assigned by the "
+                "number in each frame's name",
                 path,
                 value_count=len(values),
                 what=what,
@@ -447,7 +484,7 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
         POSE_TRAJECTORY_UNREADABLE,
         "it holds {values_count} {what}, but the scan has {names_count} frames.",
         path,
-        remedy="Give one for each frame, or remove the frames without.",
+        remedy="Give one per frame, or remove the frames without one.",
         values_count=len(values),
         what=what,
         names_count=len(names),
@@ -455,7 +492,10 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
 
 
 def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
-    """Return the nanoseconds of each frame from a file of seconds, one a line; None without the file."""
+    """Read the timestamp of each frame from a file with seconds per line.
+
+    Returns nanoseconds; None for each frame if the file does not exist.
+    """
     if not path.exists():
         return [None] * len(names)
     times = [nanoseconds(row[0], path, number) for number, row in _number_lines(path)]
@@ -463,11 +503,17 @@ def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
 
 
 def nanoseconds(seconds: float, path: Path, line: int) -> int:
-    """Return seconds as whole nanoseconds."""
+    """Convert seconds to integer nanoseconds.
+
+    Raises
+    ------
+    InputError
+        If the time is not below 2³² s.
+    """
     if not abs(seconds) < 1 << 32:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "line {line}: the time {seconds:g} s cannot be right.",
+            "line {line}: the time {seconds:g} s is implausible.",
             path,
             line=line,
             seconds=seconds,
@@ -476,19 +522,19 @@ def nanoseconds(seconds: float, path: Path, line: int) -> int:
 
 
 def stamp(word: str, path: Path, line: int) -> int:
-    """Return the nanoseconds of a time that is written in seconds.
+    """Parse a time in seconds and convert it to nanoseconds.
 
     Raises
     ------
     InputError
-        If it is no number, or none that can be a time.
+        If the word is not a number, or is an implausible time.
     """
     try:
         seconds = float(word if "." in word else word.replace(",", "."))
     except ValueError as error:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "line {line}: {word!r} is no time in seconds.",
+            "line {line}: {word!r} is not a time in seconds.",
             path,
             line=line,
             word=word[:40],
@@ -497,18 +543,18 @@ def stamp(word: str, path: Path, line: int) -> int:
 
 
 def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
-    """Yield line numbers (from 1) and the numbers on them, without comments and empty lines."""
+    """Yield (line number from 1, numbers) of each line with content, without comments."""
     for number, text in documents.lines(path):
         yield number, numbers_of(text, number, path)
 
 
 def numbers_of(text: str, number: int, path: Path) -> list[float]:
-    """Return the numbers on a line; see `scanloom.stages.files.row_numbers`.
+    """Parse the numbers on a line; see `scanloom.stages.files.row_numbers`.
 
     Raises
     ------
     InputError
-        If there is something else on it; the message names the line by its `number`.
+        If the line holds anything else. The message names the line by its `number`.
     """
     try:
         return numbers_on(text)

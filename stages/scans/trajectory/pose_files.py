@@ -1,4 +1,7 @@
-"""Poses in a file a frame: a damaged one costs its frame, many end the scan."""
+"""Poses in one file per frame.
+
+A frame with a damaged file is skipped; many damaged files are an error.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +13,25 @@ from scanloom.stages.scans.codes import POSE_INVALID
 from scanloom.stages.scans.model.scan import Pose, SkippedFrame
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# Of more, something is wrong with all of them: the form is another one.
+# Maximum ratio of damaged files; with more, the file format is probably a different one.
 _MOST_DAMAGED = 0.1
 
 
 def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], list[SkippedFrame]]:
-    """Return the pose of each frame, None where tracking was lost, and the frames whose file is damaged.
+    """Read one pose per frame, and collect the frames with damaged files.
 
     Parameters
     ----------
-    files : that are there, by the frame's name.
+    files : existing files by frame name.
+
+    Returns
+    -------
+    (4, 4) poses by frame name, None where tracking was lost; and the frames with damaged files.
 
     Raises
     ------
     InputError
-        If more than a tenth of them are damaged: that of the first.
+        The first error, if more than a tenth of the files are damaged.
     """
     read = {name: _pose_or_fault(path) for name, path in files.items()}
     poses = {name: pose for name, pose in read.items() if not isinstance(pose, InputError)}

@@ -1,4 +1,4 @@
-"""The pose of each frame from a trajectory with times: by the times, or in order where the person says so."""
+"""Assignment of trajectory poses to frames, by timestamp or by order."""
 
 from __future__ import annotations
 
@@ -21,19 +21,24 @@ def poses_at(
     options: ReadingParams,
     read: Callable[[Path], Trajectory] = trajectories.read_trajectory,
 ) -> list[Pose | None]:
-    """Return the pose of each frame; None where none is near enough in time.
+    """Read a trajectory and return the pose of each frame.
+
+    Returns None where no pose is near in time.
+
+    With `poses_by_order`, poses are assigned by order instead of by time.
 
     Parameters
     ----------
-    path : of the trajectory.
-    moments, names : of the frames, nanoseconds, and how messages call them.
-    tolerance : nanoseconds.
-    read : reads the file.
+    path : trajectory file.
+    moments : timestamps of the frames, nanoseconds.
+    names : names of the frames.
+    tolerance : maximum time between frame and pose, nanoseconds.
+    read : reader of the file format.
 
     Raises
     ------
     InputError
-        If the file cannot be read, its poses have no times, or none of them is near a frame.
+        If the file cannot be read, its poses have no timestamps, or no pose is near a frame.
     """
     trajectory = read(path)
     if options.poses_by_order:
@@ -42,8 +47,8 @@ def poses_at(
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
             (
-                "its poses have no timestamps, which are needed to find a frame's pose; "
-                "scan.poses_by_order=true takes them in the order of the frames."
+                "its poses have no timestamps, so they cannot be matched to frames by time; "
+                "scan.poses_by_order=true assigns them in order."
             ),
             path,
         )
@@ -55,13 +60,12 @@ def poses_at(
         times = trajectory.timestamps.tolist()
         start, end = (end / 1e9 for end in (min(times), max(times)))
         first, last = (end / 1e9 for end in (min(moments), max(moments)))
-        offered = " As many are frames: scan.poses_by_order=true pairs them in order."
+        offered = " There are as many poses as frames: scan.poses_by_order=true assigns them in order."
         raise InputError(
             RECORDING_CLOCKS_DIFFER,
             (
-                "none of its {times_count} poses is within {tolerance:g} s of a frame: they "
-                "are of {start:.3f} to {end:.3f} s, the frames of {first:.3f} to {last:.3f} "
-                "s.{offered}"
+                "none of its {times_count} poses is within {tolerance:g} s of a frame: the poses "
+                "cover {start:.3f} to {end:.3f} s, the frames {first:.3f} to {last:.3f} s.{offered}"
             ),
             path,
             times_count=len(times),

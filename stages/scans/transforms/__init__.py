@@ -1,1 +1,1 @@
-"""Changes of a scan after it is read: up direction, scale, masks, adjusted cameras, undistortion."""
+"""Modifications of a scan after reading: up direction, scale, masks, adjusted cameras."""

@@ -1,13 +1,13 @@
-"""What `adjust` left of a scan, given to its frames: better poses, and a colour camera.
+"""Application of the result of `adjust` to a scan: poses, colour camera and rolling shutter rotations.
 
 {
-"accepted": true,                          false: nothing was better, and frames stay as they are
-"color_camera": {"width": 640, "fx": …},   null where the given one stays
-"color_from_depth": [[…], …],              4x4, metres; null likewise
-"names": {"0": "000000", …},               of adjusted frames, by their place in the scan
-"poses": {"0": [[…], …], …},               4x4 world_from_camera, metres, by the same
-"shutter_turns": {"0": […], …}             rotation vectors, radians: how cameras turn from the first row to
-                                           the last one; null, or missing, where rows are read at once
+"accepted": true,                          false: no improvement was found, frames stay unchanged
+"color_camera": {"width": 640, "fx": …},   null: unchanged
+"color_from_depth": [[…], …],              4x4, metres; null: unchanged
+"names": {"0": "000000", …},               names of adjusted frames by frame index
+"poses": {"0": [[…], …], …},               4x4 world_from_camera, metres, by frame index
+"shutter_turns": {"0": […], …}             rotation vectors, radians: camera rotation from first to last row
+                                           during readout; null or missing for a global shutter
 }
 """
 
@@ -29,12 +29,12 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
 
 
 def with_adjusted(scan: Scan, path: Path) -> Scan:
-    """Return a scan with what a cameras.json of `adjust` says of its frames, which it knows by their names.
+    """Apply the cameras.json of `adjust` to the frames of a scan, by frame name.
 
     Raises
     ------
     InputError
-        If the file is no such file, or of none of the frames.
+        If the file is not a cameras.json of `adjust`, or contains none of the frames.
     """
     document = documents.read_json(path)
     if not isinstance(document, dict) or not calibration.is_of_adjust(document):
@@ -46,7 +46,7 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
     if poses and not any(frame.name in poses for frame in scan.frames):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "it is of another scan: none of its frames is one of the {frames_count} here.",
+            "it belongs to another scan: none of its frames is among the {frames_count} frames of this scan.",
             path,
             frames_count=len(frames),
         )
@@ -75,12 +75,12 @@ def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
     if not isinstance(names, dict) or not isinstance(poses, dict) or set(names) != set(poses):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "it lacks the names of its frames",
+            "the names of its frames are missing",
             path,
             remedy="run `scanloom adjust` again.",
         )
     if not all(isinstance(name, str) for name in names.values()):
-        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is no text.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is not a string.", path)
     return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
 
 
@@ -91,7 +91,7 @@ def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64
     if not isinstance(turns, dict) or not set(turns) <= set(names):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "it lacks the names of its frames",
+            "the names of its frames are missing",
             path,
             remedy="run `scanloom adjust` again.",
         )

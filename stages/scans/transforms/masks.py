@@ -1,4 +1,4 @@
-"""Masks in a folder that the person names: 8 bits for each frame, 0 where nothing of the scene is."""
+"""Masks from a folder: one 8-bit image per frame, 0 outside the scene."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ from scanloom.stages.scans.image_folders.image_files import images, numbers
 from scanloom.stages.scans.model.scan import Frame, Packed, Scan
 
 _NAMED = 3
-# JPEG writes black as nearly black.
+# JPEG artefacts: black is not exactly 0, so JPEG masks are thresholded at `_HALF`.
 _JPEG = (".jpg", ".jpeg")
 _HALF = 128
 
 
 def with_masks(scan: Scan, place: Path) -> Scan:
-    """Return the scan whose frames have the masks of their names, or of the numbers in them.
+    """Assign the masks of a folder to the frames by name, or by the number in the name.
+
+    Frames without a mask are reported as a warning.
 
     Raises
     ------
     InputError
-        If there is no such folder, it has several masks for a frame, or none for any.
+        If the folder does not exist, holds several masks for a frame, or no mask for any frame.
     """
     if not place.is_dir():
-        raise InputError(SCAN_FILES_MISSING, "there is no such folder of masks.", place)
+        raise InputError(SCAN_FILES_MISSING, "the mask folder does not exist.", place)
     files = images(place)
     by_stem, by_number = _grouped(files, by_number=False), _grouped(files, by_number=True)
     found = [_of_frame(frame, by_stem, by_number, place) for frame in scan.frames]
@@ -62,7 +64,7 @@ def with_masks(scan: Scan, place: Path) -> Scan:
 
 
 def _mask(path: Path | None) -> Path | Packed | None:
-    """Return the mask of a file, its levels undone where JPEG made them."""
+    """Return the mask of a file; JPEG masks are thresholded when read."""
     return Packed(path, "mask", partial(_halved, path)) if path and path.suffix.lower() in _JPEG else path
 
 
@@ -85,7 +87,10 @@ def _of_frame(
     by_number: Mapping[object, list[Path]],
     place: Path,
 ) -> Path | None:
-    """Return the mask of a frame: of its image's name or its own, or else of the numbers in them."""
+    """Find the mask file of a frame.
+
+    By the name of its image or frame, else by the numbers in them.
+    """
     file = frame.color.file if isinstance(frame.color, Packed) else frame.color
     names = [frame.name, *([file.stem, file.name] if isinstance(file, Path) else [])]
     for groups, keys in ((by_stem, names), (by_number, [numbers(name) for name in names])):

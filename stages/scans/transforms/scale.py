@@ -1,4 +1,7 @@
-"""Metres for scans whose lengths are none: poses found from photos alone have a unit of their own."""
+"""Conversion of scans with unknown scale to metres.
+
+Poses that were estimated from photos alone have an arbitrary unit.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +17,31 @@ from scanloom.stages.scans.model.world import Scale
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.transforms.tag_scale import scale_by_tags
 
-# Lengths that are metres are corrected by per cents, and not by more.
+# Maximum relative correction of a metric scan without a warning.
 _CORRECTION = 0.1
 
 
 def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
-    """Return a scan in metres, if something says how long a unit of it is; else warn that it is not metric.
+    """Scale a scan to metres if its scale is given or can be measured.
 
-    All its lengths are multiplied, depth too, so that what fits still does. Where depth is measured in metres
-    and poses come from another file, these alone are.
+    All lengths are multiplied, including depth, so that depth and poses stay consistent. If depth is metric
+    and the poses come from another file, only the poses are scaled. Without a scale, a scan that is not
+    metric gets a warning.
 
     Raises
     ------
     InputError
-        If the scale has to be found in the images, and cannot be.
+        If the scale must be measured from tags, and this fails.
     """
     scale = _scale(scan, options, folder)
     if scale is None:
         if not scan.is_metric:
             emit(
                 SCALE_NOT_METRIC.warning(
-                    "this scan has no metric scale: a unit of its world is taken for a metre, and lengths of "
-                    "all results are such units",
+                    "this scan has no metric scale: its unit is treated as a metre, so lengths of all "
+                    "results are in that unit",
                     remedy="scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or "
-                    "scan.tag_size=METRES give metres",
+                    "scan.tag_size=METRES converts to metres",
                 )
             )
         return scan
@@ -49,7 +53,7 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
     if scan.is_metric and not is_stated and abs(factor - 1) > _CORRECTION:
         emit(
             SCALE_NOT_METRIC.warning(
-                "lengths of layout {layout} are metres, and are multiplied by {factor:.4g}",
+                "layout {layout} is metric, but its lengths are multiplied by {factor:.4g}",
                 layout=scan.layout,
                 factor=factor,
             )

@@ -1,7 +1,7 @@
-"""How long a unit of a scan's world is, by tags of known size that several of its photos show.
+"""Scale of a scan from tags of known size in its photos.
 
-Corners of a tag are placed in the world by the poses of the photos; how long its edges are there, and how
-long they are, tells the scale.
+The corners of each tag are triangulated with the poses of the photos. The scale is the ratio of true to
+triangulated edge length.
 """
 
 from __future__ import annotations
@@ -29,27 +29,29 @@ from scanloom.stages.scans.model.world import Scale
 
 Floats = NDArray[np.float64]
 
-# Photos that are looked at, spread over the scan, and their longer side; larger ones are made smaller.
+# Maximum number of photos, evenly spaced, and maximum length of their longer side in pixels.
 _MOST_PHOTOS = 60
 _LONGEST_SIDE = 2400
-# Photos of these are looked at for tags of other families, to say which there are.
+# Number of photos in which tags of other families are searched, for the error message.
 _LOOKED_AT = 12
-# Views whose couples are tried for where a tag is.
+# Maximum number of views whose pairs are tried as RANSAC hypotheses.
 _TRIED = 12
-# A view agrees where corners land so near to where it shows them: a share of an edge, or pixels if these are
-# more.
+# Inlier threshold of the reprojection error: the larger of a ratio of the edge length and a number of pixels.
 _OFF_SHARE, _OFF_PX = 0.08, 2.0
-# Weights follow from depths, depths from places: three rounds settle them.
+# Reweighting iterations: weights depend on depths, and depths on the corners; three iterations converge.
 _ROUNDS = 3
-# Rays that meet at a smaller angle do not say where, degrees.
+# Minimum triangulation angle, degrees.
 _LEAST_ANGLE_DEG = 2.0
-# Tags that differ by a larger share are not of one size; by the smaller one, a warning is due.
+# Relative differences of tag sizes: above the first, tags are not of one size; above the second, a warning.
 _DISAGREE, _DOUBTFUL = 0.05, 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A photo's pinhole camera, where it stands, and the corners (4, 2) of tags in it by their numbers."""
+    """Photo with tags: pinhole camera, pose, and tag corners.
+
+    Corners are (4, 2) pixels by tag id.
+    """
 
     camera: Camera
     camera_from_world: Pose
@@ -58,7 +60,10 @@ class _View:
 
 @dataclass(frozen=True, eq=False)
 class _Tag:
-    """A tag in the world: its edges (4,), units, and the places of the views that agree."""
+    """Triangulated tag.
+
+    Edge lengths (4,) are in world units; `views` are the indices of the inlier views.
+    """
 
     number: int
     edges: Floats
@@ -66,23 +71,22 @@ class _Tag:
 
 
 def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Path) -> Scale:
-    """Return the scale of the world of the frames' poses.
+    """Estimate the scale of the frames' poses from tags of known size.
 
     Parameters
     ----------
-    edge : of the tags' black squares, metres.
+    edge : edge length of the tags' black squares, metres.
     family : one of `scanloom.stages.scans.model.tags.FAMILIES`.
+    folder : scan folder for messages.
 
     Raises
     ------
     InputError
-        If no tag is seen from two places, or tags disagree.
+        If no tag is visible from two positions, or the tags contradict each other.
     """
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
     if not posed:
-        raise InputError(
-            SCALE_TAGS_UNRELIABLE, "tags are looked for in photos with poses, and there are none.", folder
-        )
+        raise InputError(SCALE_TAGS_UNRELIABLE, "tags require photos with poses, and there are none.", folder)
     chosen = _spread(posed, _MOST_PHOTOS)
     views = [view for view in _looked_at(chosen, family) if view is not None]
     seen = sorted({number for view in views for number in view.tags})
@@ -94,8 +98,8 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
         raise InputError(
             SCALE_TAGS_UNRELIABLE,
             (
-                "tags are seen in its photos ({named}), but none in two from different "
-                "places whose poses agree where it is."
+                "tags were detected ({named}), but none in two photos from different positions with "
+                "consistent poses."
             ),
             folder,
             named=named,
@@ -108,7 +112,8 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     if spread > _DOUBTFUL:
         emit(
             SCALE_TAGS_UNRELIABLE.warning(
-                "the scale by tags is known to {spread:.1%} only: so far their sizes differ", spread=spread
+                "the scale from tags is only accurate to {spread:.1%}, because their measured sizes differ",
+                spread=spread,
             )
         )
     which = f"tag {tags[0].number}" if len(tags) == 1 else f"{len(tags)} tags"
@@ -127,7 +132,10 @@ def _looked_at(frames: Sequence[Frame], family: str) -> list[_View | None]:
 
 
 def _look(family: str, frame: Frame) -> _View | None:
-    """Return a photo with its tags; None where it cannot be read, which the stage that uses it tells."""
+    """Detect tags in a photo; None if it cannot be read.
+
+    Read errors are reported by the stage that uses the photo.
+    """
     photo = _photo(frame)
     if photo is None:
         return None
@@ -154,17 +162,20 @@ def _photo(frame: Frame) -> tuple[ColorImage, Camera] | None:
 
 
 def _none_found(frames: Sequence[Frame], family: str) -> str:
-    """Say that there are no tags of a family, and of which there are: in two photos the same."""
+    """Describe that no tags were found.
+
+    Suggests families that have a tag in two photos.
+    """
     threads = workers()
     looked_at = read_ahead(_of_any_family, _spread(frames, _LOOKED_AT), threads=threads, ahead=threads + 1)
     counts = Counter(tag for found in looked_at for tag in found)
     others = [other for other in FAMILIES if any(one == other and n > 1 for (one, _), n in counts.items())]
     advice = (
-        f"there are such of {' and '.join(others)}: scan.tag_family={others[0]}"
+        f"there are tags of {' and '.join(others)}: set scan.tag_family={others[0]}"
         if others
-        else "scan.tag_family=NAME says of which family they are, if it is another"
+        else "set scan.tag_family=NAME if they are of another family"
     )
-    return f"no tag of {family} is found in the {len(frames)} photos looked at; {advice}."
+    return f"no tag of {family} was found in {len(frames)} photos; {advice}."
 
 
 def _of_any_family(frame: Frame) -> list[tuple[str, int]]:
@@ -175,7 +186,11 @@ def _of_any_family(frame: Frame) -> list[tuple[str, int]]:
 
 
 def _placed(number: int, views: Sequence[_View]) -> _Tag | None:
-    """Return a tag where most views agree that it is; None where not two do, or from one place only."""
+    """Triangulate a tag from the largest consistent set of views.
+
+    Pairs of views give hypotheses; the one with the most inliers is refined with all its inliers. None if
+    fewer than two views agree, or their triangulation angle is too small.
+    """
     places = [at for at, view in enumerate(views) if number in view.tags]
     own = [views[at] for at in places]
     tried = np.unique(np.linspace(0, len(own) - 1, _TRIED).round().astype(int)).tolist() if own else []
@@ -196,7 +211,7 @@ def _placed(number: int, views: Sequence[_View]) -> _Tag | None:
 
 
 def _rays(view: _View, number: int) -> Floats:
-    """Return the rays (4, 3) to a tag's corners, of z = 1, in camera axes."""
+    """Unproject the corners of a tag to rays (4, 3) with z = 1, in camera axes."""
     camera, pixels = view.camera, view.tags[number]
     x = (pixels[:, 0] - camera.cx) / camera.fx
     y = (pixels[:, 1] - camera.cy) / camera.fy
@@ -204,19 +219,23 @@ def _rays(view: _View, number: int) -> Floats:
 
 
 def _angle(views: Sequence[_View], number: int) -> float:
-    """Return the largest angle between rays to the middle of a tag, degrees."""
+    """Compute the maximum triangulation angle at the centre of a tag, degrees."""
     rays = np.array([_rays(view, number).mean(axis=0) @ view.camera_from_world[:3, :3] for view in views])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return math.degrees(math.acos(float(np.clip((rays @ rays.T).min(), -1, 1))))
 
 
 def _corners(views: Sequence[_View], number: int) -> Floats:
-    """Return the corners (4, 3) of a tag in the world, by least squares of pixels in the views."""
+    """Triangulate the corners (4, 3) of a tag in world coordinates.
+
+    Minimises the reprojection error by iteratively reweighted linear least squares.
+    """
     turns = np.array([view.camera_from_world[:3, :3] for view in views])
     shifts = np.array([view.camera_from_world[:3, 3] for view in views])
     rays = np.array([_rays(view, number) for view in views])
     focal = np.array([view.camera.fx for view in views])
-    # x − X / Z = 0 and y − Y / Z = 0, multiplied by Z: linear in the place, and off by Z times what is meant.
+    # x − X / Z = 0 and y − Y / Z = 0, multiplied by Z: linear in the point. The residual is Z times the
+    # reprojection error; the weights 1 / Z undo this.
     rows = rays[:, :, :2, None] * turns[:, None, 2:3] - turns[:, None, :2]
     right = shifts[:, None, :2] - rays[:, :, :2] * shifts[:, None, 2:3]
     corners = np.zeros((4, 3))
@@ -233,7 +252,7 @@ def _corners(views: Sequence[_View], number: int) -> Floats:
 
 
 def _agree(corners: Floats, views: Sequence[_View], number: int) -> list[int]:
-    """Return the places of the views that show a tag's corners near enough to where they are."""
+    """Return the indices of the views in which all corners of a tag are inliers."""
     places = []
     for at, view in enumerate(views):
         seen = corners @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3]
@@ -249,15 +268,21 @@ def _agree(corners: Floats, views: Sequence[_View], number: int) -> list[int]:
 
 
 def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
-    """Return the tags that are of one size, with a warning that names others, if they are fewer."""
+    """Return the tags of the most common size, with a warning about the rejected ones.
+
+    Raises
+    ------
+    InputError
+        If no tag is square, or at most half of the tags have the same size.
+    """
     square = [tag for tag in tags if np.ptp(tag.edges) < 2 * _DISAGREE * tag.edges.mean()]
     if not square:
         edges = tags[0].edges
         raise InputError(
             SCALE_TAGS_UNRELIABLE,
             (
-                "by the poses, edges of tag {number} are {min:.4g} to {max:.4g} units long: "
-                "that is no square, and tells no scale."
+                "tag {number} is not square, its edges are {min:.4g} to {max:.4g} units long: the "
+                "poses are too inaccurate to estimate the scale."
             ),
             folder,
             number=tags[0].number,
@@ -267,19 +292,20 @@ def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
     sizes = np.array([tag.edges.mean() for tag in square])
     same = np.abs(sizes / np.median(sizes) - 1) <= _DISAGREE
     if len(square) > 1 and np.count_nonzero(same) <= len(square) / 2:
-        told = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
+        scales = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
         raise InputError(
             SCALE_TAGS_UNRELIABLE,
-            "the tags do not agree how many metres a unit is: {told}. Are they of one size?",
+            "the tags give different scales in metres per unit: {scales}. Do they all have the same size?",
             folder,
-            told=told,
+            scales=scales,
         )
     kept = [tag for tag, is_same in zip(square, same, strict=True) if is_same]
     others = [tag.number for tag in tags if tag not in kept]
     if others:
         emit(
             SCALE_TAGS_UNRELIABLE.warning(
-                "tags left out of the scale, of another size than most tags or no squares: {numbers}",
+                "tags ignored for the scale, because they differ in size from most tags or are not "
+                "square: {numbers}",
                 numbers=", ".join(map(str, others)),
             )
         )

@@ -1,7 +1,7 @@
-"""Which way is up in a scan: as its layout defines it, or as the frames' accelerometers tell it.
+"""Up direction of a scan, from its layout or from the accelerometers of its frames.
 
-Phones turn their worlds by gravity. Their own poses then tell what is up for each camera, and that goes with
-the frames where poses are found anew.
+Phones align their world to gravity, so the up direction of each camera follows from its original pose. It is
+stored with the frames and remains valid if other poses are estimated.
 """
 
 from __future__ import annotations
@@ -18,12 +18,16 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.scans.model.world import Direction, WorldUp, up_of_layout
 
-# Hands shake a camera by some degrees; readings that are off by more in the median do not go with the poses.
+# Degrees. Hand shake deviates by a few degrees; a larger median deviation means that accelerometer and poses
+# are inconsistent.
 _LARGEST_SPREAD_DEG = 20.0
 
 
 def with_up(scan: Scan, layout: Layout, options: ReadingParams) -> Scan:
-    """Return a scan that was just read with what is up by its layout, where the poses are its own."""
+    """Set the up direction that the layout defines.
+
+    It is valid only for the original poses of the layout, not for poses from another file.
+    """
     if options.poses is not None or not scan.has_poses:
         return replace(scan, up=None)
     if scan.up is not None or layout.up is None:
@@ -33,7 +37,10 @@ def with_up(scan: Scan, layout: Layout, options: ReadingParams) -> Scan:
 
 
 def _with_own_ups(frames: Sequence[Frame], up: Direction) -> list[Frame]:
-    """Return frames that know what is up for their cameras, whatever world other poses put them in later."""
+    """Store the up direction in the camera axes of each frame that has a pose.
+
+    It remains valid if other poses replace the original ones.
+    """
     return [
         frame
         if frame.world_from_camera is None or frame.up is not None
@@ -43,16 +50,16 @@ def _with_own_ups(frames: Sequence[Frame], up: Direction) -> list[Frame]:
 
 
 def known_up(scan: Scan) -> WorldUp | None:
-    """Return the up direction in the world of the frames' poses, None where nothing says it.
+    """Return the up direction in world coordinates; None if unknown.
 
-    The direction of the layout counts; else the one measured while the frames were taken, which goes with
-    them into any world that poses are found in. Emits a warning if it does not fit the poses.
+    The direction of the layout has priority. Otherwise the directions that were measured per frame are
+    averaged. Emits a warning if these are inconsistent with the poses.
     """
     return _measured(scan.frames) if scan.up is None else scan.up
 
 
 def _measured(frames: Sequence[Frame]) -> WorldUp | None:
-    """Return the median up direction of the frames, by coordinates of the world."""
+    """Compute the median of the frames' up directions in world coordinates."""
     found = [
         frame.world_from_camera[:3, :3] @ frame.up
         for frame in frames
@@ -68,8 +75,8 @@ def _measured(frames: Sequence[Frame]) -> WorldUp | None:
     if spread > _LARGEST_SPREAD_DEG:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "what the accelerometer says is up does not go with the poses: it differs from frame to "
-                "frame by {spread:.0f}° (median); it is not used",
+                "the up direction of the accelerometer is inconsistent with the poses: it varies by "
+                "{spread:.0f}° (median) between frames; it is not used",
                 spread=spread,
             )
         )

@@ -59,9 +59,9 @@ LONG = {
     "decimal.yaml": ("a: " + "9" * 5000, "a number has 5,000 digits"),
     "hexadecimal.yaml": ("a: 0x" + "f" * 100_000, "a number has 100,002 digits"),
     "binary.yaml": ("a: 0b" + "1" * 100_000, "a number has 100,002 digits"),
-    "decimal.toml": ("a = " + "9" * 5000, "it holds a whole number of more than 64 bits"),
-    "hexadecimal.toml": ("a = 0x" + "f" * 100_000, "it holds a whole number of more than 64 bits"),
-    "inside.toml": ("a = [[{b = 0x" + "f" * 17 + "}]]", "it holds a whole number of more than 64 bits"),
+    "decimal.toml": ("a = " + "9" * 5000, "it holds an integer of more than 64 bits"),
+    "hexadecimal.toml": ("a = 0x" + "f" * 100_000, "it holds an integer of more than 64 bits"),
+    "inside.toml": ("a = [[{b = 0x" + "f" * 17 + "}]]", "it holds an integer of more than 64 bits"),
 }
 
 
@@ -88,7 +88,7 @@ def test_numbers_to_base_60_are_words(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a.yaml", "a.toml", "a.json", "a.xml"])
 def test_a_document_of_megabytes_is_refused_unread(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b" " * (5 << 20))
-    with pytest.raises(InputError, match="too large for what it should hold"):
+    with pytest.raises(InputError, match="the file is too large: it has 5,242,880 bytes, and at most"):
         read_document(tmp_path / name)
 
 

@@ -55,7 +55,9 @@ def test_depth_among_colours_and_depth_as_grey(tmp_path):
 
 def test_a_colour_image_is_no_depth(tmp_path):
     path = write(tmp_path / "a.exr", {"R": DEPTH, "G": DEPTH + 1, "B": DEPTH})
-    with pytest.raises(InputError, match=r"a\.exr: which channel is depth cannot be told: it holds B, G, R"):
+    with pytest.raises(
+        InputError, match=r"the depth channel is ambiguous: the image has the channels B, G, R"
+    ):
         read_exr(path)
 
 

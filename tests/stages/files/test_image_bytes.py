@@ -52,7 +52,7 @@ def test_images_that_cannot_be_are_refused(tmp_path: Path, make, size: tuple[int
     path = tmp_path / "a.png"
     path.write_bytes(make(*size))
     for read in (image_size, read_stored):
-        with pytest.raises(InputError, match=r"a\.png: the image (claims to be|does not decode)"):
+        with pytest.raises(InputError, match=r"a\.png: (its header is damaged|the image does not decode)"):
             read(path)
     assert decoded_image(make(*size)) is None
 

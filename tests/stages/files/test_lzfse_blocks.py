@@ -30,7 +30,7 @@ def test_what_was_compressed_comes_out(raw):
 def test_another_size_is_refused_before_anything_is_decompressed(monkeypatch):
     data = lzfse.compress(bytes(1 << 20))
     monkeypatch.setattr(lzfse, "decompress", lambda _: pytest.fail("it was decompressed"))
-    with pytest.raises(InputError, match="a: it holds 1048576 bytes where 100 are expected"):
+    with pytest.raises(InputError, match="a: it decompresses to 1048576 bytes, but 100 are expected"):
         decompress(data, 100, "a")
 
 

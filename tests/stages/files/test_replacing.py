@@ -58,7 +58,7 @@ def test_what_is_no_file_is_refused_in_a_sentence(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     with pytest.raises(InputError, match=r"folder\.ply: this is a folder; "):
         write(folder, "new")
-    with pytest.raises(InputError, match=r"pipe\.ply: this is no plain file"):
+    with pytest.raises(InputError, match=r"pipe\.ply: this is not a regular file"):
         write(pipe, "new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.ply", "pipe.ply"]
 
@@ -68,7 +68,7 @@ def test_a_file_that_may_not_be_written_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "mesh.ply"
     file.write_text("old")
     file.chmod(0o444)
-    with pytest.raises(InputError, match=r"mesh\.ply: this file may not be written"):
+    with pytest.raises(InputError, match=r"mesh\.ply: this file is not writable"):
         write(file, "new")
     assert file.read_text() == "old"
 

@@ -73,7 +73,7 @@ def test_what_is_not_ours_is_refused_before_anything_is_made(tmp_path: Path) -> 
     (tmp_path / "full" / "mine").touch()
     for name, said in (
         ("file", "this is a file; a set is a folder"),
-        ("full", "is not a set; name a new one"),
+        ("full", "is not a set; give a new folder"),
     ):
         with pytest.raises(InputError, match=said), replacing_folder(tmp_path / name, is_ours, "a set"):
             pytest.fail("begun")

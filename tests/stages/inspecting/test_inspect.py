@@ -299,7 +299,7 @@ def test_real_folders_agree_with_themselves(shared_data, folder, options):
     for fault in (
         "probably",
         "exchanged",
-        "rectified, but",
+        "rectified images, but",
         "median depth",
         "jump",
         "cannot be",

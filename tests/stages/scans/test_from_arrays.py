@@ -81,7 +81,10 @@ def test_whatever_depth_holds_comes_out_finite(values: list[float]) -> None:
         ({"color": COLOR.transpose(2, 0, 1)}, "(h, w, 3)"),
         ({"depth": np.full(SIZE, 9, np.uint8)}, "at least 16 bits"),
         ({"depth": np.full((*SIZE, 3), 9, np.uint16)}, "a depth image must be"),
-        ({"depth": np.full(SIZE, 1500.0)}, "the median depth is 1,500 m. Give depth_scale"),
+        (
+            {"depth": np.full(SIZE, 1500.0)},
+            "the median depth is 1,500 m, which is implausible. Set depth_scale",
+        ),
         ({"depth_scale": 0}, "depth_scale must be a positive number"),
         ({"depth_scale": float("nan")}, "depth_scale must be a positive number"),
         ({"intrinsics": None}, "intrinsics are missing"),
@@ -98,7 +101,7 @@ def test_whatever_depth_holds_comes_out_finite(values: list[float]) -> None:
         ({"world_from_camera": 2 * np.eye(4)}, "the last row of the pose"),
         ({"world_from_camera": np.diag([1.0, 1, -1, 1])}, "mirrors"),
         ({"color": None, "depth": None}, "needs a colour image or a depth image"),
-        ({"color": np.full((16, 12, 3), 9, np.uint8)}, "differ in shape"),
+        ({"color": np.full((16, 12, 3), 9, np.uint8)}, "differ in aspect ratio"),
         ({"right": COLOR[:6]}, "of the same size"),
         ({"mask": np.zeros(SIZE)}, "a mask must be (h, w) uint8 or bool"),
     ],
@@ -131,7 +134,7 @@ def test_frames_without_a_name_are_numbered() -> None:
         ([], "at least one frame"),
         ([make(), make(depth=None)], "frame 000001: it has neither depth"),
         ([make(depth=None, world_from_camera=None)], "single images need poses"),
-        ([make(depth=None, right=COLOR)], "stereo pairs need rig"),
+        ([make(depth=None, right=COLOR)], "stereo pairs need the argument rig"),
     ],
 )
 def test_frames_that_make_no_scan_are_refused(frames: list[Frame], message: str) -> None:

@@ -68,7 +68,7 @@ def test_a_frame_without_one_is_told(scan_folder):
 @pytest.mark.parametrize(
     ("names", "place", "message"),
     [
-        ((), "nothing", "there is no such folder of masks"),
+        ((), "nothing", "the mask folder does not exist"),
         (
             ("7.png",),
             "masks",

@@ -30,7 +30,7 @@ def pair_folder(tmp_path, tiny):
 
 def test_a_calibration_that_the_layout_does_not_take(pair_folder):
     (pair_folder / "mine.json").write_text("{}")
-    with pytest.raises(UsageError, match=r"mine\.json has no use: the layout middlebury takes none"):
+    with pytest.raises(UsageError, match=r"mine\.json has no effect: the layout middlebury does not use it"):
         read_scan(pair_folder, ScanParams(calibration="mine.json"), complete=False)
 
 
@@ -40,23 +40,23 @@ def test_a_camera_stated_twice(scan_folder):
 
 
 def test_the_baseline_of_no_pair(scan_folder):
-    with pytest.raises(UsageError, match="these frames are no pairs"):
+    with pytest.raises(UsageError, match="these frames are not stereo pairs"):
         read_scan(scan_folder, ScanParams(baseline=0.1))
 
 
 def test_a_unit_and_a_confidence_of_depth_that_is_not_there(scan_folder, pair_folder):
-    with pytest.raises(UsageError, match="these frames have none; leave it out"):
+    with pytest.raises(UsageError, match="these frames have none; remove the option"):
         read_scan(scan_folder, ScanParams(least_confidence=1))
     for path in scan_folder.glob("frame-*"):
         path.unlink()
-    with pytest.raises(UsageError, match="these pairs have none yet"):
+    with pytest.raises(UsageError, match="stereo pairs have none"):
         read_scan(pair_folder, ScanParams(depth_scale=1000), complete=False)
 
 
 def test_an_order_of_no_poses(scan_folder):
     for path in scan_folder.glob("*.pose.txt"):
         path.unlink()
-    with pytest.raises(UsageError, match=r"there is none; name one with scan\.poses=FILE"):
+    with pytest.raises(UsageError, match=r"the scan has none; give one with scan\.poses=FILE"):
         read_scan(scan_folder, ScanParams(poses_by_order=True), complete=False)
 
 
@@ -65,5 +65,5 @@ def test_what_is_used_is_not_refused(scan_folder, tiny):
     stated = ScanParams(calibration="camera-intrinsics.txt", poses="mine.txt", poses_by_order=True)
     # Poses that are all the same are none, but the file was read.
     scan = read_scan(scan_folder, stated, complete=False)
-    assert "all 2 frames have the same one" in str(scan.missing[0])
+    assert "all 2 frames have the same pose" in str(scan.missing[0])
     np.testing.assert_allclose(scan.frames[0].camera.fx, tiny.intrinsics[0])

@@ -99,11 +99,11 @@ def test_depth_brought_to_colour_has_colour_s_camera_and_place(path):
 @pytest.mark.parametrize(
     ("content", "size", "message"),
     [
-        (document(), (800, 800), "takes no images of 800×800"),
-        (document(camera("D0", DEPTH)), (1280, 720), "holds no camera CALIBRATION_CameraLocationPV0"),
+        (document(), (800, 800), "has no images of 800×800"),
+        (document(camera("D0", DEPTH)), (1280, 720), "has no camera CALIBRATION_CameraLocationPV0"),
         (document(camera("D0", DEPTH[:13])), (640, 576), "has 13 ModelParameters; 14"),
         (document(camera("D0", "no")), (640, 576), "CALIBRATION_CameraLocationD0"),
-        ({"CalibrationInformation": {"Cameras": 7}}, (640, 576), "holds no camera"),
+        ({"CalibrationInformation": {"Cameras": 7}}, (640, 576), "has no camera"),
         (document({"Location": "CALIBRATION_CameraLocationD0"}), (640, 576), "has 0 ModelParameters"),
     ],
 )
@@ -116,8 +116,8 @@ def test_what_cannot_be_right_is_one_sentence(path, content, size, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"Rt": None}, "has no Rt"),
-        ({"Rt": {"Rotation": TURN, "Translation": [0, 0]}}, "no rotation of 9 numbers"),
+        ({"Rt": None}, "has no extrinsics"),
+        ({"Rt": {"Rotation": TURN, "Translation": [0, 0]}}, "must be a rotation of 9 numbers"),
         ({"Rt": {"Rotation": [2 * x for x in TURN], "Translation": [0, 0, 0]}}, "not rigid"),
     ],
 )

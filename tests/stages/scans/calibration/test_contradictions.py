@@ -42,18 +42,21 @@ def chain(shift, turn=0.0):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        (OPENCV | {"baseline": 0.12}, "states more than one baseline, 0.5 (T) and 0.12 (baseline)"),
+        (OPENCV | {"baseline": 0.12}, "states different baselines, 0.5 (T) and 0.12 (baseline)"),
         (
             OPENCV | {"P2": [[100, 0, 16, -30], [0, 100, 12, 0], [0, 0, 1, 0]]},
-            "states more than one baseline, 0.5 (T) and 0.3 (P2)",
+            "states different baselines, 0.5 (T) and 0.3 (P2)",
         ),
-        (OPENCV | {"R": turned(3), "rectified": True}, "says that its images are rectified, but"),
-        (OPENCV | {"K2": [[150, 0, 16], [0, 150, 12], [0, 0, 1]]}, "focal lengths of 100 and 150 px"),
+        (OPENCV | {"R": turned(3), "rectified": True}, "declares rectified images, but"),
+        (
+            OPENCV | {"K2": [[150, 0, 16], [0, 150, 12], [0, 0, 1]]},
+            "its two cameras differ, 100 and 150 px",
+        ),
         (
             chain(-0.3),
-            "by cam1.T_cn_cnm1 and T_cam_imu how its cameras stand to each other",
+            "its extrinsics cam1.T_cn_cnm1 and T_cam_imu differ",
         ),
-        (chain(-0.5, 2), "and they differ by 0 and 2°: the first is taken"),
+        (chain(-0.5, 2), "differ by 0 in position and 2° in rotation; the first one is used"),
     ],
 )
 def test_a_rig(tmp_path, table, said):
@@ -82,9 +85,9 @@ def test_a_baseline_that_the_person_states_ends_it(tmp_path):
 
 def test_a_camera(tmp_path):
     (found,) = told(read_camera, tmp_path, {"K": K, "fx": 130})
-    assert "the focal lengths 100 px, by its matrix, and 130 px, by fx: the first is taken" in found
+    assert "different focal lengths, 100 px (matrix) and 130 px (fx); the first one is used" in found
     (found,) = told(read_camera, tmp_path, {"fx": 100, "fy": 16, "cx": 20, "cy": 12})
-    assert "are its numbers in the order fx, fy, cx, cy?" in found
+    assert "Are its numbers in the order fx, fy, cx, cy?" in found
 
 
 def test_the_two_baselines_of_a_real_file(shared_data):
@@ -93,8 +96,8 @@ def test_the_two_baselines_of_a_real_file(shared_data):
         rig = read_rig(file, 1280, 524)
     assert rig.baseline == pytest.approx(0.6011, abs=1e-4)
     assert [str(one) for one in found if one.code == "camera.calibration-contradictory"] == [
-        f"{file}: it states more than one baseline, 0.6011 (RIGHT.P) and 0.3116 (Camera.bf): the first "
-        "is taken; scan.baseline=METRES states another"
+        f"{file}: it states different baselines, 0.6011 (RIGHT.P) and 0.3116 (Camera.bf); the first one "
+        "is used; scan.baseline=METRES overrides it"
     ]
 
 

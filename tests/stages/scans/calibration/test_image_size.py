@@ -40,7 +40,9 @@ def test_a_camera_for_larger_images_is_scaled_and_that_is_told(tmp_path, name):
     with collecting() as told:
         camera = read_camera(tmp_path / name, 32, 24)
     np.testing.assert_allclose(camera.matrix, SMALL)
-    said = f"{tmp_path / name}: it is for images of 64×48: its camera is scaled to these of 32×24"
+    said = (
+        f"{tmp_path / name}: it is for images of 64×48 px; its camera is scaled to these images of 32×24 px"
+    )
     assert [str(one) for one in told] == [said]
 
 
@@ -79,7 +81,7 @@ def test_so_is_a_rig(tmp_path, name):
 
 def test_another_shape_is_refused_in_a_sentence(tmp_path):
     (tmp_path / "rig.json").write_text(json.dumps(RIGS["opencv.json"] | {"image_size": [64, 40]}))
-    with pytest.raises(InputError, match="for images of 64×40, but these are 32×24, which is another shape"):
+    with pytest.raises(InputError, match=r"of 64×40 px, but these are 32×24 px\. The aspect ratio differs"):
         read_rig(tmp_path / "rig.json", 32, 24)
 
 
@@ -87,7 +89,7 @@ def test_another_shape_is_refused_in_a_sentence(tmp_path):
 def test_cropped_and_turned_images_are_refused(tmp_path, width, height):
     table = {"fx": 1500, "fy": 1500, "cx": 959, "cy": 539, "width": 1920, "height": 1080}
     (tmp_path / "a.json").write_text(json.dumps(table))
-    with pytest.raises(InputError, match="they are cropped or turned"):
+    with pytest.raises(InputError, match="the images were cropped or rotated"):
         read_camera(tmp_path / "a.json", width, height)
 
 
@@ -98,7 +100,7 @@ def test_rows_first_is_understood_where_the_centre_says_so(tmp_path):
     assert (camera.width, camera.height, camera.cx) == (640, 480, 324.8)
     table["K"][0][2], table["K"][1][2] = 238.0, 324.8
     (tmp_path / "a.json").write_text(json.dumps(table))
-    with pytest.raises(InputError, match="they are cropped or turned"):
+    with pytest.raises(InputError, match="the images were cropped or rotated"):
         read_camera(tmp_path / "a.json", 640, 480)
 
 
@@ -107,7 +109,7 @@ def test_a_centre_that_is_of_another_size_is_told(tmp_path):
     with collecting() as told:
         read_camera(tmp_path / "K.txt", 32, 24)
     (said,) = map(str, told)
-    assert "its principal point at (32.5, 24.5), far from the centre of images of 32×24" in said
+    assert "its principal point (32.5, 24.5) is far from the centre of images of 32×24 px" in said
     assert "such as 66×50" in said
 
 
@@ -127,7 +129,8 @@ def test_a_scan_is_read_with_the_scaled_camera(scan_folder, tiny, name):
     (scan_folder / name).write_text(json.dumps(SIZES["plain.json"]))
     scan = read_scan(scan_folder)
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)
-    said = f"{scan_folder / name}: it is for images of 64×48: its camera is scaled to these of 32×24"
+    said = "it is for images of 64×48 px; its camera is scaled to these images of 32×24 px"
+    said = f"{scan_folder / name}: {said}"
     assert said in map(str, scan.diagnostics)
 
 
@@ -139,7 +142,7 @@ def test_a_file_for_this_size_is_preferred(scan_folder):
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.fx == 100
     assert [str(one) for one in scan.diagnostics] == [
-        "the camera is read from b.json, which lies beside the images"
+        "the camera is read from b.json, which was found next to the images"
     ]
 
 

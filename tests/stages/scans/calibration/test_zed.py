@@ -81,14 +81,16 @@ def test_each_size_has_its_own_and_a_smaller_one_that_of_its_shape(conf):
     assert {one.code for one in told} == {"camera.calibration-scaled"}
     assert smaller.fx in (pytest.approx(700.5 / 2), pytest.approx(1400.2 * 640 / 2208))
     assert read_camera(conf, 1280, 720).fx == 700.5
-    with pytest.raises(InputError, match=r"it is for images of 2208×1242, 1280×720, but these are 640×480"):
+    with pytest.raises(
+        InputError, match=r"it is for images of 2208×1242, 1280×720 px, but these are 640×480 px"
+    ):
         read_rig(conf, 640, 480)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("[STEREO]", "[OTHER]", r"\[STEREO\], how the cameras stand to each other, is missing"),
+        ("[STEREO]", "[OTHER]", r"the section \[STEREO\] with the extrinsics is missing"),
         ("[RIGHT_CAM_HD]", "[SOME_CAM_HD]", r"\[RIGHT_CAM_HD\] is missing"),
         ("fx=700.5\n", "", "fx is missing"),
         ("RX_HD=-0.0009", "", "rx_HD is missing"),

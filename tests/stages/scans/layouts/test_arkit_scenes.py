@@ -136,7 +136,7 @@ def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
     named = ScanParams(poses="mine.tum")
-    with pytest.raises(InputError, match=r"none of its 2 poses .* As many are frames: scan\.poses_by_order"):
+    with pytest.raises(InputError, match=r"none of its 2 poses .* as many poses as frames: scan\.poses"):
         read_scan(scan_folder, named)
     scan = read_scan(scan_folder, replace(named, poses_by_order=True))
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)

@@ -112,11 +112,11 @@ def test_a_frame_without_depth_is_left_out(scan_folder):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("400 0 65.5", "400 0", "the rows below line 4 are of different lengths"),
+        ("400 0 65.5", "400 0", "the rows below line 4 have different lengths"),
         ("400 0 65.5", "400 x 65.5", "line 5 holds something that is not a number"),
         ("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1", "1 0\n0 1", "is not 3x3, 3x4 or 4x4"),
-        ("for frame-000001", "for frame-000000", "there are two poses of frame-000000"),
-        ("# Environment: shelf", "7", "line 1 stands below no heading"),
+        ("for frame-000001", "for frame-000000", "frame-000000 has two poses"),
+        ("# Environment: shelf", "7", "line 1 has no heading"),
         ("400 0 65.5", "nan 0 65.5", "not finite"),
     ],
 )

@@ -97,7 +97,7 @@ def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.tum").write_text(f"500 0 0 0 0 0 0 1\n501 1 2 3 {turned}\n502 0 0 0 0 0 0 1\n")
     named = ScanParams(poses="mine.tum", intrinsics=tiny.option)
-    with pytest.raises(InputError, match=r"none of its 3 poses .* As many are frames: scan\.poses_by_order"):
+    with pytest.raises(InputError, match=r"none of its 3 poses .* as many poses as frames: scan\.poses"):
         read_scan(scan_folder, named)
     scan = read_scan(scan_folder, replace(named, poses_by_order=True))
     assert [frame.name for frame in scan.frames] == ["0", "1", "2"]

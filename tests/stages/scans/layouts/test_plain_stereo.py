@@ -163,7 +163,7 @@ def test_opencv_stereo_sample_files(scan_folder, tiny):
 def test_sides_of_different_size_are_told(scan_folder, tiny):
     for number in (2, 10):
         tiny.color(scan_folder / "right" / f"right{number}.png", (64, 48))
-    with pytest.raises(InputError, match="left images are 32×24 and right images 64×48"):
+    with pytest.raises(InputError, match="left images are 32×24 px and right images 64×48 px"):
         read_scan(scan_folder)
 
 
@@ -227,7 +227,7 @@ def test_a_rig_beside_that_is_not_taken_is_told(scan_folder):
     (scan_folder / "of the rig.yaml").write_text("K1: [100, 0, 16, 0, 100, 12, 0, 0, 1]\nK2: [100, 0")
     scan = read_scan(scan_folder, complete=False)
     assert str(scan.missing[0]).startswith("no calibration:")
-    assert "of the rig.yaml: it seems to state a camera and is not taken: the file does not parse" in str(
+    assert "of the rig.yaml: it looks like a calibration but is not used: the file does not parse" in str(
         scan.diagnostics[0]
     )
 
@@ -337,18 +337,18 @@ def test_matrices_as_the_stereovision_package_saves_them(scan_folder):
     ("baseline", "metres", "said"),
     [
         (0.5, 0.5, None),
-        (8.9, 8.9, "taken as metres, which few rigs are wide"),
-        (12.0, 0.012, r"taken as millimetres; .*in centimetres it were 0\.12 m"),
+        (8.9, 8.9, "read as metres, which is unusually wide"),
+        (12.0, 0.012, r"read as millimetres; .*in centimetres it would be 0\.12 m"),
     ],
 )
 def test_a_baseline_whose_unit_nothing_tells(scan_folder, baseline, metres, said):
     (scan_folder / "calibration.json").write_text(json.dumps({**CAMERA, "baseline": baseline}))
     scan = read_scan(scan_folder)
     assert scan.rig.baseline == pytest.approx(metres)
-    told = [text for text in map(str, scan.diagnostics) if "without a unit" in text]
+    told = [text for text in map(str, scan.diagnostics) if "has no unit" in text]
     assert (said is None and not told) or re.search(said, told[0])
     assert not any(
-        "without a unit" in text
+        "has no unit" in text
         for text in map(str, read_scan(scan_folder, ScanParams(baseline=0.1)).diagnostics)
     )
 

@@ -80,7 +80,7 @@ def test_one_camera_of_a_rig(photos):
 
 
 def test_what_is_lacking_is_told(photos):
-    with pytest.raises(InputError, match=r"unknown layout: images/ holds images, .* scan.poses=FILE"):
+    with pytest.raises(InputError, match=r"unknown layout: images/ holds images without poses.*scan.poses"):
         read_scan(photos)
     elsewhere = photos.parent / "elsewhere.txt"
     elsewhere.write_text(rows((1, 2, 3)))
@@ -111,7 +111,7 @@ def test_of_two_trajectories_none_is_taken(photos):
 def test_a_pose_file_of_other_frames_is_told(photos):
     (photos / "where.txt").write_text(rows((1, 2, 3)))
     (photos / "others.json").write_text(json.dumps({"left": shifted(1).tolist()}))
-    with pytest.raises(InputError, match=r"poses of 'left' and so on, and none of a frame of the scan"):
+    with pytest.raises(InputError, match=r"its frame names, such as 'left', match no frame of the scan"):
         read_scan(photos, ScanParams(poses="others.json"))
 
 

@@ -209,7 +209,7 @@ def test_a_camera_file_of_any_name_beside_the_images(scan_folder, tiny):
     # A pose is a matrix too.
     (scan_folder / "world.txt").write_text("0 0 1 1\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n")
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
-    said = "the camera is read from cam_params_mine.json, which lies beside the images"
+    said = "the camera is read from cam_params_mine.json, which was found next to the images"
     assert said in map(str, read_scan(scan_folder).diagnostics)
 
 
@@ -218,7 +218,7 @@ def test_what_adjust_left_beside_the_images_is_no_calibration(scan_folder):
     (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
     (scan_folder / "cameras.json").write_text(json.dumps({"accepted": True, "color_camera": camera}))
     assert read_scan(scan_folder).frames[0].camera.fx == 100
-    with pytest.raises(InputError, match="it is what `adjust` found"):
+    with pytest.raises(InputError, match=r"this is the cameras\.json of `adjust`"):
         read_scan(scan_folder, ScanParams(calibration="cameras.json"))
 
 
@@ -259,7 +259,7 @@ def test_poses_beside_the_images_do_not_hide_the_camera(scan_folder, tiny, matri
     ("text", "reason"),
     [
         ('{"intrinsic_matrix": [100, 0, 0, 0, 100, 0, 16, 12', "the file is not valid JSON"),
-        ('{"fx": 100, "fy": 100, "cx": 31, "cy": 23}', "its principal point is far from the middle"),
+        ('{"fx": 100, "fy": 100, "cx": 31, "cy": 23}', "its principal point is far from the centre"),
         ('{"fx": 100, "fy": 100, "cx": 16, "cy": 12, "width": 32, "height": 20}', "for images of 32×20"),
     ],
 )
@@ -269,7 +269,7 @@ def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.is_guess
     (said,) = (one for one in map(str, scan.diagnostics) if one.startswith(f"{scan_folder / 'mine.json'}: "))
-    assert "seems to state a camera and is not taken" in said
+    assert "looks like a calibration but is not used" in said
     assert reason in said
 
 
@@ -345,7 +345,7 @@ def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     assert [str(one) for one in read_scan(scan_folder).diagnostics] == [
         "the poses are read from poses.npy, which was found in the scan folder",
-        "the camera is read from K.npy, which lies beside the images",
+        "the camera is read from K.npy, which was found next to the images",
     ]
     # An array of something else is no camera, and nothing is said of it.
     np.save(scan_folder / "other.npy", np.zeros((7, 2)))
@@ -368,4 +368,4 @@ def test_without_intrinsics_the_size_of_depth_maps_tells_the_device(tmp_path, ti
         cv2.imwrite(str(tmp_path / "depth" / f"{i}.png"), np.full(size[::-1], 1500, np.uint16))
     scan = read_scan(tmp_path, complete=False)
     assert (scan.frames[0].camera.fx, scan.frames[0].camera.is_guess) == (focal, True)
-    assert any(f"is guessed, that of {device}" in text for text in map(str, scan.diagnostics))
+    assert any(f"is guessed (the camera of {device}" in text for text in map(str, scan.diagnostics))

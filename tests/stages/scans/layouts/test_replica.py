@@ -36,7 +36,7 @@ def assert_known_points(folder, tiny, **options):
 def test_known_points_come_out_in_the_world(scan_folder, tiny):
     # Two of the three poses are used, which is told, and nothing else is odd.
     found = assert_known_points(scan_folder, tiny).diagnostics
-    said = "it holds 3 poses for 2 frames: each has that of its name's number"
+    said = "it holds 3 poses for 2 frames; they are assigned by the number in each frame's name"
     assert [str(one) for one in found] == [f"{scan_folder / 'traj.txt'}: {said}"]
 
 

@@ -100,7 +100,7 @@ def test_a_missing_image_is_told(tmp_path):
 def test_bits_and_channels_are_not_mixed_up(tmp_path):
     cv2.imwrite(str(tmp_path / "deep.png"), np.zeros((24, 32, 3), np.uint16))
     cv2.imwrite(str(tmp_path / "shallow.png"), np.zeros((24, 32), np.uint8))
-    with pytest.raises(InputError, match=r"deep\.png: .*8 bits a channel.*uint16"):
+    with pytest.raises(InputError, match=r"deep\.png: .*8 bits per channel.*uint16"):
         read_color(frame(color=tmp_path / "deep.png"))
     with pytest.raises(InputError, match=r"deep\.png: .*colour image"):
         read_depth(frame(depth=tmp_path / "deep.png"))
@@ -110,7 +110,7 @@ def test_bits_and_channels_are_not_mixed_up(tmp_path):
 
 def test_depth_of_another_size_is_told(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((48, 64), np.uint16))
-    with pytest.raises(InputError, match=r"a\.png: the image is 64×48, .* 32×24"):
+    with pytest.raises(InputError, match=r"a\.png: the image is 64×48 px, .* 32×24 px"):
         read_depth(frame(depth=tmp_path / "a.png"))
 
 
@@ -168,7 +168,7 @@ def test_what_a_mask_shows_is_depth_and_seen():
     frame = Frame("a", camera, depth=np.full((6, 8), 2, np.float32), mask=mask)
     np.testing.assert_array_equal(read_depth(frame)[3], [0, 0, 0, 0, 2, 2, 2, 2])
     np.testing.assert_array_equal(read_seen(frame)[3], [0, 0, 0, 0, 1, 1, 1, 1])
-    with pytest.raises(InputError, match=r"frame a: a mask of 8 bits"):
+    with pytest.raises(InputError, match=r"frame a: a mask with 8 bits"):
         read_seen(replace(frame, mask=mask.astype(np.uint16)))
 
 

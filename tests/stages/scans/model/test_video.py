@@ -57,9 +57,7 @@ def test_threads_get_the_frames_they_asked_for(path, monkeypatch):
 def test_a_frame_beyond_the_end_is_told_every_time_and_the_others_stay(path):
     opened = Video(path)
     for number in (COUNT, COUNT + 5, COUNT):
-        with pytest.raises(
-            InputError, match=rf"a\.mp4: frame {number} is not there: .* after {COUNT} frames"
-        ):
+        with pytest.raises(InputError, match=rf"a\.mp4: frame {number} is missing: .* after {COUNT} frames"):
             opened.frame(number)
     assert number_of(opened.frame(3)) == 3
 

@@ -123,7 +123,7 @@ def test_a_pose_all_of_one_infinite_mark_is_lost(tmp_path, mark):
         ("a.csv", "1.5,0,0,0,1,0,0,0\n", "line 1 is not"),
         ("a.csv", "15,0,0\n", "line 1 is not"),
         ("a.json", "{", "not valid JSON"),
-        ("a.json", "{}", "no trajectory"),
+        ("a.json", "{}", "not a trajectory"),
         ("a.json", '{"parameters": [{}]}', "extrinsic 0 is not a 4x4"),
         ("a.json", '{"parameters": [7]}', "extrinsic 0 is not a 4x4"),
         ("a.json", '{"poses": [[[1, 0], [0, 1]]]}', "pose 0 is not a 4x4"),
@@ -219,7 +219,7 @@ def test_more_values_than_frames_go_by_number(tmp_path):
 
 def test_a_place_that_cannot_be_right(tmp_path):
     (tmp_path / "poses.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n")
-    with pytest.raises(InputError, match=r"line 1: a place of 1e\+300 cannot be right"):
+    with pytest.raises(InputError, match=r"line 1: a translation of 1e\+300 is implausible"):
         read_trajectory(tmp_path / "poses.txt")
 
 

@@ -74,7 +74,7 @@ def test_without_a_scale_it_says_which_options_give_one() -> None:
 def test_metres_that_are_multiplied_by_more_than_a_correction_are_told() -> None:
     assert scaled(everything(), scale=1.04).diagnostics == ()
     (said,) = map(str, scaled(everything(), scale=3.2).diagnostics)
-    assert said == "lengths of layout made are metres, and are multiplied by 3.2"
+    assert said == "layout made is metric, but its lengths are multiplied by 3.2"
 
 
 def test_of_poses_from_a_file_beside_measured_depth_these_alone_are_multiplied() -> None:
@@ -162,7 +162,7 @@ def test_poses_that_were_adjusted_in_metres_stay(views: Path, tmp_path: Path) ->
 
 
 def test_a_folder_without_tags_is_refused(views: Path) -> None:
-    with pytest.raises(InputError, match=r"views.*no tag of aruco-7x7 is found"):
+    with pytest.raises(InputError, match=r"views.*no tag of aruco-7x7 was found"):
         read_scan(views, ScanParams(tag_size=0.12, tag_family="aruco-7x7"))
 
 

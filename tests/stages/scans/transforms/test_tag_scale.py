@@ -109,19 +109,23 @@ def test_tags_of_another_size_are_left_out_if_they_are_fewer():
         scale = scale_by_tags(made, EDGE, FAMILY, FOLDER)
     assert scale.metres_per_unit == pytest.approx(1, rel=0.005)
     (said,) = map(str, found)
-    assert said == "tags left out of the scale, of another size than most tags or no squares: 9"
+    assert (
+        said == "tags ignored for the scale, because they differ in size from most tags or are not square: 9"
+    )
 
 
 def test_tags_that_disagree_are_refused():
     made = tagged_wall.frames([TAGS[0], Tag(9, (0.25, 0.2), 0.18)], count=3)
-    with pytest.raises(InputError, match=r"scan: the tags do not agree .*: tag 3 0\.99\d+, tag 9 0\.66\d+\."):
+    with pytest.raises(
+        InputError, match=r"scan: the tags give different .*: tag 3 0\.99\d+, tag 9 0\.66\d+\."
+    ):
         scale_by_tags(made, EDGE, FAMILY, FOLDER)
 
 
 def test_a_tag_that_is_no_square_by_the_poses_is_refused(frames):
     # A camera that is taken to be wider than it is.
     squeezed = [replace(one, camera=replace(CAMERA, fx=1.3 * CAMERA.fx)) for one in frames]
-    with pytest.raises(InputError, match=r"is no square|none in two from different places"):
+    with pytest.raises(InputError, match=r"is not square|none in two photos from different positions"):
         scale_by_tags(squeezed, EDGE, FAMILY, FOLDER)
 
 
@@ -136,8 +140,8 @@ def without_poses(made):
 @pytest.mark.parametrize(
     ("change", "family", "words"),
     [
-        (lambda made: made[:1], FAMILY, r"tags are seen in its photos \(3, 7\), but none in two"),
-        (lambda made: made[:1] * 5, FAMILY, "none in two from different places"),
+        (lambda made: made[:1], FAMILY, r"tags were detected \(3, 7\), but none in two"),
+        (lambda made: made[:1] * 5, FAMILY, "none in two photos from different positions"),
         (lambda made: made, "aruco-5x5", r"no tag of aruco-5x5 .* 6 photos.*scan\.tag_family=apriltag-36h11"),
         (without_pictures, FAMILY, "scan.tag_family=NAME"),
         (without_poses, FAMILY, "photos with poses"),

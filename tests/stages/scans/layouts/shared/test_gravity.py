@@ -105,7 +105,7 @@ def test_poses_that_turn_it_over_are_told(tmp_path, trajectory):
     second.world_from_camera[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
     with collecting() as found:
         assert known_up(scan) is None
-    assert "does not go with the poses" in str(found[0])
+    assert "is inconsistent with the poses" in str(found[0])
 
 
 def test_poses_from_a_file_are_in_another_world_but_gravity_is_measured(tmp_path, trajectory):

@@ -152,7 +152,7 @@ def test_settings_of_orb_slam_beside_the_images(scan_folder, tiny):
     )
     scan = read_scan(moved)
     assert (scan.frames[0].camera.fx, scan.frames[0].depth_scale) == (100, 4000)
-    said = "the camera is read from mine.yaml, which lies beside the images"
+    said = "the camera is read from mine.yaml, which was found next to the images"
     assert [str(one) for one in scan.diagnostics] == [said]
 
 
@@ -162,7 +162,7 @@ def test_real_recordings_are_known_by_their_lists(shared_data, tmp_path):
     assert read_scan(source).frames[0].camera.distortion == FREIBURG_1
     keyframes = read_scan(shared_data / "real" / "freiburg3_cabinet_keyframes", complete=False)
     assert keyframes.frames[0].camera.fx == 535.4
-    assert "the camera is read from TUM3.yaml, which lies beside the images" in map(
+    assert "the camera is read from TUM3.yaml, which was found next to the images" in map(
         str, keyframes.diagnostics
     )
 
@@ -300,7 +300,7 @@ def test_poses_of_another_clock_are_offered_to_be_paired_by_order(scan_folder, t
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.txt").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
     named = ScanParams(poses="mine.txt", intrinsics=tiny.option)
-    said = r"they are of 500\.000 to 500\.500 s, the frames of 10\.010 to 10\.510 s\. As many are frames"
+    said = r"cover 500\.000 to 500\.500 s, the frames 10\.010 to 10\.510 s\. There are as many"
     with pytest.raises(InputError, match=said):
         read_scan(scan_folder, named)
     scan = read_scan(scan_folder, replace(named, poses_by_order=True))
@@ -314,7 +314,7 @@ def test_poses_of_another_clock_are_offered_to_be_paired_by_order(scan_folder, t
 def test_real_key_frames_whose_poses_have_other_times(shared_data):
     folder = shared_data / "real" / "freiburg3_cabinet_keyframes"
     named = ScanParams(poses="truth_cam_poses.txt")
-    with pytest.raises(InputError, match=r"none of its 58 poses .* As many are frames: scan\.poses"):
+    with pytest.raises(InputError, match=r"none of its 58 poses .* as many poses as frames: scan\.poses"):
         read_scan(folder, named)
     assert len(read_scan(folder, replace(named, poses_by_order=True)).frames) == 58
 
