@@ -1,4 +1,4 @@
-//! Why a file cannot be read, or a mesh not be written.
+//! Errors of reading and writing `.snm` files.
 
 use std::fmt;
 
@@ -6,19 +6,19 @@ use crate::base::errors::KernelError;
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum SnmError {
-    /// It does not begin as such a file does.
+    /// The first bytes are wrong.
     Magic,
-    /// Written by a later version of the format.
+    /// The version is unknown, probably newer.
     Version(u8),
     /// The file ends within a part: 0 is the base mesh, k the k-th refinement.
     Truncated { part: usize },
-    /// A part does not have its checksum, or decodes to what cannot be.
+    /// A part has a wrong checksum or decodes to invalid data.
     Damaged { part: usize },
-    /// Bytes behind the last refinement.
+    /// Bytes follow the last refinement.
     Surplus { bytes: usize },
-    /// The base mesh to be written is no manifold.
+    /// The base mesh to write is not manifold.
     Mesh(KernelError),
-    /// What is given does not fit the format, or what was given before.
+    /// The input does not fit the format, or contradicts earlier input.
     Misfit(&'static str),
 }
 
@@ -42,7 +42,7 @@ impl fmt::Display for SnmError {
 
 impl std::error::Error for SnmError {}
 
-/// What a writer refuses.
+/// Convert errors of the writer.
 impl From<SnmError> for KernelError {
     fn from(error: SnmError) -> Self {
         match error {

@@ -1,4 +1,4 @@
-//! Offsets that are vectors: of the vertices on the boundary, and of the few that no scalar can place.
+//! Coding of vector offsets: of boundary vertices, and of vertices that no scalar can reach.
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::Rates;
@@ -14,8 +14,8 @@ const RATES: Rates =
     Rates { regression: [0.1, 1e-5], mixer: [0.02, 1e-5], memory: 400, trust: 4, margin: 16 };
 
 pub(super) struct Vectors {
-    /// For each component of exceptions, then of boundary vertices: prediction from the vector above and that
-    /// of the other half, and how far it is from the truth.
+    /// Per component, for interior exceptions and then for boundary vertices: predictor from the vectors of
+    /// the parallel coarse edge and of the sibling edge, and its mean absolute error.
     predictors: [Linear<2>; 6],
     spread: [f32; 6],
     models: Integers<4, 2>,
@@ -36,7 +36,7 @@ impl Vectors {
         self.before = offsets.to_vec();
     }
 
-    /// Code the vector of an edge; `offsets` are those of the level so far.
+    /// Code the vector of an edge. `offsets` holds the offsets coded so far on this level.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -75,7 +75,7 @@ impl Vectors {
     }
 }
 
-/// A scalar counts as no vector: its axis is another.
+/// Return the components of a vector offset; zeros for a scalar, which refers to another axis.
 fn components(offset: Option<Offset>) -> [f32; 3] {
     match offset {
         Some(Offset::Vector(v)) => v.map(|x| x as f32),
