@@ -34,7 +34,9 @@ impl Writer {
     /// the up direction is no unit vector.
     pub fn new(header: &Header, base: &Base) -> Result<Self, SnmError> {
         if !valid(header) {
-            return Err(SnmError::Misfit("the header holds a number that is not as it must be"));
+            return Err(SnmError::Misfit(
+                "the header has an invalid grid, step, unit, channel count or up direction",
+            ));
         }
         let given = Given::new(base)?;
         let mut coder = Encoder::default();
@@ -43,7 +45,7 @@ impl Writer {
         let mut walk = Walk::new(&mut coder, Some(given), header.channels.into());
         walk.run().map_err(too_large)?;
         if walk.region.base != *base {
-            return Err(SnmError::Misfit("the base mesh is not in the order of its coder"));
+            return Err(SnmError::Misfit("the base mesh is not in coder order"));
         }
         let mut file = MAGIC.to_vec();
         let version = if header.up.is_some() { UPRIGHT } else { PLAIN };
@@ -67,9 +69,12 @@ impl Writer {
         refinement: &Refinement,
     ) -> Result<(), SnmError> {
         if !self.levels.fits(topology, expected, Some(refinement)) {
-            return Err(SnmError::Misfit("the refinement is not one of the level before"));
+            return Err(SnmError::Misfit("the refinement does not match the previous level"));
         }
-        self.left = self.left.checked_sub(1).ok_or(SnmError::Misfit("more levels than the header says"))?;
+        self.left = self
+            .left
+            .checked_sub(1)
+            .ok_or(SnmError::Misfit("there are more levels than the header declares"))?;
         let mut coder = Encoder::default();
         let coded = self.levels.code(&mut coder, topology, expected, Some(refinement));
         coded.map_err(|Exhausted| SnmError::Misfit("a level is too large"))?;
@@ -141,7 +146,7 @@ impl<'a> Reader<'a> {
             return Err(SnmError::Surplus { bytes: self.file.len() });
         }
         if !self.levels.fits(topology, expected, None) {
-            return Err(SnmError::Misfit("the topology is not one level finer than before"));
+            return Err(SnmError::Misfit("the topology is not the next finer level"));
         }
         let part = self.part + 1;
         let coded = chunks::take(&mut self.file, part, &mut self.checksum)?;

@@ -29,11 +29,13 @@ impl fmt::Display for SnmError {
             level => format!("level {level}"),
         };
         match self {
-            Self::Magic => write!(f, "it is not an .snm file"),
-            Self::Version(version) => write!(f, "it is of version {version} of the format, which is unknown"),
-            Self::Truncated { part } => write!(f, "the file ends within {}", name(part)),
+            Self::Magic => write!(f, "this is not an .snm file"),
+            Self::Version(version) => {
+                write!(f, "version {version} of the format is not supported; versions 1 and 2 are")
+            }
+            Self::Truncated { part } => write!(f, "the file is truncated in {}", name(part)),
             Self::Damaged { part } => write!(f, "{} is damaged", name(part)),
-            Self::Surplus { bytes } => write!(f, "{bytes} bytes follow the last level"),
+            Self::Surplus { bytes } => write!(f, "{bytes} unexpected bytes follow the last level"),
             Self::Mesh(why) => why.fmt(f),
             Self::Misfit(why) => write!(f, "{why}"),
         }
@@ -48,7 +50,7 @@ impl From<SnmError> for KernelError {
         match error {
             SnmError::Mesh(why) => why,
             SnmError::Misfit(why) => Self::Unwritable(why),
-            _ => Self::Unwritable("the coder failed"),
+            _ => Self::Unwritable("the encoder failed"),
         }
     }
 }
