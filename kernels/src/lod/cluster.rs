@@ -34,6 +34,7 @@ pub struct Cell {
 }
 
 impl Cell {
+    /// Create the cell of one triangle.
     pub fn of_triangle([a, b, c]: [Vec3; 3]) -> Self {
         let normal = cross(&sub(&b, &a), &sub(&c, &a)).map(|x| 0.5 * x);
         let area = norm2(&normal).sqrt();

@@ -41,6 +41,7 @@ const STUCK: f64 = 0.9;
 /// samples and threads would wait for each other.
 const REGION: usize = 2048;
 
+/// Options of [`build`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Error bound of the first level in metres, and the factor from one level to the next.

@@ -98,6 +98,7 @@ impl Sets {
         }
     }
 
+    /// Return the sorted members of a set.
     pub fn of(&self, set: usize) -> &[u32] {
         &self.members[self.starts[set]..self.starts[set + 1]]
     }
@@ -112,6 +113,7 @@ impl Sets {
         sets
     }
 
+    /// Check whether a set contains a member, by binary search.
     #[inline]
     pub fn holds(&self, set: usize, member: u32) -> bool {
         self.of(set).binary_search(&member).is_ok()

@@ -87,6 +87,7 @@ pub fn largest(
     used.chain(from_level).fold(0.0, f64::max).sqrt()
 }
 
+/// Compute the centroid of a triangle.
 pub fn middle([a, b, c]: &[Vec3; 3]) -> Vec3 {
     std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)
 }

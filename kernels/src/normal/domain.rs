@@ -13,6 +13,7 @@ const DEPTH: usize = 3;
 /// Maximum number of triangle-to-triangle steps towards the triangle that contains a point.
 const STEPS: usize = 8;
 
+/// Base mesh as a parametrisation domain, with the input triangles on each base triangle.
 pub struct Domain<'a> {
     corners: Vec<[u32; 3]>,
     /// Neighbour across each side, and the index of the shared side in that neighbour.
@@ -26,6 +27,7 @@ pub struct Domain<'a> {
 }
 
 impl<'a> Domain<'a> {
+    /// Build the domain from a base, the topology of its level 0, and the input surface.
     pub fn new(base: &'a Base, topology: &Topology, surface: &'a Surface) -> Self {
         let mut beyond = vec![[(NONE, 0); 3]; topology.triangles.len()];
         for (t, edges) in topology.triangle_edges.iter().enumerate() {

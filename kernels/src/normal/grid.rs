@@ -56,6 +56,7 @@ pub fn on_grid(p: &Vec3, header: &Header) -> [i32; 3] {
     p.map(|x| (x / f64::from(header.grid)).round() as i32)
 }
 
+/// Convert grid coordinates to a position relative to the header's origin.
 pub fn from_grid(k: &[i32; 3], header: &Header) -> Vec3 {
     k.map(|x| f64::from(x) * f64::from(header.grid))
 }

@@ -53,6 +53,7 @@ pub struct Rule {
     pub neighbours: usize,
 }
 
+/// Reason to refuse a collapse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Refused {
     /// The shape is unusable, or the cost exceeds the limit.
@@ -69,6 +70,7 @@ struct Tried {
     left: Option<f64>,
 }
 
+/// Cost measure of half-edge collapses, with the correspondence between mesh and input.
 #[derive(Clone, Debug)]
 pub struct HalfEdge<'a> {
     surface: &'a Surface,
@@ -94,6 +96,7 @@ pub struct HalfEdge<'a> {
 }
 
 impl<'a> HalfEdge<'a> {
+    /// Create the measure for a mesh that equals the input. `error` is the maximum RMS distance of a vertex.
     pub fn new(mesh: &Mesh<3>, surface: &'a Surface, error: f64, rule: Rule) -> Self {
         let corners: Vec<[u32; 3]> =
             mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0)).collect();

@@ -13,6 +13,7 @@ pub struct Simplified<'a> {
     pub from_triangles: &'a [[u32; 3]],
 }
 
+/// Input mesh with its attributes, search structure and surface samples.
 pub struct Input<'a> {
     pub points: Vec<Vec3>,
     pub triangles: &'a [[u32; 3]],

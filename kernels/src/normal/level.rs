@@ -11,6 +11,7 @@ use crate::subdivision::topology::Topology;
 /// Resolution of predicted offsets for the entropy coder, in fractions of a step.
 const PARTS: f64 = 16.0;
 
+/// One level: connectivity, positions and attributes.
 #[derive(Clone, Debug)]
 pub struct Level {
     pub topology: Topology,
@@ -44,6 +45,7 @@ impl Level {
         self.points.len() + self.topology.edges.len() + 4 * self.topology.triangles.len()
     }
 
+    /// Predict the vertices of the next level.
     pub fn predicted(&self, header: &Header) -> Predicted {
         predict(&self.topology, &self.points, header.scheme, header.relaxations)
     }

@@ -25,6 +25,7 @@ pub struct Origin {
     pub tolerance: Tolerance,
 }
 
+/// Normal mesh with all its levels, and the encoded file.
 #[derive(Clone, Debug)]
 pub struct NormalMesh {
     pub header: Header,

@@ -26,6 +26,7 @@ pub struct Parameter {
 }
 
 impl Parameter {
+    /// Placeholder for a vertex without a position.
     pub const NOWHERE: Self = Self { triangle: NONE, barycentric: [0.0; 3] };
 
     /// Build the point at a corner of a triangle.
@@ -36,6 +37,7 @@ impl Parameter {
     }
 }
 
+/// Positions of removed input vertices on the current mesh.
 #[derive(Clone, Debug)]
 pub struct Parameters {
     /// Position of each removed input vertex; [`Parameter::NOWHERE`] for vertices that still exist.

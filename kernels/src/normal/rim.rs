@@ -26,6 +26,7 @@ pub struct Span {
     pub to: f64,
 }
 
+/// Boundary chains of the base as polylines.
 #[derive(Clone, Debug)]
 pub struct Rims {
     chains: Vec<Polyline>,

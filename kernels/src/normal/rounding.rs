@@ -176,6 +176,7 @@ impl<'a> Rounding<'a> {
         }
     }
 
+    /// Return the rounded positions, in grid spacings.
     pub fn into_points(self) -> Vec<Vec3> {
         self.points
     }

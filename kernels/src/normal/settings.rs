@@ -3,6 +3,7 @@
 use super::coarsening::Target;
 use crate::subdivision::contents::Scheme;
 
+/// Settings of [`remesh`](super::remesh::remesh).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Maximum number of levels. None derives it: the finest level gets about as many triangles as the input.

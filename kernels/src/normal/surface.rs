@@ -37,6 +37,7 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// Build the surface and its search tree.
     pub fn new(points: &[Vec3], triangles: &[[u32; 3]], threads: usize) -> Self {
         let of = |t: usize| triangles[t].map(|v| points[v as usize]);
         let (tree, order) = Bvh::new(triangles.len(), threads, |t| around(of(t).into_iter()));
@@ -64,11 +65,13 @@ impl Surface {
         slots
     }
 
+    /// Return the triangle of a slot.
     #[inline]
     pub fn triangle(&self, slot: u32) -> u32 {
         self.order[slot as usize]
     }
 
+    /// Return the vertex indices of a slot.
     #[inline]
     pub fn vertices(&self, slot: u32) -> [u32; 3] {
         self.vertices[slot as usize]

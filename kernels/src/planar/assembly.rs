@@ -27,6 +27,7 @@ fn by_patch(patches: &Patches) -> (Vec<u32>, Vec<u32>) {
     (members, starts)
 }
 
+/// State of the assembly of all patches.
 pub(super) struct Assembly<'a, const D: usize> {
     pub(super) mesh: &'a Mesh<D>,
     pub(super) options: &'a Options,
@@ -53,11 +54,13 @@ pub(super) struct Assembly<'a, const D: usize> {
 }
 
 impl<const D: usize> Assembly<'_, D> {
+    /// Build the polygon of a patch from its kept border vertices.
     pub(super) fn polygon(&self, patch: u32) -> Polygon<'_> {
         let number = patch as usize;
         Polygon::new(self.mesh, self.borders, number, &self.patches.patches[number], &self.stays)
     }
 
+    /// Sort and deduplicate patches, dropping those that keep their triangles.
     pub(super) fn once_each(&self, mut again: Vec<u32>) -> Vec<u32> {
         again.sort_unstable();
         again.dedup();
@@ -65,6 +68,7 @@ impl<const D: usize> Assembly<'_, D> {
         again
     }
 
+    /// Restore a border vertex, and queue all patches around it.
     pub(super) fn put_back(&mut self, v: VertexId, again: &mut Vec<u32>) {
         if !std::mem::replace(&mut self.stays[v.index()], true) {
             let triangles = self.mesh.connectivity.fan(v).map(|h| Connectivity::triangle(h).index());
@@ -72,6 +76,7 @@ impl<const D: usize> Assembly<'_, D> {
         }
     }
 
+    /// Let a patch keep its triangles, and restore all its border vertices.
     pub(super) fn keep(&mut self, patch: u32, again: &mut Vec<u32>) {
         self.kept[patch as usize] = true;
         self.has_changed[patch as usize] = true;
@@ -82,6 +87,7 @@ impl<const D: usize> Assembly<'_, D> {
         }
     }
 
+    /// Return the input triangles of a patch.
     pub(super) fn members(&self, patch: u32) -> &[u32] {
         let (members, starts) = self.members.get_or_init(|| by_patch(self.patches));
         &members[starts[patch as usize] as usize..starts[patch as usize + 1] as usize]
@@ -103,6 +109,7 @@ impl<const D: usize> Assembly<'_, D> {
         bounds
     }
 
+    /// Build the result: source vertices, triangles, and the source triangle and patch of each triangle.
     #[allow(clippy::type_complexity)]
     pub(super) fn output(&self) -> (Vec<u32>, Vec<[u32; 3]>, Vec<u32>, Vec<u32>) {
         let connectivity = &self.mesh.connectivity;

@@ -12,6 +12,7 @@ use crate::mesh::connectivity::Connectivity;
 /// triangles.
 pub(super) const MOST_TRIES: u8 = 8;
 
+/// Result of triangulating one patch.
 #[derive(Clone)]
 pub(super) enum Outcome {
     New(Vec<([u32; 3], u32)>),
@@ -26,6 +27,7 @@ pub(super) enum Outcome {
 }
 
 impl<const D: usize> Assembly<'_, D> {
+    /// Triangulate a patch, or determine the vertices to restore first.
     pub(super) fn retriangulate(&self, number: u32) -> Outcome {
         let patch = &self.patches.patches[number as usize];
         let inner = self.borders.inside[number as usize];

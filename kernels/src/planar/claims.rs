@@ -33,6 +33,7 @@ pub enum Whose {
     Earlier,
 }
 
+/// Ownership state of all triangles.
 pub struct Claims {
     of: Vec<AtomicU32>,
     releases: Vec<AtomicU8>,
@@ -85,6 +86,7 @@ impl Claims {
         self.of[t as usize].load(Relaxed) == FREE
     }
 
+    /// Return the ownership of a triangle, as viewed by the patch with this claim.
     #[inline]
     pub fn whose(&self, t: u32, claim: u32) -> Whose {
         let of = self.of[t as usize].load(Relaxed);
@@ -129,12 +131,14 @@ impl Claims {
         self.of[t as usize].store(FREE, Relaxed);
     }
 
+    /// Mark the patch of a turn as spoiled.
     pub fn spoil(&self, turn: usize) {
         if let Some(spoiled) = self.spoiled.get(turn) {
             spoiled.store(true, Relaxed);
         }
     }
 
+    /// Check whether the patch of a turn is spoiled.
     pub fn is_spoiled(&self, turn: usize) -> bool {
         self.spoiled.get(turn).is_some_and(|spoiled| spoiled.load(Relaxed))
     }

@@ -16,6 +16,7 @@ pub struct Moments<const D: usize, const K: usize> {
 }
 
 impl<const D: usize, const K: usize> Moments<D, K> {
+    /// Create empty moments relative to `origin`.
     pub fn new(origin: Vec3) -> Self {
         Self {
             origin,
@@ -28,11 +29,13 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         }
     }
 
+    /// Add the area-weighted normal of a triangle.
     #[inline]
     pub fn add_normal(&mut self, (normal, area): &(Vec3, f64)) {
         (0..3).for_each(|i| self.normal[i] += normal[i] * area);
     }
 
+    /// Add the position and colour of a vertex.
     #[inline]
     pub fn add_vertex(&mut self, p: &[f64; D]) {
         let at: Vec3 = [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]];
@@ -101,6 +104,7 @@ pub struct Fit<const K: usize> {
 }
 
 impl<const K: usize> Fit<K> {
+    /// Compute the signed height of a vertex over the plane.
     #[inline]
     pub fn height<const D: usize>(&self, p: &[f64; D]) -> f64 {
         dot(&self.normal, &self.seen_from_origin(p))

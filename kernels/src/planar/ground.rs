@@ -18,6 +18,7 @@ const FOR_RESIDUAL: f64 = 0.4;
 /// projection.
 pub const LEAST_COSINE: f64 = 0.173_648;
 
+/// Read-only context of growing patches.
 pub struct Ground<'a, const D: usize> {
     pub mesh: &'a Mesh<D>,
     pub facets: &'a [Facet],
@@ -56,12 +57,14 @@ impl<'a, const D: usize> Ground<'a, D> {
         self.mesh.connectivity.corners(TriangleId(t)).map(|v| self.mesh.point(v))
     }
 
+    /// Check whether a triangle has a locked vertex.
     #[inline]
     pub fn is_locked(&self, t: u32) -> bool {
         let is_locked = |&v: &VertexId| self.mesh.lock(v) != Lock::Free;
         self.has_locks && self.mesh.connectivity.corners(TriangleId(t)).iter().any(is_locked)
     }
 
+    /// Check whether two triangles have the same label.
     #[inline]
     pub fn have_one_label(&self, a: u32, b: u32) -> bool {
         let label = |t: u32| self.options.labels.get(self.mesh.triangle_source[t as usize] as usize);

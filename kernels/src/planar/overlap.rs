@@ -8,6 +8,7 @@ const NONE: u32 = u32::MAX;
 /// Maximum cells per grid side; limits the memory.
 const MOST_CELLS: f64 = 4096.0;
 
+/// Triangle in the plane of a patch.
 pub type Flat = [[f64; 2]; 3];
 
 /// Set of triangles in a plane that do not overlap, in a uniform grid.

@@ -32,6 +32,7 @@ pub struct Polygon<'a> {
 }
 
 impl<'a> Polygon<'a> {
+    /// Project the kept vertices of patch `number` into its plane.
     pub fn new<const D: usize>(
         mesh: &'a Mesh<D>,
         borders: &'a Borders,

@@ -41,6 +41,7 @@ pub(super) struct Edge {
     pub halfedge: HalfedgeId,
 }
 
+/// Border edges, with linked loops.
 #[derive(Default)]
 pub(super) struct Border {
     edges: Vec<Edge>,
@@ -53,10 +54,12 @@ impl Border {
         &self.edges[edge as usize]
     }
 
+    /// Return the vertex at the far end of an edge.
     pub(super) fn target(&self, edge: u32) -> u32 {
         self.edge(self.edge(edge).next).origin
     }
 
+    /// Check whether an edge is still on the border.
     pub(super) fn is_present(&self, edge: u32) -> bool {
         self.edge(edge).place != NONE
     }
@@ -66,14 +69,17 @@ impl Border {
         self.is_present(edge) && !self.edge(edge).closed
     }
 
+    /// Return the edges on the border, unordered.
     pub(super) fn present(&self) -> &[u32] {
         &self.present
     }
 
+    /// Mark an edge as mesh boundary.
     pub(super) fn close(&mut self, edge: u32) {
         self.edges[edge as usize].closed = true;
     }
 
+    /// Add an unlinked edge and return its index.
     pub(super) fn add(&mut self, origin: u32, across: u32, halfedge: HalfedgeId) -> u32 {
         let number = self.edges.len() as u32;
         let place = self.present.len() as u32;
@@ -83,11 +89,13 @@ impl Border {
         number
     }
 
+    /// Make `next` the successor of `edge` in its loop.
     pub(super) fn link(&mut self, edge: u32, next: u32) {
         self.edges[edge as usize].next = next;
         self.edges[next as usize].prev = edge;
     }
 
+    /// Remove an edge from the border.
     pub(super) fn remove(&mut self, edge: u32) {
         let place = std::mem::replace(&mut self.edges[edge as usize].place, NONE);
         self.present.swap_remove(place as usize);

@@ -14,6 +14,7 @@ const LEAST: f32 = 1.0 / 16.0;
 const RATES: Rates =
     Rates { regression: [0.04, 1e-4], mixer: [0.03, 1e-6], memory: 400, trust: 3, margin: 16 };
 
+/// Adaptive models of vertex channels.
 pub(super) struct Channels {
     count: usize,
     /// Predictor per channel. Inputs: earlier channels of the vertex (3), mean of neighbours, parallel coarse

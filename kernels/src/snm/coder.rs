@@ -16,6 +16,7 @@ use constriction::stream::{Decode, Encode};
 #[derive(Debug)]
 pub(super) struct Exhausted;
 
+/// Encoder or decoder of binary decisions.
 pub(super) trait Coder {
     /// Code a decision that is `true` with probability `p`/65536.
     fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted>;
@@ -119,6 +120,7 @@ impl ReadWords<u16, Queue> for Words<'_> {
     }
 }
 
+/// Range decoder, the inverse of [`Encoder`].
 pub(super) struct Decoder<'a>(RangeDecoder<u16, u64, Words<'a>>);
 
 impl<'a> Decoder<'a> {

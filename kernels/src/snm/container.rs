@@ -19,6 +19,7 @@ const UPRIGHT: u8 = 2;
 /// Maximum deviation of a direction's squared length from 1.
 const UNIT: f64 = 1e-9;
 
+/// Writer of an `.snm` file, level by level.
 pub struct Writer {
     file: Vec<u8>,
     checksum: u32,
@@ -87,11 +88,13 @@ impl Writer {
         &self.file
     }
 
+    /// Return the bytes of the file.
     pub fn finish(self) -> Vec<u8> {
         self.file
     }
 }
 
+/// Reader of an `.snm` file, level by level.
 pub struct Reader<'a> {
     file: &'a [u8],
     checksum: u32,

@@ -13,6 +13,7 @@ use super::linear::Linear;
 use super::logistic::ln;
 use super::region::Region;
 
+/// Learning rates of all models of the base mesh.
 pub(super) const RATES: Rates =
     Rates { regression: [0.2, 1e-4], mixer: [0.02, 1e-5], memory: 250, trust: 12, margin: 512 };
 
@@ -40,6 +41,7 @@ pub(super) struct Guess {
     pub ends: [u32; 2],
 }
 
+/// Adaptive models of base vertices: positions and channels.
 pub(super) struct Corners {
     tips: [Linear<NEAR>; 3],
     /// Deviation of tips from their prediction along the frame axes, in edge lengths.
@@ -70,6 +72,7 @@ impl Corners {
         self.more.bit(coder, 0, &[1.0], &[], more)
     }
 
+    /// Predict the tip of a triangle on `gate`.
     pub(super) fn guess(&self, region: &Region, gate: u32) -> Guess {
         let frame = region.frame(gate);
         let [across, next, previous] =
@@ -100,6 +103,7 @@ impl Corners {
         Ok(position)
     }
 
+    /// Code the position of a new tip, and update the models.
     pub(super) fn tip<C: Coder>(
         &mut self,
         coder: &mut C,

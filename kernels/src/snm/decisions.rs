@@ -96,6 +96,7 @@ impl<const F: usize, const N: usize> Decisions<F, N> {
         }
     }
 
+    /// Code one decision of the family, and update its models.
     pub(super) fn bit<C: Coder>(
         &mut self,
         coder: &mut C,

@@ -4,6 +4,7 @@ use std::fmt;
 
 use crate::base::errors::KernelError;
 
+/// Error of reading or writing an `.snm` file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SnmError {
     /// The first bytes are wrong.

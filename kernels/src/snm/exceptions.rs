@@ -11,6 +11,7 @@ const RATES: Rates =
 /// Initial weights, fitted to normal meshes of horse, cow, bunny, igea, rocker-arm and fandisk.
 const WEIGHTS: [f32; 7] = [-5.2, 1.5, 1.8, 0.55, 1.1, 0.1, -0.3];
 
+/// Adaptive models of offset kinds.
 pub(super) struct Exceptions {
     models: Decisions<7, 3>,
     /// True if points are relaxed. Exceptions can then be scalars from the unrelaxed point.

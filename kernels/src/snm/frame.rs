@@ -26,6 +26,7 @@ impl Frame {
         self.axes.map(|axis| dot(from_middle, axis) / self.length)
     }
 
+    /// Convert frame coordinates to grid coordinates.
     pub(super) fn point(&self, local: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|i| {
             let offset: f64 = (0..3).map(|k| local[k] * self.axes[k][i]).sum();

@@ -38,6 +38,7 @@ impl<'a> Given<'a> {
         })
     }
 
+    /// Check whether the mesh has a boundary.
     pub(super) fn is_open(&self) -> bool {
         self.connectivity.edges().any(|edge| self.connectivity.is_boundary_edge(edge))
     }
@@ -109,6 +110,7 @@ impl<'a> Given<'a> {
         self.vertex_source.push(v);
     }
 
+    /// Record the border edge at a halfedge.
     pub(super) fn meet_edge(&mut self, h: HalfedgeId, edge: u32) {
         self.border[h.index()] = edge;
     }

@@ -25,6 +25,7 @@ pub(super) struct Known<const F: usize, const N: usize> {
     pub side: usize,
 }
 
+/// Adaptive models of a family of integers.
 pub(super) struct Integers<const F: usize, const N: usize> {
     magnitudes: Decisions<F, N>,
     signs: Decisions<2, 1>,

@@ -20,6 +20,7 @@ const CLOSINGS: [[f32; CLOSING]; 2] = [[-0.5, -1.4, 0.35, 1.0, 0.55, 1.5, 0.5, -
 /// border.
 const LONG: usize = 1024;
 
+/// Adaptive models of gate symbols.
 pub(super) struct Lefts {
     closes: Decisions<CLOSING, 0>,
     nothing: Decisions<1, 0>,

@@ -53,7 +53,7 @@ impl Levels {
             && given.is_none_or(is_whole)
     }
 
-    /// Code a level on `topology`. `given` is None for a decoder.
+    /// Code a level on `topology`. A decoder has no `given` refinement.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,

@@ -17,6 +17,7 @@ impl<const I: usize> Linear<I> {
         Self { weights, spread }
     }
 
+    /// Return the weighted sum of the inputs.
     pub(super) fn predict(&self, inputs: &[f32; I]) -> f32 {
         (0..I).map(|i| self.weights[i] * inputs[i]).sum()
     }

@@ -66,10 +66,12 @@ const fn natural_log(x: f64) -> f64 {
     halvings * std::f64::consts::LN_2 + 2.0 * sum
 }
 
+/// Look up the logit of a probability in 0..1.
 pub(super) fn logit(p: f32) -> f32 {
     LOGITS[((p * KNOTS as f32) as usize).min(KNOTS - 1)]
 }
 
+/// Interpolate the probability of a logit, the inverse of [`logit`].
 pub(super) fn probability(logit: f32) -> f32 {
     let x = (logit.clamp(-REACH, REACH) + REACH) * PER_UNIT as f32;
     let i = x as usize;

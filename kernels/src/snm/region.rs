@@ -4,6 +4,7 @@ use super::border::Border;
 use super::frame::{Frame, dot, minus};
 use crate::subdivision::contents::Base;
 
+/// Coded vertices and triangles, with the border around them.
 #[derive(Default)]
 pub(super) struct Region {
     pub border: Border,
@@ -13,6 +14,7 @@ pub(super) struct Region {
 }
 
 impl Region {
+    /// Return the position of a vertex in grid coordinates.
     pub(super) fn position(&self, v: u32) -> [f64; 3] {
         self.base.positions[v as usize].map(f64::from)
     }

@@ -61,10 +61,12 @@ impl<'a> Relations<'a> {
         edges.map(|e| e as usize).filter(move |&e| e != edge)
     }
 
+    /// Return the parallel edge of the coarser level.
     pub(super) fn above(&self, edge: usize) -> Option<usize> {
         self.above.get(edge).map(|&e| e as usize)
     }
 
+    /// Return the other half of the same coarse edge.
     pub(super) fn sibling(&self, edge: usize) -> Option<usize> {
         self.sibling.get(edge).filter(|&&e| e != NONE).map(|&e| e as usize)
     }

@@ -63,6 +63,7 @@ struct Coded {
     missed: [f32; 3],
 }
 
+/// Adaptive models of scalar offsets.
 pub(super) struct Scalars {
     /// Step of a level in steps of the next finer level.
     step_ratio: f32,
@@ -119,6 +120,7 @@ impl Scalars {
         self.before = std::mem::take(&mut self.edges);
     }
 
+    /// Code the scalar of an edge. `expected` is the caller's shape prediction, in 1/16 steps.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,

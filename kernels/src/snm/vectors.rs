@@ -13,6 +13,7 @@ const LEAST: f32 = 1.0 / 16.0;
 const RATES: Rates =
     Rates { regression: [0.1, 1e-5], mixer: [0.02, 1e-5], memory: 400, trust: 4, margin: 16 };
 
+/// Adaptive models of vector offsets.
 pub(super) struct Vectors {
     /// Per component, for interior exceptions and then for boundary vertices: predictor from the vectors of
     /// the parallel coarse edge and of the sibling edge, and its mean absolute error.

@@ -65,6 +65,7 @@ impl Topology {
         Ok(topology)
     }
 
+    /// Check whether an edge has only one triangle.
     pub fn is_boundary_edge(&self, edge: usize) -> bool {
         self.edge_triangles[edge][1] == NONE
     }
