@@ -1,10 +1,10 @@
 //! Cost measure for base simplification: half-edge collapses by quadric error, penalised by trial
 //! refinements.
 //!
-//! A collapse moves one end of the edge onto the other, so base vertices are input vertices (Li, Li, Xu and
-//! Li 2002, section 2). The cost is the larger of two values: the quadric error at the survivor (Garland and
-//! Heckbert 1997), and the error left after a trial refinement of the new triangles. Factors penalise
-//! needles, high valence and triangles that turn away from the surface.
+//! A collapse moves one end of the edge onto the other (Li, Li, Xu and Li 2002, section 2). Base vertices are
+//! therefore input vertices. The first cost is the quadric error at the survivor (Garland and Heckbert 1997).
+//! The second is the error left after a trial refinement of the new triangles. The larger one counts. Factors
+//! penalise needles, high valence and triangles that turn away from the surface.
 
 use super::associated::{Chains, TriangleSets};
 use super::parameters::Parameters;
@@ -317,9 +317,8 @@ impl Measure<3> for HalfEdge<'_> {
     }
 }
 
-/// Compute the squared error that one refinement of a triangle leaves. None if the triangle cannot be
-/// refined: a line through an edge midpoint misses the nearby surface, or one of the four children disagrees
-/// with it.
+/// Compute the squared error that one refinement of a triangle leaves. None if a line through an edge
+/// midpoint misses the nearby surface, or if one of the four children disagrees with it.
 fn left_by_refinement(surface: &Surface, corners: [&Vec3; 3], at: [&Vec3; 3]) -> Option<f64> {
     let (mut points, mut normals, mut slots) = ([[0.0; 3]; 6], [[0.0; 3]; 6], [0; 3]);
     for i in 0..3 {

@@ -1,9 +1,9 @@
 //! Importance of input vertices, from the error of a trial.
 //!
 //! Quadrics measure the distance of the base from the input, not the distance of its later levels. Each level
-//! cuts the error to a quarter on smooth surfaces, to a half along creases, and hardly at all in pockets that
-//! no line reaches. A trial measures the final error. The next trial weights quadrics by the root of each
-//! base triangle's share of that squared error, relative to the mean.
+//! cuts the error to a quarter on smooth surfaces, but only to a half along creases. Pockets that no line
+//! reaches hardly improve. A trial measures the final error. The next trial weights quadrics by the root of
+//! each base triangle's share of that squared error, relative to the mean.
 
 use super::base_mesh::Base;
 use crate::base::geometry::{Vec3, area};

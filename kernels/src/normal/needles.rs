@@ -2,7 +2,7 @@
 //!
 //! Needles of the input, as marching cubes produce them, have arbitrary normals. The rule against flipped
 //! triangles therefore keeps a needle and all its descendants, and rounding then flips them. This module
-//! collapses the shortest side of a needle if three conditions hold: the worst triangle around improves, the
+//! collapses the shortest side of a needle under three conditions. The worst triangle around improves, the
 //! new triangles follow the surface, and the cost is negligible.
 
 use super::base_mesh::Collapse;

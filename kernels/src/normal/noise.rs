@@ -3,8 +3,8 @@
 //! A vertex is offset from the mean of its neighbours by its noise and by curvature. Curvature offsets
 //! neighbouring vertices about equally, so subtracting their mean offset removes it. The median of the
 //! magnitudes ignores edges and corners, and scales to the standard deviation of independent vertex noise.
-//! Noise that neighbours share is underestimated. Where triangles are large relative to the curvature,
-//! curvature is mistaken for noise.
+//! Noise that neighbours share is underestimated. If triangles are large relative to the curvature, curvature
+//! is mistaken for noise.
 
 use crate::base::geometry::{Vec3, add_scaled, dot, sub};
 

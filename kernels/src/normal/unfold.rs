@@ -6,9 +6,9 @@
 //! ignored.
 //!
 //! New vertices of a fold are tried at other surface points. Interior candidates are on the line through the
-//! unrelaxed point, at the expected position, near the mean of the neighbours and near the edge midpoint.
-//! Boundary candidates are elsewhere along the boundary. The first search improves the worst triangle around
-//! a vertex. If that fails, a thorough search improves the sum over all triangles around it.
+//! unrelaxed point and at the expected position. Others are near the mean of the neighbours and near the edge
+//! midpoint. Boundary candidates are elsewhere along the boundary. The first search improves the worst
+//! triangle around a vertex. If that fails, a thorough search improves the sum over all triangles around it.
 
 use std::ops::Add;
 

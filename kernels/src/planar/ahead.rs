@@ -2,10 +2,10 @@
 //!
 //! A patch depends on earlier patches only through the triangles they have taken. Idle threads therefore grow
 //! patches before their turn, against the current state. In its turn, such a patch is accepted if it would
-//! grow identically. No earlier patch may have claimed its triangles, every triangle it left to earlier
-//! patches must be settled, and no triangle may have been released too often since. Otherwise the patch grows
-//! again, now with all earlier patches settled. The result is the sequential one; speculation only affects
-//! the speed.
+//! grow identically. No earlier patch may have claimed its triangles, and every triangle it left to earlier
+//! patches must be settled. In addition, no triangle may have been released too often since. Otherwise the
+//! patch grows again, now with all earlier patches settled. The result is the sequential one; speculation
+//! only affects the speed.
 
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};

@@ -6,10 +6,10 @@
 //! The paper only bounds normals. Here, each patch also stays between two parallel planes, and borders stay
 //! within a distance of their chords. Together these limits bound the distance. Let `w` be the distance of
 //! the planes, and `t` the distance of the border from its chords. Then both surfaces are within `sqrt(w² +
-//! t²)` of each other at every point. In the projection along the patch normal, a point has a counterpart on
-//! the other surface, or is between a chord and its border, at most `t` from both. Colours are bounded
-//! likewise. If all vertex colours are within `r` of a linear function with gradient `g`, the counterpart's
-//! colour differs by at most `2r + gt`.
+//! t²)` of each other at every point. In the projection along the patch normal, a point usually has a
+//! counterpart on the other surface. Otherwise it is between a chord and its border, at most `t` from both.
+//! Colours are bounded likewise. If all vertex colours are within `r` of a linear function with gradient `g`,
+//! the counterpart's colour differs by at most `2r + gt`.
 //!
 //! | module | content |
 //! | --- | --- |

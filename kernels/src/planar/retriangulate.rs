@@ -1,7 +1,7 @@
 //! Constrained Delaunay triangulation of a polygon with holes.
 //!
-//! The polygon is valid if its chords neither cross nor touch, and the area to their left is connected with
-//! the triangle count that its loops imply. Only then may the triangulation replace a patch.
+//! The polygon is valid if its chords neither cross nor touch, and the area to their left is connected. The
+//! number of triangles must be the one that its loops imply. Only then may the triangulation replace a patch.
 
 use robust::{Coord, incircle, orient2d};
 use spade::handles::FixedVertexHandle;

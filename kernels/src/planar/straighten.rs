@@ -1,7 +1,7 @@
 //! Straightening of patch borders, once for the patches on both sides so that they still fit.
 //!
 //! Between two corners, a border is a chain of vertices between the same two patches, or between a patch and
-//! the mesh boundary. The kept vertices of a chain are selected by the Douglas–Peucker algorithm (Douglas and
+//! the mesh boundary. The Douglas–Peucker algorithm selects the kept vertices of a chain (Douglas and
 //! Peucker, "Algorithms for the reduction of the number of points required to represent a digitized line",
 //! 1973).
 

@@ -1,9 +1,9 @@
 //! Coding of the base mesh by region growing, one triangle at a time from a seed triangle per component.
 //!
 //! Each step processes one edge of the [`Border`], the gate. Its symbol is either a mesh boundary or a
-//! triangle, whose tip is the next border vertex, the previous one, a new vertex, or another border vertex.
-//! Known positions predict the symbol: an interior angle of 30° closes more often than 200°. They also
-//! predict the position of a new vertex.
+//! triangle. The tip of the triangle is the next border vertex, the previous one, a new vertex, or another
+//! border vertex. Known positions predict the symbol: an interior angle of 30° closes more often than 200°.
+//! They also predict the position of a new vertex.
 //!
 //! The method is the cut-border machine of Gumhold and Straßer (Real time compression of triangle mesh
 //! connectivity, 1998). Splits and unions are coded as the rank of the tip by distance from its predicted

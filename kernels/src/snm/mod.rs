@@ -55,10 +55,9 @@
 //!
 //! # Levels
 //!
-//! Edges are numbered as in [`crate::subdivision::topology`] and coded in the order of `relations`. For each
-//! edge, the kind of its offset follows unless it is on the boundary (`exceptions`), then the scalar
-//! (`scalars`) or vector (`vectors`). After all offsets, the channels of each edge follow in the same order
-//! (`channels`).
+//! Edges are numbered as in [`crate::subdivision::topology`] and coded in the order of `relations`. Interior
+//! edges start with the kind of their offset (`exceptions`). The scalar (`scalars`) or vector (`vectors`)
+//! follows. After all offsets, the channels of each edge follow in the same order (`channels`).
 
 mod base;
 mod border;

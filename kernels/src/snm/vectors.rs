@@ -15,8 +15,8 @@ const RATES: Rates =
 
 /// Adaptive models of vector offsets.
 pub(super) struct Vectors {
-    /// Per component, for interior exceptions and then for boundary vertices: predictor from the vectors of
-    /// the parallel coarse edge and of the sibling edge, and its mean absolute error.
+    /// Predictor per component, first for interior exceptions, then for boundary vertices; and its mean
+    /// absolute error. Inputs are the vectors of the parallel coarse edge and of the sibling edge.
     predictors: [Linear<2>; 6],
     spread: [f32; 6],
     models: Integers<4, 2>,
