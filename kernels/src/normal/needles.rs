@@ -83,8 +83,8 @@ fn collapsed(
     collapses
 }
 
-/// Check a collapse into one end: every moved triangle keeps its direction, or is a needle that follows the
-/// surface afterwards.
+/// Check a collapse into one end: every moved triangle must keep its direction, unless it was a needle and
+/// follows the surface afterwards.
 fn turns_little(measure: &HalfEdge<'_>, star: &Star<3>, end: usize) -> bool {
     star.wings.iter().filter(|wing| wing.end != end).all(|wing| {
         let [old, new] = [wing.end, end].map(|e| [&star.end_points[e], &wing.from_point, &wing.to_point]);

@@ -1,9 +1,9 @@
 //! Default quantisation tolerance, derived from the mesh.
 //!
-//! Rounding adds to the distance from the input like an independent error. A tolerance of 1/3 of the finest level's RMS
-//! distance raises that distance by at most 5 %. A tolerance of 1/2 raises it by at most 12 %, which the input's noise
-//! may hide. The distance is first measured with the finest tolerance; the refinement is then repeated with the derived
-//! one.
+//! Rounding adds to the distance from the input like an independent error. A tolerance of 1/3 of the finest
+//! level's RMS distance raises that distance by at most 5 %. A tolerance of 1/2 raises it by at most 12 %,
+//! which the input's noise may hide. The distance is first measured with the finest tolerance; the refinement
+//! is then repeated with the derived one.
 
 /// Finest tolerance, in diagonals of the bounding box: the precision of 32-bit floats. All others are
 /// power-of-two multiples up to the given number of doublings. Points of a coarser grid are thus points of
