@@ -1,4 +1,4 @@
-//! Normal meshes: the base, three levels on it, and the search that places their vertices.
+//! Normal meshes: base, three levels and the search for their vertices.
 
 use criterion::Criterion;
 use scanloom_kernels::base::geometry::Vec3;
@@ -17,7 +17,7 @@ pub fn bench(criterion: &mut Criterion) {
     measure(criterion, "normal", plain_field, remeshed);
 }
 
-/// As many triangles in the last level as the surface has.
+/// Remesh so that the last level has about as many triangles as the surface.
 pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
     let settings = Settings {
         levels: Some(LEVELS),

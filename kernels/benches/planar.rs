@@ -1,4 +1,4 @@
-//! Near-planar patches, and their triangles.
+//! Simplification by near-planar patches.
 
 use criterion::Criterion;
 use scanloom_kernels::mesh::triangle_mesh::Mesh;

@@ -1,4 +1,4 @@
-//! The file of a normal mesh, written and read; elements are triangles of the surface it was made of.
+//! Encoding and decoding of normal mesh files; elements are triangles of the original surface.
 
 use std::rc::Rc;
 

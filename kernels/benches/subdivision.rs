@@ -1,4 +1,4 @@
-//! Triangles in four, and where the butterfly expects the new vertices; elements are those before.
+//! 1–4 subdivision and butterfly prediction; elements are triangles before subdivision.
 
 use std::rc::Rc;
 

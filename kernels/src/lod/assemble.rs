@@ -1,24 +1,25 @@
-//! The mesh of a front of the tree: each of its nodes after some of its splits.
+//! Assembly of the mesh of a front of the tree, with each node partly refined by vertex splits.
 
-/// A node of the front.
+/// Node of the front.
 #[derive(Clone, Copy, Debug)]
 pub struct Open {
-    /// Its triangles: so many from here on.
+    /// Range of its triangles in the hierarchy: first index and count.
     pub start: usize,
     pub count: usize,
-    /// Vertices below this number are there.
+    /// Vertices with a smaller index exist after the node's splits.
     pub below: u32,
 }
 
-/// Triangles of the front, and the vertices they use, in order.
+/// Triangles of the front, and the vertices they use in ascending order.
 pub struct Assembled {
     pub vertices: Vec<u32>,
     pub triangles: Vec<[u32; 3]>,
-    /// By triangle: its place in the hierarchy.
+    /// Index of each triangle in the hierarchy.
     pub source: Vec<u32>,
 }
 
-/// Put a front together, from the corners of all triangles, three each. Indices must be in range, and `origin[v]` below `roots` + v.
+/// Assemble the mesh of a front. `corners` holds three vertex indices per triangle of the hierarchy. Indices
+/// must be in range, and `origin[v]` must be below `roots` + v.
 pub fn assemble(corners: &[u32], origin: &[u32], roots: u32, front: &[Open]) -> Assembled {
     let vertices = roots as usize + origin.len();
     let count = front.iter().map(|open| open.count).sum();

@@ -1,8 +1,8 @@
-//! The cells that a hierarchy begins with: clusters of the input's triangles.
+//! Initial cells of a hierarchy: clusters of the input's triangles.
 //!
-//! All triangles in one queue would take most of the time of a level: first small clusters are made, block by block on any
-//! thread, and these are joined to cells all over the mesh. Blocks are compact, and borders between small clusters are what
-//! cells' borders are chosen from, so that few of those run along a block's.
+//! Clustering all triangles with one queue would dominate the time of a level. Small clusters are therefore
+//! built first, in parallel blocks, and then joined to cells across the whole mesh. Blocks are compact and
+//! cell borders are chosen among all cluster borders, so few cell borders coincide with block borders.
 
 use super::cluster::{Cell, Joint, cluster, contracted, joined, smoothed};
 use super::dual;
@@ -10,18 +10,18 @@ use crate::base::parallel::map;
 use crate::certified::original::Original;
 use crate::collapse::partition::Partition;
 
-/// Triangles of a block: few enough for the caches.
+/// Triangles per block, chosen to fit in the CPU caches.
 const BLOCK: usize = 4096;
 
-/// Triangles of a small cluster, at most; and so many of them in a full cell, at least.
+/// Maximum triangles of a small cluster, and the minimum number of small clusters in a full cell.
 const SMALL: u32 = 32;
 const IN_A_CELL: u32 = 256;
 
 /// No triangle.
 const NONE: u32 = u32::MAX;
 
-/// Cells of at most `most` triangles: the cell of each triangle, the cells, and which lie side by side. They are the same for
-/// any number of threads.
+/// Cluster triangles into cells of at most `most` triangles. Returns the cell of each triangle, the cells and
+/// their adjacency. The result does not depend on the number of threads.
 pub fn of_triangles<const D: usize>(
     original: &Original<D>,
     most: u32,
@@ -47,9 +47,9 @@ pub fn of_triangles<const D: usize>(
     (of, cells, joints)
 }
 
-/// Clusters that end at the borders of blocks; the number of each triangle's.
+/// Cluster triangles within each block separately. Returns the cluster of each triangle.
 fn in_blocks(cells: &[Cell], joints: &[Joint], most: u32, blocks: &Partition, threads: usize) -> Vec<u32> {
-    // By triangle: its block, and its place there.
+    // Block of each triangle, and its index in that block.
     let mut place = vec![[NONE; 2]; cells.len()];
     for block in 0..blocks.len() {
         (0..).zip(blocks.region(block)).for_each(|(i, &t)| place[t as usize] = [block as u32, i]);
@@ -79,7 +79,7 @@ fn in_blocks(cells: &[Cell], joints: &[Joint], most: u32, blocks: &Partition, th
 mod tests {
     use super::*;
 
-    /// Hills of 2 · n² triangles.
+    /// Build a wavy height field of 2 · n² triangles.
     fn hills(n: u32) -> Original<3> {
         let place = |i: u32| {
             let [x, y] = [i % (n + 1), i / (n + 1)].map(f64::from);

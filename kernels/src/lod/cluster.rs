@@ -1,36 +1,40 @@
-//! Hierarchical clustering on the dual graph: neighbours are joined in the order of what the joint cell costs.
+//! Hierarchical clustering on the dual graph: adjacent cells are joined in the order of the joint cell's
+//! cost.
 //!
-//! Garland, Willmott and Heckbert, "Hierarchical face clustering on polygonal surfaces", 2001: how flat a cell is, how
-//! alike its normals are, how compact its shape is. Here borders are what costs triangles later on, so compactness counts
-//! most, and costs grow with the number of triangles, so that cells grow evenly.
+//! Garland, Willmott and Heckbert, "Hierarchical face clustering on polygonal surfaces", 2001. The cost
+//! combines flatness, similarity of normals and compactness. Compactness has the largest weight here, because
+//! long borders cost triangles on later levels. Costs grow with the triangle count, so cells grow evenly.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::base::geometry::{Vec3, cross, dot, norm2, sub};
 
-/// What a spread of normals, and a departure from the mean plane in units of the cell's size, count against compactness.
+/// Weights relative to compactness: of the spread of normals, and of the mean squared distance from the mean
+/// plane in units of the cell area.
 const SPREAD: f64 = 0.5;
 const DEPARTURE: f64 = 4.0;
 
 /// No cell.
 const NONE: u32 = u32::MAX;
 
-/// What the cost of a cell is made of.
+/// Accumulated geometry of a cell, sufficient to compute its cost.
 #[derive(Clone, Copy, Debug)]
 pub struct Cell {
-    /// Triangles it counts for.
+    /// Number of triangles in the current mesh.
     pub count: u32,
     pub perimeter: f64,
     area: f64,
-    /// Sum of the normals, each as long as its triangle's area.
+    /// Sum of the area-weighted normals.
     normal: Vec3,
-    /// Area times place, and area times products of coordinates: xx, yy, zz, xy, yz, zx.
+    /// Area-weighted first and second moments of positions; second moments in the order xx, yy, zz, xy, yz,
+    /// zx.
     first: Vec3,
     second: [f64; 6],
 }
 
 impl Cell {
+    /// Create the cell of one triangle.
     pub fn of_triangle([a, b, c]: [Vec3; 3]) -> Self {
         let normal = cross(&sub(&b, &a), &sub(&c, &a)).map(|x| 0.5 * x);
         let area = norm2(&normal).sqrt();
@@ -54,7 +58,7 @@ impl Cell {
         }
     }
 
-    /// Both as one; `shared` is the length of the border between them.
+    /// Join two cells. `shared` is the length of their common border.
     pub fn joined(&self, other: &Self, shared: f64) -> Self {
         let sum = |a: &Vec3, b: &Vec3| [0, 1, 2].map(|i| a[i] + b[i]);
         Self {
@@ -86,19 +90,20 @@ impl Cell {
     }
 }
 
-/// Two cells side by side, and how long their border is.
+/// Edge of the dual graph: two adjacent cells and the length of their common border.
 #[derive(Clone, Copy, Debug)]
 pub struct Joint {
     pub between: [u32; 2],
     pub length: f64,
 }
 
-/// What two cells cost as one, and which they are: smaller for what comes first, and compared without a branch.
+/// Cost of joining two cells, packed with their indices. Smaller values are joined first; integers compare
+/// without branches.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Offer(u128);
 
 impl Offer {
-    /// `owner` is the place, 0 or 1, of the cell whose best of all this is.
+    /// `owner` (0 or 1) selects the cell of the pair whose best candidate this is.
     fn new(cost: f64, [a, b]: [u32; 2], owner: usize) -> Self {
         let bits = cost.to_bits();
         let rank = if bits >> 63 == 0 { bits | 1 << 63 } else { !bits };
@@ -114,12 +119,12 @@ impl Offer {
     }
 }
 
-/// Join cells as long as none counts more than `most` triangles. Returns the number of the group of each, in the order of
-/// their first cells.
+/// Join adjacent cells while the result has at most `most` triangles. Returns the group of each cell,
+/// numbered in the order of their first cells.
 pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
     let count = cells.len();
     let mut into: Vec<u32> = (0..count as u32).collect();
-    // How often each has changed.
+    // Number of changes of each cell.
     let mut versions = vec![0u32; count];
     let mut neighbours: Vec<Vec<(u32, f64)>> = vec![vec![]; count];
     for joint in joints.iter().filter(|joint| joint.between[0] != joint.between[1]) {
@@ -127,11 +132,11 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
         neighbours[a as usize].push((b, joint.length));
         neighbours[b as usize].push((a, joint.length));
     }
-    // Where the length of the border to each neighbour is added up.
+    // Scratch index for adding up the border length per neighbour.
     let mut place = vec![NONE; count];
     neighbours.iter_mut().for_each(|list| add_up(list, &into, NONE, &mut place));
-    // What the best of all has to offer is that of its newer cell, whose best it is: of each cell the best will do, until
-    // that turns out to be gone.
+    // One heap entry per cell suffices, because the globally best pair is the best of its more recently
+    // changed cell. A stale entry is recomputed when it is popped.
     let best = |cells: &[Cell], versions: &[u32], own: u32, list: &[(u32, f64)]| {
         let offer = |&(other, shared): &(u32, f64)| {
             let (a, b) = (own.min(other), own.max(other));
@@ -142,7 +147,7 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
         let best: Option<Offer> = list.iter().filter_map(offer).min();
         best.map(|offer| (offer, offer.cells().map(|c| versions[c as usize])))
     };
-    // What each cell offers, and the versions of both then.
+    // Current entry of each cell, and the versions of both cells at that time.
     let mut offered: Vec<Option<(Offer, [u32; 2])>> = vec![None; count];
     let mut offers = BinaryHeap::with_capacity(count);
     for (own, list) in (0..).zip(&neighbours) {
@@ -174,7 +179,7 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
         list.extend(other);
         add_up(&mut list, &into, pair[0], &mut place);
         for &(c, shared) in &list {
-            // What it is beside now has another name.
+            // The neighbour's list still refers to the two separate cells.
             let theirs = &mut neighbours[c as usize];
             theirs.retain(|(d, _)| *d != pair[0] && *d != pair[1]);
             theirs.push((pair[0], shared));
@@ -186,7 +191,7 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
     numbered(&into)
 }
 
-/// Bring a list of neighbours up to date: each once, without `own`.
+/// Update a neighbour list: merge duplicates and remove `own`.
 fn add_up(list: &mut Vec<(u32, f64)>, into: &[u32], own: u32, place: &mut [u32]) {
     let mut kept = 0;
     for i in 0..list.len() {
@@ -208,7 +213,7 @@ fn add_up(list: &mut Vec<(u32, f64)>, into: &[u32], own: u32, place: &mut [u32])
     list.iter().for_each(|(c, _)| place[*c as usize] = NONE);
 }
 
-/// Groups numbered in the order of their first members. `into` leads from each member towards its group.
+/// Number the groups in the order of their first members. `into` links each member to its group's root.
 fn numbered(into: &[u32]) -> Vec<u32> {
     let mut number = vec![NONE; into.len()];
     let mut next = 0;
@@ -226,10 +231,10 @@ fn numbered(into: &[u32]) -> Vec<u32> {
     (0..into.len()).map(&mut group).collect()
 }
 
-/// Sweeps over all members when borders are made smooth.
+/// Maximum number of border smoothing passes over all triangles.
 const SWEEPS: usize = 6;
 
-/// Let triangles go over to the group that two of their neighbours are of: borders become shorter.
+/// Shorten borders by moving triangles to the group of two of their neighbours.
 pub fn smoothed(mut group: Vec<u32>, joints: &[Joint], most: u32) -> Vec<u32> {
     let mut beside = vec![[NONE; 3]; group.len()];
     for joint in joints {
@@ -264,7 +269,7 @@ pub fn smoothed(mut group: Vec<u32>, joints: &[Joint], most: u32) -> Vec<u32> {
     group
 }
 
-/// The border lengths between groups, from those between their members.
+/// Compute the border lengths between groups from those between their members.
 pub fn contracted(joints: &[Joint], group: &[u32]) -> Vec<Joint> {
     let mut between: Vec<([u32; 2], f64)> = joints
         .iter()
@@ -273,13 +278,13 @@ pub fn contracted(joints: &[Joint], group: &[u32]) -> Vec<Joint> {
             (a != b).then_some(([a.min(b), a.max(b)], joint.length))
         })
         .collect();
-    // Sums in an order of their own.
+    // Sort lengths, too, so that floating-point sums do not depend on the order of `joints`.
     between.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let same = between.chunk_by(|a, b| a.0 == b.0);
     same.map(|pairs| Joint { between: pairs[0].0, length: pairs.iter().map(|p| p.1).sum() }).collect()
 }
 
-/// The cells of groups, from those of their members and the joints between these.
+/// Compute the cells of groups from the cells and joints of their members.
 pub fn joined(cells: &[Cell], joints: &[Joint], group: &[u32]) -> Vec<Cell> {
     let mut whole: Vec<Option<Cell>> = vec![None; group.iter().max().map_or(0, |&g| g as usize + 1)];
     for (cell, &g) in cells.iter().zip(group) {
@@ -299,7 +304,7 @@ pub fn joined(cells: &[Cell], joints: &[Joint], group: &[u32]) -> Vec<Cell> {
 mod tests {
     use super::*;
 
-    /// The same by looking at all pairs of neighbours, again and again.
+    /// Reference implementation that searches all adjacent pairs for each join.
     fn brute(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
         let mut into: Vec<u32> = (0..cells.len() as u32).collect();
         let mut borders: std::collections::BTreeMap<[u32; 2], f64> = Default::default();
@@ -331,7 +336,7 @@ mod tests {
             (state >> 40) as f64 / f64::from(1u32 << 24)
         };
         for size in [2, 5, 9] {
-            // Lengths are sums of powers of two: the same in any order.
+            // Lengths are multiples of 1/2, so their sums are exact in any order.
             let place = |i: usize, j: usize, z: f64| [i as f64, j as f64, z];
             let heights: Vec<f64> = (0..(size + 1) * (size + 1)).map(|_| noise()).collect();
             let at = |i: usize, j: usize| place(i, j, heights[j * (size + 1) + i]);

@@ -1,12 +1,12 @@
-//! The dual graph of a mesh: triangles, and the sides they share.
+//! Dual graph of a mesh: triangles as nodes, shared edges as joints.
 
 use super::cluster::{Cell, Joint};
 use crate::base::geometry::{Vec3, distance2, position, triangle_distance2};
 use crate::mesh::bvh::Bvh;
 
-/// Sides shared by two triangles. Where a side is of more than two, each is joined to the next.
+/// Find pairs of triangles that share an edge. At non-manifold edges, triangles are paired in sequence.
 pub fn shared_sides<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Vec<Joint> {
-    // Both vertices of a side in one number, in order, and its triangle.
+    // Edge packed into one sortable number, with its triangle.
     let mut sides: Vec<(u64, u32)> = Vec::with_capacity(3 * triangles.len());
     for (t, corners) in (0..).zip(triangles) {
         for i in 0..3 {
@@ -23,8 +23,9 @@ pub fn shared_sides<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]])
     both.map(|pair| Joint { between: [pair[0].1, pair[1].1], length: length(pair[0].0) }).collect()
 }
 
-/// Joints without length, with which the graph is in one piece: from each component of the surface, at its triangle of
-/// the least number, to the triangle nearest to its middle that is of any other, and to that of a larger one.
+/// Compute zero-length joints that connect the graph. Each component except the largest gets two: to the
+/// nearest larger component and to the nearest other component. Distances are measured from its centroid; the
+/// joint starts at its triangle of lowest index.
 pub fn links<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]], joints: &[Joint]) -> Vec<Joint> {
     let component = components(triangles.len(), joints);
     let mut sizes = vec![0u32; triangles.len()];
@@ -55,7 +56,7 @@ pub fn links<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]], joints
             }
         };
         let (slot, away) = tree.nearest(&middle, (0, f64::INFINITY), distance);
-        // What is too far away for a number is joined all the same.
+        // Components are also joined if their distance overflows.
         let to = if away < f64::INFINITY { order[slot as usize] } else { others[0] };
         Joint { between: [c, to], length: 0.0 }
     };
@@ -66,7 +67,7 @@ pub fn links<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]], joints
     both.collect()
 }
 
-/// The first triangle of the component each one is of.
+/// Label each triangle with the lowest triangle index of its connected component.
 fn components(count: usize, joints: &[Joint]) -> Vec<u32> {
     let mut first: Vec<u32> = (0..count as u32).collect();
     fn find(first: &mut [u32], mut t: u32) -> u32 {
@@ -83,7 +84,7 @@ fn components(count: usize, joints: &[Joint]) -> Vec<u32> {
     (0..count as u32).map(|t| find(&mut first, t)).collect()
 }
 
-/// Each triangle as a cell of its own.
+/// Create one cell per triangle.
 pub fn cells<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Vec<Cell> {
     triangles
         .iter()

@@ -1,64 +1,66 @@
-//! The collapses of a hierarchy, seen from the other end: splits of vertices.
+//! Vertex forest of a hierarchy: the collapses in reverse, as vertex splits.
 //!
-//! A collapse makes its two vertices one. Where that one is at the place of the survivor it is the survivor, as with all
-//! vertices of a border, which others share; else it is a vertex of its own. So the vertices of all levels form a forest.
-//! They are numbered from the end: first those that no collapse consumed, then what the last one consumed, and so on. Then
+//! A collapse replaces two vertices by one. If that one is at the survivor's position, it is the survivor.
+//! This holds for all border vertices, which several nodes share. Otherwise it is a new vertex. The vertices
+//! of all levels thus form a forest. They are numbered backwards: first the vertices that no collapse
+//! consumed, then the vertices consumed by the last collapse, and so on. Consequently:
 //!
-//! * after some splits there are the vertices below a number, but for those that these splits replaced;
-//! * what a corner is on that mesh is found by going up the forest until its number is below that.
+//! * after some splits, the mesh has the vertices below some index, except those replaced by these splits;
+//! * the current vertex of a corner is found by following `origin` until the index is below that limit.
 //!
-//! This is the total-ordered mesh of Wang, Lu and Pan (2012), whose edge collapse list is walked until an index is below
-//! the number of vertices; each node's collapses follow on each other here, parents' before children's, so that the same
-//! rule holds for any front of the tree.
+//! This is the total-ordered mesh of Wang, Lu and Pan (2012), which follows the edge collapse list until the
+//! index is below the vertex count. Here the collapses of each node are consecutive, and parents come before
+//! children. The rule therefore holds for any front of the tree.
 
 use crate::certified::history::{History, Kept};
 use crate::certified::original::Original;
 
-/// Not consumed, or not dying.
+/// Not consumed, or not removed.
 const NEVER: u32 = u32::MAX;
 
-/// Which cell is of which node, level by level.
+/// Assignment of cells to nodes on one level.
 pub struct Level {
-    /// The number of the first collapse.
+    /// Number of the level's first collapse.
     pub first: u32,
-    /// The node of each cell of the input.
+    /// Node of each cell of the input.
     pub node: Vec<u32>,
 }
 
-/// Vertices and triangles of a hierarchy, in the order of its nodes from the last to the first.
+/// Vertices and triangles of a hierarchy, in the order of its nodes from last to first.
 pub struct Forest<const D: usize> {
-    /// Vertices that are left at the end: those below this number.
+    /// Number of vertices that are never consumed; they have the lowest indices.
     pub roots: usize,
     pub points: Vec<[f64; D]>,
-    /// By vertex from `roots` on: the one it becomes.
+    /// Vertex that replaces each vertex from `roots` on.
     pub origin: Vec<u32>,
-    /// By split: vertices it brings, 1 or 2.
+    /// Number of vertices that each split adds, 1 or 2.
     pub made: Vec<u8>,
-    /// By split: triangles it brings, 0 to 2.
+    /// Number of triangles that each split adds, 0 to 2.
     pub born: Vec<u8>,
-    /// Splits of node n, counted from the last: `splits[n]..splits[n + 1]`.
+    /// Splits of node n, counted from the last node: `splits[n]..splits[n + 1]`.
     pub splits: Vec<usize>,
-    /// Each node's mesh before its level: first the triangles that outlive it, then those each split brings.
+    /// Mesh of each node before its level: first the triangles that survive the level, then those added by
+    /// each split.
     pub triangles: Vec<[u32; 3]>,
     pub starts: Vec<usize>,
-    /// The triangle of the input that each one is what is left of.
+    /// Input triangle of each triangle.
     pub source: Vec<u32>,
-    /// By node, from the first: triangles that outlive it.
+    /// Number of surviving triangles of each node, counted from the first node.
     pub coarse: Vec<usize>,
 }
 
-/// What became of the vertices, numbered: those of the input, then those that collapses made.
+/// History of the vertices: input vertices first, then those created by collapses.
 struct Merged<const D: usize> {
     points: Vec<[f64; D]>,
-    /// The collapse that consumed each one,
+    /// Collapse that consumed each vertex.
     by: Vec<u32>,
-    /// and what it became.
+    /// Vertex that replaced each consumed vertex.
     into: Vec<u32>,
     collapses: u32,
 }
 
 impl<const D: usize> Merged<D> {
-    /// The collapse that makes two vertices one, if it comes before `end`.
+    /// Find the collapse that merges two vertices, if it comes before `end`.
     fn meeting(&self, mut x: u32, mut y: u32, end: u32) -> u32 {
         loop {
             let (by_x, by_y) = (self.by[x as usize], self.by[y as usize]);
@@ -78,7 +80,7 @@ impl<const D: usize> Merged<D> {
         }
     }
 
-    /// What a vertex has become before the collapse `end`.
+    /// Find the current replacement of a vertex just before collapse `end`.
     fn now(&self, mut x: u32, end: u32) -> u32 {
         while self.by[x as usize] < end {
             x = self.into[x as usize];
@@ -87,7 +89,7 @@ impl<const D: usize> Merged<D> {
     }
 }
 
-/// The forest that has grown over `levels`; `cell` is by triangle of the input.
+/// Build the forest of all `levels`. `cell` holds the cell of each input triangle.
 pub fn grown<const D: usize>(
     original: &Original<D>,
     history: &History<'_, D>,
@@ -127,7 +129,7 @@ pub fn grown<const D: usize>(
         merged.by[gone as usize] = i;
         merged.into[gone as usize] = stays;
     }
-    // The first collapse of each node, and the end of all.
+    // First collapse of each node, plus the total.
     let mut first = vec![kept.len() as u32; nodes + 1];
     for (i, (node, _)) in kept.iter().enumerate().rev() {
         first[*node as usize] = i as u32;
@@ -140,15 +142,15 @@ pub fn grown<const D: usize>(
     numbered(&merged, &first, alive)
 }
 
-/// A triangle in the mesh of a node before its level.
+/// Triangle of a node's mesh before its level.
 struct Aged {
-    /// The collapse of that node it dies in.
+    /// Collapse of that node that removes the triangle; [`NEVER`] if it survives.
     death: u32,
     source: u32,
     corners: [u32; 3],
 }
 
-/// The triangles of each node's mesh before its level.
+/// List the triangles of each node's mesh before its level.
 fn aged<const D: usize>(
     original: &Original<D>,
     merged: &Merged<D>,
@@ -177,7 +179,7 @@ fn aged<const D: usize>(
     nodes
 }
 
-/// Everything in numbers from the end.
+/// Renumber vertices, splits and triangles from last to first.
 fn numbered<const D: usize>(merged: &Merged<D>, first: &[u32], mut alive: Vec<Vec<Aged>>) -> Forest<D> {
     let all = merged.collapses as usize;
     let mut is_left = vec![false; merged.points.len()];
@@ -185,7 +187,7 @@ fn numbered<const D: usize>(merged: &Merged<D>, first: &[u32], mut alive: Vec<Ve
         let left = root.iter().filter(|t| t.death == NEVER).flat_map(|t| t.corners);
         left.for_each(|v| is_left[merged.now(v, NEVER) as usize] = true);
     }
-    // Those that are left, then the consumed, the last first; vertices that no triangle uses are neither.
+    // Remaining vertices first, then consumed ones from the last collapse on. Unused vertices are dropped.
     let mut order: Vec<u32> = (0..merged.points.len() as u32)
         .filter(|&v| is_left[v as usize] || merged.by[v as usize] != NEVER)
         .collect();

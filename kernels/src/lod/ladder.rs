@@ -1,16 +1,16 @@
-//! The levels of a hierarchy, from the input up.
+//! Construction of the levels of a hierarchy, from the input upwards.
 //!
 //! ```text
 //! cells ← clusters of the input's triangles
-//! repeat, the bound larger each time:
-//!     simplify within it, from where the last level ended, all borders between cells locked    certified
-//!     bound each cell alone, against its part of the input                                      certify
-//!     one cell, and light enough: done
-//!     join neighbouring cells as long as they are light enough together
+//! repeat with a larger bound each time:
+//!     simplify within the bound, from the last level on, with locked cell borders    certified
+//!     bound each cell separately, against its part of the input                      certify
+//!     stop if one cell is left and small enough
+//!     join adjacent cells while the result is small enough
 //! ```
 //!
-//! Every level goes on with the samples of the input that the last one had, and is proven against the input itself: bounds
-//! are never added up.
+//! Every level continues with the input samples of the previous one and is proven against the input itself.
+//! Bounds are never summed.
 
 use super::cells::of_triangles;
 use super::cluster::{Cell, Joint, cluster, contracted, joined};
@@ -31,67 +31,71 @@ use crate::mesh::connectivity::Connectivity;
 /// No node.
 pub const NONE: u32 = u32::MAX;
 
-/// Levels end where the bound is this share of the diagonal: what is left then does not become lighter.
+/// Largest error bound, relative to the bounding box diagonal. Larger bounds hardly remove triangles.
 const LARGEST: f64 = 0.25;
 
-/// A level that leaves more than this share of the triangles is the last, if there is one cell.
+/// A level that keeps more than this ratio of the triangles is the last, if a single cell is left.
 const STUCK: f64 = 0.9;
 
-/// Triangles of a region, at most: fewer than usual, as each has more and more samples, and threads would wait for one another
-/// on the coarser levels.
+/// Maximum triangles per region. It is smaller than usual, because triangles of coarse levels have many
+/// samples and threads would wait for each other.
 const REGION: usize = 2048;
 
+/// Options of [`build`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The bound of the first level, in metres, and what each is multiplied with for the next.
+    /// Error bound of the first level in metres, and the factor from one level to the next.
     pub first: f64,
     pub ratio: f64,
-    /// Triangles of a cell, at most,
+    /// Maximum triangles of a cell.
     pub most: u32,
-    /// and of the mesh that is light enough to be the last.
+    /// Triangle count at which a single cell becomes the root.
     pub root: usize,
-    /// By vertex: whether it stays on all levels; empty for none.
+    /// True for vertices that stay on all levels; empty for none.
     pub locked: Vec<bool>,
-    /// How levels are made; the bound on shape is not used.
+    /// Simplification options; their shape bound is ignored.
     pub simplify: simplify::Options,
-    /// How closely each node is bounded.
+    /// Effort for bounding each node.
     pub close: certify::Options,
 }
 
-/// A cell on one level: its mesh before that level, and after it.
+/// A cell on one level, with its mesh before and after that level.
 #[derive(Clone, Debug)]
 pub struct Node {
     pub level: u32,
-    /// The node it is part of; [`NONE`] for the root.
+    /// Parent node; [`NONE`] for the root.
     pub parent: u32,
-    /// Proven both ways between its mesh after the level and its part of the input.
+    /// Proven two-sided deviation between the node's mesh after the level and its part of the input.
     pub bound: Deviation,
-    /// The greatest deviation seen there.
+    /// Largest deviation observed there.
     pub attained: Deviation,
-    /// Triangles after the level.
+    /// Number of triangles after the level.
     pub coarse: usize,
 }
 
-/// A finished hierarchy; children come before their parents.
+/// Finished hierarchy; children come before their parents.
 pub struct Hierarchy<const D: usize> {
     pub nodes: Vec<Node>,
     pub forest: Forest<D>,
-    /// Whether the caller stopped the work: levels are missing then.
+    /// True if the caller stopped the work, so that levels are missing.
     pub stopped: bool,
-    /// Why levels were passed on without the bound asked for: triangles of the result and of the input.
+    /// Number of triangles, of results and input, on levels that were accepted without proving the requested
+    /// bound.
     pub unproven: usize,
 }
 
-/// The cells on the current level.
+/// Cells on the current level.
 struct Cells {
-    /// By triangle of the input: its cell, that stays.
+    /// Cell of each input triangle; constant over all levels.
     of: Vec<u32>,
     cells: Vec<Cell>,
     joints: Vec<Joint>,
-    /// By cell: its group now.
+    /// Current group of each cell.
     group: Vec<u32>,
 }
 
+/// Build the hierarchy of a mesh.
+///
 /// # Errors
 /// As [`crate::mesh::connectivity::Connectivity::from_triangles`], and [`KernelError::Interrupted`].
 pub fn build<const D: usize, const K: usize>(
@@ -103,7 +107,7 @@ pub fn build<const D: usize, const K: usize>(
 ) -> Result<Hierarchy<D>, KernelError> {
     let goal = &Goal { region: goal.region.min(REGION), ..*goal };
     let whole = Whole::<D, ()>::new(points, triangles, vec![])?;
-    // What is no manifold is refused before the work on it.
+    // Reject non-manifold input early.
     Connectivity::from_triangles_on(parallel::threads(goal.threads), whole.points.len(), &whole.triangles)?;
     let original = Original::new(whole.points, whole.triangles);
     let mut cells = Cells::of(&original, options.most, parallel::threads(goal.threads));
@@ -119,7 +123,7 @@ pub fn build<const D: usize, const K: usize>(
         let first = state.history.settle();
         let before = cells.counts(&state);
         let asked = Deviation { shape: bound, ..options.simplify.bounds };
-        // The next level goes on where this one ends.
+        // The next level continues from this one, so it need not be finished to the end.
         let asked = simplify::Options { bounds: asked, to_the_end: false, ..options.simplify.clone() };
         let locked = cells.borders(&original, &options.locked);
         let part: Vec<u32> = cells.of.iter().map(|&cell| cells.group[cell as usize]).collect();
@@ -131,12 +135,12 @@ pub fn build<const D: usize, const K: usize>(
         let is_made = |group: usize| made.iter().any(|&(g, _)| g == group);
         let left = passes.last().filter(|_| !proven).map_or(0, |pass| pass.unproven[0] + pass.unproven[1]);
         let proven = ledger.bounds_of_parts(&state.mesh, is_made, progress)?;
-        // With more effort they may have been proven after all.
+        // `bounds_of_parts` works harder and may prove groups that the simplifier could not.
         let is_missed = made.iter().any(|&(group, _)| proven[group].bound.shape > ledger.bounds().shape);
         unproven += if is_missed { left } else { 0 };
         for (group, node) in made {
             let Verdict { bound, attained, .. } = proven[group];
-            // Never less than what it replaces.
+            // A parent's bound is at least the bounds of its children, so refining never increases the bound.
             let below = nodes.iter().filter(|n| n.parent == node);
             let bound = below.fold(bound, |most, child| most.max(child.bound));
             nodes[node as usize].bound = bound;
@@ -145,7 +149,7 @@ pub fn build<const D: usize, const K: usize>(
         levels.push(Level { first, node: node_of.clone() });
         let is_one = cells.group.iter().all(|&g| g == 0);
         let left = state.mesh.triangles.len();
-        // What no larger bound makes lighter is light enough: islands stay, each within its own place.
+        // Also stop if a larger bound hardly removes triangles: each floating component keeps a minimum.
         let light = left <= options.root || left as f64 > STUCK * f64::from(before.iter().sum::<u32>());
         if is_one && (light || bound >= largest || stop == Stop::Enough) {
             break stop == Stop::Enough;
@@ -155,7 +159,7 @@ pub fn build<const D: usize, const K: usize>(
         if bound < largest && stop != Stop::Enough {
             cells.join(&counts, options.most);
         } else {
-            // What has not become light enough by now, or will not any more, is one cell all the same.
+            // The mesh will not get smaller, so join everything to the root cell.
             cells.group.fill(0);
         }
     };
@@ -167,7 +171,7 @@ pub fn build<const D: usize, const K: usize>(
     Ok(Hierarchy { nodes, forest, stopped, unproven })
 }
 
-/// Number the nodes so that those of one parent follow on each other, and the parents in the order of their children.
+/// Renumber nodes so that siblings are consecutive and parents are in the order of their children.
 fn renumber(nodes: &mut Vec<Node>, levels: &mut [Level]) {
     let mut children: Vec<Vec<u32>> = vec![vec![]; nodes.len()];
     let mut order: Vec<u32> = vec![];
@@ -200,7 +204,7 @@ impl Cells {
         Self { of, cells, joints, group }
     }
 
-    /// Vertices of the input that triangles of more than one group are around, and those that stay in any case.
+    /// Flag input vertices between triangles of different groups, and vertices locked by the caller.
     fn borders<const D: usize>(&self, original: &Original<D>, locked: &[bool]) -> Vec<bool> {
         let mut seen = vec![NONE; original.points.len()];
         let mut is_border = locked.to_vec();
@@ -217,7 +221,7 @@ impl Cells {
         is_border
     }
 
-    /// Triangles of each group in the current mesh.
+    /// Count the triangles of each group in the current mesh.
     fn counts<const D: usize>(&self, state: &State<'_, D>) -> Vec<u32> {
         let mut counts = vec![0; self.group.iter().max().map_or(0, |&g| g as usize + 1)];
         let group = |&t: &u32| self.group[self.of[t as usize] as usize];
@@ -225,7 +229,8 @@ impl Cells {
         counts
     }
 
-    /// A node for each group that was joined, or simplified, on this level. Returns the groups and their nodes.
+    /// Create a node for each group that was joined or simplified on this level. Returns the groups and their
+    /// nodes.
     fn nodes(
         &self,
         level: u32,
@@ -255,7 +260,7 @@ impl Cells {
         made
     }
 
-    /// Join neighbouring groups that count no more than `most` triangles together.
+    /// Join adjacent groups while the result has at most `most` triangles.
     fn join(&mut self, counts: &[u32], most: u32) {
         let mut groups = joined(&self.cells, &self.joints, &self.group);
         groups.iter_mut().zip(counts).for_each(|(cell, &count)| cell.count = count);

@@ -1,16 +1,17 @@
-//! Level of detail: a tree of cells, each with a progressive mesh, every level proven against the input.
+//! Level of detail: a tree of cells with progressive meshes, each level proven against the input.
 //!
-//! Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies", 2012, with fitted collapses in
-//! place of half-edge ones: each makes a vertex of its own, so that one forest of vertices holds all levels.
+//! The method follows Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
+//! hierarchies", 2012, with fitted collapses instead of half-edge collapses. A fitted collapse creates a new
+//! vertex, so one vertex forest contains all levels.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`dual`] | which triangles are neighbours, and how islands hang together |
-//! | [`cluster`] | neighbours joined to cells, and cells to larger ones |
-//! | [`cells`] | the first cells, from small clusters made block by block |
-//! | [`ladder`] | the levels: simplify within a bound, the cells' borders locked; prove; join cells; go on |
-//! | [`forest`] | collapses as splits of vertices, in an order in which any prefix is a mesh |
-//! | [`assemble`] | the mesh of a front of the tree |
+//! | [`dual`] | dual graph of triangles, with links between separate components |
+//! | [`cluster`] | clustering of triangles to cells, and of cells to larger cells |
+//! | [`cells`] | initial cells, from small clusters built in blocks |
+//! | [`ladder`] | levels: simplify within a bound with locked cell borders, prove, join cells, repeat |
+//! | [`forest`] | collapses as vertex splits, ordered so that every prefix is a mesh |
+//! | [`assemble`] | mesh of a front of the tree |
 
 pub mod assemble;
 pub mod cells;

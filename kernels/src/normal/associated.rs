@@ -1,34 +1,35 @@
-//! What a simplified mesh stands for: associated sets of original triangles and boundary vertices.
+//! Associated sets: the original triangles and boundary edges that each simplified triangle and edge
+//! represents.
 //!
-//! Li, Li, Xu and Li, "Normal mesh generation based on Laplacian operator", 2002, section 2: when v1 collapses into
-//! v2, the triangles that move along get the union of the sets of all triangles around v1. Neighbouring sets
-//! overlap, on purpose. A union is a node that names its parts, so that a collapse costs its valence only; what a
-//! set holds is listed once, at the end.
+//! Li, Li, Xu and Li, "Normal mesh generation based on Laplacian operator", 2002, section 2. When v1
+//! collapses into v2, each moved triangle gets the union of the sets of all triangles around v1. Sets of
+//! neighbouring triangles therefore overlap, as the paper intends. A union is stored as a node that
+//! references its parts, so a collapse costs O(valence). The members are expanded once, at the end.
 
 use crate::base::ids::{EdgeId, HalfedgeId};
 use crate::mesh::connectivity::Connectivity;
 
 const NONE: u32 = u32::MAX;
 
-/// Sets of original triangles, one for each triangle of the mesh as it is.
+/// Sets of original triangles, one per triangle of the current mesh.
 #[derive(Clone, Debug)]
 pub struct TriangleSets {
-    /// Nodes below this are original triangles.
+    /// Number of original triangles. Node ids below it are triangles; ids from it on are unions.
     originals: usize,
-    /// Where the parts of each union start, and one more for the end.
+    /// Start of each union in `parts`, plus the end of the last one.
     starts: Vec<u32>,
     parts: Vec<u32>,
-    /// The node of each triangle.
+    /// Node of each triangle, indexed by triangle slot.
     node: Vec<u32>,
 }
 
 impl TriangleSets {
-    /// Every triangle stands for itself.
+    /// Create one set per triangle, containing only the triangle.
     pub fn new(triangles: usize) -> Self {
         Self { originals: triangles, starts: vec![0], parts: vec![], node: (0..triangles as u32).collect() }
     }
 
-    /// The triangles `moved` get the union of the sets of the triangles `around`.
+    /// Assign to each triangle in `moved` the union of the sets of the triangles `around`.
     pub fn unite(&mut self, around: impl Iterator<Item = usize>, moved: impl Iterator<Item = usize>) {
         let first = self.parts.len();
         for triangle in around {
@@ -42,7 +43,8 @@ impl TriangleSets {
         moved.for_each(|triangle| self.node[triangle] = union);
     }
 
-    /// What the sets of some triangles hold, each in the order of `number` and numbered so.
+    /// List the members of the sets of some triangles. `number[t]` renumbers original triangle `t`; each set
+    /// is sorted by these numbers.
     pub fn listed(&self, triangles: impl Iterator<Item = usize>, number: &[u32]) -> Sets {
         let mut sets = Sets { starts: vec![0], members: vec![] };
         let mut seen = vec![NONE; self.originals + self.starts.len() - 1];
@@ -68,7 +70,7 @@ impl TriangleSets {
     }
 }
 
-/// Sets of numbers, each sorted.
+/// Sets of numbers in compressed form; the members of each set are sorted.
 #[derive(Clone, Debug)]
 pub struct Sets {
     starts: Vec<usize>,
@@ -76,7 +78,8 @@ pub struct Sets {
 }
 
 impl Sets {
-    /// Sort each set, of numbers below `count`: listed by number and dealt out again, all are sorted at once.
+    /// Sort the members of every set with two counting passes: by member, then back by set. All members are
+    /// below `count`.
     fn sort(&mut self, count: usize) {
         let mut ends = vec![0u32; count + 1];
         self.members.iter().for_each(|&member| ends[member as usize + 1] += 1);
@@ -95,11 +98,12 @@ impl Sets {
         }
     }
 
+    /// Return the sorted members of a set.
     pub fn of(&self, set: usize) -> &[u32] {
         &self.members[self.starts[set]..self.starts[set + 1]]
     }
 
-    /// The same sets in another order.
+    /// Return the sets permuted: set `i` of the result is set `order[i]`.
     pub fn reordered(&self, order: &[u32]) -> Self {
         let mut sets = Self { starts: vec![0], members: Vec::with_capacity(self.members.len()) };
         for &set in order {
@@ -109,24 +113,25 @@ impl Sets {
         sets
     }
 
+    /// Check whether a set contains a member, by binary search.
     #[inline]
     pub fn holds(&self, set: usize, member: u32) -> bool {
         self.of(set).binary_search(&member).is_ok()
     }
 }
 
-/// Chains of original boundary edges, one for each boundary edge of the mesh as it is.
+/// Chains of original boundary edges, one per boundary edge of the current mesh.
 #[derive(Clone, Debug)]
 pub struct Chains {
-    /// First and last of the chain of each edge, [`NONE`] inside.
+    /// First and last original edge of each edge's chain; [`NONE`] for interior edges.
     span: Vec<[u32; 2]>,
-    /// The boundary edge after each boundary edge of the input, and its halfedge.
+    /// Successor of each boundary edge of the input along the boundary, and its halfedge.
     after: Vec<u32>,
     halfedge: Vec<HalfedgeId>,
 }
 
 impl Chains {
-    /// Every boundary edge stands for itself.
+    /// Create one chain per boundary edge, containing only the edge.
     pub fn new(connectivity: &Connectivity) -> Self {
         let slots = connectivity.edge_slots();
         let mut chains = Self {
@@ -143,14 +148,14 @@ impl Chains {
         chains
     }
 
-    /// Two edges have become one: the boundary edge among them, if any, hands its chain on.
+    /// Merge the chains of two edges that a collapse has joined. At most one of the edges is a boundary edge.
     pub fn merge_sides(&mut self, kept: EdgeId, gone: EdgeId) {
         if self.span[kept.index()][0] == NONE {
             self.span[kept.index()] = self.span[gone.index()];
         }
     }
 
-    /// The chain of a boundary edge that has become a point goes to the edge before or after it.
+    /// Append the chain of a collapsed boundary edge to the boundary edge before or after it.
     pub fn append(&mut self, gone: EdgeId, before: Option<EdgeId>, after: Option<EdgeId>) {
         let [first, last] = self.span[gone.index()];
         if let Some(edge) = before {
@@ -160,7 +165,7 @@ impl Chains {
         }
     }
 
-    /// Original halfedges along a boundary edge.
+    /// List the original halfedges along a boundary edge, in boundary order.
     pub fn halfedges(&self, edge: EdgeId) -> Vec<HalfedgeId> {
         let [first, last] = self.span[edge.index()];
         let mut halfedges = vec![];

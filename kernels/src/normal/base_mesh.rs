@@ -1,4 +1,4 @@
-//! The base mesh, and what every triangle and boundary edge of it stands for.
+//! Base mesh with the parts of the input that its triangles and boundary edges represent.
 
 use super::associated::Sets;
 use super::parameters::Parameter;
@@ -6,22 +6,22 @@ use crate::base::ids::{HalfedgeId, VertexId};
 use crate::collapse::engine::Merge;
 use crate::subdivision::topology::NONE;
 
-/// A base mesh and what it stands for.
+/// Base mesh and its correspondence to the input.
 #[derive(Clone, Debug)]
 pub struct Base {
-    /// The input's vertex that each base vertex is.
+    /// Input vertex of each base vertex.
     pub vertex_source: Vec<u32>,
     pub triangles: Vec<[u32; 3]>,
-    /// Of each triangle: original triangles, in the numbering asked for.
+    /// Associated set of each base triangle: original triangles, in the caller's numbering.
     pub sets: Sets,
     pub chains: Vec<Chain>,
-    /// Where each vertex of the input lies. No triangle for those that none uses.
+    /// Position of each input vertex on the base; [`Parameter::NOWHERE`] for unused vertices.
     pub parameters: Vec<Parameter>,
-    /// The collapses that made it.
+    /// Collapses that produced the base, in order.
     pub collapses: Vec<Collapse>,
 }
 
-/// A vertex of the input that is gone, and the one that took its place.
+/// One half-edge collapse, in vertex ids of the input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Collapse {
     pub removed: VertexId,
@@ -34,18 +34,18 @@ impl From<&Merge> for Collapse {
     }
 }
 
-/// What a boundary edge of the base stands for.
+/// Chain of original boundary edges that one boundary edge of the base represents.
 #[derive(Clone, Debug)]
 pub struct Chain {
-    /// The base vertices it joins.
+    /// Base vertices at both ends.
     pub ends: [u32; 2],
-    /// Boundary halfedges of the input from the first to the second.
+    /// Boundary halfedges of the input, from the first end to the second.
     pub halfedges: Vec<HalfedgeId>,
 }
 
 impl Base {
-    /// The same with other numbers: `vertices` and `triangles` give the old number of each new one, `corners` the new
-    /// triangles, which may start from another corner.
+    /// Renumber vertices and triangles. `vertices` and `triangles` give the old index of each new one.
+    /// `corners` gives the new triangles, which may start from another corner.
     pub fn reordered(self, vertices: &[u32], triangles: &[u32], corners: &[[u32; 3]]) -> Self {
         let mut new_vertex = vec![NONE; self.vertex_source.len()];
         vertices.iter().enumerate().for_each(|(new, &old)| new_vertex[old as usize] = new as u32);

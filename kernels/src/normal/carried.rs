@@ -1,46 +1,49 @@
-//! What vertices carry beside their place, as channels: brightness and two differences of colour, and a confidence.
+//! Vertex attributes as channels: luma, two chroma differences and a confidence.
 
 use super::surface::{Place, Surface};
 
 /// Attributes of the input's vertices.
 #[derive(Clone, Debug, Default)]
 pub struct Carried {
-    /// Red, green and blue levels; empty for none.
+    /// RGB, 0 to 255 per component; empty without colours.
     pub colors: Vec<[u8; 3]>,
-    /// Any number; empty for none.
+    /// Confidence per vertex, any finite range; empty without confidences.
     pub confidence: Vec<f64>,
 }
 
-/// How many units a confidence has between the least and the largest, and at most up to the largest.
+/// Quantisation units between the smallest and the largest confidence, and the limit for quantised values.
+/// The limit keeps values with a large offset within 20 bits.
 const CONFIDENCE_UNITS: f64 = 255.0;
 const MOST_UNITS: f64 = (1 << 20) as f64;
-/// What rounding to whole levels takes of a tolerance.
+/// Part of the colour tolerance that rounding to 8-bit levels uses, in levels.
 const ROUNDING: f64 = 0.5;
-/// The least unit of a colour.
+/// Smallest unit of a colour channel, in 8-bit levels.
 const LEAST: f64 = 1.0 / 16.0;
 
-/// Levels of red, green and blue as brightness, orange–blue and green–magenta: the YCoCg transform (Malvar and Sullivan
-/// 2003) on real numbers.
+/// Convert RGB levels to luma, orange–blue and green–magenta: the YCoCg transform (Malvar and Sullivan 2003)
+/// on real numbers.
 fn to_channels([r, g, b]: [f64; 3]) -> [f64; 3] {
     let side = 0.5 * (r + b);
     [0.5 * (g + side), r - b, g - side]
 }
 
-/// Back to whole levels.
+/// Convert luma and chroma back to rounded RGB levels.
 pub fn to_levels([y, orange, green]: [f64; 3]) -> [u8; 3] {
     let side = y - 0.5 * green;
     [side + 0.5 * orange, y + 0.5 * green, side - 0.5 * orange].map(|x| x.round().clamp(0.0, 255.0) as u8)
 }
 
 impl Carried {
-    /// How many channels: 3 for colours and 1 for a confidence.
+    /// Number of channels: 3 for colours plus 1 for a confidence.
     pub fn channels(&self) -> u8 {
         3 * u8::from(!self.colors.is_empty()) + u8::from(!self.confidence.is_empty())
     }
 
-    /// One unit of each channel, such that no level of colour is farther off than `tolerance`, rounding included.
+    /// Compute the quantisation unit of each channel. Colours deviate by at most `tolerance` levels, rounding
+    /// included.
     ///
-    /// Half a unit of brightness and a quarter of both others add up.
+    /// Quantisation errors add up to one unit at most: half a unit from luma and a quarter from each chroma
+    /// channel.
     pub fn units(&self, tolerance: f64) -> [f32; 4] {
         let color = (tolerance - ROUNDING).max(LEAST) as f32;
         let [low, high] = self
@@ -48,7 +51,7 @@ impl Carried {
             .iter()
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &c| [low.min(c), high.max(c)]);
         let largest = low.abs().max(high.abs());
-        // One that is the same everywhere is one unit.
+        // A constant confidence becomes one unit.
         let unit =
             if high > low { ((high - low) / CONFIDENCE_UNITS).max(largest / MOST_UNITS) } else { largest };
         let confidence = if unit > 0.0 && unit.is_finite() { unit as f32 } else { 1.0 };
@@ -58,7 +61,7 @@ impl Carried {
         }
     }
 
-    /// The channels at a place.
+    /// Interpolate the channels at a surface point.
     pub fn at(&self, surface: &Surface, place: &Place) -> [f64; 4] {
         let vertices = surface.vertices(place.slot);
         let mixed = |of: &dyn Fn(usize) -> f64| {

@@ -1,4 +1,4 @@
-//! Collapsing a mesh to its base.
+//! Simplification of a mesh to its base mesh.
 
 use super::base_mesh::{Base, Chain, Collapse};
 use super::half_edge::{HalfEdge, Rule};
@@ -12,45 +12,47 @@ use crate::collapse::engine::{Engine, Until};
 use crate::mesh::triangle_mesh::Mesh;
 use crate::subdivision::topology::NONE;
 
-/// What shapes are usable: the next row counts where the one before leads no further.
+/// Shape rules, from strict to lenient. A rule applies once the stricter ones allow no more collapses.
 pub const RULES: [Rule; 3] = [
     Rule { quality: 0.1, neighbours: 10 },
     Rule { quality: 0.05, neighbours: 12 },
     Rule { quality: 0.01, neighbours: 20 },
 ];
-/// Triangles are tried out once there are at most so many times those wanted.
+/// Trial refinements start when at most this many times the target triangle count is left. Earlier they would
+/// cost much time and change little.
 const CAREFUL: usize = 4;
-/// The dearest collapse, as a part of the diagonal's fourth power: a base of some size is not worth any price. And the
-/// dearest without trying its triangles out.
+/// Maximum cost of a collapse, relative to the fourth power of the bounding box diagonal: the target count
+/// does not justify every collapse. `CHEAP` is the maximum without trial refinements.
 pub const DEAR: f64 = 2e-5;
 const CHEAP: f64 = 2e-8;
 
-/// How far the base goes: whatever comes first.
+/// Stop criteria of the base; the first one reached applies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
-    /// At most so many triangles.
+    /// Maximum number of triangles.
     pub triangles: usize,
-    /// Root of the mean squared distance from the planes a vertex stands for.
+    /// Maximum RMS distance of a vertex from the planes that its quadric contains, in mesh units.
     pub error: f64,
-    /// Go on beyond what is dear, as long as all triangles of a collapse can be refined.
+    /// Continue above the cost limit, as long as all triangles of a collapse can be refined.
     pub at_any_price: bool,
 }
 
-/// A mesh on its way to the base, coarse enough that from here on it pays to try triangles out.
+/// Partly simplified mesh. From here on, collapses are checked by trial refinements.
 #[derive(Clone)]
 pub struct Coarse<'a> {
     mesh: Mesh<3>,
     measure: HalfEdge<'a>,
-    /// Of costs.
+    /// Unit of costs: the fourth power of the bounding box diagonal.
     unit: f64,
     target: Target,
-    /// Whether it is the base already, and no levels will come: then needles stay, too.
+    /// True if the mesh already is the base and no levels follow. Its needles are then kept.
     is_base: bool,
-    /// What has made it of the input.
+    /// Collapses from the input to this mesh, in order.
     collapses: Vec<Collapse>,
 }
 
-/// Collapse as far as no care is needed. A mesh that is not `refined` afterwards stays as it is if no triangle has to go.
+/// Collapse edges without trial refinements. A mesh that gets no levels (not `refined`) and already meets the
+/// triangle target is left unchanged.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -75,8 +77,8 @@ pub fn coarse<'a>(
 }
 
 impl Coarse<'_> {
-    /// Collapse to the base, or as far as can be. `importance` is by how much the error at each vertex of the input
-    /// counts; `number` gives the number of each original triangle in the sets.
+    /// Collapse edges down to the base, or as far as the rules allow. `importance` weights the error at each
+    /// input vertex. `number` gives the number of each original triangle in the associated sets.
     ///
     /// # Errors
     /// [`KernelError::Interrupted`].
@@ -119,7 +121,8 @@ impl Coarse<'_> {
     }
 }
 
-/// The base that a mesh has become. `number` gives the number of each original triangle in the sets.
+/// Extract the base from a simplified mesh. `number` gives the number of each original triangle in the
+/// associated sets.
 pub fn described(mesh: &Mesh<3>, measure: &HalfEdge<'_>, number: &[u32], collapses: Vec<Collapse>) -> Base {
     let connectivity = &mesh.connectivity;
     let compact = mesh.compact();

@@ -1,4 +1,4 @@
-//! From a file back to its levels.
+//! Decoding of a file into its levels.
 
 use super::grid::Steps;
 use super::level::Level;
@@ -6,10 +6,11 @@ use super::normal_mesh::{NormalMesh, Step};
 use crate::base::reserve::Reserve;
 use crate::snm::{Reader, SnmError};
 
-/// The levels of a file up to a wanted one, and why there are fewer than it was made with, if something is wrong.
+/// Decode the levels of a file up to level `wanted`. If a later part is damaged, the levels before it are
+/// returned with the error.
 ///
 /// # Errors
-/// If not even the base mesh can be read, or the memory is used up.
+/// If the base mesh cannot be read or memory is exhausted.
 pub fn decode(file: &[u8], wanted: usize) -> Result<(NormalMesh, Option<SnmError>), SnmError> {
     let (mut reader, header, base) = Reader::new(file)?;
     let damaged = |_| SnmError::Damaged { part: 0 };

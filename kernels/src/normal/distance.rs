@@ -1,26 +1,27 @@
-//! How far a level and the input are apart, from samples of both.
+//! Sampled distance between a level and the input, in both directions.
 
 use super::level::Level;
 use super::surface::Surface;
 use crate::base::geometry::{Vec3, area};
 use crate::base::parallel::fill;
 
-/// A level, and the slots of the input's triangles that its vertices lie on: what is near is found sooner.
+/// A level with the slot of the input triangle under each vertex. The slots are start values that speed up
+/// nearest-triangle queries.
 pub struct Fine<'a> {
     pub level: &'a Level,
     pub slots: &'a [u32],
 }
 
-/// Mean squares of the distance.
+/// Mean squared distances.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distance {
-    /// The larger of both directions, over the areas.
+    /// Area-weighted mean squared distance; the larger of both directions.
     pub mean_square: f64,
-    /// From each triangle of the input to the level.
+    /// Squared distance from each input triangle's centroid to the level.
     pub from_input: Vec<f64>,
 }
 
-/// Most samples along a side of a triangle.
+/// Maximum number of samples along a triangle side; limits the time on very large triangles.
 const MOST: usize = 24;
 
 impl Fine<'_> {
@@ -33,7 +34,8 @@ impl Fine<'_> {
     }
 }
 
-/// From the middle of each triangle of the input and of the level.
+/// Compute the mean squared distance, sampled at the centroids of all triangles of the input and of the
+/// level.
 pub fn mean_square(
     points: &[Vec3],
     triangles: &[[u32; 3]],
@@ -52,8 +54,8 @@ pub fn mean_square(
     Distance { mean_square: there.max(mean(&from_level, |t| fine.corners(t))), from_input }
 }
 
-/// The largest distance there is from any vertex of the input, and from about as many points of the level, evenly over
-/// each of its triangles.
+/// Compute the maximum distance between the input and the level. Samples are all used vertices of the input
+/// and about as many points of the level, evenly spaced on each of its triangles.
 pub fn largest(
     points: &[Vec3],
     triangles: &[[u32; 3]],
@@ -70,7 +72,7 @@ pub fn largest(
     fill(&mut from_level, threads, |t| {
         let corners = fine.corners(t);
         let mut largest = 0.0f64;
-        // Middles of the small triangles that stand upright when each side is cut into so many parts.
+        // Centroids of the sub-triangles oriented like their parent, with each side split into `side` parts.
         for i in 0..side {
             for j in 0..side - i {
                 let [u, v] = [i, j].map(|k| (k as f64 + 1.0 / 3.0) / side as f64);
@@ -85,11 +87,12 @@ pub fn largest(
     used.chain(from_level).fold(0.0, f64::max).sqrt()
 }
 
+/// Compute the centroid of a triangle.
 pub fn middle([a, b, c]: &[Vec3; 3]) -> Vec3 {
     std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)
 }
 
-/// Mean over triangles by their area.
+/// Compute the area-weighted mean of one value per triangle.
 fn mean(values: &[f64], corners: impl Fn(usize) -> [Vec3; 3]) -> f64 {
     let (mut sum, mut whole) = (0.0, 0.0);
     for (t, value) in values.iter().enumerate() {

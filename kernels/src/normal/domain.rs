@@ -1,31 +1,33 @@
-//! The base mesh as the domain of a parametrisation: points on it, seen from any of its triangles.
+//! Base mesh as a parametrisation domain; points can be expressed in the coordinates of any nearby triangle.
 //!
-//! Beyond a side of a triangle the neighbour is laid out affinely: with corners a, b, c and d across from a–b, d counts
-//! as a + b − c.
+//! Across an edge, coordinates are extended affinely. For a triangle a, b, c with the neighbour's far corner
+//! d across edge a–b, d is mapped to a + b − c.
 
 use super::base_mesh::Base;
 use super::parameters::{Parameter, barycentric};
 use super::surface::{Place, Surface};
 use crate::subdivision::topology::{NONE, Topology};
 
-/// How many sides away a point is still looked for.
+/// Maximum number of edges to cross when looking for the triangle of a point.
 const DEPTH: usize = 3;
-/// Steps towards the triangle that holds a point.
+/// Maximum number of triangle-to-triangle steps towards the triangle that contains a point.
 const STEPS: usize = 8;
 
+/// Base mesh as a parametrisation domain, with the input triangles on each base triangle.
 pub struct Domain<'a> {
     corners: Vec<[u32; 3]>,
-    /// The triangle beyond each side, and which of its sides that is.
+    /// Neighbour across each side, and the index of the shared side in that neighbour.
     beyond: Vec<[(u32, usize); 3]>,
-    /// Of each vertex of the input.
+    /// Position of each input vertex on the base.
     parameters: &'a [Parameter],
     surface: &'a Surface,
-    /// Original triangles (slots) that may lie in each triangle of the base.
+    /// Candidate input triangles (slots) of each base triangle, in compressed form.
     starts: Vec<u32>,
     slots: Vec<u32>,
 }
 
 impl<'a> Domain<'a> {
+    /// Build the domain from a base, the topology of its level 0, and the input surface.
     pub fn new(base: &'a Base, topology: &Topology, surface: &'a Surface) -> Self {
         let mut beyond = vec![[(NONE, 0); 3]; topology.triangles.len()];
         for (t, edges) in topology.triangle_edges.iter().enumerate() {
@@ -50,8 +52,8 @@ impl<'a> Domain<'a> {
         domain
     }
 
-    /// Which original triangles may lie in which triangle of the base: where their corners do, and, for those with
-    /// corners in several, next to these.
+    /// Assign input triangles to the base triangles that may contain parts of them. These are the base
+    /// triangles of its corners. If the corners are in different base triangles, the neighbours are included.
     fn list(&mut self) {
         let mut pairs: Vec<(u32, u32)> = vec![];
         for slot in 0..self.surface.len() as u32 {
@@ -78,7 +80,7 @@ impl<'a> Domain<'a> {
             }
             pairs.truncate(kept);
         }
-        // By counting; slots stay in order.
+        // Counting sort keeps the slots of each base triangle in order.
         self.starts = vec![0; self.corners.len() + 1];
         pairs.iter().for_each(|(t, _)| self.starts[*t as usize + 1] += 1);
         for t in 0..self.corners.len() {
@@ -92,7 +94,8 @@ impl<'a> Domain<'a> {
         }
     }
 
-    /// A point in the coordinates of a triangle near by.
+    /// Express a point in the barycentric coordinates of a nearby base triangle. None if the triangle is too
+    /// far away.
     pub fn seen_from(&self, point: &Parameter, triangle: u32) -> Option<[f64; 3]> {
         if point.triangle == triangle {
             return Some(point.barycentric);
@@ -100,7 +103,7 @@ impl<'a> Domain<'a> {
         if point.triangle == NONE {
             return None;
         }
-        // A corner that both have needs no way.
+        // Shortcut for a corner shared by both triangles: its coordinates are exact.
         if let Some(corner) = point.barycentric.iter().position(|&x| x == 1.0) {
             let v = self.corners[point.triangle as usize][corner];
             if let Some(i) = self.corners[triangle as usize].iter().position(|&w| w == v) {
@@ -131,7 +134,8 @@ impl<'a> Domain<'a> {
         None
     }
 
-    /// The same point in the triangle that holds it, as far as the base goes.
+    /// Convert a point with coordinates outside its triangle to the triangle that contains it, as far as the
+    /// base extends.
     pub fn settled(&self, triangle: u32, barycentric: [f64; 3]) -> Parameter {
         let mut at = Parameter { triangle, barycentric };
         for _ in 0..STEPS {
@@ -149,7 +153,7 @@ impl<'a> Domain<'a> {
         at
     }
 
-    /// Where a place of the surface lies, in the coordinates of a triangle near by.
+    /// Map a surface point to the base, in the coordinates of a nearby base triangle.
     pub fn parameter(&self, slot: u32, barycentric: &[f64; 3], triangle: u32) -> Option<[f64; 3]> {
         let mut sum = [0.0; 3];
         for (v, weight) in self.surface.vertices(slot).into_iter().zip(barycentric) {
@@ -159,7 +163,7 @@ impl<'a> Domain<'a> {
         Some(sum)
     }
 
-    /// The place of the surface that lies at a point of the base.
+    /// Find the surface point that maps to a point of the base.
     pub fn located(&self, point: &Parameter) -> Option<Place> {
         let t = point.triangle;
         if t == NONE {
@@ -189,7 +193,8 @@ impl<'a> Domain<'a> {
     }
 }
 
-/// Coordinates in the triangle beyond side `back` of the one they are given in, whose side `side` that is.
+/// Convert barycentric coordinates across an edge. The edge is side `back` of the triangle that `there`
+/// refers to, and side `side` of the triangle of the result.
 fn unfolded(there: &[f64; 3], back: usize, side: usize) -> [f64; 3] {
     let far = there[(back + 2) % 3];
     let mut here = [0.0; 3];

@@ -1,11 +1,11 @@
-//! A triangle that is not sound.
+//! Folds: triangles of a level that are flipped or needles.
 
 use crate::base::geometry::Vec3;
 
-/// A triangle of some level that is turned over or a needle.
+/// A flipped triangle or needle at some level.
 #[derive(Clone, Copy, Debug)]
 pub struct Fold {
-    /// The base triangle, or that of the level before, that it is or is a part of.
+    /// Index of the ancestor triangle: on the coarser level during refinement, on the base afterwards.
     pub triangle: usize,
     pub middle: Vec3,
 }

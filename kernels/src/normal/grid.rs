@@ -1,13 +1,13 @@
-//! From real offsets to whole numbers and back, for encoder and decoder.
+//! Quantisation of offsets and base vertices, shared by encoder and decoder.
 
 use super::predict::{Frame, Predicted};
 use crate::base::geometry::{Vec3, add_scaled, dot, sub};
 use crate::subdivision::contents::{Header, Offset};
 
-/// The most that an offset can be off by, in steps.
+/// Maximum quantisation error of an offset, in steps.
 pub const ROUNDED_OFF: f64 = 0.6;
 
-/// Steps of one level.
+/// Quantisation steps of one level, in mesh units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Steps {
     pub scalar: f64,
@@ -15,7 +15,7 @@ pub struct Steps {
 }
 
 impl Steps {
-    /// Of the level that refines level `level`.
+    /// Compute the steps for the offsets that refine `level`.
     pub fn of(header: &Header, level: usize) -> Self {
         let coarser = usize::from(header.levels).saturating_sub(level + 1);
         let ratio = f64::from(header.step_ratio);
@@ -23,20 +23,20 @@ impl Steps {
         Self { scalar: factor * f64::from(header.step), vector: f64::from(header.grid) }
     }
 
-    /// A distance along the normal in whole steps. More than half a step is needed to leave 0: in the file a 0 is far
-    /// shorter, and never farther off than [`ROUNDED_OFF`] steps.
+    /// Quantise a distance along the normal with a dead zone. Distances below [`ROUNDED_OFF`] steps become 0,
+    /// because zeros take far fewer bits in the file.
     pub fn scalar(&self, distance: f64) -> i32 {
         let steps = (distance.abs() / self.scalar + 1.0 - ROUNDED_OFF).floor();
         steps.copysign(distance) as i32
     }
 
-    /// The vector nearest to a point.
+    /// Quantise the vector from a predicted point to `point`.
     pub fn vector(&self, predicted: &Vec3, frame: &Frame, point: &Vec3) -> Offset {
         let off = sub(point, predicted);
         Offset::Vector([0, 1, 2].map(|i| (dot(&off, &frame[i]) / self.vector).round() as i32))
     }
 
-    /// Where the offset of an edge's new vertex leads.
+    /// Apply a quantised offset to the predicted vertex of an edge.
     pub fn apply(&self, predicted: &Predicted, edge: usize, offset: &Offset) -> Vec3 {
         let (point, frame) = (&predicted.points[edge], &predicted.frames[edge]);
         match offset {
@@ -51,16 +51,17 @@ impl Steps {
     }
 }
 
-/// Base vertices as grid points, and back.
+/// Round a base vertex to grid coordinates. The inverse is [`from_grid`].
 pub fn on_grid(p: &Vec3, header: &Header) -> [i32; 3] {
     p.map(|x| (x / f64::from(header.grid)).round() as i32)
 }
 
+/// Convert grid coordinates to a position relative to the header's origin.
 pub fn from_grid(k: &[i32; 3], header: &Header) -> Vec3 {
     k.map(|x| f64::from(x) * f64::from(header.grid))
 }
 
-/// What channels differ by from what is expected, in units.
+/// Quantise the difference between channels and their prediction, in channel units.
 pub fn in_units(channels: &[f64; 4], expected: &[f64; 4], header: &Header) -> [i32; 4] {
     std::array::from_fn(|i| {
         let used = i < usize::from(header.channels);

@@ -1,9 +1,10 @@
-//! The measure of the base: half-edge collapse by quadrics, dearer where it makes a patch that refines badly.
+//! Cost measure for base simplification: half-edge collapses by quadric error, penalised by trial
+//! refinements.
 //!
-//! A collapse takes one end of its edge into the other, so that base vertices are vertices of the input (Li, Li, Xu and
-//! Li 2002, section 2). Its cost is the quadric error there (Garland and Heckbert 1997), or what a trial refinement of
-//! the new triangles leaves, whichever is more; times factors for needles, for vertices of many triangles and for
-//! triangles that turn away from the surface.
+//! A collapse moves one end of the edge onto the other (Li, Li, Xu and Li 2002, section 2). Base vertices are
+//! therefore input vertices. The first cost is the quadric error at the survivor (Garland and Heckbert 1997).
+//! The second is the error left after a trial refinement of the new triangles. The larger one counts. Factors
+//! penalise needles, high valence and triangles that turn away from the surface.
 
 use super::associated::{Chains, TriangleSets};
 use super::parameters::Parameters;
@@ -17,78 +18,85 @@ use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 use crate::quadrics::quadric::Quadric;
 
-/// Weight of the squared length of an edge beside the squared distances: among collapses that do little harm, short
-/// edges go first, and the triangles stay even.
+/// Weight of the squared edge length, relative to the squared quadric distance. Among nearly free collapses,
+/// short edges go first, which keeps triangle sizes even.
 const EVENNESS: f64 = 1e-6;
-/// Weight of the walls on boundary edges, against the area of the square over the edge.
+/// Weight of the constraint planes on boundary edges, relative to the square of the edge length.
 const BOUNDARY: f64 = 1.0;
-/// A triangle turns away where the cosine between it and the surface at a corner is below this.
+/// A triangle turns away from the surface if its cosine with a corner normal is below this.
 const LEAST_COSINE: f64 = 0.2;
-/// Where it is above this at all corners, nobody asks whether the triangle is turned over.
+/// With at least this cosine at all corners, the triangle cannot be flipped and the exact test is skipped.
 const SURE: f64 = 0.7;
-/// And what a triangle has to have where none may be turned over: what is nearly turned may turn with the next level.
+/// Minimum agreement with the surface if `upright` is set. A nearly flipped triangle may flip on the next
+/// level.
 const LEAST_UPRIGHT: f64 = 0.1;
-/// How much dearer that makes a collapse, and how much one triangle that cannot be refined does.
+/// Cost factors: for each triangle that turns away, and for each triangle that cannot be refined.
 const TURNED: f64 = 4.0;
 const UNFIT: f64 = 4.0;
-/// Growth of the cost with the square of the neighbours beyond six.
+/// Increase of the cost with the squared number of neighbours above six, the regular valence.
 const CROWD: f64 = 0.1;
-/// Reach of the trial's lines in lengths of their edge, and the least soundness of the triangles it makes.
+/// Search distance of trial refinements in edge lengths, and the minimum agreement of their triangles with
+/// the surface.
 const REACH: f64 = 0.6;
 const LEAST_SOUNDNESS: f64 = 0.3;
-/// Where a surface is smooth, one refinement leaves about this part of the squared error: what is left counts so much more.
+/// Factor that makes trial errors comparable to quadric errors. On a smooth surface one refinement leaves
+/// about 1/16 of the squared error.
 const LEFT: f64 = 16.0;
-/// Trials that are remembered, a power of two: a collapse leaves most triangles of later ones as they were.
+/// Slots of the trial cache, a power of two. A collapse leaves most triangles of later trials unchanged.
 const REMEMBERED: usize = 1 << 16;
 
-/// What shapes are usable at all: least quality of a triangle (1 for equal sides, 0 for none) and most neighbours of
-/// a vertex.
+/// Limits for usable shapes: minimum triangle quality (1 equilateral, 0 degenerate) and maximum vertex
+/// valence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
     pub quality: f64,
     pub neighbours: usize,
 }
 
+/// Reason to refuse a collapse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Refused {
-    /// No usable shape, or too dear.
+    /// The shape is unusable, or the cost exceeds the limit.
     Shape,
-    /// Beyond the error.
+    /// The squared error exceeds its limit.
     Error,
 }
 
-/// A triangle of the input's vertices, from its smallest number on, and what a trial left of its squared error.
+/// Cache entry of a trial: the triangle, starting at its smallest vertex, and the squared error left by the
+/// trial.
 #[derive(Clone, Copy, Debug)]
 struct Tried {
     corners: [u32; 3],
     left: Option<f64>,
 }
 
+/// Cost measure of half-edge collapses, with the correspondence between mesh and input.
 #[derive(Clone, Debug)]
 pub struct HalfEdge<'a> {
     surface: &'a Surface,
     quadrics: Vec<Quadric<0>>,
-    /// By how much the error at each vertex counts.
+    /// Weight of the error at each vertex.
     importance: Vec<f64>,
-    /// By a hash of their corners.
+    /// Trial cache, addressed by a hash of the corners.
     tried: Vec<Tried>,
-    /// Squared error that no vertex may pass.
+    /// Maximum squared error of a vertex.
     error2: f64,
     pub triangles: TriangleSets,
     pub chains: Chains,
     pub parameters: Parameters,
     pub rule: Rule,
-    /// Whether triangles are tried out.
+    /// Run trial refinements.
     pub careful: bool,
-    /// Whether triangles that turn away or cannot be refined are refused, not only dear.
+    /// Refuse triangles that turn away or cannot be refined, instead of penalising them.
     pub strict: bool,
-    /// Whether no triangle may be turned over, or nearly, not even one that was before.
+    /// Refuse flipped or nearly flipped triangles, even if they were flipped before the collapse.
     pub upright: bool,
-    /// The dearest collapse allowed.
+    /// Maximum cost of a collapse.
     pub limit: f64,
 }
 
 impl<'a> HalfEdge<'a> {
+    /// Create the measure for a mesh that equals the input. `error` is the maximum RMS distance of a vertex.
     pub fn new(mesh: &Mesh<3>, surface: &'a Surface, error: f64, rule: Rule) -> Self {
         let corners: Vec<[u32; 3]> =
             mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0)).collect();
@@ -109,25 +117,27 @@ impl<'a> HalfEdge<'a> {
         }
     }
 
-    /// Make what each vertex stands for count by a factor.
+    /// Scale the error of each vertex by its importance.
     pub fn weigh(&mut self, importance: &[f64]) {
         self.quadrics.iter_mut().zip(importance).for_each(|(quadric, factor)| quadric.scale(*factor));
         self.importance.copy_from_slice(importance);
     }
 
-    /// Unit normals of the input at vertices.
+    /// Look up the unit normals of the input at three vertices.
     pub fn normals(&self, vertices: [VertexId; 3]) -> [&Vec3; 3] {
         vertices.map(|v| &self.surface.normals()[v.index()])
     }
 
-    /// Whether an edge may collapse into one of its ends for no more than `limit`, whatever its triangles add.
+    /// Check whether an edge may collapse into one of its ends for at most `limit`, before triangle
+    /// penalties.
     pub fn allows(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize, limit: f64) -> bool {
         let together = self.together(star.ends);
         together.error(&star.end_points[survivor]) <= self.error2 * together.area
             && self.cost(mesh, star.edge, star.ends, survivor) <= limit
     }
 
-    /// Whether an edge may collapse into one of its ends, at any price, for the triangles it makes.
+    /// Check whether an edge may collapse into one of its ends as far as its triangles are concerned, at any
+    /// cost.
     pub fn fits(&mut self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         keeps_triangles(star, &star.end_points[survivor]).is_ok()
             && self.full_cost(mesh, star, survivor, 0.0, f64::INFINITY).is_some()
@@ -137,7 +147,7 @@ impl<'a> HalfEdge<'a> {
         self.quadrics[ends[0].index()].sum(&self.quadrics[ends[1].index()])
     }
 
-    /// Error at an end for what both ends stand for; infinite for one that must not survive.
+    /// Compute the error of the merged quadrics at one end. Infinite if the other end must stay.
     fn cost(&self, mesh: &Mesh<3>, edge: EdgeId, ends: [VertexId; 2], survivor: usize) -> f64 {
         if mesh.staying_ends(edge)[1 - survivor] {
             return f64::INFINITY;
@@ -147,7 +157,8 @@ impl<'a> HalfEdge<'a> {
         together.error(mesh.point(ends[survivor])) + EVENNESS * together.area * distance2(a, b)
     }
 
-    /// The cost with all that its triangles add; none if they are not usable, or where it passes `limit`.
+    /// Compute the cost including triangle penalties. None if a triangle is unusable or the cost exceeds
+    /// `limit`.
     fn full_cost(
         &mut self,
         mesh: &Mesh<3>,
@@ -158,7 +169,7 @@ impl<'a> HalfEdge<'a> {
     ) -> Option<f64> {
         let normals = self.surface.normals();
         let (end, point) = (star.ends[survivor], &star.end_points[survivor]);
-        // A corner across from the edge is a neighbour of both ends.
+        // A corner opposite the edge neighbours both ends and must not count twice.
         let neighbours = star.spokes.len() - star.vanishing.len();
         if neighbours > self.rule.neighbours {
             let most = star.ends.map(|v| mesh.connectivity.spokes(v).count()).into_iter().max();
@@ -196,7 +207,7 @@ impl<'a> HalfEdge<'a> {
         factor *= (1.0 + CROWD * crowd * crowd) / (worst * worst * worst);
         let (mut left, careful) = (0.0, self.careful);
         for wing in moved().filter(|_| careful) {
-            // Trials take most of the time.
+            // Trials take most of the time, so stop before them where possible.
             if factor * cost.max(LEFT * left) > limit {
                 return None;
             }
@@ -209,13 +220,13 @@ impl<'a> HalfEdge<'a> {
         Some(factor * cost.max(LEFT * left)).filter(|full| *full <= limit)
     }
 
-    /// Whether a triangle looks away from the surface at its corners or next to its middle.
+    /// Check whether a triangle is flipped against the surface at its corners or next to its centroid.
     fn turns_over(&self, points: [&Vec3; 3], normals: [&Vec3; 3]) -> bool {
         let least = if self.upright { LEAST_UPRIGHT } else { 0.0 };
         against_surface(self.surface, points, normals, [], None, least) <= least
     }
 
-    /// What [`left_by_refinement`] says of a triangle, weighed.
+    /// Return the cached result of [`left_by_refinement`], weighted by importance.
     fn tried(&mut self, vertices: [VertexId; 3], points: [&Vec3; 3]) -> Option<f64> {
         let first = if vertices[0] < vertices[1].min(vertices[2]) {
             0
@@ -241,7 +252,7 @@ impl<'a> HalfEdge<'a> {
 
 impl Measure<3> for HalfEdge<'_> {
     type Bound = Refused;
-    /// The cost.
+    /// Cost of the collapse.
     type Change = f64;
 
     fn priority(&self, mesh: &Mesh<3>, edge: EdgeId) -> Result<f64, Refused> {
@@ -261,7 +272,7 @@ impl Measure<3> for HalfEdge<'_> {
                 best = best.or(Err(Refused::Error));
                 continue;
             }
-            // An end that stays never goes.
+            // The cost is infinite if the removed end must stay.
             let limit = best.as_ref().map_or(self.limit, |best| best.change);
             if !cost.is_finite() || cost > limit || keeps_triangles(star, &point).is_err() {
                 continue;
@@ -306,8 +317,8 @@ impl Measure<3> for HalfEdge<'_> {
     }
 }
 
-/// What is left of the squared error of a triangle once it is refined; none if it cannot be: if the lines through the
-/// middles of its sides do not pierce the surface near by, or the four triangles that makes do not look along it.
+/// Compute the squared error that one refinement of a triangle leaves. None if a line through an edge
+/// midpoint misses the nearby surface, or if one of the four children disagrees with it.
 fn left_by_refinement(surface: &Surface, corners: [&Vec3; 3], at: [&Vec3; 3]) -> Option<f64> {
     let (mut points, mut normals, mut slots) = ([[0.0; 3]; 6], [[0.0; 3]; 6], [0; 3]);
     for i in 0..3 {
@@ -333,13 +344,14 @@ fn left_by_refinement(surface: &Surface, corners: [&Vec3; 3], at: [&Vec3; 3]) ->
     Some(left)
 }
 
-/// 4√3 · area over the sum of the squared sides: 1 for equal sides, 0 for a needle.
+/// Compute the shape quality, 4√3 · area / sum of squared sides: 1 for equilateral triangles, 0 for
+/// degenerate ones.
 pub fn quality(a: &Vec3, b: &Vec3, c: &Vec3) -> f64 {
     let sides2 = distance2(a, b) + distance2(b, c) + distance2(c, a);
     if sides2 > 0.0 { 4.0 * 3f64.sqrt() * area([a, b, c]) / sides2 } else { 0.0 }
 }
 
-/// Quadrics of the triangles around each vertex, and of walls on the boundary.
+/// Compute the quadric of each vertex: the planes of its triangles and constraint planes on the boundary.
 fn quadrics(mesh: &Mesh<3>) -> Vec<Quadric<0>> {
     let mut quadrics = vec![Quadric::default(); mesh.points.len()];
     for t in mesh.connectivity.triangles() {

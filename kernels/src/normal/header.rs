@@ -1,4 +1,4 @@
-//! The first lines of a file: the grid of the base, the steps of the levels, and how many there are.
+//! File header: grid of the base, quantisation steps and number of levels.
 
 use super::carried::Carried;
 use super::grid::ROUNDED_OFF;
@@ -8,23 +8,25 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, diagonal};
 use crate::subdivision::contents::Header;
 
-/// Levels at most where their number is not given.
+/// Maximum number of levels if the caller gives none.
 pub const MOST_LEVELS: u8 = 4;
-/// Steps of a level in those of the next finer one: what is wrong early spreads far.
+/// Step of a level relative to the next finer level. Coarse levels get finer steps, because their errors
+/// spread.
 const STEP_RATIO: f32 = 0.625;
-/// Bits of the mantissas of steps: the file is shorter for round numbers.
+/// Mantissa bits kept in steps. Round numbers shorten the file.
 const MANTISSA: u32 = 3;
-/// Spacings of the grid in tolerances, where no levels follow: among the points around a vertex one is near enough.
+/// Grid spacing in tolerances if no levels follow. Rounding chooses among several grid points, one of which
+/// is near enough.
 pub const GRID_ALONE: f64 = 2.0;
-/// A mesh farther from the origin than this many diagonals gets one of its own.
+/// A mesh farther from the origin than this many diagonals gets an offset origin.
 const FAR: f64 = 4.0;
-/// Grid points that 32 bits hold with room for the coder's predictions.
+/// Maximum grid coordinate; leaves headroom in 32 bits for the coder's predictions.
 const MOST_GRID_POINTS: f64 = (1u32 << 29) as f64;
 
-/// For a mesh within `bounds`, as exact as is asked for, or as can be.
+/// Build the header for a mesh within `bounds`, with the requested tolerance or else the finest one.
 ///
 /// # Errors
-/// [`KernelError::Extent`] if the mesh is too small or too large for the numbers of a file.
+/// [`KernelError::Extent`] if the mesh is too small or too large for the number range of a file.
 pub fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Result<Header, KernelError> {
     let size = diagonal(&bounds);
     let tolerance = settings.tolerance.unwrap_or(FINEST);
@@ -35,7 +37,7 @@ pub fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Resu
     }
     let farthest = bounds.iter().flatten().fold(0.0f64, |most, x| most.max(x.abs()));
     let far = farthest > FAR * size || farthest / f64::from(grid) > MOST_GRID_POINTS;
-    // On the coarsest grid that may follow from this one.
+    // The origin must be a point of the coarsest grid that the tolerance search may select.
     let cells = if settings.tolerance.is_some() { 1 } else { 1i64 << MOST_DOUBLINGS };
     let near = |x: f64| cells * (x / f64::from(grid) / cells as f64).round() as i64;
     let origin = if far { bounds[0].map(near) } else { [0; 3] };
@@ -53,20 +55,20 @@ pub fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Resu
     })
 }
 
-/// Levels after which a base has about as many triangles as are wanted.
+/// Compute the number of levels after which a base has about the wanted number of triangles.
 pub fn levels_for(base: usize, triangles: usize) -> u8 {
     let growth = triangles as f64 / base.max(1) as f64;
     (1..MOST_LEVELS).find(|&level| growth < 2.0 * 4f64.powi(level.into())).unwrap_or(MOST_LEVELS)
 }
 
-/// A number that is not larger and has a short mantissa.
+/// Round down to a number with a short mantissa.
 fn round_down(x: f64) -> f32 {
     let near = x as f32;
     let below = if f64::from(near) > x { near.next_down() } else { near };
     f32::from_bits(below.to_bits() >> (23 - MANTISSA) << (23 - MANTISSA))
 }
 
-/// The same with steps doubled so often, and the same origin.
+/// Double the grid and steps `doublings` times, keeping the origin in place.
 pub fn coarser(header: &Header, doublings: u32) -> Header {
     let factor = (1u32 << doublings) as f32;
     Header {

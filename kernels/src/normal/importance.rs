@@ -1,20 +1,20 @@
-//! Which parts of the input deserve base triangles: those where a trial stays far from it.
+//! Importance of input vertices, from the error of a trial.
 //!
-//! Quadrics know how far the base is from the input, not how far its levels will be: with every level, errors fall to
-//! a quarter where the surface is smooth, but only to a half along a crease, and hardly at all in a pocket that no line
-//! meets. A trial tells. The root of what a base triangle contributes to its squared error, against the mean, is by how
-//! much the quadrics there count more in the next one.
+//! Quadrics measure the distance of the base from the input, not the distance of its later levels. Each level
+//! cuts the error to a quarter on smooth surfaces, but only to a half along creases. Pockets that no line
+//! reaches hardly improve. A trial measures the final error. The next trial weights quadrics by the root of
+//! each base triangle's share of that squared error, relative to the mean.
 
 use super::base_mesh::Base;
 use crate::base::geometry::{Vec3, area};
 
-/// How much more or less a part may count after one trial.
+/// Maximum factor by which one trial raises or lowers the importance.
 const MOST: f64 = 16.0;
 
-/// How much more a part counts where triangles turned over.
+/// Factor for vertices on base triangles with flipped descendants.
 const INSISTENCE: f64 = 16.0;
 
-/// Make vertices of the input count more on base triangles that could not be refined soundly.
+/// Raise the importance of input vertices on base triangles that were refined into folds.
 pub fn insist(importance: &mut [f64], base: &Base, faulty: impl Iterator<Item = usize>) {
     let mut is_faulty = vec![false; base.triangles.len()];
     faulty.for_each(|t| is_faulty[t] = true);
@@ -25,8 +25,8 @@ pub fn insist(importance: &mut [f64], base: &Base, faulty: impl Iterator<Item = 
     }
 }
 
-/// Multiply the importance of the input's vertices by what a trial with this base says. `error2` are the mean squares of
-/// the distance of the input's triangles from its finest level.
+/// Multiply the importance of input vertices by the relative error of a trial with this base. `error2` holds
+/// the squared distance of each input triangle from the trial's finest level.
 pub fn weigh(importance: &mut [f64], points: &[Vec3], triangles: &[[u32; 3]], base: &Base, error2: &[f64]) {
     let of = |v: u32| base.parameters[v as usize].triangle as usize;
     let mut share = vec![0.0; base.triangles.len()];

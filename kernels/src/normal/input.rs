@@ -1,4 +1,4 @@
-//! A mesh as the search for its levels needs it.
+//! Input mesh, prepared for the vertex search.
 
 use super::carried::Carried;
 use super::rounding::Samples;
@@ -6,30 +6,33 @@ use super::settings::Settings;
 use super::surface::{Place, Surface};
 use crate::base::geometry::{Vec3, sub};
 
-/// The surface that a simplified mesh stands for.
+/// Original surface that a simplified input mesh approximates.
 #[derive(Clone, Copy, Debug)]
 pub struct Simplified<'a> {
     pub from_points: &'a [Vec3],
     pub from_triangles: &'a [[u32; 3]],
 }
 
+/// Input mesh with its attributes, search structure and surface samples.
 pub struct Input<'a> {
     pub points: Vec<Vec3>,
     pub triangles: &'a [[u32; 3]],
     pub carried: &'a Carried,
     pub surface: Surface,
     pub slots: Vec<u32>,
-    /// A place for each vertex: a corner of any triangle that has it.
+    /// Surface point of each vertex: a corner of any triangle that uses it.
     pub places: Vec<Place>,
-    /// Of the surface it stands for, if no levels follow, and the mean square of their distance from it.
+    /// Samples of the surface to approximate if no levels follow, and their mean squared distance from the
+    /// input mesh.
     pub samples: Samples,
     pub apart2: f64,
-    /// Whether that surface is another mesh.
+    /// True if that surface is another mesh, that is, the input is simplified.
     pub is_light: bool,
 }
 
 impl<'a> Input<'a> {
-    /// Of triangles that name no vertex twice, moved by `-shift` as their points are already.
+    /// Prepare a mesh whose triangles have three distinct vertices. `points` are already translated by
+    /// `-shift`.
     pub fn new(
         points: Vec<Vec3>,
         triangles: &'a [[u32; 3]],
@@ -54,7 +57,7 @@ impl<'a> Input<'a> {
     }
 }
 
-/// Vertices of the input as places; those that no triangle has mean nothing.
+/// Compute a surface point for each input vertex. Entries of unused vertices are meaningless.
 fn at_vertices(count: usize, surface: &Surface) -> Vec<Place> {
     let mut places = vec![Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] }; count];
     for slot in (0..surface.len() as u32).rev() {

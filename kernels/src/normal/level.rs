@@ -1,4 +1,4 @@
-//! One level of a normal mesh, and the step to the next: what encoder and decoder do alike, bit for bit.
+//! One level of a normal mesh and the step to the next, bit-identical in encoder and decoder.
 
 use super::grid::{Steps, from_grid};
 use super::predict::{Predicted, predict};
@@ -8,20 +8,21 @@ use crate::subdivision::butterfly;
 use crate::subdivision::contents::{Base, Header, Refinement, Scheme};
 use crate::subdivision::topology::Topology;
 
-/// What the coder is told of an offset the shape lets expect, in parts of a step.
+/// Resolution of predicted offsets for the entropy coder, in fractions of a step.
 const PARTS: f64 = 16.0;
 
+/// One level: connectivity, positions and attributes.
 #[derive(Clone, Debug)]
 pub struct Level {
     pub topology: Topology,
-    /// Relative to the header's origin.
+    /// Vertex positions relative to the header's origin.
     pub points: Vec<Vec3>,
-    /// What vertices carry; empty if they carry nothing.
+    /// Vertex attributes; empty without attributes.
     pub channels: Vec<[f64; 4]>,
 }
 
 impl Level {
-    /// The base mesh of a file.
+    /// Build the base level from the contents of a file.
     ///
     /// # Errors
     /// As [`Topology::new`].
@@ -34,21 +35,23 @@ impl Level {
         })
     }
 
-    /// Vertices and triangles.
+    /// Number of vertices plus triangles.
     pub fn rows(&self) -> usize {
         self.points.len() + self.topology.triangles.len()
     }
 
-    /// Vertices and triangles of the next level.
+    /// Number of vertices plus triangles of the next level.
     pub fn next_rows(&self) -> usize {
         self.points.len() + self.topology.edges.len() + 4 * self.topology.triangles.len()
     }
 
+    /// Predict the vertices of the next level.
     pub fn predicted(&self, header: &Header) -> Predicted {
         predict(&self.topology, &self.points, header.scheme, header.relaxations)
     }
 
-    /// Offsets that the shape lets expect: linear subdivision leaves out what the butterfly knows.
+    /// Predict the quantised offsets for the entropy coder, in 1/16 steps. The prediction is the difference
+    /// between the butterfly and the linear midpoint along the normal. Empty for the butterfly scheme.
     pub fn expected(&self, header: &Header, steps: &Steps, predicted: &Predicted) -> Vec<i32> {
         if header.scheme == Scheme::Butterfly {
             return vec![];
@@ -61,13 +64,13 @@ impl Level {
         curved.iter().enumerate().map(along).collect()
     }
 
-    /// What the vertex of an edge is expected to carry.
+    /// Predict the channels of an edge's new vertex.
     pub fn channels_between(&self, edge: usize) -> [f64; 4] {
         let [a, b] = self.topology.edges[edge].map(|v| self.channels[v as usize]);
         std::array::from_fn(|i| 0.5 * (a[i] + b[i]))
     }
 
-    /// The next level.
+    /// Compute the next level.
     pub fn refined(
         &self,
         header: &Header,

@@ -1,8 +1,8 @@
-//! A base mesh once more, with more of the input's vertices where its levels fold.
+//! Rebuild of a base mesh with additional input vertices where its levels fold.
 //!
-//! A triangle that is still turned over when its vertices have been tried everywhere is so because the base leaves out what
-//! the surface does there. The input is not turned against itself: with enough of its own vertices nothing folds, and a few
-//! do. All other collapses are done again as they were, so that the rest of the base stays, and its levels with it.
+//! If no vertex position removes a fold, the base lacks vertices to represent the surface there. The input
+//! has no folds, so a few locked input vertices suffice. All other collapses are replayed unchanged, so the
+//! rest of the base and its levels stay as they are.
 
 use super::base_mesh::{Base, Collapse};
 use super::coarsening::{DEAR, RULES, Target, described};
@@ -19,20 +19,20 @@ use crate::mesh::legality::{Marks, can_collapse};
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-/// A base that gets more vertices where its levels fold.
+/// Input vertices to keep in a rebuilt base.
 #[derive(Clone, Debug)]
 pub struct Locking {
-    /// The collapses that made it, and the vertices of the input it had then.
+    /// Collapses that produced the original base, and its vertices (indices of the input).
     collapses: Vec<Collapse>,
     vertices: Vec<u32>,
-    /// Vertices of the input that it has to have.
+    /// True for each input vertex that the base must keep.
     locked: Vec<bool>,
-    /// How often something has folded next to a triangle with this corner.
+    /// Number of rounds with a fold next to a triangle of each input vertex.
     times: Vec<u8>,
 }
 
 impl Locking {
-    /// None is locked yet.
+    /// Create the state without locked vertices.
     pub fn new(base: &Base, input: &Input<'_>) -> Self {
         let count = input.points.len();
         Self {
@@ -43,18 +43,18 @@ impl Locking {
         }
     }
 
-    /// Lock what lies next to the folds over a base: for each of its triangles the vertex of the input nearest to the first of
-    /// them, of those that the base has not. Where something folds once more, all corners of the nearest triangle, then those
-    /// around them, ring by ring.
+    /// Lock input vertices next to folds. On the first fold of a base triangle, lock the nearest input vertex
+    /// that the base lacks. If the same region folds again, lock all corners of the nearest input triangle,
+    /// then one more ring per round.
     pub fn lock(&mut self, folds: &[Fold], base: &Base, input: &Input<'_>) {
         let mut is_in_base = vec![false; self.locked.len()];
         base.vertex_source.iter().for_each(|&v| is_in_base[v as usize] = true);
-        // How many rings around each vertex are locked, itself among them.
+        // Number of rings to lock around each vertex, counting the vertex itself.
         let mut depth = vec![0u8; self.locked.len()];
         let mut times = self.times.clone();
         let mut is_done = vec![false; base.triangles.len()];
         for fold in folds {
-            // Another sheet may be nearer.
+            // Search only the associated set, because another sheet may be nearer.
             let set = base.sets.of(fold.triangle).iter().copied();
             let slot = input.surface.nearest_among(&fold.middle, set).slot;
             let corners = input.surface.vertices(slot).map(|v| v as usize);
@@ -84,11 +84,11 @@ impl Locking {
         self.locked.iter_mut().zip(&depth).for_each(|(locked, depth)| *locked |= *depth > 0);
     }
 
-    /// The base that its collapses make where none of them takes a locked vertex. Where it differs from what it was, no
-    /// triangle may look away from the surface.
+    /// Build the base by replaying the collapses, except those that remove a locked vertex. In regions that
+    /// differ from the original base, flipped triangles are refused.
     ///
     /// # Errors
-    /// [`KernelError::Interrupted`], or what [`Mesh::new`] returns.
+    /// [`KernelError::Interrupted`], and errors of [`Mesh::new`].
     pub fn base(
         &self,
         input: &Input<'_>,
@@ -106,7 +106,7 @@ impl Locking {
             progress.check_now_and_then()?;
         }
         let Again { mut mesh, measure, mut collapses, .. } = again;
-        // Vertices that only the order of collapses has left may go, too.
+        // Other extra vertices are left only because a replayed collapse was blocked. Collapse them, too.
         let locked = (0..).zip(&self.locked).filter(|(_, locked)| **locked).map(|(v, _)| v);
         self.vertices.iter().copied().chain(locked).for_each(|v| mesh.locks[v as usize] = Lock::Locked);
         let mut engine = Engine::new(mesh, measure);
@@ -117,7 +117,7 @@ impl Locking {
     }
 }
 
-/// Make the neighbours of a vertex at least as deep as it is, less one.
+/// Propagate depths: each neighbour of a vertex gets at least its depth minus one.
 fn spread(depth: &mut [u8], triangles: &[[u32; 3]]) {
     let mut grown = true;
     while std::mem::take(&mut grown) {
@@ -131,14 +131,15 @@ fn spread(depth: &mut [u8], triangles: &[[u32; 3]]) {
     }
 }
 
-/// A mesh whose collapses are done again.
+/// Replay of recorded collapses on the input mesh.
 struct Again<'a> {
     mesh: Mesh<3>,
     measure: HalfEdge<'a>,
     collapses: Vec<Collapse>,
-    /// Vertices whose triangles are others than they were at this time.
+    /// True for vertices whose triangles differ from the original run at this step.
     is_other: Vec<bool>,
-    /// What has become of each vertex that went before its time.
+    /// Survivor of each vertex that needle removal collapsed before its recorded turn; otherwise the vertex
+    /// itself.
     into: Vec<VertexId>,
     marks: Marks,
     star: Star<3>,
@@ -158,7 +159,7 @@ impl<'a> Again<'a> {
         }
     }
 
-    /// Needles among locked vertices would be needles of the base.
+    /// Remove needles between locked vertices first, because they would become needles of the base.
     fn remove_needles(&mut self, locked: &[bool]) {
         for collapse in needles::remove_among(&mut self.mesh, &mut self.measure, locked) {
             let Collapse { removed, survivor } = collapse;
@@ -168,7 +169,7 @@ impl<'a> Again<'a> {
         }
     }
 
-    /// The triangles around a vertex are not what they were.
+    /// Mark a vertex and its neighbours as different from the original run.
     fn mark(&mut self, v: VertexId) {
         self.is_other[v.index()] = true;
         for (_, w) in self.mesh.connectivity.spokes(v) {
@@ -201,7 +202,7 @@ impl<'a> Again<'a> {
         }
     }
 
-    /// Whether a vertex may go; its star is gathered then.
+    /// Check whether a vertex may be removed, and gather its star for the collapse.
     fn may_collapse(&mut self, edge: EdgeId, removed: VertexId, survivor: VertexId) -> bool {
         if can_collapse(&self.mesh.connectivity, edge, &mut self.marks).is_err() {
             return false;

@@ -1,20 +1,20 @@
-//! Normal meshes: a base mesh and, level by level, one number a vertex.
+//! Normal meshes: a base mesh and, level by level, mostly one number per vertex.
 //!
-//! | module | what |
+//! | module | content |
 //! | --- | --- |
-//! | [`base_mesh`], [`coarsening`], [`half_edge`], [`needles`] | the base mesh; how it is found; what a half-edge collapse costs; needles that stay otherwise |
-//! | [`locking`] | the base once more, with more of the input's vertices where levels fold |
-//! | [`associated`], [`parameters`] | what base triangles stand for; where the input lies on them |
-//! | [`domain`] | the base as a domain: points seen from any of its triangles |
-//! | [`predict`], [`grid`], [`level`] | the step from level to level, for encoder and decoder |
-//! | [`rounding`] | where vertices go on the grid if no levels follow |
-//! | [`surface`], [`rim`], [`place`], [`found`], [`unfold`], [`fold`] | where new vertices go: inside, on the boundary, and so that nothing folds |
+//! | [`base_mesh`], [`coarsening`], [`half_edge`], [`needles`] | base mesh; its simplification; collapse costs; removal of needles that ordinary collapses keep |
+//! | [`locking`] | rebuild of the base with more input vertices where levels fold |
+//! | [`associated`], [`parameters`] | input triangles per base triangle; positions of input vertices on the base |
+//! | [`domain`] | base as a parametrisation domain, with coordinates across triangles |
+//! | [`predict`], [`grid`], [`level`] | step from level to level, shared by encoder and decoder |
+//! | [`rounding`] | rate-distortion rounding to the grid if no levels follow |
+//! | [`surface`], [`rim`], [`place`], [`found`], [`unfold`], [`fold`] | positions of new vertices: interior, boundary, and repair of folds |
 //! | [`carried`] | colours and confidence |
-//! | [`distance`], [`importance`] | how far off a level is, and what the next trial makes of it |
-//! | [`noise`], [`tolerance`] | how rough the input is by itself, and how exact a file has to be |
-//! | [`input`], [`ordered`], [`refining`], [`trials`] | what is remeshed; a base in whole numbers; its levels; which base is the best |
-//! | [`settings`], [`header`], [`normal_mesh`] | what is asked for; the steps of a file; what comes out |
-//! | [`remesh`], [`decode`] | from a mesh to a file and its levels, and back |
+//! | [`distance`], [`importance`] | error of a level, and vertex weights for the next trial |
+//! | [`noise`], [`tolerance`] | noise of the input, and the file precision derived from it |
+//! | [`input`], [`ordered`], [`refining`], [`trials`] | input mesh; quantised base in coder order; its levels; selection of the best base |
+//! | [`settings`], [`header`], [`normal_mesh`] | settings; quantisation steps of a file; result |
+//! | [`remesh`], [`decode`] | encoder and decoder |
 
 pub mod associated;
 pub mod base_mesh;

@@ -1,8 +1,9 @@
-//! Needles that no rule of collapses lets go.
+//! Removal of needle triangles that ordinary collapses keep.
 //!
-//! A needle of the input, as marching cubes leave them, looks anywhere. That a triangle must not turn then keeps it, with
-//! all that refines it, and rounding turns it over. Here its shortest side collapses where that makes the worst triangle
-//! around better, the new ones look along the surface, and it costs next to nothing.
+//! Needles of the input, as marching cubes produce them, have arbitrary normals. The rule against flipped
+//! triangles therefore keeps a needle and all its descendants, and rounding then flips them. This module
+//! collapses the shortest side of a needle under three conditions. The worst triangle around improves, the
+//! new triangles follow the surface, and the cost is negligible.
 
 use super::base_mesh::Collapse;
 use super::half_edge::{HalfEdge, quality};
@@ -14,16 +15,16 @@ use crate::mesh::legality::{Marks, can_collapse};
 use crate::mesh::star::{Star, Wing};
 use crate::mesh::triangle_mesh::Mesh;
 
-/// Triangles of less quality are needles.
+/// Triangles below this quality (1 equilateral, 0 degenerate) are needles.
 const NEEDLE: f64 = 0.15;
-/// Least soundness of a triangle that such a collapse makes.
+/// Minimum cosine between a new triangle and the surface.
 const LEAST_SOUNDNESS: f64 = 0.3;
-/// Least cosine between a triangle before and after a collapse that is done whatever it looks along.
+/// Minimum cosine between a triangle before and after a collapse for which the surface normal is not checked.
 const LEAST_COSINE: f64 = 0.7;
-/// Turns over all needles.
+/// Maximum number of passes over all needles.
 const TURNS: usize = 8;
 
-/// Collapse what can be at no more than `limit`; returns the collapses.
+/// Collapse needles where the cost is at most `limit`, and return the collapses.
 pub fn remove(mesh: &mut Mesh<3>, measure: &mut HalfEdge<'_>, limit: f64) -> Vec<Collapse> {
     let in_order = |mesh: &Mesh<3>| {
         let mut edges = shortest_sides(mesh);
@@ -33,8 +34,8 @@ pub fn remove(mesh: &mut Mesh<3>, measure: &mut HalfEdge<'_>, limit: f64) -> Vec
     collapsed(mesh, measure, in_order, |mesh, measure, star| better_end(mesh, measure, star, limit))
 }
 
-/// Collapse the shortest sides of needles between some vertices, the shortest first, as long as no other triangle around
-/// turns by much; returns the collapses.
+/// Collapse needle sides between vertices flagged in `among`, shortest first, and return the collapses. Every
+/// other triangle around must keep its direction.
 pub fn remove_among(mesh: &mut Mesh<3>, measure: &mut HalfEdge<'_>, among: &[bool]) -> Vec<Collapse> {
     let shortest_first = |mesh: &Mesh<3>| {
         let mut edges = shortest_sides(mesh);
@@ -51,7 +52,7 @@ pub fn remove_among(mesh: &mut Mesh<3>, measure: &mut HalfEdge<'_>, among: &[boo
     })
 }
 
-/// Collapse edges into the ends that may stay, turn after turn.
+/// Collapse the `edges` into the end that `end` selects, in passes until nothing changes.
 fn collapsed(
     mesh: &mut Mesh<3>,
     measure: &mut HalfEdge<'_>,
@@ -82,7 +83,8 @@ fn collapsed(
     collapses
 }
 
-/// Whether no triangle turns by much when an edge collapses into one of its ends, or a needle looks along the surface then.
+/// Check a collapse into one end: every moved triangle must keep its direction, unless it was a needle and
+/// follows the surface afterwards.
 fn turns_little(measure: &HalfEdge<'_>, star: &Star<3>, end: usize) -> bool {
     star.wings.iter().filter(|wing| wing.end != end).all(|wing| {
         let [old, new] = [wing.end, end].map(|e| [&star.end_points[e], &wing.from_point, &wing.to_point]);
@@ -96,7 +98,7 @@ fn turns_little(measure: &HalfEdge<'_>, star: &Star<3>, end: usize) -> bool {
     })
 }
 
-/// The shortest side of each needle.
+/// List the shortest side of each needle.
 fn shortest_sides(mesh: &Mesh<3>) -> Vec<EdgeId> {
     let connectivity = &mesh.connectivity;
     let shortest = |t: TriangleId| {
@@ -109,7 +111,8 @@ fn shortest_sides(mesh: &Mesh<3>) -> Vec<EdgeId> {
     connectivity.triangles().filter_map(shortest).collect()
 }
 
-/// The end into which an edge may collapse; the one that leaves better triangles, if both may stay.
+/// Select the end into which an edge may collapse. If both are allowed, choose the end with the better worst
+/// triangle.
 fn better_end(mesh: &Mesh<3>, measure: &HalfEdge<'_>, star: &Star<3>, limit: f64) -> Option<usize> {
     let gone =
         star.vanishing.iter().map(|(_, _, apex)| quality(&star.end_points[0], &star.end_points[1], apex));

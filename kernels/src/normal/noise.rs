@@ -1,20 +1,20 @@
-//! How rough a mesh is by itself.
+//! Noise estimate of a mesh from its vertices.
 //!
-//! A vertex is off the middle of its neighbours, along the normal, by its noise and by what the surface curves. The latter
-//! is about the same for its neighbours, so what they are off by on average is taken away. The median of what is left
-//! overlooks edges and corners; a share of it is the standard deviation of the noise, if vertices have theirs
-//! independently. Smooth noise, which neighbours share, counts less, and where triangles are large beside the curvature,
-//! that counts as noise.
+//! A vertex is offset from the mean of its neighbours by its noise and by curvature. Curvature offsets
+//! neighbouring vertices about equally, so subtracting their mean offset removes it. The median of the
+//! magnitudes ignores edges and corners, and scales to the standard deviation of independent vertex noise.
+//! Noise that neighbours share is underestimated. If triangles are large relative to the curvature, curvature
+//! is mistaken for noise.
 
 use crate::base::geometry::{Vec3, add_scaled, dot, sub};
 
-/// From the median of magnitudes to the standard deviation, of a normal distribution.
+/// Ratio of the standard deviation to the median magnitude of a normal distribution.
 const OF_MEDIAN: f64 = 1.4826;
-/// What becomes of independent noise of deviation 1 where every vertex has six neighbours: the root of the sum of the
-/// squared weights, 7/6 for the vertex itself, −5/18 six times, 1/18 six times and 1/36 six times.
+/// Gain of the filter for independent noise if every vertex has six neighbours. It is the root of the sum of
+/// squared weights: 7/6 for the vertex itself, −5/18 six times, 1/18 six times and 1/36 six times.
 const GAIN: f64 = 1.359;
 
-/// The standard deviation of the noise, in units of the points. `normals` are the unit normals of vertices.
+/// Estimate the standard deviation of the noise, in mesh units. `normals` are unit vertex normals.
 pub fn noise(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> f64 {
     let middles = around(points, triangles, |sum, p, weight| add_scaled(&sum, weight, p), [0.0; 3]);
     let off = |v: usize| middles[v].map(|middle| dot(&sub(&middle, &points[v]), &normals[v]));
@@ -30,7 +30,7 @@ pub fn noise(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> f64 {
     OF_MEDIAN / GAIN * *median
 }
 
-/// The mean of a value over the neighbours of each vertex; none for vertices without triangles.
+/// Compute the mean of a value over the neighbours of each vertex. None for vertices without triangles.
 fn around<T: Copy>(
     values: &[T],
     triangles: &[[u32; 3]],
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
     use crate::normal::surface::vertex_normals;
 
-    /// A sheet of n × n squares, with heights.
+    /// Build a height field of n × n squares over the unit square.
     fn sheet(n: u32, height: impl Fn(f64, f64) -> f64) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let side = n + 1;
         let at = |k: u32| [f64::from(k / side) / f64::from(n), f64::from(k % side) / f64::from(n)];
@@ -79,7 +79,7 @@ mod tests {
     fn independent_noise_is_found_on_a_curved_sheet() {
         let sigma = 1e-4;
         let random = |x: f64, y: f64| {
-            // Twelve uniform numbers less six are nearly normal.
+            // The sum of twelve uniform numbers minus six is nearly standard normal.
             let mut state = (x.to_bits() ^ y.to_bits().rotate_left(31)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             let mut sum = -6.0;
             for _ in 0..12 {

@@ -1,45 +1,46 @@
-//! A base mesh, its levels, and the file that they are read from.
+//! Base mesh, its levels, and the file that encodes them.
 
 use super::level::Level;
 use super::predict::Predicted;
 use super::tolerance::Tolerance;
 use crate::subdivision::contents::{Header, Refinement};
 
-/// How a level was made of the one before.
+/// Refinement from one level to the next.
 #[derive(Clone, Debug)]
 pub struct Step {
     pub predicted: Predicted,
     pub refinement: Refinement,
 }
 
-/// What only the encoder knows.
+/// Encoder-only information.
 #[derive(Clone, Debug)]
 pub struct Origin {
     pub base_source: Vec<u32>,
-    /// The triangle of the input that each vertex of the finest level lies on; coarser levels have the first of them.
+    /// Input triangle under each vertex of the finest level. Coarser levels use a prefix of this list.
     pub triangles: Vec<u32>,
-    /// Triangles of each level that look away from the surface or are needles.
+    /// Number of folds (flipped triangles and needles) on each level.
     pub unsound: Vec<usize>,
-    /// Largest distance of each level from the input, if that was asked for.
+    /// Maximum distance of each level from the input, in mesh units; empty if no `max_error` was given.
     pub reached: Vec<f64>,
     pub tolerance: Tolerance,
 }
 
+/// Normal mesh with all its levels, and the encoded file.
 #[derive(Clone, Debug)]
 pub struct NormalMesh {
     pub header: Header,
     pub levels: Vec<Level>,
-    /// One less.
+    /// One refinement fewer than levels.
     pub steps: Vec<Step>,
     pub file: Vec<u8>,
-    /// Bytes of the file up to the end of each level.
+    /// End of each level in the file, in bytes.
     pub ends: Vec<usize>,
     /// None after decoding.
     pub origin: Option<Origin>,
 }
 
 impl NormalMesh {
-    /// Triangles of all levels that are not sound, as far as that is known.
+    /// Number of folds on all levels; 0 after decoding, where it is unknown.
     pub fn unsound(&self) -> usize {
         self.origin.as_ref().map_or(0, |origin| origin.unsound.iter().sum())
     }

@@ -1,4 +1,4 @@
-//! A base mesh in the order of its coder, and in its whole numbers.
+//! Base mesh in coder order, with quantised vertices.
 
 use super::base_mesh::Base;
 use super::grid::{in_units, on_grid};
@@ -13,17 +13,20 @@ use crate::snm::{Canonical, canonical, canonical_rounded};
 use crate::subdivision::contents::{self, Header};
 use crate::subdivision::topology::Topology;
 
-/// Turns of rounding where no levels follow: from the second on, all vertices know where the others go.
+/// Rounding passes if no levels follow. From the second pass on, every vertex sees the rounded positions of
+/// all others.
 const ROUNDS: usize = 3;
 
-/// A base in the order of its coder, in whole numbers beside what it stands for.
+/// Base mesh in coder order, with its quantised contents.
 pub struct Ordered {
     pub base: Base,
     pub contents: contents::Base,
 }
 
+/// Sort a base into coder order and quantise its vertices and channels.
+///
 /// # Errors
-/// As of the coder; [`KernelError::Memory`].
+/// Errors of the coder; [`KernelError::OutOfMemory`].
 pub fn in_order(
     base: Base,
     input: &Input<'_>,
@@ -48,7 +51,7 @@ pub fn in_order(
     Ok(Ordered { base, contents: ordered.base })
 }
 
-/// The order of a mesh without levels, its vertices where they come nearest to the surface.
+/// Order a mesh without levels, rounding each vertex to the grid point that best fits the surface.
 fn rounded_order(
     contents: &contents::Base,
     vertex_source: &[u32],

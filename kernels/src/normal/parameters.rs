@@ -1,9 +1,9 @@
-//! Where each vertex of the input lies on the base mesh, kept up while edges collapse.
+//! Position of each input vertex on the base mesh, updated with every collapse.
 //!
-//! As in MAPS (Lee, Sweldens, Schröder, Cowsar and Dobkin, 1998): before a vertex goes, the triangles around it are
-//! laid out flat, angles in proportion; it, and all that lay in them, then lie in the triangles that take their place.
-//! Li, Li, Xu and Li do without. What it gains: where a line pierces the associated set in several places, the right
-//! one is known, and a place is known where it pierces none.
+//! As in MAPS (Lee, Sweldens, Schröder, Cowsar and Dobkin, 1998), the star of a vertex is flattened before
+//! its removal, with proportional angles. The vertex and all earlier vertices in the star are then located in
+//! the new triangles. Li, Li, Xu and Li do not use positions. They resolve two cases: a line that pierces the
+//! associated set several times, and a line that pierces it nowhere.
 
 use std::f64::consts::PI;
 
@@ -11,14 +11,14 @@ use crate::base::geometry::{Vec3, dot, norm2, sub};
 use crate::mesh::star::Star;
 
 const NONE: u32 = u32::MAX;
-/// Least part of its turn that a triangle keeps in the plane, in radians.
+/// Minimum angle of a triangle in the flattened star, in radians.
 const LEAST_ANGLE: f64 = 1e-3;
-/// Least height of a triangle in the plane in lengths of its longest side.
+/// Minimum height of a flattened triangle, in lengths of its longest side.
 const LEAST_FLATNESS: f64 = 1e-3;
 
 type Point = [f64; 2];
 
-/// A triangle and barycentric coordinates, in the order of its corners.
+/// Point on a triangle mesh: a triangle and barycentric coordinates in the order of its corners.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameter {
     pub triangle: u32,
@@ -26,9 +26,10 @@ pub struct Parameter {
 }
 
 impl Parameter {
+    /// Placeholder for a vertex without a position.
     pub const NOWHERE: Self = Self { triangle: NONE, barycentric: [0.0; 3] };
 
-    /// A corner of a triangle.
+    /// Build the point at a corner of a triangle.
     pub fn corner(triangle: u32, corner: usize) -> Self {
         let mut barycentric = [0.0; 3];
         barycentric[corner] = 1.0;
@@ -36,13 +37,15 @@ impl Parameter {
     }
 }
 
+/// Positions of removed input vertices on the current mesh.
 #[derive(Clone, Debug)]
 pub struct Parameters {
-    /// Of each vertex of the input; no triangle for one that is still there.
+    /// Position of each removed input vertex; [`Parameter::NOWHERE`] for vertices that still exist.
     of: Vec<Parameter>,
-    /// Corners of each triangle, as they are or were last.
+    /// Current corners of each triangle, or the last ones before its removal.
     corners: Vec<[u32; 3]>,
-    /// The first vertex in each triangle, and the next one in the same.
+    /// Linked lists of vertices per triangle: the first vertex of each triangle, and the next vertex in the
+    /// same triangle.
     first: Vec<u32>,
     next: Vec<u32>,
     scratch: Scratch,
@@ -50,7 +53,8 @@ pub struct Parameters {
 
 #[derive(Clone, Debug, Default)]
 struct Scratch {
-    /// Neighbours of the vertex that goes, the survivor first, and where they lie; it is at the origin.
+    /// Neighbours of the removed vertex in order, and their flattened positions. The removed vertex is at the
+    /// origin.
     ring: Vec<(u32, Vec3)>,
     flat: Vec<Point>,
     moved: Vec<(u32, Point)>,
@@ -67,13 +71,13 @@ impl Parameters {
         }
     }
 
-    /// Of a vertex of the input that is gone, with the corners its coordinates stand for.
+    /// Look up the position of a removed vertex, with the corners its coordinates refer to.
     pub fn of(&self, v: usize) -> Option<(Parameter, [u32; 3])> {
         let parameter = self.of[v];
         (parameter.triangle != NONE).then(|| (parameter, self.corners[parameter.triangle as usize]))
     }
 
-    /// An end of the edge of `star`, 0 or 1, has collapsed into the other.
+    /// Update the positions for a collapse of end `removed` (0 or 1) of the star's edge.
     pub fn collapse(&mut self, star: &Star<3>, removed: usize) {
         let mut scratch = std::mem::take(&mut self.scratch);
         let gone = star.ends[removed].0;
@@ -89,7 +93,7 @@ impl Parameters {
             return;
         }
 
-        // Everything in the triangles around, in the plane.
+        // Collect all vertices in the star, in flattened coordinates.
         scratch.moved.clear();
         scratch.moved.push((gone, [0.0; 2]));
         for triangle in wings().chain(star.vanishing.iter().map(|(t, ..)| t.index())) {
@@ -129,7 +133,8 @@ impl Parameters {
         self.scratch = scratch;
     }
 
-    /// The vertex that goes has one triangle only: what lay there comes to lie on the side that stays.
+    /// Handle a removed vertex with a single triangle: its contents move to the remaining side of the
+    /// triangle.
     fn fold_ear(&mut self, star: &Star<3>, removed: usize) {
         let (ear, apex, _) = star.vanishing[0];
         let (gone, survivor) = (star.ends[removed].0, star.ends[1 - removed].0);
@@ -160,21 +165,21 @@ impl Parameters {
 }
 
 impl Scratch {
-    /// Lay the neighbours of an end of an edge out in the plane, counter-clockwise: at their distances, or, where the
-    /// survivor would not see all of them then, on a circle.
+    /// Flatten the neighbours of one end of the edge, counter-clockwise. Distances are kept unless the
+    /// survivor would not see all neighbours; then the neighbours are placed on a circle.
     fn lay_out(&mut self, star: &Star<3>, removed: usize) {
         let origin = &star.end_points[removed];
         let survivor = (star.ends[1 - removed].0, star.end_points[1 - removed]);
         self.ring.clear();
         let wings = || star.wings.iter().filter(|w| w.end == removed);
         let closed = star.vanishing.len() == 2;
-        // A boundary edge has its triangle on the left, seen from its first end.
+        // A boundary edge has its triangle on the left, as viewed from its first end.
         let survivor_first = closed || removed == 0;
         if survivor_first {
             let (_, apex, point) = star.vanishing[if closed { removed } else { 0 }];
             self.ring.extend([survivor, (apex.0, point)]);
         } else {
-            // The far end of the boundary: where a wing starts, and none ends.
+            // Far end of the boundary: a vertex where one wing starts and none ends.
             let start = wings().find(|w| wings().all(|other| other.to != w.from));
             self.ring.extend(start.map(|w| (w.from.0, w.from_point)));
         }
@@ -221,18 +226,18 @@ impl Scratch {
     }
 }
 
-/// The longest side of a triangle of the plane, squared.
+/// Compute the squared longest side of a 2-D triangle.
 fn longest2([a, b, c]: [&Point; 3]) -> f64 {
     let distance2 = |p: &Point, q: &Point| (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
     distance2(a, b).max(distance2(b, c)).max(distance2(c, a))
 }
 
-/// Twice the area of a triangle of the plane, positive if it turns to the left.
+/// Compute twice the signed area of a 2-D triangle; positive if counter-clockwise.
 pub fn area([a, b, c]: [&Point; 3]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// Barycentric coordinates in a triangle of the plane; none in one without area.
+/// Compute barycentric coordinates in a 2-D triangle. None if its area is not positive.
 pub fn barycentric(p: &Point, [a, b, c]: [&Point; 3]) -> Option<[f64; 3]> {
     let whole = area([a, b, c]);
     let (u, v) = (area([p, b, c]) / whole, area([a, p, c]) / whole);

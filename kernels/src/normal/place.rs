@@ -1,9 +1,9 @@
-//! Where the vertices of a new level go: the encoder's search for offsets.
+//! Search for the vertices of a new level, in the encoder only.
 //!
-//! Li, Li, Xu and Li 2002, section 3.3: the line through a predicted vertex along its normal is pierced by the
-//! associated triangles of the base triangles it lies on; the nearest hit in either direction is kept as one number.
-//! What is too far away, or looks another way, is another sheet, and no hit. Where there is none, the nearest point of
-//! the sets is kept as a vector.
+//! Li, Li, Xu and Li 2002, section 3.3. A line runs through the predicted vertex along its normal. It is
+//! intersected with the associated sets of the adjacent base triangles. The nearest hit on either side is
+//! stored as one number. Hits that are too far away or face another way belong to another sheet and are
+//! ignored. Without a hit, the nearest point of the sets is stored as a vector.
 
 use super::associated::Sets;
 use super::domain::Domain;
@@ -19,17 +19,17 @@ use crate::base::parallel::fill;
 use crate::subdivision::contents::Offset;
 use crate::subdivision::topology::NONE;
 
-/// How far a line may reach, in lengths of the edge that is split, and how far a nearest point may be.
+/// Maximum distance along a line, and to a nearest point, in lengths of the split edge.
 const REACH: f64 = 1.0;
 const NEAR: f64 = 2.0;
-/// How far, if its triangle does not count for the edge.
+/// Maximum distance to a nearest point outside the associated sets, in lengths of the split edge.
 const HERE: f64 = 0.5;
-/// How far from where it is expected on the base a line may pierce, in lengths of the edge there.
+/// Maximum distance of a hit from its expected position on the base, in lengths of the edge there.
 const ASTRAY: f64 = 1.5;
-/// Least cosine between a line and the normal of a triangle it pierces.
+/// Minimum cosine between a line and the normal of a triangle it hits.
 const LEAST_COSINE: f64 = 0.1;
 
-/// The input of the search, the same for all levels.
+/// Search input that all levels share.
 pub struct Original<'a> {
     pub surface: &'a Surface,
     pub sets: &'a Sets,
@@ -38,22 +38,22 @@ pub struct Original<'a> {
     pub threads: usize,
 }
 
-/// The part of a chain that each boundary edge stands for, by the ends of the edge, sorted.
+/// Part of a chain that each boundary edge represents, sorted by the ends of the edge.
 pub type Rim = Vec<([u32; 2], Span)>;
 
-/// Where on the input the vertices of a level lie.
+/// Positions of a level's vertices on the input.
 #[derive(Clone, Debug)]
 pub struct Placed {
     pub places: Vec<Place>,
-    /// The same on the base.
+    /// Positions of the same vertices on the base.
     pub parameters: Vec<Parameter>,
     pub rim: Rim,
 }
 
-/// The search for the new vertices of one level; they go by the edges of the level before.
+/// Search for the new vertices of one level, indexed by the edges of the coarser level.
 pub struct Search<'a> {
     pub original: &'a Original<'a>,
-    /// The level before, as the decoder will have it, and its number.
+    /// Coarser level exactly as the decoder reconstructs it, and its number.
     pub level: &'a Level,
     pub number: usize,
     pub placed: &'a Placed,
@@ -61,7 +61,7 @@ pub struct Search<'a> {
     pub steps: &'a Steps,
 }
 
-/// Where a new vertex is expected on the base, and how far apart the ends of its edge are there.
+/// Expected position of a new vertex on the base, and the length of its edge there.
 #[derive(Clone, Copy, Debug)]
 struct Expected {
     triangle: u32,
@@ -74,7 +74,7 @@ fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 }
 
 impl Search<'_> {
-    /// All new vertices.
+    /// Find all new vertices.
     pub fn refine(&self) -> Vec<Found> {
         let nowhere = Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] };
         let nothing = Found { offset: Offset::Scalar(0), point: [0.0; 3], place: nowhere, along: 0.0 };
@@ -90,7 +90,7 @@ impl Search<'_> {
         found
     }
 
-    /// The boundary that new vertices make.
+    /// Split the boundary spans at the new vertices.
     pub fn rim(&self, found: &[Found]) -> Rim {
         let topology = &self.level.topology;
         let mut rim = Vec::with_capacity(2 * self.placed.rim.len());
@@ -104,7 +104,7 @@ impl Search<'_> {
         rim
     }
 
-    /// The part of a chain that an edge stands for; none inside.
+    /// Return the part of a chain that an edge represents; None for interior edges.
     fn span(&self, edge: usize) -> Option<Span> {
         let topology = &self.level.topology;
         let (rim, ends) = (&self.placed.rim, &topology.edges[edge]);
@@ -113,7 +113,7 @@ impl Search<'_> {
         known.map(|known| rim[known].1)
     }
 
-    /// The new vertex of a boundary edge at a share of its part of the chain; none inside.
+    /// Place the new vertex of a boundary edge at a fraction of its span; None for interior edges.
     pub fn on_rim(&self, edge: usize, share: f64) -> Option<Found> {
         let span = self.span(edge)?;
         let along = span.from + share * (span.to - span.from);
@@ -131,18 +131,19 @@ impl Search<'_> {
         })
     }
 
-    /// The vertex of an edge on the line through where it was predicted.
+    /// Find the vertex of an edge on the line through its predicted point.
     pub fn scalar(&self, edge: usize) -> Option<Found> {
         self.along(edge, &self.predicted.points[edge], Offset::Scalar)
     }
 
-    /// The same from before relaxation, if that is another point.
+    /// Find the vertex of an edge on the line through the unrelaxed point; None if both points are equal.
     pub fn unrelaxed(&self, edge: usize) -> Option<Found> {
         let from = &self.predicted.unrelaxed[edge];
         if self.predicted.points[edge] == *from { None } else { self.along(edge, from, Offset::Unrelaxed) }
     }
 
-    /// The vertex of an edge on the line through `from`, if it pierces the surface near where it is expected.
+    /// Find the vertex of an edge on the line through `from`. The hit must be near its expected position on
+    /// the base.
     fn along(&self, edge: usize, from: &Vec3, kind: fn(i32) -> Offset) -> Option<Found> {
         let reach = REACH * self.length(edge);
         let expected = self.expected(edge);
@@ -159,25 +160,25 @@ impl Search<'_> {
         Some(Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place, along: 0.0 })
     }
 
-    /// The vertex of an edge at a place that no scalar leads to.
+    /// Encode a surface point as the vertex of an edge by a vector offset.
     pub fn vector(&self, edge: usize, place: Place) -> Found {
         let (point, frame) = (&self.predicted.points[edge], &self.predicted.frames[edge]);
         let offset = match self.steps.vector(point, frame, &place.point) {
-            // Nothing to correct: a scalar says so in less. Only vectors are known on the boundary.
+            // A zero scalar is shorter than a zero vector. Boundary edges always store vectors.
             Offset::Vector([0, 0, 0]) if !self.level.topology.is_boundary_edge(edge) => Offset::Scalar(0),
             offset => offset,
         };
         Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place, along: 0.0 }
     }
 
-    /// The place of the surface where the vertex of an edge is expected.
+    /// Find the surface point at the expected position of an edge's vertex.
     pub fn expected_place(&self, edge: usize) -> Option<Place> {
         let expected = self.expected(edge)?;
         let domain = self.original.domain;
         domain.located(&domain.settled(expected.triangle, expected.barycentric))
     }
 
-    /// Half-way between the ends of an edge on the base, seen from the base triangle of the edge.
+    /// Compute the midpoint of an edge on the base, in the coordinates of the edge's first base triangle.
     fn expected(&self, edge: usize) -> Option<Expected> {
         let triangle = self.base_triangle(edge);
         let [a, b] = self.level.topology.edges[edge]
@@ -187,14 +188,15 @@ impl Search<'_> {
         Some(Expected { triangle, barycentric, length: apart(&a, &b) })
     }
 
-    /// Where a place lies on the base, for the vertex of an edge.
+    /// Map the surface point of an edge's vertex to the base.
     pub fn parameter(&self, edge: usize, place: &Place) -> Parameter {
         let (domain, triangle) = (self.original.domain, self.base_triangle(edge));
         let at = domain.parameter(place.slot, &place.barycentric, triangle);
         at.map_or(Parameter::NOWHERE, |at| domain.settled(triangle, at))
     }
 
-    /// The nearest place of the associated sets that looks along `normal`, or else any way.
+    /// Find the nearest point of the associated sets that faces along `normal`, or the nearest one of any
+    /// orientation.
     pub fn nearest(&self, edge: usize, p: &Vec3, normal: &Vec3) -> Place {
         let surface = self.original.surface;
         let reach = NEAR * self.length(edge);
@@ -206,28 +208,28 @@ impl Search<'_> {
         })
     }
 
-    /// The nearest place of the whole surface that looks along `normal`, if it is near.
+    /// Find the nearest point of the whole surface that faces along `normal`, within [`HERE`] edge lengths.
     pub fn anywhere(&self, edge: usize, p: &Vec3, normal: &Vec3) -> Option<Place> {
         self.original.surface.nearest(p, normal, HERE * self.length(edge), LEAST_COSINE, |_| true)
     }
 
-    /// The base triangles beside an edge, one or two.
+    /// List the base triangles adjacent to an edge, one or two.
     fn base_triangles(&self, edge: usize) -> impl Iterator<Item = usize> {
         let beside = self.level.topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE);
         beside.map(|t| t as usize >> (2 * self.number))
     }
 
-    /// The first of them.
+    /// Return the first base triangle adjacent to an edge.
     fn base_triangle(&self, edge: usize) -> u32 {
         self.level.topology.edge_triangles[edge][0] >> (2 * self.number)
     }
 
-    /// Whether a triangle of the input is in the sets that count for an edge.
+    /// Check whether an input triangle is in the associated sets of an edge.
     fn is_associated(&self, edge: usize, slot: u32) -> bool {
         self.base_triangles(edge).any(|t| self.original.sets.holds(t, slot))
     }
 
-    /// Of an edge.
+    /// Compute the length of an edge.
     fn length(&self, edge: usize) -> f64 {
         let [a, b] = self.level.topology.edges[edge].map(|v| &self.level.points[v as usize]);
         distance2(a, b).sqrt()

@@ -1,32 +1,32 @@
-//! Where the vertices of the next level are expected: what encoder and decoder both work out.
+//! Prediction of the next level's vertices, computed by encoder and decoder alike.
 //!
-//! Nothing here may differ from one machine to another: additions, multiplications, divisions and square roots only,
-//! in a fixed order.
+//! Results must be identical on all machines. Only additions, multiplications, divisions and square roots are
+//! allowed, in a fixed order.
 
 use super::surface::vertex_normals;
 use crate::base::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
 use crate::subdivision::contents::Scheme;
 use crate::subdivision::topology::{NONE, Topology};
 
-/// How much of a turn of the Laplacian is taken, and the farthest it may take a vertex, in lengths of its edge.
+/// Fraction of a Laplacian step that is applied, and the maximum displacement per step in edge lengths.
 const DAMPING: f64 = 0.5;
 const FARTHEST: f64 = 0.1;
-/// The cosine between the triangles beside an edge below which it is a crease: 30°.
+/// Cosine of 30°: an edge is a crease if its triangles meet at a larger angle.
 const CREASE: f64 = 0.866;
 
-/// The axes at a new vertex: unit normal, tangent along its edge, and the third.
+/// Local axes at a new vertex: unit normal, unit tangent along the edge, and their cross product.
 pub type Frame = [Vec3; 3];
 
-/// What is expected of the vertices of one level, in the order of the edges of the level before.
+/// Predicted vertices of a level, in the order of the coarser level's edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Predicted {
     pub points: Vec<Vec3>,
-    /// The points before relaxation.
+    /// Predicted points before relaxation.
     pub unrelaxed: Vec<Vec3>,
     pub frames: Vec<Frame>,
 }
 
-/// Predict the new vertices of the level after `topology`.
+/// Predict the new vertices that refine `topology`.
 pub fn predict(topology: &Topology, points: &[Vec3], scheme: Scheme, relaxations: u8) -> Predicted {
     let normals = vertex_normals(points, &topology.triangles);
     let mut predicted = match scheme {
@@ -53,14 +53,15 @@ fn linear(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
     topology.edges.iter().map(|e| midpoint(&points[e[0] as usize], &points[e[1] as usize])).collect()
 }
 
-/// Li, Li, Xu and Li 2002, section 3.2: the normal is the mean of those at the ends of the edge.
+/// Compute the axes of an edge. The normal is the mean of the end normals (Li, Li, Xu and Li 2002, section
+/// 3.2).
 fn frame(topology: &Topology, points: &[Vec3], normals: &[Vec3], edge: usize, ends: &[u32; 2]) -> Frame {
     let [a, b] = ends.map(|v| points[v as usize]);
     let [na, nb] = ends.map(|v| normals[v as usize]);
     let along = sub(&b, &a);
     let mut normal = unit(&add_scaled(&na, 1.0, &nb));
     if norm2(&normal) == 0.0 {
-        // Opposite normals: those of the triangles beside the edge, or else anything.
+        // Opposite end normals cancel. Use the adjacent triangles instead, or else a fixed direction.
         let beside = topology.edge_triangles[edge].iter().filter(|&&t| t != NONE);
         let sum = beside.fold([0.0; 3], |sum, &t| {
             let [p, q, r] = topology.triangles[t as usize].map(|v| points[v as usize]);
@@ -73,7 +74,7 @@ fn frame(topology: &Topology, points: &[Vec3], normals: &[Vec3], edge: usize, en
     }
     let mut tangent = unit(&add_scaled(&along, -dot(&along, &normal), &normal));
     if norm2(&tangent) == 0.0 {
-        // The edge runs along the normal: the axis that does so least will do.
+        // The edge is parallel to the normal. Use the coordinate axis with the smallest component along it.
         let least = (0..3).fold(0, |least, i| if normal[i].abs() < normal[least].abs() { i } else { least });
         let axis = [0, 1, 2].map(|i| f64::from(u8::from(i == least)));
         tangent = unit(&add_scaled(&axis, -dot(&axis, &normal), &normal));
@@ -81,7 +82,7 @@ fn frame(topology: &Topology, points: &[Vec3], normals: &[Vec3], edge: usize, en
     [normal, tangent, cross(&normal, &tangent)]
 }
 
-/// For each edge whether the triangles beside it meet at an angle.
+/// Flag each edge whose adjacent triangles meet at a crease angle.
 fn creases(topology: &Topology, points: &[Vec3]) -> Vec<bool> {
     let of_triangle = |corners: &[u32; 3]| {
         let [a, b, c] = corners.map(|v| points[v as usize]);
@@ -95,8 +96,8 @@ fn creases(topology: &Topology, points: &[Vec3]) -> Vec<bool> {
     topology.edge_triangles.iter().map(meet).collect()
 }
 
-/// The new vertices after one turn of the tangential part of the umbrella Laplacian, equations (2) to (4); those on the
-/// boundary stay. On a crease, along it only: it would be cut off.
+/// Apply one tangential umbrella Laplacian step to the new vertices, equations (2) to (4). Boundary vertices
+/// stay. Vertices on a crease move only along it, which keeps the crease sharp.
 fn relaxed(
     topology: &Topology,
     points: &[Vec3],
@@ -126,7 +127,7 @@ fn relaxed(
         } else {
             add_scaled(&laplacian, -dot(&laplacian, normal), normal)
         };
-        // A vertex that left the middle of a long edge for that of its neighbours would crowd the ends of others.
+        // Without this limit, vertices of long edges would crowd the ends of other edges.
         let most2 = FARTHEST * FARTHEST * distance2(a, b);
         let length2 = norm2(&tangential);
         let share = if length2 > most2 { (most2 / length2).sqrt() } else { 1.0 };

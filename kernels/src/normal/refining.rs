@@ -1,4 +1,4 @@
-//! From a base, level by level, to the finest.
+//! Refinement of a base, level by level.
 
 use super::carried::Carried;
 use super::distance::{Distance, Fine, largest, mean_square};
@@ -21,26 +21,26 @@ use crate::base::progress::Progress;
 use crate::base::reserve::Reserve;
 use crate::subdivision::contents::{Header, Refinement};
 
-/// How places of vertices are sought, and from how many unsound triangles on nobody wants the result.
+/// Search effort for vertex positions, and the number of folds above which the refinement is abandoned.
 #[derive(Clone, Copy, Debug)]
 pub struct Care {
     pub thorough: bool,
     pub most_unsound: usize,
 }
 
-/// All levels over a base.
+/// All levels of a base.
 pub struct Refined {
     pub made: NormalMesh,
-    /// Of the finest level from the input.
+    /// Distance between the finest level and the input.
     pub distance: Distance,
-    /// What is not sound at any level; the triangles are those of the base.
+    /// Folds of all levels, with their base triangles.
     pub folds: Vec<Fold>,
 }
 
-/// The levels over a base; nothing if too many of their triangles are unsound.
+/// Refine a base into its levels. None if there are more than `care.most_unsound` folds.
 ///
 /// # Errors
-/// [`KernelError::Interrupted`], [`KernelError::Memory`].
+/// [`KernelError::Interrupted`], [`KernelError::OutOfMemory`].
 pub fn refine(
     input: &Input<'_>,
     ordered: &Ordered,
@@ -71,7 +71,7 @@ pub fn refine(
     while let Some(level) = levels.last() {
         let number = levels.len() - 1;
         let is_finest = number == usize::from(header.levels);
-        // Levels grow beyond the input.
+        // Levels can become larger than the input.
         let _reserve = Reserve::for_rows(if is_finest { level.rows() } else { level.next_rows() })?;
         if is_finest || settings.max_error > 0.0 {
             let slots: Vec<u32> = placed.places.iter().map(|place| place.slot).collect();
@@ -123,7 +123,7 @@ pub fn refine(
     progress.check()?;
     let distance = distance.ok_or(KernelError::Interrupted)?;
     if steps.len() < usize::from(header.levels) {
-        // Steps depend on how many levels there are.
+        // Quantisation steps depend on the number of levels, so refine again with the final number.
         let header = Header { levels: steps.len() as u8, ..header };
         return refine(input, ordered, header, settings, care, progress);
     }

@@ -1,4 +1,4 @@
-//! From a mesh to its normal mesh.
+//! Remeshing of a mesh to a normal mesh.
 
 use super::carried::Carried;
 use super::coarsening::coarse;
@@ -17,12 +17,12 @@ use crate::mesh::triangle_mesh::Mesh;
 use crate::snm::Writer;
 use crate::subdivision::contents::{self, Header};
 
-/// Make the normal mesh of a mesh and what its vertices carry. If it is `simplified` and gets no levels, vertices
-/// are rounded to where they come nearest to the surface it stands for.
+/// Remesh a mesh and its vertex attributes to a normal mesh. If the mesh is `simplified` and gets no levels,
+/// vertices are rounded to the grid points nearest to the original surface.
 ///
 /// # Errors
-/// As [`Mesh::new`]; [`KernelError::Extent`] if the mesh is too small or too large for the numbers of a file;
-/// [`KernelError::Interrupted`].
+/// Errors of [`Mesh::new`]; [`KernelError::Extent`] if the mesh is too small or too large for the number
+/// range of a file; [`KernelError::Interrupted`].
 pub fn remesh(
     points: &[Vec3],
     triangles: &[[u32; 3]],
@@ -37,7 +37,7 @@ pub fn remesh(
     let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));
     let points: Vec<Vec3> = points.iter().map(|p| sub(p, &shift)).collect();
     let mesh = Mesh { points: points.clone(), ..mesh };
-    // Triangles that name a vertex twice have no area, and nothing lies on them.
+    // Drop triangles that repeat a vertex: they have no area, so no point maps to them.
     let proper: Vec<[u32; 3]> = mesh.triangle_source.iter().map(|&t| triangles[t as usize]).collect();
     let source = mesh.triangle_source.clone();
     let input = Input::new(points, &proper, carried, simplified, &shift, settings);
@@ -50,7 +50,7 @@ pub fn remesh(
     Ok(made)
 }
 
-/// The file, and where each level ends in it.
+/// Write the file; return its bytes and the end of each level.
 fn written(
     header: &Header,
     base: &contents::Base,

@@ -1,23 +1,24 @@
-//! The boundary: chains of original boundary edges, and where on them new boundary vertices lie.
+//! Boundary curves: chains of original boundary edges on which new boundary vertices are placed.
 
 use super::base_mesh::Chain;
 use super::surface::Place;
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
-/// Share of its part of the chain that a new vertex keeps from either end: no edge of the boundary may vanish.
+/// Minimum distance of a new vertex from both ends of its span, as a fraction of the span. It prevents
+/// zero-length boundary edges.
 const APART: f64 = 0.15;
 
 /// A chain as a polyline.
 #[derive(Clone, Debug)]
 struct Polyline {
     points: Vec<Vec3>,
-    /// Length up to each point.
+    /// Arc length at each point.
     lengths: Vec<f64>,
-    /// Of each piece: the slot of its triangle and the corner it starts from.
+    /// Slot of the triangle at each segment, and the corner where the segment starts.
     sides: Vec<(u32, usize)>,
 }
 
-/// The part of a chain that a boundary edge stands for, in length along the chain.
+/// Arc length interval of a chain that one boundary edge represents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     pub chain: u32,
@@ -25,13 +26,14 @@ pub struct Span {
     pub to: f64,
 }
 
+/// Boundary chains of the base as polylines.
 #[derive(Clone, Debug)]
 pub struct Rims {
     chains: Vec<Polyline>,
 }
 
 impl Rims {
-    /// `corners` gives the points of an original triangle, `slots` its slot.
+    /// Build the polylines. `corners` returns the points of an original triangle, `slots` holds its slot.
     pub fn new(chains: &[Chain], corners: impl Fn(usize) -> [Vec3; 3], slots: &[u32]) -> Self {
         let of = |chain: &Chain| {
             let mut line = Polyline { points: vec![], lengths: vec![], sides: vec![] };
@@ -54,13 +56,14 @@ impl Rims {
         Self { chains: chains.iter().map(of).collect() }
     }
 
-    /// The whole of a chain.
+    /// Return the span of an entire chain.
     pub fn whole(&self, chain: u32) -> Span {
         let to = self.chains[chain as usize].lengths.last().copied().unwrap_or(0.0);
         Span { chain, from: 0.0, to }
     }
 
-    /// The place of a span nearest to `p`, away from its ends, and how far along the chain it is.
+    /// Find the point of a span nearest to `p`, at a margin from both ends. Returns its arc length and
+    /// surface point.
     pub fn nearest(&self, span: &Span, p: &Vec3) -> (f64, Place) {
         let line = &self.chains[span.chain as usize];
         let margin = APART * (span.to - span.from);
@@ -88,7 +91,7 @@ impl Rims {
         (at, line.place(piece, t))
     }
 
-    /// The place so far along a chain.
+    /// Return the surface point at an arc length of a chain.
     pub fn at(&self, chain: u32, along: f64) -> Place {
         let line = &self.chains[chain as usize];
         let piece = line.lengths.partition_point(|&l| l <= along).clamp(1, line.sides.len()) - 1;

@@ -1,10 +1,11 @@
-//! Where the vertices of a mesh without levels go on the grid.
+//! Rounding of a mesh without levels to the grid, optimised for distance and file size.
 //!
-//! The grid point next to a vertex is half a spacing off the surface as often as along it, where that does no harm. Among
-//! the points around there is nearly always one that is far nearer to the surface, so that a grid several times as coarse
-//! does. Vertices are taken in the order of the coder. Each goes where the squared distances of samples of the surface
-//! are least, with those before it where they are by now, and where it takes few bits: mesh optimisation (Hoppe, DeRose,
-//! Duchamp, McDonald and Stuetzle, 1993) on a grid, with the rate in the balance.
+//! Rounding to the nearest grid point displaces vertices off the surface as much as along it, though only the
+//! former matters. Among the surrounding grid points, one is nearly always much nearer to the surface. A grid
+//! several times as coarse is therefore sufficient. Vertices are processed in coder order. Each goes where
+//! the squared distances of surface samples plus the weighted bit cost are minimal, given the current
+//! positions of all others. This is mesh optimisation (Hoppe, DeRose, Duchamp, McDonald and Stuetzle, 1993)
+//! on a grid with a rate term.
 
 use super::surface::Surface;
 use crate::base::geometry::{
@@ -13,25 +14,26 @@ use crate::base::geometry::{
 use crate::base::parallel::fill;
 use crate::subdivision::topology::{NONE, Topology};
 
-/// How far around in the grid to look, in spacings.
+/// Search radius on the grid, in spacings.
 const REACH: i32 = 2;
-/// What a bit counts, in squared spacings, for a vertex with as much area as most.
+/// Weight of one bit for a vertex with mean surrounding area, in squared spacings.
 const BIT: f64 = 0.002;
-/// Weights beside the samples, which do not hold every vertex in every direction: of the planes around a vertex, of the
-/// walls on its boundary edges against the square over the edge, and of staying where it is.
+/// Regularisation weights, because samples do not constrain every vertex in every direction. They apply to
+/// the planes around a vertex, to constraint planes on boundary edges, and to the distance from the current
+/// position.
 const PLANES: f64 = 0.02;
 const WALLS: f64 = 0.01;
 const STAYING: f64 = 3e-5;
-/// Least cosine between a triangle before and after.
+/// Minimum cosine between a triangle before and after rounding.
 const LEAST_COSINE: f64 = 0.3;
-/// A weight below this lies on the side across.
+/// Barycentric weights up to this count as zero: the point is on the opposite side.
 const EDGE: f64 = 1e-9;
-/// With so many triangles of the surface to one of the mesh, their middles are samples enough.
+/// Surface triangles per mesh triangle from which one sample at each centroid suffices.
 const ENOUGH_MIDDLES: usize = 6;
 
 type Matrix = [Vec3; 3];
 
-/// Points that stand for a surface, and the area each stands for.
+/// Sample points of a surface, and the area that each represents.
 #[derive(Clone, Debug, Default)]
 pub struct Samples {
     points: Vec<Vec3>,
@@ -39,7 +41,8 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// For a mesh of so many triangles: three on each triangle, which are exact for what is quadratic on it, or its middle.
+    /// Sample a surface for a mesh of `of_mesh` triangles. Each triangle gets three points, which integrate
+    /// quadratics exactly, or only its centroid if triangles are small.
     pub fn new(points: &[Vec3], triangles: &[[u32; 3]], of_mesh: usize) -> Self {
         let mut samples = Self::default();
         let middles = triangles.len() >= ENOUGH_MIDDLES * of_mesh;
@@ -65,7 +68,7 @@ impl Samples {
         self.points.is_empty()
     }
 
-    /// The same in other units of length.
+    /// Scale the samples to other length units.
     pub fn scaled(&self, factor: f64) -> Self {
         Self {
             points: self.points.iter().map(|p| p.map(|x| factor * x)).collect(),
@@ -73,7 +76,7 @@ impl Samples {
         }
     }
 
-    /// Their mean squared distance from a surface.
+    /// Compute the area-weighted mean squared distance of the samples from a surface.
     pub fn mean_square(&self, surface: &Surface, threads: usize) -> f64 {
         let mut distance2 = vec![0.0; self.points.len()];
         fill(&mut distance2, threads, |i| surface.nearest_slot(&self.points[i], []).1);
@@ -82,8 +85,8 @@ impl Samples {
     }
 }
 
-/// A sample beside its triangle: how far it is `along` a direction, and how much of a corner's way along it the triangle
-/// there goes.
+/// A sample with its nearest triangle. The sample is at coordinate `along` in the direction `towards`;
+/// `weights` are the barycentric coordinates of the nearest point.
 #[derive(Clone, Copy, Default)]
 struct Pull {
     triangle: u32,
@@ -93,14 +96,14 @@ struct Pull {
     area: f64,
 }
 
-/// Lists one after the other: that of `i` is `items[starts[i]..starts[i + 1]]`.
+/// Lists in compressed form; list `i` is `items[starts[i]..starts[i + 1]]`.
 struct Lists {
     starts: Vec<u32>,
     items: Vec<u32>,
 }
 
 impl Lists {
-    /// For each of `0..count` the places of the keys equal to it, each divided by `part`.
+    /// Group the positions of `keys` by key, for keys in `0..count`. Positions are divided by `part`.
     fn new(count: usize, keys: impl Iterator<Item = u32> + Clone, part: u32) -> Self {
         let mut starts = vec![0u32; count + 1];
         keys.clone().for_each(|key| starts[key as usize + 1] += 1);
@@ -118,26 +121,26 @@ impl Lists {
     }
 }
 
-/// A mesh on its way to the grid. All lengths are in spacings of it.
+/// State of the rounding of one mesh. All lengths are in grid spacings.
 pub struct Rounding<'a> {
     triangles: &'a [[u32; 3]],
     exact: &'a [Vec3],
-    /// Where vertices are by now.
+    /// Current positions of the vertices.
     points: Vec<Vec3>,
-    /// The triangles around each vertex, and the samples beside each triangle.
+    /// Triangles around each vertex, and samples nearest to each triangle.
     around: Lists,
     beside: Lists,
     pulls: Vec<Pull>,
-    /// The neighbours along the boundary of each vertex on it.
+    /// Neighbours of each boundary vertex along the boundary.
     boundary: Vec<[u32; 2]>,
-    /// How far from the exact mesh vertices may go; nothing if samples alone say where they go.
+    /// Maximum distance from the exact mesh. None if only the samples determine positions.
     tolerance: Option<f64>,
-    /// What a bit counts.
+    /// Weight of one bit in the objective.
     bit: f64,
 }
 
 impl<'a> Rounding<'a> {
-    /// Of a mesh with vertices at `exact`, which may be at other `points` by now.
+    /// Set up the rounding of a mesh with vertices at `exact` and current positions `points`.
     pub fn new(
         topology: &'a Topology,
         exact: &'a [Vec3],
@@ -173,15 +176,16 @@ impl<'a> Rounding<'a> {
         }
     }
 
+    /// Return the rounded positions, in grid spacings.
     pub fn into_points(self) -> Vec<Vec3> {
         self.points
     }
 
-    /// The grid point for a vertex, where `bits` tells what places take in the file.
+    /// Choose the grid point for a vertex. `bits` estimates the file size of a position.
     pub fn round(&mut self, v: u32, bits: &dyn Fn(&[i32; 3]) -> f64) -> [i32; 3] {
         let now = self.points[v as usize];
         let (shape, slope) = self.distances(v);
-        // Where they are least, and no farther than is looked around.
+        // Minimiser of the distances, clamped to the search radius.
         let best = solved(&shape, &slope).map(|x| x.clamp(-f64::from(REACH), f64::from(REACH)));
         let middle: [i32; 3] = std::array::from_fn(|i| (now[i] + best[i]).round() as i32);
         let mut candidates = vec![];
@@ -202,7 +206,8 @@ impl<'a> Rounding<'a> {
         found
     }
 
-    /// Squared distances around a vertex as a function of the way x it goes: x·Mx − 2r·x and what does not depend on it.
+    /// Compute M and r of the squared distances around a vertex, x·Mx − 2r·x plus a constant, for a
+    /// displacement x.
     fn distances(&self, v: u32) -> (Matrix, Vec3) {
         let now = self.points[v as usize];
         let back = sub(&self.exact[v as usize], &now);
@@ -226,7 +231,8 @@ impl<'a> Rounding<'a> {
                 let Pull { weights, towards, along, area, .. } = &self.pulls[i as usize];
                 let there: f64 = (0..3).map(|k| weights[k] * dot(towards, points[k])).sum();
                 let weight: f64 = (0..3).map(|k| if corners[k] == v { weights[k] } else { 0.0 }).sum();
-                // The sample counts as its area, and goes along with a share of the vertex.
+                // The sample is weighted by its area, and moves with the vertex in proportion to its
+                // barycentric weight.
                 add(area * weight * weight, towards, (along - there) / weight.max(EDGE));
             }
         }
@@ -240,7 +246,7 @@ impl<'a> Rounding<'a> {
         (shape, slope)
     }
 
-    /// Whether a place is within the tolerance and turns no triangle.
+    /// Check whether a position is within the tolerance and turns no triangle.
     fn is_allowed(&self, v: u32, p: &Vec3) -> bool {
         let mut least = f64::INFINITY;
         for &t in self.around.of(v) {
@@ -257,25 +263,25 @@ impl<'a> Rounding<'a> {
     }
 }
 
-/// What a sample pulls at.
+/// Attach a sample to its nearest triangle.
 fn pull(surface: &Surface, triangles: &[[u32; 3]], points: &[Vec3], sample: &Vec3, area: f64) -> Pull {
     let triangle = surface.triangle(surface.nearest_slot(sample, []).0);
     let corners = triangles[triangle as usize].map(|v| points[v as usize]);
     let (weights, _) = nearest_on_triangle(sample, corners.each_ref());
     let nearest: Vec3 = std::array::from_fn(|i| (0..3).map(|k| weights[k] * corners[k][i]).sum());
     let off = sub(sample, &nearest);
-    // Beyond a side, the distance is not along the normal of the triangle.
+    // Nearest to an edge or corner, the direction to the sample is not the triangle's normal.
     let is_inside = weights.iter().all(|&w| w > EDGE) || norm2(&off) <= EDGE * EDGE;
     let towards = unit(&if is_inside { normal(corners) } else { off });
     Pull { triangle, weights, towards, along: dot(&towards, sample), area }
 }
 
-/// Of a triangle, as long as twice its area.
+/// Compute the normal of a triangle, with twice its area as length.
 fn normal([a, b, c]: [Vec3; 3]) -> Vec3 {
     cross(&sub(&b, &a), &sub(&c, &a))
 }
 
-/// The solution of M x = r by Cramer's rule; 0 if there is none.
+/// Solve M x = r by Cramer's rule. Zero if M is singular.
 fn solved(m: &Matrix, r: &Vec3) -> Vec3 {
     let columns = [cross(&m[1], &m[2]), cross(&m[2], &m[0]), cross(&m[0], &m[1])];
     let determinant = dot(&m[0], &columns[0]);

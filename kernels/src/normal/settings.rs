@@ -1,30 +1,32 @@
-//! What a normal mesh is made with.
+//! Settings of a normal mesh.
 
 use super::coarsening::Target;
 use crate::subdivision::contents::Scheme;
 
+/// Settings of [`remesh`](super::remesh::remesh).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// At most. If not given, so many that the finest has about as many triangles as the input, or four if `max_error`
-    /// says how many.
+    /// Maximum number of levels. None derives it: the finest level gets about as many triangles as the input.
+    /// With `max_error`, at most four levels are built until the error is reached.
     pub levels: Option<u8>,
     pub target: Target,
-    /// Stop at the first level that is nowhere farther from the input; 0 not to stop.
+    /// Stop at the first level whose maximum distance from the input is at most this, in mesh units. 0
+    /// disables the check.
     pub max_error: f64,
     pub scheme: Scheme,
     pub relaxations: u8,
-    /// How far quantisation may take a vertex from the surface, in diagonals of the bounding box. If not given, it follows
-    /// from the mesh.
+    /// Maximum quantisation error of a vertex, in diagonals of the bounding box. None derives it from the
+    /// mesh.
     pub tolerance: Option<f64>,
-    /// How far it may take a level of colour.
+    /// Maximum quantisation error of a colour, in 8-bit levels.
     pub color_tolerance: f64,
-    /// What is up in the mesh, of length 1, where that is known: kept in the file, and of no effect.
+    /// Unit up direction of the mesh, if known. It is stored in the file without any other effect.
     pub up: Option<[f64; 3]>,
     pub threads: usize,
 }
 
 impl Settings {
-    /// Whether the base is all there is.
+    /// True if no levels follow the base.
     pub fn is_alone(&self) -> bool {
         self.levels == Some(0)
     }

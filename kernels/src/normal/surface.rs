@@ -1,41 +1,43 @@
-//! The surface that is remeshed: where a line pierces it, and what is nearest.
+//! Surface to remesh, with line intersection and nearest-point queries.
 
 use crate::base::geometry::{
     Vec3, add_scaled, around, cross, dot, nearest_on_triangle, norm2, sub, triangle_distance2, unit,
 };
 use crate::mesh::bvh::Bvh;
 
-/// How far outside a triangle, in barycentric coordinates, a line still pierces it: it may not slip through between two.
+/// Tolerance of line hits outside a triangle, in barycentric coordinates. It prevents lines from slipping
+/// through between two triangles.
 const SLACK: f64 = 1e-9;
-/// Squared distances that differ by less of themselves are equal: others may measure them in 32-bit floats.
+/// Relative difference below which squared distances are equal, because callers may measure in 32-bit floats.
 const TIED: f64 = 1e-5;
-/// A coordinate below which a place of a triangle is on its edge.
+/// Barycentric coordinate below which a point is on an edge.
 const ON_EDGE: f64 = 1e-3;
 
-/// A place on the surface.
+/// Point on the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// Slot of the triangle, see [`Surface::triangle`].
+    /// Slot of the triangle; see [`Surface::triangle`].
     pub slot: u32,
     pub barycentric: [f64; 3],
     pub point: Vec3,
 }
 
-/// Triangles in the order of a tree over them; a *slot* is a place in it.
+/// Triangle soup in the order of a bounding volume hierarchy. A *slot* is an index in that order.
 #[derive(Clone, Debug)]
 pub struct Surface {
     tree: Bvh,
-    /// The triangle in each slot.
+    /// Triangle of each slot.
     order: Vec<u32>,
     corners: Vec<[Vec3; 3]>,
-    /// Vertices in each slot.
+    /// Vertex indices of each slot.
     vertices: Vec<[u32; 3]>,
     normals: Vec<Vec3>,
-    /// Whether the triangle in each slot is turned against the surface around it.
+    /// True for slots whose triangle is flipped against the surrounding surface.
     turned: Vec<bool>,
 }
 
 impl Surface {
+    /// Build the surface and its search tree.
     pub fn new(points: &[Vec3], triangles: &[[u32; 3]], threads: usize) -> Self {
         let of = |t: usize| triangles[t].map(|v| points[v as usize]);
         let (tree, order) = Bvh::new(triangles.len(), threads, |t| around(of(t).into_iter()));
@@ -47,7 +49,7 @@ impl Surface {
         Self { tree, order, corners, vertices, normals, turned }
     }
 
-    /// Triangles, and slots.
+    /// Number of triangles, equal to the number of slots.
     pub fn len(&self) -> usize {
         self.order.len()
     }
@@ -56,43 +58,45 @@ impl Surface {
         self.order.is_empty()
     }
 
-    /// The slot of each triangle.
+    /// Compute the slot of each triangle.
     pub fn slots(&self) -> Vec<u32> {
         let mut slots = vec![0; self.order.len()];
         self.order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
         slots
     }
 
+    /// Return the triangle of a slot.
     #[inline]
     pub fn triangle(&self, slot: u32) -> u32 {
         self.order[slot as usize]
     }
 
+    /// Return the vertex indices of a slot.
     #[inline]
     pub fn vertices(&self, slot: u32) -> [u32; 3] {
         self.vertices[slot as usize]
     }
 
-    /// A place by its triangle and coordinates there.
+    /// Build the surface point at barycentric coordinates of a slot.
     pub fn place(&self, slot: u32, barycentric: [f64; 3]) -> Place {
         let [a, b, c] = &self.corners[slot as usize];
         let [u, v, w] = barycentric;
         Place { slot, barycentric, point: [0, 1, 2].map(|i| u * a[i] + v * b[i] + w * c[i]) }
     }
 
-    /// Unit normals of the vertices.
+    /// Unit vertex normals.
     pub fn normals(&self) -> &[Vec3] {
         &self.normals
     }
 
-    /// The normal at a place, interpolated from the corners; not of unit length.
+    /// Interpolate the normal at a surface point. The result is not normalised.
     pub fn normal_at(&self, place: &Place) -> Vec3 {
         let [a, b, c] = self.vertices(place.slot).map(|v| self.normals[v as usize]);
         let [u, v, w] = place.barycentric;
         [0, 1, 2].map(|i| u * a[i] + v * b[i] + w * c[i])
     }
 
-    /// Whether a triangle looks along a direction: least cosine of the angle between them.
+    /// Check whether the cosine between a triangle's normal and a direction exceeds `least`.
     #[inline]
     fn faces(&self, slot: u32, direction: &Vec3, least: f64) -> bool {
         let [a, b, c] = &self.corners[slot as usize];
@@ -100,8 +104,8 @@ impl Surface {
         dot(&normal, direction) > least * (norm2(&normal) * norm2(direction)).sqrt()
     }
 
-    /// The cosine between a direction and the triangle of a slot; 1 where that one is itself turned against the surface
-    /// around it.
+    /// Compute the cosine between the normal of a slot's triangle and a direction. It is 1 for triangles that
+    /// are flipped against the surrounding surface, because their normals mean nothing.
     pub fn facing(&self, slot: u32, direction: &Vec3) -> f64 {
         if self.turned[slot as usize] {
             return 1.0;
@@ -112,8 +116,8 @@ impl Surface {
         if lengths > 0.0 { dot(&normal, direction) / lengths } else { 1.0 }
     }
 
-    /// The least of [`Self::facing`] of the triangles nearest to `p`: as near as others are those that share an edge or
-    /// a vertex there.
+    /// Compute the minimum of [`Self::facing`] over the triangles nearest to `p`. Several triangles are
+    /// equally near if `p` projects to a shared edge or vertex.
     pub fn least_facing(&self, p: &Vec3, direction: &Vec3, near: impl IntoIterator<Item = u32>) -> f64 {
         let (slot, d2) = self.nearest_slot(p, near);
         let least = std::cell::Cell::new(self.facing(slot, direction));
@@ -130,8 +134,8 @@ impl Surface {
         least.get()
     }
 
-    /// Where the line through `p` along the unit vector `n` pierces triangles that look along it, nearest to `p` and no
-    /// farther than `reach`, where `accept` agrees; with the distance along the line.
+    /// Intersect the line through `p` along the unit vector `n` with triangles that face along it. Returns
+    /// the nearest hit within `reach` that `accept` admits, with its signed distance.
     pub fn pierced(
         &self,
         p: &Vec3,
@@ -143,7 +147,7 @@ impl Surface {
         let mut best: Option<(f64, Place)> = None;
         self.tree.along(p, n, reach, |slot, reach| {
             let Some((t, barycentric)) = crossing(&self.corners[slot as usize], p, n) else { return reach };
-            // Equal distances: the slot decides, whatever the order of the search.
+            // For equal distances the slot decides, so the result does not depend on the traversal order.
             let nearer = match &best {
                 Some((d, place)) => t.abs() < d.abs() || (t.abs() == d.abs() && slot < place.slot),
                 None => t.abs() <= reach,
@@ -157,7 +161,7 @@ impl Surface {
         best
     }
 
-    /// The place nearest to `p`, nearer than `reach`, on triangles of `set` that look along `n`.
+    /// Find the point nearest to `p` within `reach`, on triangles of `set` that face along `n`.
     pub fn nearest(
         &self,
         p: &Vec3,
@@ -169,7 +173,7 @@ impl Surface {
         let least = std::cell::Cell::new(reach * reach);
         let (slot, _) = self.tree.nearest(p, (u32::MAX, reach * reach), |slot| {
             let (_, d2) = nearest_on_triangle(p, self.corners[slot as usize].each_ref());
-            // Sets are searched last: most triangles are too far anyway.
+            // Set lookups come last, because most triangles are too far away.
             if d2 >= least.get() || !self.faces(slot, n, least_cosine) || !set(slot) {
                 return f64::INFINITY;
             }
@@ -181,7 +185,7 @@ impl Surface {
         Some(self.place(found, barycentric))
     }
 
-    /// The place nearest to `p` on some triangles, of which there is at least one.
+    /// Find the point nearest to `p` on the given slots, which must not be empty.
     pub fn nearest_among(&self, p: &Vec3, slots: impl Iterator<Item = u32>) -> Place {
         let mut best = (f64::INFINITY, 0, [1.0, 0.0, 0.0]);
         for slot in slots {
@@ -193,7 +197,8 @@ impl Surface {
         self.place(best.1, best.2)
     }
 
-    /// The slot of the nearest triangle of all, and its squared distance: sooner if one of the slots `near` is near.
+    /// Find the nearest triangle and return its slot and squared distance. Candidate slots in `near` speed up
+    /// the search.
     pub fn nearest_slot(&self, p: &Vec3, near: impl IntoIterator<Item = u32>) -> (u32, f64) {
         let to = |slot: u32| triangle_distance2(p, self.corners[slot as usize].each_ref());
         let closer = |best: (u32, f64), slot: u32| {
@@ -204,7 +209,7 @@ impl Surface {
     }
 }
 
-/// Where a line crosses the plane of a triangle, as a multiple of `n`, and the barycentric coordinates there.
+/// Intersect a line with a triangle. Returns the multiple of `n` and the barycentric coordinates of the hit.
 #[inline]
 fn crossing([a, b, c]: &[Vec3; 3], p: &Vec3, n: &Vec3) -> Option<(f64, [f64; 3])> {
     let (ab, ac) = (sub(b, a), sub(c, a));
@@ -226,8 +231,8 @@ fn crossing([a, b, c]: &[Vec3; 3], p: &Vec3, n: &Vec3) -> Option<(f64, [f64; 3])
     Some((dot(&ac, &along) / volume, [1.0 - v - w, v, w]))
 }
 
-/// Unit normals of vertices: the mean of the triangles around, each weighted as on a sphere through its corners (Max,
-/// "Weights for computing vertex normals from facet normals", 1999). Zero where there is none.
+/// Compute unit vertex normals, with triangles weighted as on a sphere through their corners. Source: Max,
+/// "Weights for computing vertex normals from facet normals", 1999. Zero for vertices without triangles.
 pub fn vertex_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     let mut normals = vec![[0.0; 3]; points.len()];
     for corners in triangles {
@@ -246,8 +251,8 @@ pub fn vertex_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     normals
 }
 
-/// Whether each triangle looks against the sum of the normals at its corners, however the triangles around these are
-/// weighed: as on a sphere, all alike, or by their areas.
+/// Flag triangles that oppose the sum of their corner normals under all three weightings: as on a sphere,
+/// uniform, and by area.
 fn turned(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> Vec<bool> {
     let (mut alike, mut by_area) = (vec![[0.0; 3]; points.len()], vec![[0.0; 3]; points.len()]);
     let of = |corners: &[u32; 3]| {

@@ -1,36 +1,39 @@
-//! How far rounding may take a vertex from the surface, where nobody says.
+//! Default quantisation tolerance, derived from the mesh.
 //!
-//! Rounding adds to the distance from the input as independent errors do. A third of what the finest level is off anyway
-//! adds a few hundredths to it; half of that distance adds a tenth, which the input's noise may hide. Both are found
-//! with the finest tolerance first; what is found is then refined once more with the tolerance that follows.
+//! Rounding adds to the distance from the input like an independent error. A tolerance of 1/3 of the finest
+//! level's RMS distance raises that distance by at most 5 %. A tolerance of 1/2 raises it by at most 12 %,
+//! which the input's noise may hide. The distance is first measured with the finest tolerance; the refinement
+//! is then repeated with the derived one.
 
-/// The finest that is taken, the precision of 32-bit floats, in diagonals of the bounding box. Others are this doubled a
-/// few times, at most so often: grids of the finest are then grids of all.
+/// Finest tolerance, in diagonals of the bounding box: the precision of 32-bit floats. All others are
+/// power-of-two multiples up to the given number of doublings. Points of a coarser grid are thus points of
+/// the finest grid.
 pub const FINEST: f64 = 5e-8;
 pub const MOST_DOUBLINGS: u32 = 14;
 
-/// Parts of the root of the mean squared distance of the finest level, the larger one at most where there is noise; of the
-/// noise; and of the largest distance allowed. What is met exactly stays exact: large triangles can pass for noise.
+/// Tolerance as a fraction of: the finest level's RMS distance; the same as upper limit with noise; the
+/// noise; and the maximum error. The noise term is limited because large triangles pass for noise, and an
+/// exact fit must stay exact.
 const OF_DISTANCE: f64 = 1.0 / 3.0;
 const MOST_OF_DISTANCE: f64 = 1.0 / 2.0;
 const OF_NOISE: f64 = 0.1;
 const OF_BOUND: f64 = 1.0 / 16.0;
 
-/// Where a tolerance comes from.
+/// Origin of a tolerance.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Source {
     Given,
-    /// How far the finest level is from the input anyway.
+    /// Derived from the distance between the finest level and the input.
     Distance,
-    /// What the input's vertices are off a smooth surface.
+    /// Derived from the noise of the input's vertices.
     Noise,
-    /// The largest distance allowed.
+    /// Limited by the requested maximum error.
     Bound,
-    /// There is nothing to be had from a coarser one.
+    /// Finest tolerance, because a coarser one would gain nothing.
     Precision,
 }
 
-/// A tolerance, in diagonals of the bounding box.
+/// Tolerance in diagonals of the bounding box.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Tolerance {
     pub relative: f64,
@@ -38,14 +41,15 @@ pub struct Tolerance {
 }
 
 impl Tolerance {
-    /// The finest, doubled so often.
+    /// Double the finest tolerance `doublings` times.
     pub fn doubled(doublings: u32, source: Source) -> Self {
         let source = if doublings == 0 { Source::Precision } else { source };
         Self { relative: FINEST * f64::from(1u32 << doublings), source }
     }
 }
 
-/// How often to double the finest tolerance, and what says so; lengths in diagonals, a `bound` of 0 for none.
+/// Derive the number of doublings of the finest tolerance, and the reason for it. All lengths are in
+/// diagonals; a `bound` of 0 means no limit.
 pub fn doublings(distance: f64, noise: f64, bound: f64) -> (u32, Source) {
     let by_noise = (OF_NOISE * noise).min(MOST_OF_DISTANCE * distance);
     let (wanted, source) = if by_noise > OF_DISTANCE * distance {
@@ -53,7 +57,7 @@ pub fn doublings(distance: f64, noise: f64, bound: f64) -> (u32, Source) {
     } else {
         (OF_DISTANCE * distance, Source::Distance)
     };
-    // The nearest on a scale of ratios, but none beyond the bound.
+    // Round to the nearest power of two, but never above the bound.
     let nearest = |most: f64, slack: f64| {
         (0..=MOST_DOUBLINGS).rev().find(|&k| FINEST * f64::from(1u32 << k) <= slack * most).unwrap_or(0)
     };

@@ -1,9 +1,9 @@
-//! Which base is the best one, and how coarsely it can be written.
+//! Selection of the best base and of the coarsest harmless quantisation.
 //!
-//! How far the levels over a base come from the input, and whether they turn over, shows only when they are made: a few
-//! bases are tried, each weighed by what the one before has shown. The best is mended where its triangles turn over, gets
-//! more of the input's vertices where they still do, and is made once more with the coarsest steps that do no harm, if
-//! nobody says how exact it should be.
+//! Distance and folds of the levels are only known after refinement, so a few bases are tried. Each is
+//! weighted by the errors of the previous one. The best base is then repaired where triangles flip, and gets
+//! additional input vertices where that fails. Without a given tolerance, it is finally refined again with
+//! the coarsest steps that do no harm.
 
 use super::base_mesh::Base;
 use super::coarsening::Coarse;
@@ -24,49 +24,50 @@ use crate::base::geometry::{around, diagonal};
 use crate::base::progress::Progress;
 use crate::subdivision::contents::Header;
 
-/// Bases that are tried; the one whose finest level comes closest is taken.
+/// Number of trial bases. The base with the best finest level wins.
 const TRIALS: u64 = 4;
-/// Bases that are tried beyond that at most, as long as triangles turn over; where more than a few do, as long as each
-/// leaves no more than this part of them: some surfaces are crumpled all over.
+/// Maximum number of further bases while triangles flip. With more than `FEW` folds, each base must reduce
+/// their number to `HELPED` times the previous one, because some surfaces are crumpled everywhere.
 const MENDS: u64 = 6;
 const FEW: usize = 10;
 const HELPED: f64 = 0.7;
-/// Bases that are made of the best one where triangles turn over all the same.
+/// Maximum number of rebuilds with locked vertices for folds that remain.
 const LOCKINGS: u64 = 8;
-/// The same for each of the tolerances below, where few triangles turn over.
+/// Further rebuilds with locked vertices per quantisation attempt, if few triangles flip.
 const RELOCKINGS: usize = 1;
-/// Tolerances that are tried where nobody gives one, and how many doublings are taken back from one to the next.
+/// Quantisation attempts if no tolerance is given, and the doublings taken back after each failed attempt.
 const ROUNDINGS: u64 = 4;
-/// And where a base has locked vertices, among which triangles are small.
+/// Quantisation attempts for a base with locked vertices, which has smaller triangles.
 const MOST_ROUNDINGS: u64 = 7;
 const TAKEN_BACK: u32 = 2;
-/// All that is tried, at most.
+/// Maximum number of refinement passes, for progress.
 const PASSES: u64 = TRIALS + MENDS + LOCKINGS + MOST_ROUNDINGS;
-/// By how much rounding may take the finest level farther off at most: its share of that is a third.
+/// Maximum factor by which quantisation may raise the RMS distance. About 1.05 is expected for a tolerance of
+/// 1/3.
 const LOSS: f64 = 1.15;
-/// And by this part of their number more triangles may be unsound.
+/// Quantisation may add one fold per this many existing folds.
 const MORE: usize = 10;
-/// So many unsound triangles count as twice the distance.
+/// Number of folds that counts like a doubled distance.
 const DOUBLING: f64 = 10.0;
-/// Where no levels follow, so many times the distance is told: rounding leaves a small part of the tolerance.
+/// Factor on the distance when no levels follow, because rounding uses only a small part of the tolerance.
 const DISTANCE_ALONE: f64 = 9.0;
 
-/// Whether triangles are unsound, how many levels there are, and how far off the last is, times what unsound triangles
-/// count: less is better.
+/// Rank of a trial, smaller is better: has folds, number of levels, and mean squared distance penalised by
+/// folds.
 type Rank = (bool, usize, f64);
 
-/// What was made of a base.
+/// Result of refining one base.
 pub struct Trial {
     pub base: Ordered,
     pub made: NormalMesh,
     distance: Distance,
-    /// What is not sound; the triangles are those of the base.
+    /// Folds of all levels, with their base triangles.
     folds: Vec<Fold>,
-    /// What the base was made with.
+    /// Vertex importance from which the base was built.
     importance: Vec<f64>,
-    /// How places of its vertices were sought.
+    /// True if vertex positions were searched thoroughly.
     thorough: bool,
-    /// What its base was made with, if it has locked vertices.
+    /// Locked vertices of the base, if any.
     locking: Option<Locking>,
 }
 
@@ -82,7 +83,7 @@ impl Trial {
         (unsound > 0, self.made.levels.len(), dearer * dearer * self.distance.mean_square)
     }
 
-    /// What the next base is made with.
+    /// Compute the vertex importance for the next base.
     fn weighed(&self, input: &Input<'_>) -> Vec<f64> {
         let mut importance = self.importance.clone();
         weigh(&mut importance, &input.points, input.triangles, &self.base.base, &self.distance.from_input);
@@ -95,17 +96,17 @@ impl Trial {
     }
 }
 
-/// All that trials have in common.
+/// Shared input of all trials.
 struct Trials<'a> {
     input: &'a Input<'a>,
     coarse: &'a Coarse<'a>,
     settings: &'a Settings,
 }
 
-/// The levels over the best base that is found, in the steps of `header` or coarser ones.
+/// Find the best base and refine it, with the steps of `header` or coarser ones.
 ///
 /// # Errors
-/// [`KernelError::Interrupted`], [`KernelError::Memory`].
+/// [`KernelError::Interrupted`], [`KernelError::OutOfMemory`].
 pub fn best(
     input: &Input<'_>,
     coarse: &Coarse<'_>,
@@ -121,7 +122,7 @@ pub fn best(
 }
 
 impl Trials<'_> {
-    /// Progress of one pass, which is counted as its levels, the base among them.
+    /// Start the progress of one pass, which counts its levels including the base.
     fn pass<'p>(&self, number: u64, progress: &Progress<'p>) -> Result<Progress<'p>, KernelError> {
         let each = u64::from(self.settings.levels.unwrap_or(MOST_LEVELS)) + 1;
         let mut part = progress.part(number * each, PASSES * each);
@@ -147,13 +148,14 @@ impl Trials<'_> {
         refine(self.input, base, header, self.settings, care, progress)
     }
 
-    /// Whether nothing can be better.
+    /// Check whether a trial cannot be improved.
     fn is_final(&self, trial: &Trial) -> bool {
         let is_whole = trial.base.base.triangles.len() == self.input.triangles.len();
         trial.distance.mean_square == 0.0 || self.settings.is_alone() && is_whole
     }
 
-    /// Each base made with what the one before has shown. The first one says how many levels there are, if nobody does.
+    /// Try bases, each weighted by the errors of the previous one. If unspecified, the first one determines
+    /// the number of levels.
     fn first(&self, header: &mut Header, progress: &Progress) -> Result<Option<Trial>, KernelError> {
         let care = Care { thorough: false, most_unsound: usize::MAX };
         let mut importance = vec![1.0; self.input.points.len()];
@@ -179,7 +181,7 @@ impl Trials<'_> {
         Ok(best)
     }
 
-    /// The same base but where triangles turn over, as long as there are any and that helps.
+    /// Rebuild the best base with more weight on folds, as long as folds remain and each rebuild helps.
     fn mended(&self, mut best: Trial, header: &Header, progress: &Progress) -> Result<Trial, KernelError> {
         let care = Care { thorough: true, most_unsound: usize::MAX };
         let mut before = usize::MAX;
@@ -204,7 +206,7 @@ impl Trials<'_> {
         Ok(best)
     }
 
-    /// The same base with more vertices where triangles turn over, until none does.
+    /// Rebuild the best base with locked vertices at folds, until no folds remain.
     fn locked(&self, mut best: Trial, header: &Header, progress: &Progress) -> Result<Trial, KernelError> {
         if best.made.unsound() == 0 || self.is_final(&best) {
             return Ok(best);
@@ -230,7 +232,7 @@ impl Trials<'_> {
         Ok(best)
     }
 
-    /// Once more, as coarse as does no harm, if nobody says how exact it should be.
+    /// Repeat the refinement with the coarsest harmless quantisation, unless a tolerance is given.
     fn rounded(&self, best: Trial, progress: &Progress) -> Result<Trial, KernelError> {
         if self.settings.tolerance.is_some() {
             return Ok(best);
@@ -238,7 +240,7 @@ impl Trials<'_> {
         let (header, unsound) = (best.made.header, best.made.unsound());
         let distance2 = best.distance.mean_square + self.input.apart2;
         let (mut doublings, source) = self.doublings(distance2.sqrt());
-        // Alone, no triangle turns by much against what it was.
+        // Without levels, rounding itself limits the rotation of triangles.
         let is_alone = self.settings.is_alone();
         let most_unsound = if is_alone { usize::MAX } else { unsound + unsound / MORE };
         let attempts = if best.locking.is_some() { MOST_ROUNDINGS } else { ROUNDINGS };
@@ -259,7 +261,8 @@ impl Trials<'_> {
         Ok(best)
     }
 
-    /// The best in coarser steps, if that does no harm. What was locked already may get a few more locks.
+    /// Refine the best base with coarser steps. None if that does harm. A base with locked vertices may get
+    /// further locks.
     fn rounded_to(
         &self,
         best: &Trial,
@@ -291,7 +294,8 @@ impl Trials<'_> {
         Ok(None)
     }
 
-    /// How often the finest tolerance may be doubled, and why, where levels are so far from the input.
+    /// Derive the number of tolerance doublings and its reason from the distance of the levels, in mesh
+    /// units.
     fn doublings(&self, distance: f64) -> (u32, Source) {
         let Input { points, triangles, surface, .. } = self.input;
         let size = diagonal(&around(triangles.iter().flatten().map(|&v| points[v as usize])));
@@ -300,7 +304,7 @@ impl Trials<'_> {
         doublings(told * distance / size, noise / size, self.settings.max_error / size)
     }
 
-    /// Whether the finest level is as near as is asked for.
+    /// Check whether the finest level meets the maximum error.
     fn reaches(&self, made: &NormalMesh) -> bool {
         let reached = made.origin.as_ref().and_then(|origin| origin.reached.last());
         reached.is_none_or(|reached| *reached <= self.settings.max_error)

@@ -1,12 +1,14 @@
-//! No triangle of a level may turn over, or be a needle.
+//! Repair of folds: triangles of a new level that are flipped or needles.
 //!
-//! Turned over is a triangle that looks away from the surface at its corners, or from the input's triangle next to its
-//! middle. Where the input is crumpled, neither says much: unless the normals at the corners agree, it is enough to look
-//! where the triangle does that it is a part of, and a triangle of the input that is itself turned is not asked. New
-//! vertices of a triangle that is turned are tried at other places of the surface: on the line from the unrelaxed point,
-//! where they are expected, near the mean of their neighbours and near the middle of their edge; on the boundary elsewhere
-//! along it. What makes the worst triangle around better is taken. Where that is not enough, a closer search takes what
-//! makes the triangles around better together.
+//! A triangle is flipped if it faces away from the surface at its corners, or from the input triangle nearest
+//! to its centroid. Crumpled input makes both tests unreliable, hence two exceptions. If the corner normals
+//! disagree, agreement with the parent triangle suffices. Input triangles that are flipped themselves are
+//! ignored.
+//!
+//! New vertices of a fold are tried at other surface points. Interior candidates are on the line through the
+//! unrelaxed point and at the expected position. Others are near the mean of the neighbours and near the edge
+//! midpoint. Boundary candidates are elsewhere along the boundary. The first search improves the worst
+//! triangle around a vertex. If that fails, a thorough search improves the sum over all triangles around it.
 
 use std::ops::Add;
 
@@ -21,19 +23,20 @@ use crate::base::parallel::fill;
 use crate::subdivision::contents::Offset;
 use crate::subdivision::topology::NONE;
 
-/// Turns over all triangles that are not sound.
+/// Maximum number of passes over all folds, for the first and the thorough search.
 const TURNS: usize = 12;
 const THOROUGH_TURNS: usize = 4;
-/// Least cosine between a triangle and the surface's mean normal at its corners.
+/// Minimum cosine between a triangle and the mean surface normal at its corners.
 const LEAST_COSINE: f64 = 0.02;
-/// Least height of a triangle in lengths of its longest side.
+/// Minimum height of a triangle, in lengths of its longest side.
 const LEAST_FLATNESS: f64 = 1e-3;
 
-/// Length of the sum of a triangle's three normals from which the surface is smooth there beyond doubt.
+/// Minimum length of the sum of a triangle's three corner normals for a certainly smooth surface; the maximum
+/// is 3.
 const SMOOTH: f64 = 2.9;
-/// Where else on a boundary, in shares of its part of the chain.
+/// Candidate positions on a boundary, as fractions of the span.
 const SHARES: [f64; 6] = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2];
-/// Where else to look, in lengths of the edge along it and across.
+/// Candidate displacements, in edge lengths along and across the edge.
 const ASIDE: [[f64; 2]; 12] = [
     [0.2, 0.0],
     [-0.2, 0.0],
@@ -48,16 +51,16 @@ const ASIDE: [[f64; 2]; 12] = [
     [-0.25, 0.25],
     [-0.25, -0.25],
 ];
-/// Where that has not helped, points of a square, closer together towards its middle: how many along a side, and how far
-/// away they are at most.
+/// Square of candidates for the thorough search, denser towards its centre: candidates per side, and the
+/// maximum displacement in edge lengths.
 const SIDE: usize = 9;
 const ASIDE_AT_MOST: f64 = 0.6;
-/// Shares of a chain that are tried then, less one.
+/// Number of intervals of a boundary span in the thorough search.
 const FINE_SHARES: usize = 32;
-/// What is not better by this is not better.
+/// Minimum improvement; smaller changes are rounding noise.
 const LEAST_GAIN: f64 = 1e-6;
 
-/// How sound a triangle is: the cosine between it and the surface at its corners; below −1 for a needle.
+/// Compute the cosine between a triangle and the mean surface normal at its corners; −2 for a needle.
 pub fn soundness([a, b, c]: [&Vec3; 3], normals: [&Vec3; 3]) -> f64 {
     let (ab, ac, bc) = (sub(b, a), sub(c, a), sub(c, b));
     let normal = cross(&ab, &ac);
@@ -75,20 +78,21 @@ fn sum(vectors: [&Vec3; 3]) -> Vec3 {
     std::array::from_fn(|i| vectors.iter().map(|v| v[i]).sum())
 }
 
-/// In order, each once.
+/// Sort and deduplicate.
 fn sorted(mut triangles: Vec<usize>) -> Vec<usize> {
     triangles.sort_unstable();
     triangles.dedup();
     triangles
 }
 
-/// Whether a triangle may stay as it is.
+/// Check whether a triangle is neither flipped nor a needle.
 fn is_sound(soundness: f64) -> bool {
     soundness >= LEAST_COSINE
 }
 
-/// How sound a triangle is by the surface at its corners and next to its middle; no more than needed to tell that it is
-/// not above `enough`. Triangles of the slots `near` may be near; `parent` is the normal of the triangle it is a part of, if it is one.
+/// Compute the agreement of a triangle with the surface at its corners and next to its centroid, as a cosine.
+/// Values up to `enough` may be upper bounds. `near` are candidate slots; `parent` is the normal of the
+/// parent triangle, if any.
 pub fn against_surface(
     surface: &Surface,
     points: [&Vec3; 3],
@@ -109,7 +113,7 @@ pub fn against_surface(
     at_corners.min(facing)
 }
 
-/// Whether a triangle of these vertices is one of the input, wherever it starts.
+/// Check whether the triangle of these vertices is an input triangle, with any first corner.
 fn is_of_input(
     surface: &Surface,
     points: [&Vec3; 3],
@@ -121,8 +125,8 @@ fn is_of_input(
     [[a, b, c], [b, c, a], [c, a, b]].contains(&vertices)
 }
 
-/// The triangles of a base mesh that are not sound; `source` are the vertices of the input that its vertices are. What the
-/// input has itself is no fault of the base.
+/// Find the folds of a base mesh. `source` gives the input vertex of each base vertex. Triangles of the input
+/// are not counted.
 pub fn unsound_in_base(
     level: &Level,
     placed: &Placed,
@@ -146,20 +150,20 @@ pub fn unsound_in_base(
     (0..sound.len()).filter(|&t| !sound[t]).map(fold).collect()
 }
 
-/// What two triangles lack: the larger of both, or the sum.
+/// Combination of the deficits of two triangles: maximum or sum.
 type Joined = fn(f64, f64) -> f64;
 
-/// The next level while it is being mended.
+/// State of the repair of one new level.
 struct Fine<'a> {
     search: &'a Search<'a>,
     found: &'a mut [Found],
-    /// Of the surface at all vertices, those of the level before first; and of the triangles of that level.
+    /// Surface normals at all vertices, coarser level first; and the face normals of the coarser level.
     normals: Vec<Vec3>,
     coarse_faces: Vec<Vec3>,
 }
 
 impl Fine<'_> {
-    /// The number of the new vertex of an edge.
+    /// Index of the new vertex of an edge.
     fn vertex(&self, edge: usize) -> usize {
         self.search.level.points.len() + edge
     }
@@ -174,7 +178,8 @@ impl Fine<'_> {
         coarse.get(v as usize).unwrap_or_else(|| &self.found[v as usize - coarse.len()].place)
     }
 
-    /// How sound a child of triangle `t` of the coarse level is, as far as it is above `enough`.
+    /// Compute the agreement of a child of coarse triangle `t` with the surface. Values up to `enough` may be
+    /// upper bounds.
     fn soundness(&self, t: usize, corners: &[u32; 3], enough: f64) -> f64 {
         let points = corners.map(|v| self.point(v));
         let normals = corners.map(|v| &self.normals[v as usize]);
@@ -183,32 +188,32 @@ impl Fine<'_> {
         against_surface(surface, points, normals, near, Some(&self.coarse_faces[t]), enough)
     }
 
-    /// The children of triangle `t` of the coarse level that are not sound.
+    /// List the folded children of coarse triangle `t`.
     fn unsound(&self, t: usize) -> impl Iterator<Item = [u32; 3]> {
         let children = self.search.level.topology.children(t).into_iter();
         children.filter(move |corners| !is_sound(self.soundness(t, corners, LEAST_COSINE)))
     }
 
-    /// The same, and where they are.
+    /// List the folds in coarse triangle `t`, with their centroids.
     fn folds(&self, t: usize) -> impl Iterator<Item = Fold> {
         self.unsound(t)
             .map(move |corners| Fold { triangle: t, middle: middle(&corners.map(|v| *self.point(v))) })
     }
 
-    /// The triangles of the coarse level beside an edge.
+    /// List the coarse triangles adjacent to an edge.
     fn beside(&self, edge: usize) -> impl Iterator<Item = usize> + use<> {
         let beside = self.search.level.topology.edge_triangles[edge];
         beside.into_iter().filter(|&t| t != NONE).map(|t| t as usize)
     }
 
-    /// The triangles around the new vertex of an edge, and the ones they are a part of.
+    /// List the triangles around the new vertex of an edge, with their coarse triangles.
     fn around(&self, edge: usize) -> impl Iterator<Item = (usize, [u32; 3])> {
         let v = self.vertex(edge) as u32;
         let children = |t| self.search.level.topology.children(t).into_iter().map(move |child| (t, child));
         self.beside(edge).flat_map(children).filter(move |(_, child)| child.contains(&v))
     }
 
-    /// What the triangles around the new vertex of an edge lack to be sound, as far as it is below `most`.
+    /// Compute the deficit of the triangles around an edge's new vertex; 0 if none folds. Stops at `most`.
     fn lack_around(&self, edge: usize, most: f64, joined: Joined) -> f64 {
         let mut lack = 0.0;
         for (t, corners) in self.around(edge) {
@@ -227,8 +232,8 @@ impl Fine<'_> {
         self.normals[v] = self.search.original.surface.normal_at(&found.place);
     }
 
-    /// Put the new vertex of an edge where the triangles around it lack least, until they lack nothing; whether that is
-    /// elsewhere.
+    /// Move the new vertex of an edge to the candidate with the smallest deficit, stopping at 0. Returns true
+    /// if it moved.
     fn try_out(&mut self, edge: usize, places: impl IntoIterator<Item = Found>, joined: Joined) -> bool {
         let mut lack = self.lack_around(edge, f64::INFINITY, joined);
         let mut moved = false;
@@ -248,7 +253,8 @@ impl Fine<'_> {
         moved
     }
 
-    /// Try a few places for the new vertex of an edge; whether one is better for the worst triangle around it.
+    /// Try a few candidates that improve the worst triangle around an edge's vertex. Returns true if the
+    /// vertex moved.
     fn mend(&mut self, edge: usize) -> bool {
         let search = self.search;
         if search.level.topology.is_boundary_edge(edge) {
@@ -267,7 +273,8 @@ impl Fine<'_> {
         self.try_out(edge, places.map(|place| search.vector(edge, place)), f64::max) || moved
     }
 
-    /// Try many places for the new vertex of an edge; whether one is better for the triangles around it together.
+    /// Try many candidates that improve the sum over the triangles around an edge's vertex. Returns true if
+    /// it moved.
     fn search_around(&mut self, edge: usize) -> bool {
         let search = self.search;
         if search.level.topology.is_boundary_edge(edge) {
@@ -285,7 +292,7 @@ impl Fine<'_> {
             });
             let target = add_scaled(&add_scaled(&middle, x, tangent), y, third);
             directions.into_iter().flat_map(move |direction| {
-                // Where the sets are thin, another triangle's may do.
+                // Points outside the associated sets are candidates, too, because sets can be sparse.
                 let near = std::iter::once_with(move || search.nearest(edge, &target, &direction));
                 near.chain(search.anywhere(edge, &target, &direction))
             })
@@ -293,8 +300,8 @@ impl Fine<'_> {
         self.try_out(edge, places.map(|place| search.vector(edge, place)), f64::add)
     }
 
-    /// Mend triangles of the coarse level by moving vertices of their edges; returns those of them, of `open` and of their
-    /// neighbours that stay unsound.
+    /// Repair coarse triangles by moving the vertices of their edges. Returns the triangles that still fold,
+    /// among `open` and the neighbours of moved vertices.
     fn mended(
         &mut self,
         mut open: Vec<usize>,
@@ -304,13 +311,14 @@ impl Fine<'_> {
     ) -> Vec<usize> {
         let topology = &self.search.level.topology;
         for _ in 0..turns {
-            // What makes one triangle better may turn its neighbour over. Where nothing has changed, nothing will.
+            // A repair may fold a neighbouring triangle. Only triangles that changed need another pass.
             let mut moved = vec![];
             for t in sorted(changed) {
                 if self.unsound(t).next().is_none() {
                     continue;
                 }
-                // A vertex that has a vector already costs no more elsewhere.
+                // Vertices that already store a vector come first, because moving them costs no additional
+                // bits.
                 let mut edges = topology.triangle_edges[t];
                 edges.sort_by_key(|&edge| !matches!(self.found[edge as usize].offset, Offset::Vector(_)));
                 for edge in edges {
@@ -330,7 +338,7 @@ impl Fine<'_> {
         open
     }
 
-    /// Take back what was not needed in the end: a vertex that a scalar leads to costs less than one with a vector.
+    /// Replace a vector by a scalar offset, which is shorter, if that creates no fold.
     fn take_back(&mut self, edge: usize) {
         let search = self.search;
         let is_vector = matches!(self.found[edge].offset, Offset::Vector(_));
@@ -347,7 +355,7 @@ impl Fine<'_> {
         self.put(edge, kept);
     }
 
-    /// Points near which the new vertex of an edge may do better.
+    /// List target points near which the new vertex of an edge may fold less.
     fn targets(&self, edge: usize, [_, tangent, third]: &[Vec3; 3]) -> Vec<Vec3> {
         let [a, b] = self.search.level.topology.edges[edge].map(|v| self.point(v));
         let (middle, mean) = (midpoint(a, b), self.mean_around(edge));
@@ -360,7 +368,7 @@ impl Fine<'_> {
         targets
     }
 
-    /// The mean of the six neighbours of a new vertex.
+    /// Compute the mean of the six neighbours of a new vertex.
     fn mean_around(&self, edge: usize) -> Vec3 {
         let topology = &self.search.level.topology;
         let beside = topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE);
@@ -375,7 +383,7 @@ impl Fine<'_> {
     }
 }
 
-/// Mend what can be mended; returns what is not sound then. A `thorough` search takes long where the input is crumpled.
+/// Repair folds of a new level and return the remaining ones. A `thorough` search is slow on crumpled input.
 pub fn unfold(search: &Search<'_>, found: &mut [Found], thorough: bool) -> Vec<Fold> {
     let (topology, points) = (&search.level.topology, &search.level.points);
     let places = search.placed.places.iter().chain(found.iter().map(|f| &f.place));

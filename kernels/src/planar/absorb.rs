@@ -1,4 +1,4 @@
-//! What is left over in patches too small to matter joins a neighbour that holds it within its bounds.
+//! Absorption of noise: triangles of tiny patches join a neighbouring patch whose bounds contain them.
 
 use super::claims::Claims;
 use super::ground::{Ground, LEAST_COSINE};
@@ -6,14 +6,14 @@ use super::growth::Grown;
 use crate::base::geometry::dot;
 use crate::base::parallel;
 
-/// Patches of less area than so many squares of the largest distance count as noise.
+/// Maximum area of a noise patch, in squares of the maximum distance.
 const NOISE_AREA: f64 = 4.0;
 
-/// Triangles that one thread looks at in one go.
+/// Triangles per parallel batch.
 const BATCH: usize = 1 << 15;
 
-/// Set the triangles of small patches free, and let the others take in, layer by layer, what their bounds hold.
-/// Returns the faces looked at.
+/// Release the triangles of tiny patches, and let the other patches absorb them layer by layer within their
+/// bounds. Returns the number of faces visited.
 pub fn absorb<const D: usize, const K: usize>(
     ground: &Ground<'_, D>,
     claims: &mut Claims,
@@ -43,7 +43,7 @@ pub fn absorb<const D: usize, const K: usize>(
     looks
 }
 
-/// The triangles of loose patches, and those of others that are beside them.
+/// List the triangles of loose patches, and the triangles of other patches adjacent to them.
 fn loose_and_beside<const D: usize>(
     ground: &Ground<'_, D>,
     claims: &Claims,
@@ -71,7 +71,7 @@ fn loose_and_beside<const D: usize>(
     (loose.concat(), beside.concat())
 }
 
-/// Let a patch take in a triangle, if it is the kind of patch, and within its bounds.
+/// Add a triangle to a patch if the patch is open and its bounds contain the triangle.
 fn take_in<const D: usize, const K: usize>(ground: &Ground<'_, D>, grown: &mut Grown<K>, to: u32) -> bool {
     let (normal, area) = ground.facets[to as usize];
     let stands = area == 0.0 || dot(&normal, &grown.fit.normal) > ground.options.noise.max(LEAST_COSINE);
@@ -94,7 +94,7 @@ fn take_in<const D: usize, const K: usize>(ground: &Ground<'_, D>, grown: &mut G
     true
 }
 
-/// Number the patches that are left without gaps.
+/// Remove loose patches and renumber the others without gaps.
 fn forget<const K: usize>(threads: usize, claims: &mut Claims, grown: &mut Vec<Grown<K>>, is_loose: &[bool]) {
     let mut kept = 0;
     let number: Vec<u32> = is_loose

@@ -1,11 +1,11 @@
-//! Growing all patches, each from its seed in its turn; several at the same time, with the same result.
+//! Speculative parallel growth of all patches, with the same result as sequential growth in seed order.
 //!
-//! A patch depends on those with earlier turns through the triangles that these have taken, and on nothing else. So
-//! threads with nothing to do grow patches ahead of their turn, against what is known by then. Such a patch stands
-//! if in its turn it would grow in the same way: if no earlier one has claimed any triangle that joined it, if those
-//! stand that it left to earlier ones, and if no triangle has been set free too often since. Otherwise it grows again, then
-//! with nothing before it. The results are those of one thread, whatever was grown ahead; that only decides how
-//! soon.
+//! A patch depends on earlier patches only through the triangles they have taken. Idle threads therefore grow
+//! patches before their turn, against the current state. In its turn, such a patch is accepted if it would
+//! grow identically. No earlier patch may have claimed its triangles, and every triangle it left to earlier
+//! patches must be settled. In addition, no triangle may have been released too often since. Otherwise the
+//! patch grows again, now with all earlier patches settled. The result is the sequential one; speculation
+//! only affects the speed.
 
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -18,19 +18,21 @@ use crate::base::errors::KernelError;
 use crate::base::parallel::spawn;
 use crate::base::progress::Progress;
 
-/// As long as a patch takes this part of the triangles that are left, there is nothing to grow beside it.
+/// Speculation starts once a patch takes less than 1/8 of the remaining triangles; larger patches leave no
+/// other work.
 const MOST: usize = 8;
 
-/// With fewer triangles left one thread is faster.
+/// Remaining triangles below which one thread is faster.
 const FEW: usize = 1 << 13;
 
-/// More threads wait for each other longer than they grow.
+/// Maximum number of threads; more threads mostly wait for each other.
 const MOST_THREADS: usize = 2;
 
-/// How many seeds to pass over where a patch ahead was spoiled, at first and at most: an earlier one is growing there.
+/// Initial and maximum number of seeds to skip after a spoiled patch, because an earlier patch is growing
+/// there.
 const STEPS: [usize; 2] = [1 << 8, 1 << 20];
 
-/// Grow patches from those of the seeds that none has reached by then. Returns the faces looked at.
+/// Grow patches from all seeds that no earlier patch has taken. Returns the number of faces visited.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -83,7 +85,7 @@ pub fn grow_all<const D: usize, const K: usize>(
     state.interrupted.map_or(Ok(state.looks), Err)
 }
 
-/// Grow patches one after the other, until there is room for several.
+/// Grow patches sequentially until they are small enough for parallel growth.
 #[allow(clippy::too_many_arguments)]
 fn grow_alone<const D: usize, const K: usize>(
     ground: &Ground<'_, D>,
@@ -115,14 +117,14 @@ fn grow_alone<const D: usize, const K: usize>(
     Ok(())
 }
 
-/// What has become of a turn whose patch was begun.
+/// State of a turn whose growth has started.
 enum Slot<const K: usize> {
     Growing,
     Ahead(Box<Ahead<K>>),
     Spoiled,
 }
 
-/// A patch that has grown, perhaps ahead of its turn, and what it has met.
+/// Finished patch, possibly ahead of its turn, with the observations that decide on its acceptance.
 struct Ahead<const K: usize> {
     grown: Grown<K>,
     members: Vec<u32>,
@@ -133,11 +135,11 @@ struct Ahead<const K: usize> {
 }
 
 struct State<const K: usize> {
-    /// The turn it is: all patches with earlier ones stand.
+    /// Current turn; all patches of earlier turns are settled.
     at: usize,
-    /// The next turn to look at for a patch to grow ahead.
+    /// Next turn to consider for speculative growth.
     ahead: usize,
-    /// Seeds to pass over when one is spoiled.
+    /// Number of seeds to skip after a spoiled patch.
     step: usize,
     slots: BTreeMap<usize, Slot<K>>,
     grown: Vec<Grown<K>>,
@@ -145,7 +147,7 @@ struct State<const K: usize> {
     interrupted: Option<KernelError>,
 }
 
-/// Patches that grow from these seeds, each in its turn.
+/// Shared state of growing patches from `seeds`, each in its turn.
 struct Turns<'a, const D: usize, const K: usize> {
     ground: &'a Ground<'a, D>,
     claims: &'a Claims,
@@ -154,7 +156,7 @@ struct Turns<'a, const D: usize, const K: usize> {
     changed: Condvar,
 }
 
-/// What there is to do for a thread.
+/// Next task of a thread.
 enum Task {
     Grow(usize),
     Wait,
@@ -162,7 +164,7 @@ enum Task {
 }
 
 impl<const D: usize, const K: usize> Turns<'_, D, K> {
-    /// What each thread does.
+    /// Main loop of each thread.
     fn run(&self, mut progress: Progress) {
         let mut grower = Grower::new(self.ground, self.claims);
         let mut state = self.lock();
@@ -226,7 +228,7 @@ impl<const D: usize, const K: usize> Turns<'_, D, K> {
         }
     }
 
-    /// Let the patches stand whose turn it is; returns a turn that has come and whose patch has to grow now.
+    /// Accept finished patches in order. Returns the current turn if its patch must be grown now.
     fn settle(&self, state: &mut State<K>, progress: &mut Progress) -> Option<usize> {
         while state.at < self.seeds.len() && state.interrupted.is_none() {
             let (turn, all) = (state.at, self.seeds.len() as u64);
@@ -257,7 +259,7 @@ impl<const D: usize, const K: usize> Turns<'_, D, K> {
         None
     }
 
-    /// Whether a patch would grow in the same way in its turn, which has come.
+    /// Check whether the patch of the current turn would grow identically now.
     fn is_sound(&self, turn: usize, ahead: &Ahead<K>) -> bool {
         let joined_moving = match (ahead.was_restless, ahead.released.is_empty()) {
             (true, _) => &[][..],
@@ -279,7 +281,7 @@ impl<const D: usize, const K: usize> Turns<'_, D, K> {
         state.grown.push(ahead.grown);
     }
 
-    /// A turn to come whose seed nobody has claimed.
+    /// Find a later turn whose seed is unclaimed.
     fn next_ahead(&self, state: &mut State<K>) -> Option<usize> {
         let mut turn = state.ahead.max(state.at + 1);
         while turn < self.seeds.len() && !self.claims.is_free(self.seeds[turn]) {

@@ -1,7 +1,7 @@
-//! All patches together: triangulate each, and put vertices back where the result would not be a manifold.
+//! Assembly of all patches: triangulate each, and restore border vertices until the result is manifold.
 //!
-//! Vertices only come back, and a patch that cannot be had otherwise keeps its triangles, so that this ends: at the
-//! latest with the input.
+//! Vertices are only ever restored, and a patch that cannot be triangulated keeps its triangles. The loop
+//! therefore terminates, in the worst case with the input mesh.
 
 use std::sync::OnceLock;
 
@@ -17,10 +17,10 @@ use crate::base::parallel;
 use crate::base::progress::Progress;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// What comes of an assembly.
+/// Result of an assembly.
 pub enum Assembled {
     Whole(Box<Planar>),
-    /// Some patches lie over themselves, seen along their normals.
+    /// Some patches overlap themselves in the projection along their normals.
     Folded {
         patches: Patches,
         is_folded: Vec<bool>,
@@ -28,21 +28,22 @@ pub enum Assembled {
     },
 }
 
-/// What comes of the patches before any two of them have to agree.
+/// Results of the first round, before patches are made consistent with each other.
 pub struct First {
-    /// Vertices on borders that stay.
+    /// True for border vertices that are kept.
     stays: Vec<bool>,
     outcomes: Vec<Outcome>,
 }
 
-/// An assembly of patches of which some have been divided since.
+/// Results of an earlier assembly, of which some patches have been split since.
 pub struct Known {
-    /// Which of its patches each one is; none for those that are new.
+    /// Index of each patch in the earlier assembly; None for new patches.
     pub was: Vec<Option<u32>>,
     pub first: First,
 }
 
-/// Where an assembly is `known` already, patches that lie over themselves keep their triangles.
+/// Assemble the patches into a mesh. With results of an earlier assembly (`known`), patches that overlap
+/// themselves keep their triangles.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -109,7 +110,7 @@ pub fn assemble<const D: usize>(
 }
 
 impl<const D: usize> Assembly<'_, D> {
-    /// Triangulate some patches.
+    /// Triangulate some patches in parallel.
     fn outcomes(
         &mut self,
         open: &[u32],
@@ -133,7 +134,7 @@ impl<const D: usize> Assembly<'_, D> {
         Ok(outcomes.into_iter().flatten().collect())
     }
 
-    /// What has come of a patch before, if it and what stays of its border are the same.
+    /// Look up the earlier result of a patch, if the patch and its kept border vertices are unchanged.
     fn known_outcome(&self, patch: u32, known: Option<&Known>) -> Option<Outcome> {
         let known = known?;
         let was = known.was[patch as usize]?;
@@ -145,7 +146,7 @@ impl<const D: usize> Assembly<'_, D> {
         border.all(is_same).then(|| known.first.outcomes[was as usize].clone())
     }
 
-    /// Take what has come of some patches; returns those that have to be done again.
+    /// Store the results of some patches. Returns the patches that must be triangulated again.
     fn settle(&mut self, open: &[u32], outcomes: Vec<Outcome>) -> Vec<u32> {
         let mut again = vec![];
         for (&patch, outcome) in open.iter().zip(outcomes) {

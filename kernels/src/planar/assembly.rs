@@ -1,4 +1,4 @@
-//! The state of an assembly: which vertices stay, and what each patch has become.
+//! State of an assembly: kept border vertices and the triangles of each patch.
 
 use std::sync::OnceLock;
 
@@ -10,10 +10,10 @@ use crate::base::parallel;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// Patches that one thread takes at a time.
+/// Patches per parallel batch.
 pub(super) const BATCH: usize = 64;
 
-/// The triangles of the input sorted by patch, and where each patch begins.
+/// Sort the input triangles by patch. Returns them with the start of each patch.
 fn by_patch(patches: &Patches) -> (Vec<u32>, Vec<u32>) {
     let mut starts = vec![0u32; patches.patches.len() + 1];
     patches.of.iter().for_each(|&p| starts[p as usize + 1] += 1);
@@ -27,37 +27,40 @@ fn by_patch(patches: &Patches) -> (Vec<u32>, Vec<u32>) {
     (members, starts)
 }
 
+/// State of the assembly of all patches.
 pub(super) struct Assembly<'a, const D: usize> {
     pub(super) mesh: &'a Mesh<D>,
     pub(super) options: &'a Options,
     pub(super) patches: &'a Patches,
     pub(super) borders: &'a Borders,
-    /// The triangles of all patches, which few results need.
+    /// Input triangles sorted by patch; built on demand because few results need them.
     pub(super) members: OnceLock<(Vec<u32>, Vec<u32>)>,
-    /// Vertices on borders that the result has.
+    /// True for border vertices of the result.
     pub(super) stays: Vec<bool>,
-    /// Patches that keep their triangles, inner vertices included.
+    /// True for patches that keep their triangles, including interior vertices.
     pub(super) kept: Vec<bool>,
-    /// Those of them that have no triangulation though all vertices of their borders are there.
+    /// True for kept patches that have no triangulation even with all border vertices.
     pub(super) is_folded: Vec<bool>,
     pub(super) tries: Vec<u8>,
-    /// Edges that a patch must not have inside, as they are elsewhere; sorted.
+    /// Interior edges forbidden per patch, because the same edge exists elsewhere; sorted.
     pub(super) forbidden: Vec<(u32, [VertexId; 2])>,
-    /// The triangles of each patch that does not keep its own, and their sources.
+    /// New triangles of each patch that does not keep its own, with their source triangles.
     pub(super) triangles: Vec<Vec<([u32; 3], u32)>>,
-    /// Of the result, sorted, but for the patches that have changed.
+    /// Sorted edges of the result, outdated for changed patches.
     pub(super) edges: Vec<Edge>,
-    /// Patches whose edges may be others since these were gathered.
+    /// True for patches whose edges may have changed since `edges` was gathered.
     pub(super) has_changed: Vec<bool>,
     pub(super) rounds: usize,
 }
 
 impl<const D: usize> Assembly<'_, D> {
+    /// Build the polygon of a patch from its kept border vertices.
     pub(super) fn polygon(&self, patch: u32) -> Polygon<'_> {
         let number = patch as usize;
         Polygon::new(self.mesh, self.borders, number, &self.patches.patches[number], &self.stays)
     }
 
+    /// Sort and deduplicate patches, dropping those that keep their triangles.
     pub(super) fn once_each(&self, mut again: Vec<u32>) -> Vec<u32> {
         again.sort_unstable();
         again.dedup();
@@ -65,6 +68,7 @@ impl<const D: usize> Assembly<'_, D> {
         again
     }
 
+    /// Restore a border vertex, and queue all patches around it.
     pub(super) fn put_back(&mut self, v: VertexId, again: &mut Vec<u32>) {
         if !std::mem::replace(&mut self.stays[v.index()], true) {
             let triangles = self.mesh.connectivity.fan(v).map(|h| Connectivity::triangle(h).index());
@@ -72,6 +76,7 @@ impl<const D: usize> Assembly<'_, D> {
         }
     }
 
+    /// Let a patch keep its triangles, and restore all its border vertices.
     pub(super) fn keep(&mut self, patch: u32, again: &mut Vec<u32>) {
         self.kept[patch as usize] = true;
         self.has_changed[patch as usize] = true;
@@ -82,12 +87,13 @@ impl<const D: usize> Assembly<'_, D> {
         }
     }
 
+    /// Return the input triangles of a patch.
     pub(super) fn members(&self, patch: u32) -> &[u32] {
         let (members, starts) = self.members.get_or_init(|| by_patch(self.patches));
         &members[starts[patch as usize] as usize..starts[patch as usize + 1] as usize]
     }
 
-    /// How far the surfaces are apart in each patch at most, in shape and in colour.
+    /// Compute upper bounds of the deviation in each patch: distance and colour difference.
     pub(super) fn bounds(&self) -> Vec<[f64; 2]> {
         let mut bounds = vec![[0.0; 2]; self.patches.patches.len()];
         parallel::fill(&mut bounds, self.options.threads, |p| {
@@ -103,6 +109,7 @@ impl<const D: usize> Assembly<'_, D> {
         bounds
     }
 
+    /// Build the result: source vertices, triangles, and the source triangle and patch of each triangle.
     #[allow(clippy::type_complexity)]
     pub(super) fn output(&self) -> (Vec<u32>, Vec<[u32; 3]>, Vec<u32>, Vec<u32>) {
         let connectivity = &self.mesh.connectivity;
@@ -138,16 +145,16 @@ pub(super) fn sorted(a: VertexId, b: VertexId) -> [VertexId; 2] {
     [a.min(b), a.max(b)]
 }
 
-/// What an edge of the result is; in the order in which one of several between the same vertices may stay.
+/// Kind of an edge of the result. Among equal edges, the first in this order may stay.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(super) enum Kind {
-    /// An edge of the input.
+    /// Edge of the input.
     Own,
-    /// A chord of a border.
+    /// Chord that replaces several border edges.
     Chord,
-    /// An edge inside a patch.
+    /// Edge inside a patch.
     Inner,
 }
 
-/// An edge of the result: its ends, what it is, which one of its kind, and whose.
+/// Edge of the result: its ends, kind, identifier within its kind, and patch.
 pub(super) type Edge = ([VertexId; 2], Kind, u32, u32);

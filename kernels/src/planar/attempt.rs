@@ -1,4 +1,4 @@
-//! One patch of an assembly: triangles in its place, or what has to come back first.
+//! Triangulation of one patch, or the vertices to restore before the next attempt.
 
 use super::assembly::{Assembly, sorted};
 use super::polygon::Polygon;
@@ -8,23 +8,26 @@ use crate::base::geometry::dot;
 use crate::base::ids::VertexId;
 use crate::mesh::connectivity::Connectivity;
 
-/// After so many tries a patch gets all vertices of its border back, and then keeps its triangles.
+/// Attempts after which a patch gets all its border vertices back. One more failure makes it keep its
+/// triangles.
 pub(super) const MOST_TRIES: u8 = 8;
 
+/// Result of triangulating one patch.
 #[derive(Clone)]
 pub(super) enum Outcome {
     New(Vec<([u32; 3], u32)>),
-    /// Vertices without which there is no triangulation.
+    /// Vertices to restore, because there is no triangulation without them.
     PutBack(Vec<VertexId>),
-    /// Vertices that are too far from what has become of their chord since others were put back.
+    /// Vertices to restore, because they are too far from their chord since other vertices were restored.
     Tighten(Vec<VertexId>),
-    /// Nothing to gain.
+    /// Keep the patch: nothing can be simplified.
     Keep,
-    /// Nothing has helped.
+    /// Keep the patch: no triangulation was found.
     GiveUp,
 }
 
 impl<const D: usize> Assembly<'_, D> {
+    /// Triangulate a patch, or determine the vertices to restore first.
     pub(super) fn retriangulate(&self, number: u32) -> Outcome {
         let patch = &self.patches.patches[number as usize];
         let inner = self.borders.inside[number as usize];
@@ -58,7 +61,8 @@ impl<const D: usize> Assembly<'_, D> {
         border.all(|&h| self.stays[self.mesh.connectivity.origin(h).index()])
     }
 
-    /// Vertices to put back: of the chords in the way, or of all, if these are not known.
+    /// Select vertices to restore: on the conflicting chords if known, otherwise on small loops or all
+    /// chords.
     pub(super) fn relieved(&self, number: u32, polygon: &Polygon<'_>, chords: &[usize]) -> Outcome {
         let tries = self.tries[number as usize];
         if tries > MOST_TRIES || polygon.is_whole() {
@@ -72,7 +76,7 @@ impl<const D: usize> Assembly<'_, D> {
         let farthest = |&c: &usize| polygon.farthest(self.mesh, c).map(|(v, _)| v);
         back.extend(chords.iter().filter_map(farthest));
         if back.is_empty() {
-            // Small loops are the likely ones to have gone astray.
+            // Small loops are the most likely ones to have become invalid.
             let longest = polygon.loops.iter().map(|l| l.len()).max().unwrap_or(0);
             let small = polygon.loops.iter().filter(|l| l.len() < longest).flat_map(Clone::clone);
             back.extend(small.filter_map(|c| farthest(&c)));
@@ -90,7 +94,7 @@ impl<const D: usize> Assembly<'_, D> {
         triangles.iter().map(sourced).collect()
     }
 
-    /// Flip the edges that are elsewhere already.
+    /// Flip edges that already exist elsewhere in the result.
     fn without_forbidden(
         &self,
         number: u32,

@@ -1,4 +1,4 @@
-//! Where patches end: loops of halfedges around each, and the vertices where more than two of them meet.
+//! Patch borders: loops of halfedges around each patch, and the number of border edges at each vertex.
 
 use super::patches::{Patches, is_border};
 use crate::base::errors::KernelError;
@@ -7,49 +7,50 @@ use crate::base::parallel;
 use crate::base::progress::Progress;
 use crate::mesh::connectivity::Connectivity;
 
-/// Halfedges that one thread looks at in one go.
+/// Halfedges per parallel batch.
 const BATCH: u32 = 1 << 16;
 
-/// Patches whose loops one thread traces in one go.
+/// Patches per parallel batch.
 const PATCHES: usize = 16;
 
-/// The borders of all patches; each border halfedge has its patch on the left.
+/// Borders of all patches; each border halfedge has its patch on the left.
 #[derive(Clone, Debug)]
 pub struct Borders {
     halfedges: Vec<HalfedgeId>,
-    /// Where each loop begins in `halfedges`, and the end.
+    /// Start of each loop in `halfedges`, plus the end.
     loops: Vec<u32>,
-    /// Where the loops of each patch begin in `loops`, and the end.
+    /// Start of each patch's loops in `loops`, plus the end.
     patches: Vec<u32>,
-    /// Border edges at each vertex.
+    /// Number of border edges at each vertex.
     pub degree: Vec<u32>,
-    /// Vertices inside each patch.
+    /// Number of interior vertices of each patch.
     pub inside: Vec<u32>,
 }
 
 impl Borders {
-    /// All border halfedges.
+    /// Return all border halfedges.
     pub fn all(&self) -> &[HalfedgeId] {
         &self.halfedges
     }
 
-    /// The loops of a patch, each as the halfedges along it.
+    /// Return the loops of a patch, each as its halfedges in order.
     pub fn loops(&self, patch: usize) -> impl ExactSizeIterator<Item = &[HalfedgeId]> {
         let range = self.patches[patch] as usize..self.patches[patch + 1] as usize;
         range.map(|i| &self.halfedges[self.loops[i] as usize..self.loops[i + 1] as usize])
     }
 
-    /// Whether a patch has a border, and is a disc with holes and without handles: V − E + F = 2 − loops.
+    /// Check whether a patch is a disc, possibly with holes, by its Euler characteristic: V − E + F = 2 −
+    /// loops.
     pub fn is_planar(&self, patch: usize, faces: u32) -> bool {
         let loops = self.loops(patch).len() as i64;
         let border: i64 = self.loops(patch).map(|l| l.len() as i64).sum();
-        // Each loop has as many vertices as edges, where it touches itself counted twice; E = (3F + border) / 2.
+        // A loop has equally many vertices and edges if repeated vertices count twice. E = (3F + border) / 2.
         let twice_euler = 2 * i64::from(self.inside[patch]) + border - i64::from(faces);
         loops > 0 && twice_euler == 2 * (2 - loops)
     }
 }
 
-/// The border halfedge after `h` around the same patch.
+/// Find the border halfedge that follows `h` around the same patch.
 pub fn next_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> HalfedgeId {
     let mut next = Connectivity::next(h);
     while !is_border(connectivity, of, next) {
@@ -100,7 +101,7 @@ pub fn trace(
     Ok(borders)
 }
 
-/// How many vertices each patch has that are on no border.
+/// Count the interior vertices of each patch.
 fn inside(connectivity: &Connectivity, patches: &Patches, degree: &[u32], threads: usize) -> Vec<u32> {
     let part = degree.len().div_ceil(threads.max(1)).max(1);
     let parts = degree.len().div_ceil(part);
@@ -121,7 +122,7 @@ fn inside(connectivity: &Connectivity, patches: &Patches, degree: &[u32], thread
     parallel::collect(patches.patches.len(), 1, |patch| counted.iter().map(|part| part[patch]).sum())
 }
 
-/// The loops of some patches: their halfedges, how long each is, and how many each patch has.
+/// Loops of some patches: halfedges, length of each loop, and number of loops per patch.
 type Loops = (Vec<HalfedgeId>, Vec<u32>, Vec<u32>);
 
 impl Borders {
@@ -164,7 +165,7 @@ impl Borders {
     }
 }
 
-/// Trace the loops of patches, each given with its border halfedges in their order.
+/// Trace the loops of patches, each given by its sorted border halfedges.
 fn loops<'a>(
     connectivity: &Connectivity,
     of: &[u32],
@@ -183,7 +184,7 @@ fn loops<'a>(
             let first = traced.len();
             let mut h = start;
             loop {
-                // A border is a few halfedges, in order.
+                // Borders are short and sorted, so a binary search is cheap.
                 if let Ok(place) = border.binary_search(&h) {
                     is_done[place] = true;
                 }
@@ -201,7 +202,7 @@ fn loops<'a>(
     (traced, lengths, counts)
 }
 
-/// Halfedges sorted by patch, and where each patch begins: a counting sort.
+/// Sort halfedges by patch with a counting sort. Returns them with the start of each patch.
 fn by_patch(all: &[HalfedgeId], patches: &Patches) -> (Vec<HalfedgeId>, Vec<u32>) {
     let patch = |h: HalfedgeId| patches.of[Connectivity::triangle(h).index()] as usize;
     let mut starts = vec![0u32; patches.patches.len() + 1];

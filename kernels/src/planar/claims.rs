@@ -1,44 +1,48 @@
-//! Whose each triangle is: of a patch that stands, or claimed by one that grows.
+//! Ownership of triangles during speculative patch growth: settled in a patch, claimed by a growing one, or
+//! free.
 //!
-//! Patches that grow at the same time each have a turn, the number of their seed. Of two that claim a triangle the
-//! one with the earlier turn gets it, and the other one is spoiled: it does not grow as it would have in its turn.
+//! Patches that grow concurrently are ordered by turn, the index of their seed. If two claim the same
+//! triangle, the earlier turn gets it. The other patch is then spoiled, because it no longer grows as it
+//! would in its turn.
 
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering::Relaxed};
 
 use crate::base::parallel::{collect, update};
 
-/// Nobody's.
+/// Unowned triangle.
 const FREE: u32 = u32::MAX;
 
-/// In a patch that is not to be changed. Other patches that stand are their number and one more.
+/// Triangle of a fixed patch. Other settled triangles store their patch index plus one.
 const TAKEN: u32 = 0;
 
-/// What a claim is more than the turn; numbers of patches are less.
+/// Offset of claims: a claim stores its turn plus this, which exceeds all patch indices.
 const CLAIM: u32 = 1 << 31;
 
-/// A triangle may be set free so often; then it only joins patches that never set any free. Keeps the time linear.
+/// Number of releases after which a triangle only joins patches that never release triangles. It keeps the
+/// run time linear.
 const MOST_RELEASES: u8 = 3;
 
-/// How a triangle looks to a patch that grows.
+/// Ownership of a triangle, from the point of view of a growing patch.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Whose {
-    /// Nobody's, or of a patch with a later turn.
+    /// Unowned, or claimed by a later turn.
     Free,
-    /// Its own, or of a patch that stands.
+    /// Claimed by this patch, or settled.
     Settled,
-    /// Of a patch with an earlier turn.
+    /// Claimed by an earlier turn.
     Earlier,
 }
 
+/// Ownership state of all triangles.
 pub struct Claims {
     of: Vec<AtomicU32>,
     releases: Vec<AtomicU8>,
-    /// By turn. Empty where patches grow one after the other, which makes claiming simpler.
+    /// Spoiled flag of each turn. Empty for sequential growth, which needs no atomic claims.
     spoiled: Vec<AtomicBool>,
 }
 
 impl Claims {
-    /// On so many triangles, none of which is taken unless `is_taken` says so.
+    /// Create the state of `count` triangles; those selected by `is_taken` are fixed.
     pub fn new(count: usize, threads: usize, is_taken: impl Fn(usize) -> bool + Sync) -> Self {
         let whose = |t| AtomicU32::new(if is_taken(t) { TAKEN } else { FREE });
         Self {
@@ -48,40 +52,41 @@ impl Claims {
         }
     }
 
-    /// Let patches grow at the same time, of so many turns; of none, one after the other.
+    /// Enable concurrent growth of `turns` patches; 0 selects sequential growth.
     pub fn share(&mut self, turns: usize) {
         self.spoiled = (0..turns).map(|_| AtomicBool::new(false)).collect();
     }
 
-    /// The claim of a turn.
+    /// Return the claim of a turn.
     pub fn of_turn(turn: usize) -> u32 {
         CLAIM + turn as u32
     }
 
-    /// The claim of a patch that nothing can come before: it stands as soon as it has grown.
+    /// Return the claim of a patch with nothing before it, which is settled as soon as it has grown.
     pub fn of_patch(patch: usize) -> u32 {
         patch as u32 + 1
     }
 
-    /// The patch that a triangle is in; none for one that is not in any, or in one that is not to be changed.
+    /// Return the settled patch of a triangle. None if it has no patch or belongs to a fixed one.
     #[inline]
     pub fn patch(&self, t: u32) -> Option<u32> {
         let of = self.of[t as usize].load(Relaxed);
         (of != TAKEN && of < CLAIM).then(|| of - 1)
     }
 
-    /// Whether a triangle is in a patch that stands.
+    /// Check whether a triangle belongs to a settled patch.
     #[inline]
     pub fn is_settled(&self, t: u32) -> bool {
         self.of[t as usize].load(Relaxed) < CLAIM
     }
 
-    /// Whether a triangle is nobody's, not even claimed.
+    /// Check whether a triangle is neither settled nor claimed.
     #[inline]
     pub fn is_free(&self, t: u32) -> bool {
         self.of[t as usize].load(Relaxed) == FREE
     }
 
+    /// Return the ownership of a triangle, as viewed by the patch with this claim.
     #[inline]
     pub fn whose(&self, t: u32, claim: u32) -> Whose {
         let of = self.of[t as usize].load(Relaxed);
@@ -94,7 +99,7 @@ impl Claims {
         }
     }
 
-    /// Claim a free triangle; false if an earlier patch has just done so.
+    /// Claim a free triangle. Returns false if an earlier patch has claimed it meanwhile.
     #[inline]
     pub fn claim(&self, t: u32, claim: u32) -> bool {
         let slot = &self.of[t as usize];
@@ -109,53 +114,55 @@ impl Claims {
         was > claim
     }
 
-    /// Give a claim up.
+    /// Release a claim.
     pub fn release(&self, t: u32, claim: u32) {
-        // Whoever has taken it over keeps it.
+        // Has no effect if another patch has taken the triangle over.
         let _ = self.of[t as usize].compare_exchange(claim, FREE, Relaxed, Relaxed);
     }
 
-    /// A triangle that was claimed is of the patch with this number.
+    /// Assign a claimed triangle to a settled patch.
     #[inline]
     pub fn settle(&self, t: u32, patch: u32) {
         self.of[t as usize].store(patch + 1, Relaxed);
     }
 
-    /// Set a triangle of a patch free.
+    /// Release a settled triangle.
     pub fn unsettle(&self, t: u32) {
         self.of[t as usize].store(FREE, Relaxed);
     }
 
+    /// Mark the patch of a turn as spoiled.
     pub fn spoil(&self, turn: usize) {
         if let Some(spoiled) = self.spoiled.get(turn) {
             spoiled.store(true, Relaxed);
         }
     }
 
+    /// Check whether the patch of a turn is spoiled.
     pub fn is_spoiled(&self, turn: usize) -> bool {
         self.spoiled.get(turn).is_some_and(|spoiled| spoiled.load(Relaxed))
     }
 
-    /// A turn begins anew.
+    /// Clear the spoiled flag of a turn that starts again.
     pub fn start(&self, turn: usize) {
         if let Some(spoiled) = self.spoiled.get(turn) {
             spoiled.store(false, Relaxed);
         }
     }
 
-    /// Whether a triangle was set free so often that it no longer joins patches that may set it free again.
+    /// Check whether a triangle was released so often that it no longer joins patches that may release it.
     #[inline]
     pub fn is_restless(&self, t: u32) -> bool {
         self.releases[t as usize].load(Relaxed) >= MOST_RELEASES
     }
 
-    /// Count that a triangle was set free.
+    /// Count a release of a triangle.
     pub fn count_release(&self, t: u32) {
         let releases = &self.releases[t as usize];
         releases.store(releases.load(Relaxed).saturating_add(1), Relaxed);
     }
 
-    /// Give the patches that stand other numbers.
+    /// Renumber the settled patches.
     pub fn renumber(&mut self, threads: usize, number: &[u32]) {
         update(&mut self.of, threads, |_, of| {
             let of = of.get_mut();

@@ -1,5 +1,5 @@
-//! What makes an assembly no manifold although each of its patches is sound: edges that are there more than once, and
-//! triangles back to back.
+//! Conflicts between patches that make an assembly non-manifold: repeated edges and pairs of identical
+//! triangles.
 
 use super::assembly::{Assembly, BATCH, Edge, Kind, sorted};
 use super::attempt::{MOST_TRIES, Outcome};
@@ -9,12 +9,12 @@ use crate::base::parallel;
 use crate::mesh::connectivity::Connectivity;
 
 impl<const D: usize> Assembly<'_, D> {
-    /// Resolve what makes the result no manifold; returns the patches that have to be done again.
+    /// Resolve conflicts. Returns the patches that must be triangulated again.
     pub(super) fn conflicts(&mut self) -> Vec<u32> {
         let edges = self.gathered_edges();
         let mut again = vec![];
         for same in edges.chunk_by(|e, f| e.0 == f.0) {
-            // The first may stay, seen from both sides.
+            // The first edge may stay; it occurs once from each side.
             let first = (same[0].1, same[0].2);
             for edge in same.iter().filter(|e| (e.1, e.2) != first) {
                 self.resolve(edge, &mut again);
@@ -29,7 +29,7 @@ impl<const D: usize> Assembly<'_, D> {
         self.once_each(again)
     }
 
-    /// All edges, sorted; those of patches that have not changed are known.
+    /// Gather all edges, sorted. Edges of unchanged patches are reused.
     fn gathered_edges(&mut self) -> Vec<Edge> {
         let count = self.has_changed.len();
         let changed: Vec<u32> = (0..count as u32).filter(|&p| self.has_changed[p as usize]).collect();
@@ -47,7 +47,7 @@ impl<const D: usize> Assembly<'_, D> {
         let mut edges = std::mem::take(&mut self.edges);
         edges.retain(|edge| !self.has_changed[edge.3 as usize]);
         edges.extend(fresh);
-        // Of two sorted runs a stable sort makes one.
+        // The stable sort merges two sorted runs in linear time.
         edges.sort();
         self.has_changed.fill(false);
         edges
@@ -80,7 +80,7 @@ impl<const D: usize> Assembly<'_, D> {
         for (triangle, _) in &self.triangles[patch as usize] {
             for side in 0..3 {
                 let [a, b] = [triangle[side], triangle[(side + 1) % 3]].map(VertexId);
-                // Once from each side.
+                // Both sides list the edge; take it once.
                 if a < b && border.binary_search(&[a, b]).is_err() {
                     edges.push(([a, b], Kind::Inner, patch, patch));
                 }
@@ -113,7 +113,7 @@ impl<const D: usize> Assembly<'_, D> {
         }
     }
 
-    /// Single edges are sound by now; two triangles back to back are not, and nothing else may be wrong.
+    /// Check the connectivity of the whole result. Edges are valid by now; identical triangles may remain.
     fn look_at_whole(&mut self, again: &mut Vec<u32>) {
         let (vertices, triangles, _, patch) = self.output();
         let wrong = match Connectivity::from_triangles(vertices.len(), &triangles) {
@@ -139,7 +139,7 @@ impl<const D: usize> Assembly<'_, D> {
             }
             again.push(number);
         }
-        // What is kept has changed the result even where nothing is left to be done again.
+        // Keeping patches changed the result, so check again even if no patch is left to triangulate.
         if self.once_each(again.clone()).is_empty() {
             self.look_at_whole(again);
         }

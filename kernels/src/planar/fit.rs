@@ -1,8 +1,8 @@
-//! The plane of a patch and the linear function of its colours, from sums that grow with it.
+//! Plane and linear colour function of a patch, fitted from incrementally updated moments.
 
 use crate::base::geometry::{Vec3, cross, dot, norm2, sub, unit};
 
-/// Sums over the vertices and triangles that joined a patch; places are counted from `origin`.
+/// Moments of the vertices and triangles of a patch; positions are relative to `origin`.
 #[derive(Clone, Debug)]
 pub struct Moments<const D: usize, const K: usize> {
     origin: Vec3,
@@ -11,11 +11,12 @@ pub struct Moments<const D: usize, const K: usize> {
     squares: [Vec3; 3],
     colors: [f64; K],
     products: [Vec3; K],
-    /// Normals times area.
+    /// Sum of area-weighted normals.
     normal: Vec3,
 }
 
 impl<const D: usize, const K: usize> Moments<D, K> {
+    /// Create empty moments relative to `origin`.
     pub fn new(origin: Vec3) -> Self {
         Self {
             origin,
@@ -28,11 +29,13 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         }
     }
 
+    /// Add the area-weighted normal of a triangle.
     #[inline]
     pub fn add_normal(&mut self, (normal, area): &(Vec3, f64)) {
         (0..3).for_each(|i| self.normal[i] += normal[i] * area);
     }
 
+    /// Add the position and colour of a vertex.
     #[inline]
     pub fn add_vertex(&mut self, p: &[f64; D]) {
         let at: Vec3 = [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]];
@@ -49,12 +52,12 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         }
     }
 
-    /// Vertices that were added, those of the first triangle included.
+    /// Number of added vertices, including the corners of the seed.
     pub fn count(&self) -> f64 {
         self.count
     }
 
-    /// The plane through the middle of the vertices with the mean normal, and the colours over it.
+    /// Fit the plane through the vertex centroid with the mean normal, and the colour function on it.
     pub fn fit(&self) -> Fit<K> {
         let normal = unit(&self.normal);
         let middle = self.places.map(|x| x / self.count);
@@ -91,7 +94,7 @@ impl<const D: usize, const K: usize> Moments<D, K> {
     }
 }
 
-/// A plane with a linear function of colour over it.
+/// Plane with a linear colour function.
 #[derive(Clone, Debug)]
 pub struct Fit<const K: usize> {
     pub normal: Vec3,
@@ -101,6 +104,7 @@ pub struct Fit<const K: usize> {
 }
 
 impl<const K: usize> Fit<K> {
+    /// Compute the signed height of a vertex over the plane.
     #[inline]
     pub fn height<const D: usize>(&self, p: &[f64; D]) -> f64 {
         dot(&self.normal, &self.seen_from_origin(p))
@@ -111,7 +115,7 @@ impl<const K: usize> Fit<K> {
         [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]]
     }
 
-    /// Squared distance of a vertex' colour from the function.
+    /// Compute the squared difference between a vertex colour and the linear function.
     #[inline]
     pub fn residual2<const D: usize>(&self, p: &[f64; D]) -> f64 {
         let at = self.seen_from_origin(p);
@@ -123,21 +127,21 @@ impl<const K: usize> Fit<K> {
             .sum()
     }
 
-    /// The same for the function that is everywhere what this one is in the middle.
+    /// Compute the squared difference between a vertex colour and the mean colour.
     #[inline]
     pub fn residual2_of_mean<const D: usize>(&self, p: &[f64; D]) -> f64 {
         (0..K).map(|k| (p[3 + k] - self.mean[k]).powi(2)).sum()
     }
 
-    /// Frobenius norm of the gradients: no direction changes colours faster.
+    /// Frobenius norm of the gradients, an upper bound of the colour change per length.
     pub fn gradient(&self) -> f64 {
         self.gradients.iter().map(norm2).sum::<f64>().sqrt()
     }
 }
 
-/// Two unit vectors across a unit normal, so that the three are right-handed.
+/// Complete a unit normal to a right-handed frame; returns the two tangents.
 pub fn frame(normal: &Vec3) -> [Vec3; 2] {
-    // The axis farthest from the normal gives the longest product.
+    // The axis least aligned with the normal gives the most stable projection.
     let axis = (0..3).fold(0, |least, i| if normal[i].abs() < normal[least].abs() { i } else { least });
     let mut across = [0.0; 3];
     across[axis] = 1.0;

@@ -1,4 +1,4 @@
-//! What patches grow on, and which neighbours are alike: what is the same for all patches, whenever they grow.
+//! Shared, read-only context of growing patches, with the criteria for adjacent triangles.
 
 use super::fit::Fit;
 use super::patches::{Facet, Options};
@@ -7,21 +7,24 @@ use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-/// Part of the distance that the two planes of a patch may take; 0.6 of it is left for the border, at least.
+/// Part of the maximum distance available to a patch's thickness. At least 0.6 of it remains for the border,
+/// since 0.8² + 0.6² = 1.
 pub const FOR_THICKNESS: f64 = 0.8;
 
-/// Part of the bound on colour that a vertex may be off the linear function: twice that counts.
+/// Part of the colour bound available to a vertex's residual, which counts twice.
 const FOR_RESIDUAL: f64 = 0.4;
 
-/// Seen along the normal of its patch, no triangle may be turned over or near to it: cosine of 80°.
+/// Minimum cosine between a triangle and its patch normal (80°): no triangle may flip or nearly flip in the
+/// projection.
 pub const LEAST_COSINE: f64 = 0.173_648;
 
+/// Read-only context of growing patches.
 pub struct Ground<'a, const D: usize> {
     pub mesh: &'a Mesh<D>,
     pub facets: &'a [Facet],
     pub options: &'a Options,
-    /// The patches that are being separated: triangles that were in the same one are alike, but must not lie over
-    /// each other. Empty for none.
+    /// Previous patch of each triangle while folded patches are split. Triangles of the same patch may join,
+    /// but must not overlap. Empty otherwise.
     pub were: &'a [u32],
     has_locks: bool,
     pub thickness: f64,
@@ -41,7 +44,7 @@ impl<'a, const D: usize> Ground<'a, D> {
         }
     }
 
-    /// The triangles beside one.
+    /// List the triangles adjacent to a triangle.
     pub fn beside(&self, t: u32) -> impl Iterator<Item = u32> + '_ {
         let connectivity = &self.mesh.connectivity;
         (3 * t..3 * t + 3)
@@ -54,20 +57,22 @@ impl<'a, const D: usize> Ground<'a, D> {
         self.mesh.connectivity.corners(TriangleId(t)).map(|v| self.mesh.point(v))
     }
 
+    /// Check whether a triangle has a locked vertex.
     #[inline]
     pub fn is_locked(&self, t: u32) -> bool {
         let is_locked = |&v: &VertexId| self.mesh.lock(v) != Lock::Free;
         self.has_locks && self.mesh.connectivity.corners(TriangleId(t)).iter().any(is_locked)
     }
 
+    /// Check whether two triangles have the same label.
     #[inline]
     pub fn have_one_label(&self, a: u32, b: u32) -> bool {
         let label = |t: u32| self.options.labels.get(self.mesh.triangle_source[t as usize] as usize);
         self.options.labels.is_empty() || label(a) == label(b)
     }
 
-    /// The paper's two criteria, and what else keeps triangles apart; `to` is given with its
-    /// normal and area. A triangle without area has no normal, and goes with any.
+    /// Check the paper's two criteria (fidelity and detail) and the labels. `to` is given with its normal and
+    /// area. A degenerate triangle has no normal and passes the criteria.
     #[inline]
     pub fn is_alike(&self, from: u32, to: u32, (normal, area): &Facet, mean: &Vec3) -> bool {
         let fidelity = self.options.fidelity.max(LEAST_COSINE);
@@ -78,15 +83,16 @@ impl<'a, const D: usize> Ground<'a, D> {
         is_flat && self.have_one_label(from, to)
     }
 
-    /// Whether two triangles were in the same patch, and the second, given with its normal and area, is not turned over.
+    /// Check whether two triangles were in the same patch and the second, given with its normal and area, is
+    /// not flipped.
     #[inline]
     pub fn was_alike(&self, from: u32, to: u32, (normal, area): &Facet, mean: &Vec3) -> bool {
         self.were[from as usize] == self.were[to as usize]
             && (*area == 0.0 || dot(normal, mean) > LEAST_COSINE)
     }
 
-    /// Least and greatest height, and squared residual, of triangles and their vertices over a fit; none if they are
-    /// not within its bounds.
+    /// Compute minimum and maximum height and the maximum squared residual over a fit. None if a bound is
+    /// exceeded.
     pub fn measured<const K: usize>(
         &self,
         triangles: &[u32],
@@ -112,7 +118,7 @@ impl<'a, const D: usize> Ground<'a, D> {
         Some((heights, residual2))
     }
 
-    /// Whether heights and a squared residual are beyond the bounds of a patch.
+    /// Check whether heights or a squared residual exceed the bounds of a patch.
     #[inline]
     pub fn exceeds(&self, heights: [f64; 2], residual2: f64, has_colors: bool) -> bool {
         heights[1] - heights[0] > self.thickness || (has_colors && residual2 > self.residual2)

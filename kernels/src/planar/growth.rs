@@ -1,7 +1,7 @@
-//! One patch: it grows from its seed, layer by layer.
+//! Growth of one patch from its seed, layer by layer.
 //!
-//! It grows with its mean normal, as in the paper. If in the end it does not suit its final plane and colours, its
-//! triangles are set free, and it grows again from its seed against these, which no longer change.
+//! The patch grows with its mean normal, as in the paper. If it violates the bounds of its final plane and
+//! colour function, its triangles are released. It then grows again from the seed, with that fit fixed.
 
 use std::ops::Range;
 
@@ -14,35 +14,36 @@ use crate::base::geometry::{Vec3, dot, norm2, position, sub};
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 
-/// Until it has so many vertices, noise may tilt the colours of a patch, and their mean will do as well.
+/// Vertex count below which colour gradients are unreliable due to noise. Triangles then may fit the mean
+/// colour instead.
 const YOUNG: f64 = 16.0;
 
-/// So many triangles are looked around at once. Growth waits for memory more than it computes; what lies beside
-/// several triangles comes at the same time.
+/// Members whose neighbours are fetched at once. Growth is limited by memory latency, and batched fetches
+/// overlap.
 const AT_ONCE: usize = 8;
 
-/// A patch as it grew, with the fit it is held to.
+/// Grown patch with the fit that bounds it.
 pub struct Grown<const K: usize> {
     pub patch: Patch,
     pub fit: Fit<K>,
     pub heights: [f64; 2],
     pub residual2: f64,
-    /// Whether others may join: not one that has to stay a single triangle.
+    /// True if triangles may be added; false for patches that must stay single triangles.
     pub is_open: bool,
 }
 
-/// A triangle that may join, with what decides whether it does.
+/// Candidate triangle with the data that decides whether it joins.
 #[derive(Clone, Copy)]
 struct Candidate<const D: usize> {
     from: u32,
     triangle: u32,
     facet: Facet,
-    /// The vertex that it would bring with it.
+    /// Vertex that the triangle would add to the patch.
     across: VertexId,
     point: [f64; D],
 }
 
-/// Grows patches, one after the other. What is public tells of the last.
+/// Grows one patch after another. Public fields describe the last one.
 pub struct Grower<'a, const D: usize, const K: usize> {
     ground: &'a Ground<'a, D>,
     claims: &'a Claims,
@@ -50,18 +51,18 @@ pub struct Grower<'a, const D: usize, const K: usize> {
     claim: u32,
     /// Triangles of the patch, in the order they joined.
     pub members: Vec<u32>,
-    /// Their vertices: those of the seed, then the one that each other triangle brought with it.
+    /// Vertices of the patch: three of the seed, then one per further triangle.
     vertices: Vec<VertexId>,
-    /// Triangles that had joined and were set free.
+    /// Triangles that joined and were released.
     pub released: Vec<u32>,
-    /// Triangles that did not join, as patches with an earlier turn had claimed them.
+    /// Triangles that could not join because an earlier turn had claimed them.
     pub barred: Vec<u32>,
     candidates: Vec<Candidate<D>>,
-    /// Of the members.
+    /// Total area of the members.
     area: f64,
-    /// How many triangles joined the patch while its normal moved, and how far from the seed.
+    /// Number of triangles that joined with the moving fit, and their maximum distance from the seed.
     extent: (usize, f64),
-    /// Faces looked at.
+    /// Number of faces visited.
     pub looks: u64,
 }
 
@@ -83,7 +84,8 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         }
     }
 
-    /// Grow from a seed with this claim; nothing comes of it, and it claims nothing, if it is spoiled.
+    /// Grow a patch from a seed under the given claim. None if it was spoiled; all its claims are then
+    /// released.
     pub fn grow(&mut self, seed: u32, turn: usize, claim: u32, is_alone: bool) -> Option<Grown<K>> {
         (self.turn, self.claim, self.looks) = (turn, claim, 0);
         self.released.clear();
@@ -102,7 +104,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         let mut moments = self.start(seed);
         let own = moments.fit();
         let own_measured = self.measured(&own);
-        // A triangle whose own colours are too far from linear over it, as the fit sees it, stays as it is.
+        // Keep single triangles whose own colours exceed the bound of the fit.
         if is_alone || own_measured.is_none() {
             return self.finish(seed, own, None);
         }
@@ -125,7 +127,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         std::mem::swap(&mut self.members, &mut self.released);
         self.released.iter().for_each(|&t| self.claims.release(t, self.claim));
         self.start(seed);
-        // The seed need not be typical of what grew from it.
+        // The seed may be an outlier of the fit that grew from it; then use the seed's own fit.
         let fit = if self.measured(&fit).is_some() { fit } else { own };
         self.spread_fixed(&fit);
         let measured = self.measured(&fit);
@@ -147,7 +149,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         moments
     }
 
-    /// Where an earlier patch has just taken the triangle, this one is spoiled.
+    /// Claim a triangle for the patch. Spoils the patch if an earlier one has just claimed the triangle.
     #[inline]
     fn join(&mut self, t: u32, area: f64) -> bool {
         let is_own = self.claims.claim(t, self.claim);
@@ -169,7 +171,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         is_own
     }
 
-    /// Look around some members for triangles that may join.
+    /// Collect candidate triangles adjacent to some members.
     fn look_around(&mut self, members: Range<usize>) {
         let Ground { mesh, facets, .. } = self.ground;
         self.candidates.clear();
@@ -191,7 +193,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         }
     }
 
-    /// Whether a triangle may join for all that others have.
+    /// Check whether no other patch owns a triangle.
     #[inline]
     fn is_free(&mut self, t: u32) -> bool {
         let whose = self.claims.whose(t, self.claim);
@@ -201,7 +203,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         whose == Whose::Free
     }
 
-    /// The paper's growth: the mean normal, and here the plane and the colours, follow after each layer.
+    /// Grow as in the paper, updating the mean normal, plane and colours after each layer.
     fn spread_moving(&mut self, moments: &mut Moments<D, K>) -> Fit<K> {
         let ground = self.ground;
         let mut fit = moments.fit();
@@ -239,7 +241,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         fit
     }
 
-    /// Growth against a fit that stays, so that whatever joins suits it in the end.
+    /// Grow against a fixed fit, so that all members satisfy it.
     fn spread_fixed(&mut self, fit: &Fit<K>) {
         let ground = self.ground;
         let mut heights = around(ground.corners(self.members[0]).map(|p| fit.height(p)));
@@ -278,7 +280,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         }
     }
 
-    /// What keeps patches that are being separated from lying over themselves, with the first triangle.
+    /// Create the overlap check for splitting folded patches, with the seed in it. None in normal growth.
     fn sheet(&self, plane: &[Vec3; 2]) -> Option<Sheet> {
         if self.ground.were.is_empty() {
             return None;
@@ -300,7 +302,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         self.ground.measured(&self.members, &self.vertices, fit)
     }
 
-    /// What has no measure is a single triangle, and needs none.
+    /// Build the result. A patch without measured heights is a single triangle, whose bounds are zero.
     fn finish(&self, seed: u32, fit: Fit<K>, measured: Option<([f64; 2], f64)>) -> Grown<K> {
         let is_open = measured.is_some();
         let (heights, residual2) = measured.unwrap_or_default();

@@ -1,35 +1,37 @@
-//! Simplification by near-planar patches (Chen and Qin, "3-D surface reduction new algorithm"): patches grow over the
-//! surface while it stays flat, their borders are straightened once for both neighbours, and what is within is
-//! triangulated anew.
+//! Simplification by near-planar patches (Chen and Qin, "3-D surface reduction new algorithm").
 //!
-//! The paper bounds normals only. Here each patch also stays between two parallel planes, and a border may leave its
-//! chord only so far; together they bound the distance. With `w` the distance of the planes and `t` that of the
-//! border from its chords, both surfaces are within `sqrt(w² + t²)` of each other, for every point: seen along the
-//! patch's normal, a point has a counterpart in the other surface, or lies between a chord and its border, at most
-//! `t` from both. Likewise for colour: within `r` of a linear function on all vertices of the patch, with a gradient
-//! `g`, the counterpart's colour differs by `2r + gt` at most.
+//! Patches grow over the surface while it stays flat. Their borders are straightened once for both
+//! neighbours, and their interiors are retriangulated.
 //!
-//! | module | what |
+//! The paper only bounds normals. Here, each patch also stays between two parallel planes, and borders stay
+//! within a distance of their chords. Together these limits bound the distance. Let `w` be the distance of
+//! the planes, and `t` the distance of the border from its chords. Then both surfaces are within `sqrt(w² +
+//! t²)` of each other at every point. In the projection along the patch normal, a point usually has a
+//! counterpart on the other surface. Otherwise it is between a chord and its border, at most `t` from both.
+//! Colours are bounded likewise. If all vertex colours are within `r` of a linear function with gradient `g`,
+//! the counterpart's colour differs by at most `2r + gt`.
+//!
+//! | module | content |
 //! | --- | --- |
-//! | [`simplify`](simplify()) | the loop |
-//! | [`patches`] | what patches are, and what limits them |
-//! | [`fit`] | the plane of a patch and the linear function of its colours |
-//! | [`propagate`] | the patches of a mesh, from the flattest triangles first |
-//! | [`ground`] | what patches grow on, and which neighbours are alike |
-//! | [`claims`] | whose each triangle is while patches grow |
-//! | [`growth`] | one patch, layer by layer |
-//! | [`ahead`] | growing all of them, several at the same time |
-//! | [`absorb`] | what is left over joins its neighbours |
-//! | [`overlap`] | patches that lie over themselves |
-//! | [`border`] | their borders as loops of halfedges; which vertices are corners |
-//! | [`straighten`] | the vertices a border can do without |
-//! | [`polygon`] | what is left of a patch's loops, seen along its normal |
-//! | [`retriangulate`] | triangles for a polygon with holes |
-//! | [`assemble`] | all patches together, until the result is a manifold |
-//! | [`assembly`] | which vertices stay, and what each patch has become |
-//! | [`attempt`] | one patch of them: new triangles, or what has to come back first |
-//! | [`conflicts`] | what makes them no manifold although each is sound |
-//! | [`reasons`] | what keeps patches apart |
+//! | [`simplify`](simplify()) | main loop |
+//! | [`patches`] | patches, options and result |
+//! | [`fit`] | plane and linear colour function of a patch |
+//! | [`propagate`] | patches of a mesh, grown from the flattest triangles first |
+//! | [`ground`] | shared context and criteria of growth |
+//! | [`claims`] | ownership of triangles while patches grow |
+//! | [`growth`] | growth of one patch, layer by layer |
+//! | [`ahead`] | speculative parallel growth of all patches |
+//! | [`absorb`] | absorption of tiny patches by their neighbours |
+//! | [`overlap`] | detection of patches that overlap themselves |
+//! | [`border`] | borders as loops of halfedges; border edges per vertex |
+//! | [`straighten`] | straightening of borders |
+//! | [`polygon`] | straightened loops of a patch, projected along its normal |
+//! | [`retriangulate`] | triangulation of a polygon with holes |
+//! | [`assemble`] | assembly of all patches to a manifold mesh |
+//! | [`assembly`] | state of the assembly |
+//! | [`attempt`] | triangulation of one patch, or the vertices to restore first |
+//! | [`conflicts`] | conflicts between patches that make the result non-manifold |
+//! | [`reasons`] | reasons why adjacent patches stay separate |
 
 mod absorb;
 mod ahead;

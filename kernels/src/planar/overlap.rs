@@ -1,29 +1,30 @@
-//! Which triangles of a growing patch lie over each other, seen along its normal.
+//! Overlap test for the triangles of a growing patch, projected along its normal.
 
 use robust::{Coord, orient2d};
 
 /// No entry.
 const NONE: u32 = u32::MAX;
 
-/// Cells along a side of the grid, at most.
+/// Maximum cells per grid side; limits the memory.
 const MOST_CELLS: f64 = 4096.0;
 
+/// Triangle in the plane of a patch.
 pub type Flat = [[f64; 2]; 3];
 
-/// Triangles in a plane that have no point in common but on their sides.
+/// Set of triangles in a plane that do not overlap, in a uniform grid.
 pub struct Sheet {
     low: [f64; 2],
     cell: f64,
     size: [usize; 2],
-    /// First entry of each cell, and for each entry the next of its cell and its triangle.
+    /// Linked lists per cell: its first entry; and per entry, the next entry and the triangle.
     first: Vec<u32>,
     entries: Vec<(u32, u32)>,
-    /// Each with whether it turns left.
+    /// Triangles, each with true if it is counter-clockwise.
     triangles: Vec<(Flat, bool)>,
 }
 
 impl Sheet {
-    /// For about so many triangles in a box; what is beyond it goes to the cells at its rim.
+    /// Create a grid for about `count` triangles in a box. Triangles outside the box go to cells at its edge.
     pub fn new(low: [f64; 2], high: [f64; 2], count: usize) -> Self {
         let sides = [0, 1].map(|i| (high[i] - low[i]).max(f64::MIN_POSITIVE));
         let cell = (sides[0] * sides[1] / count.max(1) as f64)
@@ -34,14 +35,14 @@ impl Sheet {
         Self { low, cell, size, first: vec![NONE; size[0] * size[1]], entries: vec![], triangles: vec![] }
     }
 
-    /// The first and last column and row of the cells that a triangle may reach into.
+    /// Return the ranges of columns and rows that a triangle's bounding box covers.
     fn cells(&self, triangle: &Flat) -> [[usize; 2]; 2] {
         let place =
             |x: f64, i: usize| (((x - self.low[i]) / self.cell).max(0.0) as usize).min(self.size[i] - 1);
         [0, 1].map(|i| span(triangle, i).map(|x| place(x, i)))
     }
 
-    /// Add a triangle, counter-clockwise, unless it lies over another.
+    /// Add a counter-clockwise triangle. Returns false if it overlaps another one.
     pub fn add(&mut self, triangle: Flat) -> bool {
         let [columns, rows] = self.cells(&triangle);
         let is_sound = turn(triangle) > 0.0;
@@ -51,7 +52,7 @@ impl Sheet {
                 while entry != NONE {
                     let (next, number) = self.entries[entry as usize];
                     let (other, is_other_sound) = &self.triangles[number as usize];
-                    // Of two with an area the one is outside the other if their boxes are; exact, too.
+                    // For two triangles with area, disjoint boxes exclude an overlap; this test is exact.
                     let are_apart = is_sound && *is_other_sound && are_apart(&triangle, other);
                     if !are_apart && lie_over(&triangle, other) {
                         return false;
@@ -73,12 +74,12 @@ impl Sheet {
     }
 }
 
-/// The least and the greatest of a coordinate.
+/// Compute the minimum and maximum of a coordinate.
 fn span(triangle: &Flat, i: usize) -> [f64; 2] {
     triangle.iter().fold([f64::MAX, f64::MIN], |[low, high], p| [low.min(p[i]), high.max(p[i])])
 }
 
-/// Whether the boxes around two triangles have no point in common but on their sides.
+/// Check whether the bounding boxes of two triangles are disjoint or only touch.
 fn are_apart(a: &Flat, b: &Flat) -> bool {
     (0..2).any(|i| {
         let (a, b) = (span(a, i), span(b, i));
@@ -90,13 +91,13 @@ fn coordinate(p: [f64; 2]) -> Coord<f64> {
     Coord { x: p[0], y: p[1] }
 }
 
-/// Positive for a triangle that turns left; exact.
+/// Compute the exact orientation of a triangle; positive if counter-clockwise.
 fn turn(triangle: Flat) -> f64 {
     let [a, b, c] = triangle.map(coordinate);
     orient2d(a, b, c)
 }
 
-/// Whether no side of either has all of the other on its right; exact.
+/// Check exactly whether two triangles overlap: no side of either separates them.
 fn lie_over(a: &Flat, b: &Flat) -> bool {
     let parts = |a: &Flat, b: &Flat| {
         (0..3).any(|i| {

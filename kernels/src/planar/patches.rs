@@ -1,4 +1,4 @@
-//! What patches are, and what limits them.
+//! Patches, the options that limit them, and the simplified mesh.
 
 use crate::base::geometry::{Vec3, cross, norm2, position, sub};
 use crate::base::ids::{HalfedgeId, TriangleId};
@@ -6,89 +6,91 @@ use crate::base::parallel::collect;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// What limits the patches. Angles are given as least cosines: the paper's ε is 1 − cosine.
+/// Limits of patches. Angles are given as minimum cosines: the paper's ε is 1 − cosine.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// What triangles of the input must have in common to be in one patch; empty for nothing.
+    /// Label of each input triangle. Patches do not cross labels. Empty if there are no labels.
     pub labels: Vec<u32>,
-    /// Between the normals of a face and of the patch it joins (ε_fidelity).
+    /// Minimum cosine between a face and the patch it joins (ε_fidelity).
     pub fidelity: f64,
-    /// Between the normals of a face and of the one it is reached from (ε_detail).
+    /// Minimum cosine between a face and the adjacent face of the patch (ε_detail).
     pub detail: f64,
-    /// Between the normals of a loose face and of the patch that takes it in; none is taken in above 1.
+    /// Minimum cosine between a face of a tiny patch and the patch that absorbs it. Values above 1 disable
+    /// absorption.
     pub noise: f64,
-    /// Largest distance of any point of either surface from the other.
+    /// Maximum two-sided distance between both surfaces, in mesh units.
     pub max_distance: f64,
-    /// Largest difference of colour between a point and its counterpart; infinite for none.
+    /// Maximum colour difference between a point and its counterpart, in levels; infinite for no limit.
     pub max_color: f64,
     pub threads: usize,
 }
 
-/// A patch: its plane, and how well it suits it.
+/// Patch with its plane and the residuals of its fit.
 #[derive(Clone, Copy, Debug)]
 pub struct Patch {
     pub seed: u32,
     pub faces: u32,
-    /// Of its triangles in the input.
+    /// Area of its input triangles.
     pub area: f64,
     pub normal: Vec3,
-    /// A point of its plane.
+    /// Point on its plane.
     pub origin: Vec3,
-    /// Of its lowest and its highest vertex above that plane.
+    /// Minimum and maximum signed height of its vertices over that plane.
     pub heights: [f64; 2],
-    /// Largest distance of a vertex' colour from the linear function.
+    /// Maximum difference between a vertex colour and the linear colour function.
     pub residual: f64,
-    /// Norm of that function's gradient, levels per unit of length.
+    /// Norm of the colour gradient, in levels per mesh unit.
     pub gradient: f64,
 }
 
 impl Patch {
-    /// Distance of the two planes parallel to its own that hold all its vertices between them.
+    /// Distance between the two parallel planes that enclose all its vertices.
     pub fn thickness(&self) -> f64 {
         self.heights[1] - self.heights[0]
     }
 }
 
-/// The patches of a mesh, largest area first.
+/// Patches of a mesh, largest area first.
 #[derive(Clone, Debug)]
 pub struct Patches {
     pub patches: Vec<Patch>,
-    /// The patch of each triangle of the connectivity.
+    /// Patch of each triangle.
     pub of: Vec<u32>,
-    /// Faces looked at while the patches grew, for the cost.
+    /// Number of faces visited during growth, as a measure of cost.
     pub looks: u64,
 }
 
-/// Whether the patch of a halfedge's triangle ends at it.
+/// Check whether a halfedge is on the border of its patch.
 #[inline]
 pub fn is_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> bool {
     let twin = connectivity.twin(h);
     twin.is_none() || of[Connectivity::triangle(twin).index()] != of[Connectivity::triangle(h).index()]
 }
 
-/// The simplified mesh.
+/// Simplified mesh.
 #[derive(Clone, Debug)]
 pub struct Planar {
     pub triangles: Vec<[u32; 3]>,
-    /// Input vertex of each vertex, ascending; nothing else moved or changed.
+    /// Input vertex of each vertex, ascending. Positions and attributes are unchanged.
     pub vertex_source: Vec<u32>,
-    /// A triangle of the input in the same patch, at the first corner.
+    /// For each triangle, an input triangle of the same patch at its first corner.
     pub triangle_source: Vec<u32>,
     pub triangle_patch: Vec<u32>,
     pub patches: Patches,
-    /// For each patch how far the surfaces are apart at most there, in shape and in colour.
+    /// Upper bounds of the deviation in each patch: distance and colour difference.
     pub bounds: Vec<[f64; 2]>,
-    /// Patches that kept all their triangles.
+    /// True for patches that kept all their triangles.
     pub kept: Vec<bool>,
-    /// Edges of the input between two patches, by what keeps these apart ([`super::reasons::REASONS`]).
+    /// Number of input edges between two patches, by the reason that separates them
+    /// ([`super::reasons::REASONS`]).
     pub refused: [u64; 4],
     pub rounds: usize,
 }
 
-/// Unit normal and area of a triangle; one without area has the normal 0.
+/// Unit normal and area of a triangle; the normal of a degenerate triangle is zero.
 pub type Facet = (Vec3, f64);
 
-/// Of each triangle.
+/// Compute the normal and area of each triangle.
 pub fn facets<const D: usize>(mesh: &Mesh<D>, threads: usize) -> Vec<Facet> {
     collect(mesh.connectivity.triangle_slots(), threads, |t| {
         let [a, b, c] = mesh.triangle_points(TriangleId::from_index(t)).map(|p| position(&p));

@@ -1,4 +1,4 @@
-//! What is left of the loops around a patch, seen along its normal.
+//! Straightened loops of a patch as a polygon, projected along its normal.
 
 use std::ops::Range;
 
@@ -10,20 +10,20 @@ use crate::base::ids::{HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// A vertex that stays, with the border halfedge that leaves it.
+/// Kept border vertex, with its outgoing border halfedge.
 #[derive(Clone, Copy, Debug)]
 pub struct Corner {
     pub vertex: VertexId,
     pub halfedge: HalfedgeId,
-    /// In the plane of the patch; lengths are relative to the extent of the loops.
+    /// Position in the plane of the patch, relative to the extent of the loops.
     pub at: [f64; 2],
     pub next: usize,
-    /// Place among the halfedges of its loop.
+    /// Index among the halfedges of its loop.
     place: usize,
     in_loop: usize,
 }
 
-/// The corners of a patch, loop after loop, the patch on the left.
+/// Corners of a patch, loop by loop, with the patch on the left.
 pub struct Polygon<'a> {
     connectivity: &'a Connectivity,
     pub corners: Vec<Corner>,
@@ -32,6 +32,7 @@ pub struct Polygon<'a> {
 }
 
 impl<'a> Polygon<'a> {
+    /// Project the kept vertices of patch `number` into its plane.
     pub fn new<const D: usize>(
         mesh: &'a Mesh<D>,
         borders: &'a Borders,
@@ -64,7 +65,8 @@ impl<'a> Polygon<'a> {
         polygon
     }
 
-    /// The triangulator takes no coordinates near the limits of double precision.
+    /// Scale to unit extent, because the triangulator rejects coordinates near the limits of double
+    /// precision.
     fn scale(&mut self) {
         let extent = self.corners.iter().flat_map(|c| c.at).fold(0.0f64, |most, x| most.max(x.abs()));
         let settled = |x: f64| if x.abs() < 1e-30 { 0.0 } else { x };
@@ -73,7 +75,7 @@ impl<'a> Polygon<'a> {
         }
     }
 
-    /// Edges of the input that the chord from a corner to the next stands for.
+    /// List the input edges that the chord from a corner to the next one replaces.
     pub fn chord(&self, corner: usize) -> impl Iterator<Item = HalfedgeId> + '_ {
         let Corner { place, in_loop, next, .. } = self.corners[corner];
         let halfedges = self.halfedges[in_loop];
@@ -82,7 +84,7 @@ impl<'a> Polygon<'a> {
         (place..place + length).map(move |i| halfedges[i % halfedges.len()])
     }
 
-    /// The vertex that the chord from a corner left out and that is farthest from it, and how far.
+    /// Find the removed vertex farthest from the chord at a corner, and its distance.
     pub fn farthest<const D: usize>(&self, mesh: &Mesh<D>, corner: usize) -> Option<(VertexId, f64)> {
         let point = |v: VertexId| -> Vec3 { position(mesh.point(v)) };
         let a = point(self.corners[corner].vertex);
@@ -91,7 +93,7 @@ impl<'a> Polygon<'a> {
         for h in self.chord(corner).skip(1) {
             let v = self.connectivity.origin(h);
             let away = segment_distance2(&point(v), &a, &b);
-            // The same from both sides of the border, where two are equally far.
+            // Break ties by index, so that both sides of the border choose the same vertex.
             if best.is_none_or(|(w, most)| away > most || (away == most && v < w)) {
                 best = Some((v, away));
             }
@@ -99,18 +101,18 @@ impl<'a> Polygon<'a> {
         best.map(|(v, away)| (v, away.sqrt()))
     }
 
-    /// The same for a loop that has no corner at all: its first vertices.
+    /// List all vertices of loops without corners.
     pub fn all_of_bare_loops(&self) -> Vec<VertexId> {
         let bare = self.loops.iter().zip(&self.halfedges).filter(|(range, _)| range.is_empty());
         bare.flat_map(|(_, halfedges)| halfedges.iter().map(|&h| self.connectivity.origin(h))).collect()
     }
 
-    /// Whether all vertices of the loops stay.
+    /// Check whether all vertices of the loops are kept.
     pub fn is_whole(&self) -> bool {
         self.corners.len() == self.halfedges.iter().map(|l| l.len()).sum::<usize>()
     }
 
-    /// Twice the signed area of a loop.
+    /// Compute twice the signed area of a loop.
     pub fn area(&self, in_loop: usize) -> f64 {
         self.loops[in_loop]
             .clone()

@@ -1,4 +1,4 @@
-//! All patches of a mesh, from the flattest triangles first.
+//! Growth of all patches of a mesh, starting at the flattest triangles.
 
 use super::absorb::absorb;
 use super::ahead::grow_all;
@@ -12,9 +12,11 @@ use crate::base::parallel::collect;
 use crate::base::progress::Progress;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// Classes of flatness that seeds are taken from, flattest first.
+/// Number of flatness classes that order the seeds, flattest first.
 const CLASSES: usize = 256;
 
+/// Partition a mesh into near-planar patches.
+///
 /// # Errors
 /// [`KernelError::Interrupted`].
 pub fn propagate<const D: usize, const K: usize>(
@@ -37,8 +39,8 @@ pub fn propagate<const D: usize, const K: usize>(
     Ok(Patches { patches, of, looks })
 }
 
-/// Grow those patches again that lie over themselves, seen along their normals, as several that do not. Returns
-/// also which of the former patches each is; none for those that are new.
+/// Split patches that overlap themselves in projection, by growing them again without overlaps. Also returns
+/// the previous index of each patch; None for new ones.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -57,7 +59,7 @@ pub fn separate<const D: usize, const K: usize>(
     let open: Vec<u32> = (0..facets.len() as u32).filter(|&t| is_open(t as usize)).collect();
     let seeds = flattest_first(&ground, open.len(), |i| open[i]);
     let looks = grow_all(&ground, &mut claims, &seeds, &mut grown, progress)?;
-    // The patches that stand, and these: sorted among themselves first, as equal areas stay in this order.
+    // Sort the new patches first, so that ties in area keep this order among all patches.
     let unfolded: Vec<u32> = (0..is_folded.len() as u32).filter(|&p| !is_folded[p as usize]).collect();
     let (again, again_number, _) = by_area(&settled(&grown));
     let unfolded_number = numbers(is_folded.len(), &unfolded);
@@ -75,7 +77,7 @@ pub fn separate<const D: usize, const K: usize>(
     Ok((Patches { patches: all, of, looks: patches.looks + looks }, was))
 }
 
-/// So many triangles sorted by the sharpest of their edges; in a class as they were.
+/// Sort `count` triangles by the class of their sharpest edge; the sort is stable.
 fn flattest_first<const D: usize>(
     ground: &Ground<'_, D>,
     count: usize,
@@ -87,7 +89,7 @@ fn flattest_first<const D: usize>(
             .beside(t)
             .map(|other| dot(&ground.facets[t as usize].0, &ground.facets[other as usize].0))
             .fold(1.0, f64::min);
-        // By angle, roughly: 1 − cosine grows with its square.
+        // Roughly proportional to the angle, as 1 − cosine grows with its square.
         let angle = (0.5 * (1.0 - sharpest)).max(0.0).sqrt();
         (angle * (CLASSES - 1) as f64) as u8
     });
@@ -102,14 +104,14 @@ fn flattest_first<const D: usize>(
     sorted
 }
 
-/// The patches with the heights and the residual they have come to.
+/// Return the patches with their final heights and residuals.
 fn settled<const K: usize>(grown: &[Grown<K>]) -> Vec<Patch> {
     let settled =
         |grown: &Grown<K>| Patch { heights: grown.heights, residual: grown.residual2.sqrt(), ..grown.patch };
     grown.iter().map(settled).collect()
 }
 
-/// Patches by area, largest first; the number that each has then, and which each was before.
+/// Sort patches by decreasing area. Returns them, the new index of each, and the old index of each.
 fn by_area(patches: &[Patch]) -> (Vec<Patch>, Vec<u32>, Vec<u32>) {
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
     order.sort_by(|&a, &b| {
@@ -120,7 +122,7 @@ fn by_area(patches: &[Patch]) -> (Vec<Patch>, Vec<u32>, Vec<u32>) {
     (sorted, numbers(patches.len(), &order), order)
 }
 
-/// The place of each of so many in an order of some of them.
+/// Invert an order of some of `count` elements; `u32::MAX` for the others.
 fn numbers(count: usize, order: &[u32]) -> Vec<u32> {
     let mut numbers = vec![u32::MAX; count];
     order.iter().zip(0..).for_each(|(&one, number)| numbers[one as usize] = number);

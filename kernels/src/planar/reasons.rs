@@ -1,4 +1,4 @@
-//! What keeps two patches apart.
+//! Reasons why two adjacent patches stay separate.
 
 use super::border::Borders;
 use super::ground::FOR_THICKNESS;
@@ -9,14 +9,14 @@ use crate::base::parallel;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// The paper's two criteria; the bound on distance; else colours, a locked vertex, or that another patch was there
-/// first.
+/// The paper's two criteria, the distance bound, and all others: colours, a locked vertex, or the order of
+/// growth.
 pub const REASONS: [&str; 4] = ["fidelity", "detail", "shape", "other"];
 
-/// Halfedges that one thread looks at in one go.
+/// Halfedges per parallel batch.
 const BATCH: usize = 1 << 13;
 
-/// Edges of the mesh between two patches, by the first of the reasons that holds for the patches on both sides.
+/// Count the edges between two patches by the first reason that applies in both directions.
 pub fn count<const D: usize>(
     mesh: &Mesh<D>,
     patches: &Patches,
@@ -24,7 +24,7 @@ pub fn count<const D: usize>(
     options: &Options,
 ) -> [u64; 4] {
     let connectivity = &mesh.connectivity;
-    // Few triangles are at a border; their normals are had again at once.
+    // Few triangles are at a border, so recomputing their normals is cheap.
     let normal = |t: u32| {
         let [a, b, c] = mesh.triangle_points(TriangleId(t)).map(|p| position(&p));
         unit(&cross(&sub(&b, &a), &sub(&c, &a)))

@@ -1,7 +1,7 @@
-//! Triangles for a polygon with holes: a constrained Delaunay triangulation, or the word that there is none.
+//! Constrained Delaunay triangulation of a polygon with holes.
 //!
-//! The polygon is sound when its chords do not cross or touch, and what is to their left is one piece with as many
-//! triangles as its loops demand; then, and only then, a patch can take it in its place.
+//! The polygon is valid if its chords neither cross nor touch, and the area to their left is connected. The
+//! number of triangles must be the one that its loops imply. Only then may the triangulation replace a patch.
 
 use robust::{Coord, incircle, orient2d};
 use spade::handles::FixedVertexHandle;
@@ -9,15 +9,17 @@ use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};
 
 use super::polygon::Polygon;
 
-/// Corners of the polygon's corners, by number.
+/// Triangles as indices of the polygon's corners.
 pub type Triangles = Vec<[u32; 3]>;
 
-/// Why a polygon cannot be triangulated: chords, by their first corner, that are in the way, if these are known.
+/// Triangulation failure with the conflicting chords, given by their first corner; empty if unknown.
 #[derive(Debug, PartialEq)]
 pub struct Unsound(pub Vec<usize>);
 
+/// Triangulate a polygon.
+///
 /// # Errors
-/// [`Unsound`] when chords cross, or the loops do not bound one piece to their left.
+/// [`Unsound`] if chords cross, or if the area to the left of the loops is not connected.
 pub fn triangulate(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     let short: Vec<usize> = polygon.loops.iter().filter(|l| l.len() < 3).flat_map(Clone::clone).collect();
     if !short.is_empty() || polygon.loops.iter().any(|l| l.is_empty()) {
@@ -30,7 +32,7 @@ pub fn triangulate(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     }
 }
 
-/// Whether three corners turn left.
+/// Check whether three corners are counter-clockwise.
 pub fn is_left(polygon: &Polygon<'_>, corners: [u32; 3]) -> bool {
     let [a, b, c] = corners.map(|i| coordinate(polygon, i));
     orient2d(a, b, c) > 0.0
@@ -57,7 +59,7 @@ fn quadrangle(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     }
 }
 
-/// Part of a chord that one of two corners at the same place moves along it.
+/// Displacement of coincident corners along their chord, relative to its length.
 const APART: f64 = 1e-6;
 
 type Cdt = ConstrainedDelaunayTriangulation<Point2<f64>>;
@@ -77,7 +79,7 @@ fn delaunay(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
         return Err(Unsound(crossed(&cdt, &edges, &conflicts)));
     }
     let inside = inside(&cdt, &edges).map_err(Unsound)?;
-    // V − E + F = 2 − loops, all vertices on the border.
+    // V − E + F = 2 − loops, with all vertices on the border.
     let wanted = polygon.corners.len() + 2 * polygon.loops.len() - 4;
     if inside.len() != wanted {
         return Err(Unsound(vec![]));
@@ -85,7 +87,8 @@ fn delaunay(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     Ok(inside.into_iter().map(|t| t.map(|v| first[v])).collect())
 }
 
-/// A number for each corner, the same where loops touch at a vertex, and the first corner of each number.
+/// Number the corners so that loops touching at a vertex share a number. Also returns the first corner of
+/// each number.
 fn distinct(polygon: &Polygon<'_>) -> (Vec<u32>, Vec<u32>) {
     let mut sorted: Vec<u32> = (0..polygon.corners.len() as u32).collect();
     sorted.sort_unstable_by_key(|&c| (polygon.corners[c as usize].vertex, c));
@@ -107,8 +110,9 @@ fn distinct(polygon: &Polygon<'_>) -> (Vec<u32>, Vec<u32>) {
     (own, first)
 }
 
-/// Where the corners are. Of several at the same place (scans have sides without length) the others move a little
-/// along their chords: the triangulator wants them apart, and the triangles between them have no area anyway.
+/// Compute the positions of the corners. Coincident corners (scans contain zero-length edges) are moved
+/// slightly along their chords, because the triangulator needs distinct points. The triangles between them
+/// have no area anyway.
 fn places(polygon: &Polygon<'_>, corners: &[u32]) -> Vec<Point2<f64>> {
     let at = |c: u32| polygon.corners[c as usize].at;
     let order = |a: [f64; 2], b: [f64; 2]| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]));
@@ -132,7 +136,7 @@ fn places(polygon: &Polygon<'_>, corners: &[u32]) -> Vec<Point2<f64>> {
     places.into_iter().map(|[x, y]| Point2::new(x, y)).collect()
 }
 
-/// The chords that could not be laid, and those they cross.
+/// List the chords that could not be inserted, and the chords they cross.
 fn crossed(cdt: &Cdt, edges: &[[usize; 2]], conflicts: &[[usize; 2]]) -> Vec<usize> {
     let mut by_ends: Vec<([usize; 2], usize)> =
         edges.iter().enumerate().map(|(chord, &[a, b])| ([a.min(b), a.max(b)], chord)).collect();
@@ -155,17 +159,18 @@ fn crossed(cdt: &Cdt, edges: &[[usize; 2]], conflicts: &[[usize; 2]]) -> Vec<usi
     crossed
 }
 
-/// The triangles to the left of the chords, and those reached from there without crossing one; or a chord where
-/// inside and outside meet.
+/// Collect the triangles left of the chords and those reachable without crossing a chord. On a contradiction,
+/// returns a chord where inside and outside meet.
 fn inside(cdt: &Cdt, edges: &[[usize; 2]]) -> Result<Vec<[usize; 3]>, Vec<usize>> {
-    // The chord to the left of each face, if there is one, and likewise to the right; those inside by being reached.
+    // A chord to the left of each face, if any, and one to the right. Faces reached from inside inherit the
+    // left chord.
     const NONE: u32 = u32::MAX;
     let mut left_of = vec![NONE; cdt.num_all_faces()];
     let mut right_of = vec![NONE; cdt.num_all_faces()];
     let mut reached = vec![];
     for (chord, &[a, b]) in edges.iter().enumerate() {
         let [a, b] = [a, b].map(FixedVertexHandle::from_index);
-        // A chord that runs through another corner is there in two parts.
+        // A chord through another corner is split into two edges.
         let edge = cdt.get_edge_from_neighbors(a, b).filter(|e| e.is_constraint_edge()).ok_or(vec![chord])?;
         let left = edge.face().as_inner().ok_or(vec![chord])?.fix();
         let right = edge.rev().face().fix().index();

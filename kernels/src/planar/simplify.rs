@@ -1,4 +1,4 @@
-//! Patches grow, and are put together; those that fold grow again apart.
+//! Main loop: grow patches, assemble them, and split folded patches.
 
 use super::assemble::{self, Assembled, Known};
 use super::patches::{Options, Planar, facets};
@@ -7,7 +7,7 @@ use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// Simplify a mesh. Triangles around locked vertices stay as they are.
+/// Simplify a mesh. Triangles around locked vertices are kept.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].

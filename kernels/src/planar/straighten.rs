@@ -1,8 +1,9 @@
-//! Straightening borders, each once for the patches on both sides, so that they still fit.
+//! Straightening of patch borders, once for the patches on both sides so that they still fit.
 //!
-//! Between two corners a border is a chain of vertices that lie on the same two patches (or on one, and the boundary
-//! of the mesh). Of a chain stay the vertices that keep it near its chords (Douglas and Peucker, "Algorithms for the
-//! reduction of the number of points required to represent a digitized line", 1973).
+//! Between two corners, a border is a chain of vertices between the same two patches, or between a patch and
+//! the mesh boundary. The Douglas–Peucker algorithm selects the kept vertices of a chain (Douglas and
+//! Peucker, "Algorithms for the reduction of the number of points required to represent a digitized line",
+//! 1973).
 
 use super::border::{Borders, next_border};
 use super::patches::{Options, Patch, Patches, is_border};
@@ -14,23 +15,24 @@ use crate::base::progress::Progress;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-/// A longer chain is cut, as the time for a chain can grow with the square of its length.
+/// Maximum chain length in vertices. Longer chains are cut, because the time can be quadratic.
 const LONGEST: usize = 512;
 
-/// Patches that one thread takes at a time.
+/// Patches per parallel batch.
 const BATCH: usize = 16;
 
-/// How far the border of a patch may leave its chords.
+/// Compute the maximum distance of a patch border from its chords, in mesh units.
 pub fn tolerance(patch: &Patch, options: &Options) -> f64 {
     let shape = (options.max_distance * options.max_distance - patch.thickness().powi(2)).max(0.0);
     let color = (options.max_color - 2.0 * patch.residual).max(0.0);
-    // Flat colours change nowhere: 0 / 0 must not be a bound.
+    // Constant colours do not limit the distance; this also avoids 0 / 0.
     let color = if color >= patch.gradient * shape.sqrt() { f64::INFINITY } else { color / patch.gradient };
     shape.sqrt().min(color)
 }
 
-/// Which vertices on borders stay. `known` says it for the borders of patches that are what they were before: a
-/// chain between two of these has the same corners at its ends, or none, as other patches were only divided.
+/// Select the border vertices to keep. `known` holds the selection and patch indices of an earlier run.
+/// Chains between two unchanged patches reuse it: other patches were only split, so the corners of such
+/// chains are unchanged.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -73,8 +75,8 @@ pub fn straighten<const D: usize>(
     Ok(stays)
 }
 
-/// Where the chains begin that a patch is on the left of, and the patch on their other side; of a chain between two
-/// patches the one with the lower number takes care.
+/// List the first halfedge of each chain that a patch handles, and the patch on the other side. The patch of
+/// lower index handles a chain.
 fn chains<const D: usize>(
     mesh: &Mesh<D>,
     patches: &Patches,
@@ -91,7 +93,7 @@ fn chains<const D: usize>(
             if twin.is_some() { patches.of[Connectivity::triangle(twin).index()] as usize } else { patch };
         (beside >= patch).then_some((h, beside))
     };
-    // A loop without a corner is a chain that begins anywhere.
+    // A loop without corners is a chain that starts anywhere.
     let starts = move |halfedges: &'_ [HalfedgeId]| {
         let is_bare = !halfedges.iter().any(|&h| is_corner(connectivity.origin(h)));
         let bare = is_bare.then(|| halfedges[0]);
@@ -105,9 +107,9 @@ struct Chain<'a, const D: usize> {
     mesh: &'a Mesh<D>,
     vertices: Vec<VertexId>,
     stack: Vec<(usize, usize)>,
-    /// Whether its ends are the same vertex.
+    /// True if both ends are the same vertex.
     is_closed: bool,
-    /// The vertices of all chains that stay.
+    /// Kept vertices of all chains so far.
     stays: Vec<VertexId>,
 }
 
@@ -142,7 +144,7 @@ impl<const D: usize> Chain<'_, D> {
             return;
         }
         if !is_corner(self.vertices[0]) {
-            // Without a corner, begin at an end of it.
+            // A loop without corners starts at its vertex farthest from the first one.
             let far = self.farthest_from(self.at(0), 0, last);
             self.vertices.pop();
             self.vertices.rotate_left(far);
@@ -153,7 +155,7 @@ impl<const D: usize> Chain<'_, D> {
         self.stays.push(self.vertices[middle]);
         let kept = self.keep_between(0, middle, tolerance) + self.keep_between(middle, last, tolerance);
         if kept == 0 {
-            // Two vertices bound nothing.
+            // Two vertices enclose no area, so keep a third one.
             let sides = [self.farthest_between(0, middle), self.farthest_between(middle, last)];
             if let Some((i, _)) = sides.into_iter().flatten().max_by(|a, b| a.1.total_cmp(&b.1)) {
                 self.stays.push(self.vertices[i]);
@@ -172,7 +174,7 @@ impl<const D: usize> Chain<'_, D> {
         best
     }
 
-    /// The vertex between two of the chain that is farthest from the chord, and its squared distance.
+    /// Find the vertex farthest from the chord between two vertices of the chain, and its squared distance.
     fn farthest_between(&self, from: usize, to: usize) -> Option<(usize, f64)> {
         let (a, b) = (self.at(from), self.at(to));
         let mut best: Option<(usize, f64)> = None;
@@ -185,7 +187,7 @@ impl<const D: usize> Chain<'_, D> {
         best
     }
 
-    /// Returns how many vertices stay between the two.
+    /// Keep vertices between two vertices of the chain, and return their number.
     fn keep_between(&mut self, from: usize, to: usize, tolerance: f64) -> usize {
         let mut kept = 0;
         let mut begin = from;

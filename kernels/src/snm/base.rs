@@ -1,11 +1,13 @@
-//! The base mesh: a region that grows triangle by triangle, from the first triangle of each component.
+//! Coding of the base mesh by region growing, one triangle at a time from a seed triangle per component.
 //!
-//! At every step one edge of the [`Border`] is asked what is on its left: nothing (the boundary of the mesh),
-//! or a triangle whose tip is the next vertex of the border, the previous, a new one, or another. The
-//! positions known so far say what is likely (an interior angle of 30° closes more often than one of 200°),
-//! and where a new vertex should be. This is the cut-border machine of Gumhold and Straßer (Real time
-//! compression of triangle mesh connectivity, 1998), with splits and unions told by how near a vertex of the
-//! border is to the expected tip.
+//! Each step processes one edge of the [`Border`], the gate. Its symbol is either a mesh boundary or a
+//! triangle. The tip of the triangle is the next border vertex, the previous one, a new vertex, or another
+//! border vertex. Known positions predict the symbol: an interior angle of 30° closes more often than 200°.
+//! They also predict the position of a new vertex.
+//!
+//! The method is the cut-border machine of Gumhold and Straßer (Real time compression of triangle mesh
+//! connectivity, 1998). Splits and unions are coded as the rank of the tip by distance from its predicted
+//! position.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -23,29 +25,29 @@ use super::lefts::Lefts;
 use super::region::Region;
 use crate::subdivision::contents::Base;
 
-/// A base mesh in the order of its coder.
+/// Base mesh in coder order.
 #[derive(Clone, Debug, Default)]
 pub struct Canonical {
     pub base: Base,
-    /// Number in the given mesh of each vertex, and of each triangle.
+    /// Index in the given mesh of each vertex and each triangle.
     pub vertex_source: Vec<u32>,
     pub triangle_source: Vec<u32>,
 }
 
-/// Says where a vertex of the given mesh goes, from about how many bits a place takes more than the best.
+/// Callback that chooses the position of a vertex, given its index and an estimate of the extra bits per
+/// position.
 pub type Round<'a> = &'a mut dyn FnMut(u32, &dyn Fn(&[i32; 3]) -> f64) -> [i32; 3];
 
-/// Renumber vertices and triangles as the coder will meet them, and turn each triangle so that it begins with
-/// the edge at which it is met. Vertices without triangles are left out. The order of a result does not
-/// change again.
+/// Renumber vertices and triangles in coder order, and rotate each triangle so that it starts at its gate.
+/// Vertices without triangles are dropped. The operation is idempotent.
 ///
 /// # Errors
-/// [`SnmError::Mesh`] as [`Connectivity::from_triangles`] says.
+/// [`SnmError::Mesh`], as for [`Connectivity::from_triangles`].
 pub fn canonical(base: &Base) -> Result<Canonical, SnmError> {
     ordered(base, None)
 }
 
-/// The same, with positions that `round` chooses as vertices are met.
+/// Renumber as [`canonical`] does, with positions that `round` chooses as vertices are reached.
 ///
 /// # Errors
 /// As [`canonical`].
@@ -64,21 +66,21 @@ fn ordered<'a>(base: &'a Base, round: Option<Round<'a>>) -> Result<Canonical, Sn
     Ok(Canonical { base: walk.region.base, vertex_source, triangle_source })
 }
 
-/// The walk over a base mesh; in encoding over one that is given.
+/// Traversal of a base mesh: of the given mesh in encoding, of the reconstructed one in decoding.
 pub(super) struct Walk<'a, 'b, C> {
     coder: &'a mut C,
     given: Option<Given<'b>>,
     channels: usize,
-    /// Whether the mesh has a boundary.
+    /// True if the mesh has a boundary.
     is_open: bool,
     pub region: Region,
-    /// Edges to grow at, the most urgent first.
+    /// Gates to process, the most urgent first.
     gates: BinaryHeap<(Reverse<u64>, u32)>,
-    /// Edges of the border whose neighbours have changed.
+    /// Border edges whose neighbours changed.
     changed: Vec<u32>,
     lefts: Lefts,
     corners: Corners,
-    /// Where vertices of the mesh that is given go; nothing if they stay.
+    /// Callback for the positions of the given mesh; None keeps them.
     round: Option<Round<'b>>,
 }
 
@@ -98,7 +100,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         }
     }
 
-    /// Without memory this ends as if the numbers were at an end.
+    /// Traverse all components. Returns [`Exhausted`] also if memory runs out.
     pub(super) fn run(&mut self) -> Result<(), Exhausted> {
         let mut reserve = Reserve::for_rows(0).map_err(|_| Exhausted)?;
         self.is_open = self.coder.even(self.given.as_ref().is_some_and(Given::is_open))?;
@@ -144,7 +146,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         Ok(())
     }
 
-    /// Put a triangle on an edge of the border, or learn that there is none.
+    /// Attach a triangle to a gate, or mark the gate as mesh boundary.
     fn grow(&mut self, gate: u32) -> Result<(), Exhausted> {
         let edge = *self.region.border.edge(gate);
         let (u, v) = (edge.origin, self.region.border.target(gate));
@@ -211,7 +213,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         Ok(())
     }
 
-    /// Let all that has changed wait for its turn.
+    /// Queue all changed edges and their neighbours with updated urgencies.
     fn queue(&mut self) {
         for i in 0..self.changed.len() {
             let edge = self.region.border.edge(self.changed[i]);
@@ -228,7 +230,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         self.changed.clear();
     }
 
-    /// The halfedge across, in the mesh that is given.
+    /// Opposite halfedge in the given mesh.
     fn twin(&self, h: HalfedgeId) -> HalfedgeId {
         match &self.given {
             Some(given) if h.is_some() => given.connectivity.twin(h),
@@ -252,7 +254,8 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         }
     }
 
-    /// Where a vertex of the mesh that is given goes, if there is one; `bits` says what places take.
+    /// Return the position of a vertex of the given mesh; None in decoding. `bits` estimates the bits of a
+    /// position.
     fn given_position(
         &mut self,
         source: VertexId,
@@ -266,14 +269,14 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         })
     }
 
-    /// Code a new vertex at the tip of a triangle; `source` is its number in the mesh that is given.
+    /// Code the new vertex at the tip of a triangle. `source` is its index in the given mesh.
     fn tip(&mut self, guess: &Guess, source: VertexId) -> Result<u32, Exhausted> {
         let given = self.given_position(source, |corners, p| corners.bits(guess, p));
         let position = self.corners.tip(self.coder, guess, given)?;
         let mut near = [0; 4];
         if self.channels > 0 {
             let [a, b] = guess.ends.map(|v| self.region.base.channels[v as usize]);
-            // The mean, downwards.
+            // Mean of both ends, rounded down.
             near = std::array::from_fn(|i| (i64::from(a[i]) + i64::from(b[i])).div_euclid(2) as i32);
         }
         self.add_vertex(position, near, source)

@@ -1,50 +1,51 @@
-//! The border of a growing region of triangles: loops of directed edges with the region on their right.
+//! Border of a growing region of triangles: loops of directed edges with the region on their right.
 //!
 //! ```text
-//!         x             A triangle put on the edge u → v has its tip either at a new vertex, or at the
-//!        / \            far end of the next or of the previous edge, or elsewhere on the border. In the
-//!       /   \           last case the edges u → x and x → v are linked where the border passes x: one
-//!   … → u → v → …       loop becomes two, or two become one.
+//!         x             A triangle attached to the edge u → v has its tip at a new vertex, at the far
+//!        / \            end of the next or previous edge, or elsewhere on the border. In the last
+//!       /   \           case, edges u → x and x → v are linked at x: one loop becomes two, or two
+//!  … → u → v → …       become one.
 //! ```
 
 use crate::base::ids::{HalfedgeId, VertexId};
 
 pub(super) const NONE: u32 = u32::MAX;
 
-/// What is on the left of an edge of the border.
+/// Symbol of a gate: the content on the left of a border edge.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Left {
-    /// The boundary of the mesh.
+    /// Mesh boundary.
     Nothing,
-    /// A triangle with its tip at the far end of the next edge, or of the previous.
+    /// Triangle with its tip at the far end of the next edge, or of the previous edge.
     Next,
     Previous,
-    /// One with a new tip, which has this number in the mesh to encode.
+    /// Triangle with a new tip; the value is its vertex in the mesh to encode.
     New(VertexId),
-    /// One with its tip where this edge of the border begins.
+    /// Triangle with its tip at the origin of this border edge.
     Other(u32),
 }
 
-/// A directed edge of the border; what is on its left is still open.
+/// Directed edge of the border, with its left side not coded yet.
 #[derive(Clone, Copy)]
 pub(super) struct Edge {
     pub origin: u32,
-    /// The corner across, of the triangle on its right.
+    /// Opposite corner of the triangle on its right.
     pub across: u32,
     pub prev: u32,
     pub next: u32,
-    /// Nothing will ever be on its left: it is on the boundary of the mesh.
+    /// True on the mesh boundary, where no triangle will follow.
     pub closed: bool,
-    /// Where it stands in the list of all on the border, [`NONE`] once it has left.
+    /// Index in [`Border::present`]; [`NONE`] after the edge has left the border.
     place: u32,
-    /// The halfedge on its left, in the mesh to encode.
+    /// Halfedge on its left, in the mesh to encode.
     pub halfedge: HalfedgeId,
 }
 
+/// Border edges, with linked loops.
 #[derive(Default)]
 pub(super) struct Border {
     edges: Vec<Edge>,
-    /// The numbers of those that are on the border, in no order.
+    /// Indices of the edges on the border, unordered.
     present: Vec<u32>,
 }
 
@@ -53,27 +54,32 @@ impl Border {
         &self.edges[edge as usize]
     }
 
+    /// Return the vertex at the far end of an edge.
     pub(super) fn target(&self, edge: u32) -> u32 {
         self.edge(self.edge(edge).next).origin
     }
 
+    /// Check whether an edge is still on the border.
     pub(super) fn is_present(&self, edge: u32) -> bool {
         self.edge(edge).place != NONE
     }
 
-    /// Whether a triangle may be put on an edge.
+    /// Check whether a triangle may be attached to an edge.
     pub(super) fn is_open(&self, edge: u32) -> bool {
         self.is_present(edge) && !self.edge(edge).closed
     }
 
+    /// Return the edges on the border, unordered.
     pub(super) fn present(&self) -> &[u32] {
         &self.present
     }
 
+    /// Mark an edge as mesh boundary.
     pub(super) fn close(&mut self, edge: u32) {
         self.edges[edge as usize].closed = true;
     }
 
+    /// Add an unlinked edge and return its index.
     pub(super) fn add(&mut self, origin: u32, across: u32, halfedge: HalfedgeId) -> u32 {
         let number = self.edges.len() as u32;
         let place = self.present.len() as u32;
@@ -83,11 +89,13 @@ impl Border {
         number
     }
 
+    /// Make `next` the successor of `edge` in its loop.
     pub(super) fn link(&mut self, edge: u32, next: u32) {
         self.edges[edge as usize].next = next;
         self.edges[next as usize].prev = edge;
     }
 
+    /// Remove an edge from the border.
     pub(super) fn remove(&mut self, edge: u32) {
         let place = std::mem::replace(&mut self.edges[edge as usize].place, NONE);
         self.present.swap_remove(place as usize);

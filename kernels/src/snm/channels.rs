@@ -1,4 +1,4 @@
-//! Channels of new vertices: by how much each differs from what the caller predicts.
+//! Coding of the channels of new vertices, as residuals of the caller's prediction.
 
 use crate::subdivision::topology::NONE;
 
@@ -14,14 +14,15 @@ const LEAST: f32 = 1.0 / 16.0;
 const RATES: Rates =
     Rates { regression: [0.04, 1e-4], mixer: [0.03, 1e-6], memory: 400, trust: 3, margin: 16 };
 
+/// Adaptive models of vertex channels.
 pub(super) struct Channels {
     count: usize,
-    /// From the channels before at the same vertex, the mean of neighbours, the edge above, and how the
-    /// corners across differ from the ends.
+    /// Predictor per channel. Inputs: earlier channels of the vertex (3), mean of neighbours, parallel coarse
+    /// edge, and the difference between opposite corners and edge ends.
     predictors: [Linear<6>; 4],
     models: Integers<6, 5>,
     before: Vec<[i32; 4]>,
-    /// Channels of all vertices so far, a new one being the mean of the ends and what was coded.
+    /// Channels of all vertices; a new vertex has the mean of its edge's ends plus the coded residual.
     vertices: Vec<[f32; 4]>,
 }
 
@@ -57,7 +58,7 @@ impl Channels {
         }
         let edges = relations.topology.edges.len();
         let mut values = vec![[0; 4]; edges];
-        // What predictions missed by; negative while an edge is not coded.
+        // Absolute prediction errors; negative for edges that are not coded yet.
         let mut missed = vec![[-1.0f32; 4]; edges];
         for &edge in &relations.order {
             let edge = edge as usize;

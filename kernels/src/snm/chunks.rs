@@ -1,15 +1,15 @@
-//! Parts of a file: the length of what is coded, its checksum, and the bytes.
+//! Parts of a file, each with the length of its coded bytes, a checksum and the bytes.
 //!
-//! The checksum is a cyclic one over length and bytes, and begins with that of the part before; so a part
-//! belongs to its place. Short parts have 16 bits of it (CCITT's polynomial), parts of [`LONG`] bytes and
-//! more 32 (that of IEEE 802.3): any one wrong byte is found.
+//! The checksum is a CRC over length and bytes, initialised with the checksum of the previous part. Parts in
+//! the wrong order are therefore detected. Short parts have 16 bits (CCITT polynomial), parts of [`LONG`]
+//! bytes or more have 32 bits (IEEE 802.3). Any single wrong byte is detected.
 
 use super::error::SnmError;
 
-/// From so many bytes on checksums have four bytes.
+/// Coded length in bytes from which checksums have four bytes.
 const LONG: usize = 4096;
 
-/// Append a part to `file`; `before` is the checksum of the part before.
+/// Append a part to `file`. `before` is the checksum of the previous part, and is updated.
 pub(super) fn append(file: &mut Vec<u8>, coded: &[u8], before: &mut u32) {
     let start = file.len();
     let mut rest = coded.len();
@@ -24,7 +24,7 @@ pub(super) fn append(file: &mut Vec<u8>, coded: &[u8], before: &mut u32) {
     file.extend(coded);
 }
 
-/// Take part number `part` from the front of `file`.
+/// Take part number `part` off the front of `file`, and verify its checksum.
 pub(super) fn take<'a>(file: &mut &'a [u8], part: usize, before: &mut u32) -> Result<&'a [u8], SnmError> {
     let (mut length, mut digits) = (0, 0);
     loop {
@@ -58,7 +58,7 @@ fn checksum_size(length: usize) -> usize {
     if length < LONG { 2 } else { 4 }
 }
 
-/// Checksum of the last of `parts` and what is before it; its length decides on the polynomial.
+/// Compute the CRC of `parts`. The length of the last one selects the polynomial.
 fn checksum(start: u32, parts: &[&[u8]]) -> u32 {
     let length = parts.last().map_or(0, |part| part.len());
     let (bits, polynomial) = if length < LONG { (16, 0x1021) } else { (32, 0x04c1_1db7) };

@@ -1,7 +1,7 @@
-//! Binary decisions with given probabilities to bytes and back, by the range coder of `constriction`.
+//! Arithmetic coding of binary decisions, with the range coder of `constriction`.
 //!
-//! Models are walked in the same way in both directions: [`Coder::bit`] takes the decision to encode and
-//! returns the one that was coded, which for a decoder is news.
+//! Encoder and decoder run through the models identically. [`Coder::bit`] receives the decision to encode and
+//! returns the coded one; a decoder ignores its argument.
 
 use std::borrow::Borrow;
 use std::num::NonZeroU16;
@@ -12,15 +12,16 @@ use constriction::stream::model::{DecoderModel, EncoderModel, EntropyModel};
 use constriction::stream::queue::{EncoderSituation, RangeDecoder, RangeEncoder};
 use constriction::stream::{Decode, Encode};
 
-/// The decoded part asks for more than was written: only damage can do that.
+/// Error for decoding past the end of the data, which only damaged files cause.
 #[derive(Debug)]
 pub(super) struct Exhausted;
 
+/// Encoder or decoder of binary decisions.
 pub(super) trait Coder {
     /// Code a decision that is `true` with probability `p`/65536.
     fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted>;
 
-    /// Code a decision of which nothing is known.
+    /// Code a decision with probability 1/2.
     fn even(&mut self, bit: bool) -> Result<bool, Exhausted> {
         const HALF: NonZeroU16 = NonZeroU16::new(1 << 15).unwrap();
         self.bit(HALF, bit)
@@ -29,7 +30,7 @@ pub(super) trait Coder {
 
 const PRECISION: usize = 16;
 
-/// A decision; `true` has the lower part of the interval.
+/// Binary model; `true` has the lower part of the interval.
 #[derive(Clone, Copy)]
 struct Bernoulli(NonZeroU16);
 
@@ -60,25 +61,25 @@ impl DecoderModel<PRECISION> for Bernoulli {
     }
 }
 
-/// Words of 16 bits and a state of 64 leave no probability of 16 bits rounded by more than 2^-32.
+/// Range encoder. With 16-bit words and a 64-bit state, 16-bit probabilities are rounded by at most 2^-32.
 #[derive(Default)]
 pub(super) struct Encoder(RangeEncoder<u16, u64>);
 
 impl Coder for Encoder {
     fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
-        // Both decisions have a positive probability, and a vector takes all words.
+        // Cannot fail: both decisions have positive probability, and the output vector grows.
         self.0.encode_symbol(bit, Bernoulli(p)).map_err(|_| Exhausted)?;
         Ok(bit)
     }
 }
 
 impl Encoder {
-    /// The bytes, with the shortest end that tells the last interval when zeros are thought behind it.
+    /// Return the bytes, with the shortest ending that identifies the last interval if zeros follow.
     pub(super) fn finish(self) -> Vec<u8> {
         let (mut words, state, situation) = self.0.into_raw_parts();
         let (lower, range) = (u128::from(state.lower()), u128::from(state.range().get()));
         let round_up = |kept: u32| lower.div_ceil(1 << (64 - 8 * kept)) << (64 - 8 * kept);
-        // The range is at least 2^48: two bytes always do.
+        // The range is at least 2^48, so two bytes always suffice.
         let kept = (0..2).find(|&kept| round_up(kept) < lower + range).unwrap_or(2);
         let point = round_up(kept);
         let carry = point >> 64 != 0;
@@ -92,7 +93,7 @@ impl Encoder {
     }
 }
 
-/// Bytes as words, and then as many zeros as a decoder looks ahead.
+/// Bytes as 16-bit words, followed by as many zeros as a decoder reads ahead.
 struct Words<'a> {
     bytes: &'a [u8],
     zeros: usize,
@@ -119,6 +120,7 @@ impl ReadWords<u16, Queue> for Words<'_> {
     }
 }
 
+/// Range decoder, the inverse of [`Encoder`].
 pub(super) struct Decoder<'a>(RangeDecoder<u16, u64, Words<'a>>);
 
 impl<'a> Decoder<'a> {
@@ -133,7 +135,7 @@ impl Coder for Decoder<'_> {
     }
 }
 
-/// Walks a model without writing: what comes in which order is all that is asked.
+/// Coder that writes nothing. It determines the order in which the models meet vertices and triangles.
 pub(super) struct Rehearsal;
 
 impl Coder for Rehearsal {

@@ -1,4 +1,4 @@
-//! Writing and reading an `.snm` file part by part.
+//! Writer and reader of `.snm` files, part by part.
 
 use crate::subdivision::topology::Topology;
 
@@ -11,14 +11,15 @@ use super::header;
 use super::levels::Levels;
 use crate::subdivision::contents::{Base, Header, Refinement};
 
-/// How every file begins: three letters, and the version of the format.
+/// First bytes of every file; the version follows.
 const MAGIC: [u8; 3] = *b"snm";
-/// Of a file that does not say what is up, and of one that does.
+/// Versions of files without and with an up direction.
 const PLAIN: u8 = 1;
 const UPRIGHT: u8 = 2;
-/// How far the length of a direction may be from 1.
+/// Maximum deviation of a direction's squared length from 1.
 const UNIT: f64 = 1e-9;
 
+/// Writer of an `.snm` file, level by level.
 pub struct Writer {
     file: Vec<u8>,
     checksum: u32,
@@ -27,14 +28,16 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Begin a file with its base mesh, which must be in the order of [`super::base::canonical`].
+    /// Start a file with its base mesh, which must be in the order of [`super::base::canonical`].
     ///
     /// # Errors
-    /// [`SnmError::Misfit`] if it is not, or if the header has a number that is not
-    /// positive and finite, or what is up is no direction.
+    /// [`SnmError::Misfit`] if the base is in another order, a header value is not positive and finite, or
+    /// the up direction is no unit vector.
     pub fn new(header: &Header, base: &Base) -> Result<Self, SnmError> {
         if !valid(header) {
-            return Err(SnmError::Misfit("the header holds a number that is not as it must be"));
+            return Err(SnmError::Misfit(
+                "the header has an invalid grid, step, unit, channel count or up direction",
+            ));
         }
         let given = Given::new(base)?;
         let mut coder = Encoder::default();
@@ -43,7 +46,7 @@ impl Writer {
         let mut walk = Walk::new(&mut coder, Some(given), header.channels.into());
         walk.run().map_err(too_large)?;
         if walk.region.base != *base {
-            return Err(SnmError::Misfit("the base mesh is not in the order of its coder"));
+            return Err(SnmError::Misfit("the base mesh is not in coder order"));
         }
         let mut file = MAGIC.to_vec();
         let version = if header.up.is_some() { UPRIGHT } else { PLAIN };
@@ -54,12 +57,12 @@ impl Writer {
         Ok(Self { file, checksum, levels, left: header.levels })
     }
 
-    /// Append a refinement of `topology`. `expected` are offsets in steps the caller expects from the shape
-    /// so far, one an edge; or nothing. A reader must be given the same.
+    /// Append a refinement of `topology`. `expected` holds the offsets that the caller predicts, one per
+    /// edge, in 1/16 steps; or it is empty. A reader must pass the same values.
     ///
     /// # Errors
-    /// [`SnmError::Misfit`] if lengths do not agree, a boundary vertex has a scalar, or the header promised
-    /// fewer levels.
+    /// [`SnmError::Misfit`] if lengths differ, a boundary vertex has a scalar, or the header declares fewer
+    /// levels.
     pub fn level(
         &mut self,
         topology: &Topology,
@@ -67,9 +70,12 @@ impl Writer {
         refinement: &Refinement,
     ) -> Result<(), SnmError> {
         if !self.levels.fits(topology, expected, Some(refinement)) {
-            return Err(SnmError::Misfit("the refinement is not one of the level before"));
+            return Err(SnmError::Misfit("the refinement does not match the previous level"));
         }
-        self.left = self.left.checked_sub(1).ok_or(SnmError::Misfit("more levels than the header says"))?;
+        self.left = self
+            .left
+            .checked_sub(1)
+            .ok_or(SnmError::Misfit("there are more levels than the header declares"))?;
         let mut coder = Encoder::default();
         let coded = self.levels.code(&mut coder, topology, expected, Some(refinement));
         coded.map_err(|Exhausted| SnmError::Misfit("a level is too large"))?;
@@ -77,16 +83,18 @@ impl Writer {
         Ok(())
     }
 
-    /// The bytes so far: they are a valid file after every level.
+    /// Return the bytes written so far. They are a valid file after every level.
     pub fn bytes(&self) -> &[u8] {
         &self.file
     }
 
+    /// Return the bytes of the file.
     pub fn finish(self) -> Vec<u8> {
         self.file
     }
 }
 
+/// Reader of an `.snm` file, level by level.
 pub struct Reader<'a> {
     file: &'a [u8],
     checksum: u32,
@@ -96,10 +104,10 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Read the header and the base mesh. That it is a manifold shows when its [`Topology`] is built.
+    /// Read the header and the base mesh. Manifoldness is only checked when its [`Topology`] is built.
     ///
     /// # Errors
-    /// Not such a file, of another version, truncated or damaged within the base mesh.
+    /// If the file is no `.snm` file, has another version, or is truncated or damaged within the base mesh.
     pub fn new(file: &'a [u8]) -> Result<(Self, Header, Base), SnmError> {
         let rest = file.strip_prefix(&MAGIC).ok_or(SnmError::Magic)?;
         let (&version, mut rest) = rest.split_first().ok_or(SnmError::Truncated { part: 0 })?;
@@ -123,16 +131,16 @@ impl<'a> Reader<'a> {
         Ok((Self { file: rest, checksum, levels, part: 0, promised }, header, base))
     }
 
-    /// Bytes that are not read yet.
+    /// Number of unread bytes.
     pub fn left(&self) -> usize {
         self.file.len()
     }
 
-    /// Read the next refinement; nothing if the file ends here, be it early or as promised.
+    /// Read the next refinement. None at the end of the file, also if it has fewer levels than declared.
     ///
     /// # Errors
-    /// Truncated or damaged within this level: those before are whole, those behind cannot be read. Bytes
-    /// behind the last level.
+    /// If this level is truncated or damaged: earlier levels stay valid, later ones cannot be read. Also if
+    /// bytes follow the last level.
     pub fn level(&mut self, topology: &Topology, expected: &[i32]) -> Result<Option<Refinement>, SnmError> {
         if self.file.is_empty() {
             return Ok(None);
@@ -141,7 +149,7 @@ impl<'a> Reader<'a> {
             return Err(SnmError::Surplus { bytes: self.file.len() });
         }
         if !self.levels.fits(topology, expected, None) {
-            return Err(SnmError::Misfit("the topology is not one level finer than before"));
+            return Err(SnmError::Misfit("the topology is not the next finer level"));
         }
         let part = self.part + 1;
         let coded = chunks::take(&mut self.file, part, &mut self.checksum)?;
@@ -152,7 +160,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// What stands for the checksum of a part before the first: another version is another file.
+/// Initial checksum before the first part. It depends on the version, so a changed version byte is detected.
 fn before_all(version: u8) -> u32 {
     u32::from(version - PLAIN)
 }
@@ -184,7 +192,7 @@ mod tests {
         bytes.into_iter().flat_map(|byte| std::iter::repeat_n(byte, run)).take(length).collect()
     }
 
-    /// Checksums do not keep a forger out: what they hold of must be harmless, too.
+    /// Correct checksums do not exclude forged files, so their contents must be harmless, too.
     #[test]
     fn noise_with_good_checksums_is_refused_or_read_within_bounds() {
         let state = &mut 7;
@@ -199,7 +207,7 @@ mod tests {
             let length = next(state) as usize % 200;
             let mut coded = noise(state, length);
             if round % 2 == 0 {
-                // A sound beginning goes on to noise.
+                // Noise after a valid header.
                 let mut coder = Encoder::default();
                 header::code(&mut coder, &header).unwrap();
                 coded.splice(0..0, coder.finish());

@@ -1,10 +1,9 @@
-//! New vertices of the base mesh: where they should be, and by how much they are elsewhere.
+//! Coding of the base mesh's vertex positions, as residuals of a prediction.
 //!
-//! In the frame of the edge it is grown at ([`Frame`]) the tip of a triangle is predicted linearly from three
-//! corners around. Along the axes of the frame errors have sizes of their own: tips are nearer to the plane
-//! of the triangle before than to the right place in it. Positions are whole numbers along other axes, so
-//! each coordinate is coded with what the coordinates before it say about it under a normal distribution of
-//! that shape.
+//! The tip of a triangle is predicted linearly from three surrounding corners, in the [`Frame`] of its gate.
+//! Errors have different sizes along the axes of the frame: they are smaller across the plane of the known
+//! triangle than within it. Positions are integers along other axes. Each coordinate is therefore coded under
+//! a normal distribution of that shape, conditioned on the coordinates before it.
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::{Decisions, Rates};
@@ -14,39 +13,42 @@ use super::linear::Linear;
 use super::logistic::ln;
 use super::region::Region;
 
+/// Learning rates of all models of the base mesh.
 pub(super) const RATES: Rates =
     Rates { regression: [0.2, 1e-4], mixer: [0.02, 1e-5], memory: 250, trust: 12, margin: 512 };
 
-/// A 1 and the coordinates of three corners; that across the edge has no third.
+/// Number of inputs: a constant 1 and the coordinates of three corners. The corner opposite the gate has no
+/// third one.
 const NEAR: usize = 9;
-/// Least squares over base meshes of nine scans.
+/// Initial weights per axis, from least squares over the base meshes of nine scans.
 const TIPS: [[f32; NEAR]; 3] = [
     [-0.25, -0.18, 0.04, 0.33, -0.09, -0.01, 0.06, 0.06, 0.02],
     [0.14, 0.03, -0.18, 0.1, 0.28, 0.0, -0.07, -0.03, -0.01],
     [0.01, 0.0, 0.02, 0.0, 0.01, 0.26, 0.01, 0.02, -0.02],
 ];
 
-/// The scale of Student's distribution in mean deviations.
+/// Scale of Student's t distribution, relative to the mean deviation.
 const NARROWER: f64 = 0.72;
 
-/// Where the tip of a triangle should be.
+/// Predicted tip of a triangle.
 pub(super) struct Guess {
     pub frame: Frame,
     inputs: [f32; NEAR],
-    /// In the frame, and in space.
+    /// Predicted position in the frame, and in grid coordinates.
     pub local: [f64; 3],
     pub point: [f64; 3],
-    /// Ends of the edge.
+    /// Ends of the gate.
     pub ends: [u32; 2],
 }
 
+/// Adaptive models of base vertices: positions and channels.
 pub(super) struct Corners {
     tips: [Linear<NEAR>; 3],
-    /// How far tips are from where they should be, along the axes of their frames.
+    /// Deviation of tips from their prediction along the frame axes, in edge lengths.
     deviations: [f64; 3],
     first: Integers<1, 0>,
     positions: Integers<3, 1>,
-    /// Prediction of a channel from those before.
+    /// Predictor of a channel from the channels before it.
     colors: [Linear<3>; 4],
     channels: Integers<3, 1>,
     more: Decisions<1, 0>,
@@ -70,6 +72,7 @@ impl Corners {
         self.more.bit(coder, 0, &[1.0], &[], more)
     }
 
+    /// Predict the tip of a triangle on `gate`.
     pub(super) fn guess(&self, region: &Region, gate: u32) -> Guess {
         let frame = region.frame(gate);
         let [across, next, previous] =
@@ -82,7 +85,7 @@ impl Corners {
         Guess { frame, inputs, local, point, ends }
     }
 
-    /// Code a corner of the first triangle of a component; `near` is the vertex before it.
+    /// Code a corner of the first triangle of a component. `near` is the previous vertex.
     pub(super) fn first<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -100,6 +103,7 @@ impl Corners {
         Ok(position)
     }
 
+    /// Code the position of a new tip, and update the models.
     pub(super) fn tip<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -117,8 +121,8 @@ impl Corners {
             let residual = given.map_or(0, |p| i64::from(p[axis]) - start);
             let expected = 0.8 * variances[axis].sqrt() as f32;
             let features = [1.0, ln(expected), ln(expected * unusual)];
-            // From 8 on the last bit is coded evenly: so every vertex takes a bit at least, and no file can
-            // claim more vertices than it has bits.
+            // With an expected magnitude of 8 or more, the lowest bit is coded with probability 1/2. Every
+            // vertex thus takes at least one bit, and no file can declare more vertices than it has bits.
             let bounded = if axis == 0 { expected.max(8.0) } else { expected };
             let known = Known { expected: bounded, features, contexts: [axis], lean: 0.0, side: 0 };
             let residual = self.positions.code(coder, &known, residual)?;
@@ -130,14 +134,14 @@ impl Corners {
         for (axis, deviation) in self.deviations.iter_mut().enumerate() {
             let error = found[axis] - guess.local[axis];
             self.tips[axis].learn(&guess.inputs, error as f32, *deviation as f32);
-            // A mean deviation of 1 is one of 1.25 squared, if they are normal.
+            // For a normal distribution, the standard deviation is 1.25 times the mean absolute deviation.
             *deviation = (*deviation + 0.02 * (1.25 * error.abs().min(4.0) - *deviation)).max(1e-3);
         }
         Ok(position)
     }
 
-    /// About how many bits a place of a tip takes more than the best: those of Student's distribution of three degrees of
-    /// freedom along each axis.
+    /// Estimate the extra bits of a tip position over the most likely one. Errors along each axis follow
+    /// Student's t distribution with three degrees of freedom.
     pub(super) fn bits(&self, guess: &Guess, p: &[i32; 3]) -> f64 {
         let local = guess.frame.local(p.map(f64::from));
         let along = |axis: usize| {
@@ -147,7 +151,7 @@ impl Corners {
         (0..3).map(along).sum()
     }
 
-    /// Code the first `count` channels of a vertex, which should be about `near`.
+    /// Code the first `count` channels of a vertex, with `near` as prediction.
     pub(super) fn channels<C: Coder>(
         &mut self,
         coder: &mut C,

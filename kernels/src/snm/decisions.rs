@@ -1,29 +1,29 @@
-//! Adaptive probabilities of binary decisions: what is known beforehand, mixed with what has been seen.
+//! Adaptive probabilities of binary decisions: a prior model mixed with observed contexts.
 //!
-//! A family of decisions has `F` features, real numbers that speak for or against, and `N` contexts, each a
-//! small number. A logistic regression on the features gives a first guess; its weights begin where real
-//! meshes have left them, so that the first vertex of a file already has a fair probability. Every value of a
-//! context has a probability of its own, which begins as the guess of the moment it is first met. Guess and
-//! contexts are mixed in the logistic domain (Mahoney, Adaptive weighing of context models for lossless data
-//! compression, 2005). Weights are learnt as an extended Kalman filter does, which needs few decisions: files
-//! are small.
+//! A family of decisions has `F` real features and `N` contexts, each a small number. A logistic regression
+//! on the features gives the prior probability. Its initial weights are fitted to real meshes, so even the
+//! first vertex of a file gets a fair probability. Every context value has an adaptive probability,
+//! initialised with the prior at its first use. Prior and contexts are mixed in the logistic domain (Mahoney,
+//! Adaptive weighing of context models for lossless data compression, 2005). Weights are learnt by an
+//! extended Kalman filter, which needs few samples: files are small.
 
 use std::num::NonZeroU16;
 
 use super::coder::{Coder, Exhausted};
 use super::logistic::{logit, probability};
 
-/// How the decisions of a family learn.
+/// Learning rates of a family of decisions.
 #[derive(Clone, Copy)]
 pub(super) struct Rates {
-    /// Variance of the regression's weights and of the mixer's, at first and what a decision adds to it.
+    /// Variances of the regression weights and of the mixer weights: initial value, and increase per
+    /// decision.
     pub regression: [f32; 2],
     pub mixer: [f32; 2],
-    /// A context's probability is a mean over about as many decisions.
+    /// Window of a context's probability, in decisions.
     pub memory: u16,
-    /// Decisions the first guess counts as.
+    /// Weight of the prior in a new context, in decisions.
     pub trust: u16,
-    /// No probability is nearer to 0 or 1 than this many 65536ths.
+    /// Minimum distance of probabilities from 0 and 1, in units of 1/65536.
     pub margin: u16,
 }
 
@@ -33,7 +33,7 @@ struct Slot {
     seen: u16,
 }
 
-/// A logistic regression that learns decision by decision (an extended Kalman filter of its weights).
+/// Logistic regression with online learning (extended Kalman filter on its weights).
 #[derive(Clone, Copy)]
 struct Regression<const I: usize> {
     weights: [f32; I],
@@ -52,7 +52,7 @@ impl<const I: usize> Regression<I> {
         (0..I).map(|i| self.weights[i] * inputs[i]).sum()
     }
 
-    /// Learn that the outcome differs by `error` from the probability `p` that was told.
+    /// Update the weights. `error` is the outcome minus the predicted probability `p`.
     fn learn(&mut self, inputs: &[f32; I], p: f32, error: f32) {
         let reach: [f32; I] = std::array::from_fn(|i| (0..I).map(|j| self.spread[i][j] * inputs[j]).sum());
         // Rounding must not make it negative.
@@ -64,7 +64,7 @@ impl<const I: usize> Regression<I> {
             for j in 0..I {
                 self.spread[i][j] -= gain * variance * reach[i] * reach[j];
             }
-            // What is never needed must not become ever more uncertain.
+            // The variance of unused weights must not grow without limit.
             if self.spread[i][i] < self.rates[0] {
                 self.spread[i][i] = self.spread[i][i].max(0.0) + self.rates[1];
             }
@@ -72,7 +72,7 @@ impl<const I: usize> Regression<I> {
     }
 }
 
-/// The probabilities of a family of decisions.
+/// Probabilities of a family of decisions.
 pub(super) struct Decisions<const F: usize, const N: usize> {
     rates: Rates,
     regressions: Vec<Regression<F>>,
@@ -81,7 +81,7 @@ pub(super) struct Decisions<const F: usize, const N: usize> {
 }
 
 impl<const F: usize, const N: usize> Decisions<F, N> {
-    /// A family of as many decisions as there are `regressions`, in contexts of the given sizes.
+    /// Create one decision per row of `regressions`, with contexts of the given sizes.
     pub(super) fn new(rates: Rates, regressions: &[[f32; F]], sizes: [usize; N]) -> Self {
         let mixer = Regression::new([0.6 / (N as f32 + 1.0); N], rates.mixer);
         let slot = Slot { p: 0.5, seen: 0 };
@@ -96,6 +96,7 @@ impl<const F: usize, const N: usize> Decisions<F, N> {
         }
     }
 
+    /// Code one decision of the family, and update its models.
     pub(super) fn bit<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -115,7 +116,7 @@ impl<const F: usize, const N: usize> Decisions<F, N> {
             if slot.seen == 0 {
                 *slot = Slot { p: guessed, seen: self.rates.trust };
             }
-            // What the context adds to the guess.
+            // Difference of the context from the prior, in logits.
             inputs[i] = logit(slot.p) - guess;
         }
         let p = probability(guess + mixer.sum(&inputs));

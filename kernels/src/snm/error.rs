@@ -1,24 +1,25 @@
-//! Why a file cannot be read, or a mesh not be written.
+//! Errors of reading and writing `.snm` files.
 
 use std::fmt;
 
 use crate::base::errors::KernelError;
 
+/// Error of reading or writing an `.snm` file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SnmError {
-    /// It does not begin as such a file does.
+    /// The first bytes are wrong.
     Magic,
-    /// Written by a later version of the format.
+    /// The version is unknown, probably newer.
     Version(u8),
     /// The file ends within a part: 0 is the base mesh, k the k-th refinement.
     Truncated { part: usize },
-    /// A part does not have its checksum, or decodes to what cannot be.
+    /// A part has a wrong checksum or decodes to invalid data.
     Damaged { part: usize },
-    /// Bytes behind the last refinement.
+    /// Bytes follow the last refinement.
     Surplus { bytes: usize },
-    /// The base mesh to be written is no manifold.
+    /// The base mesh to write is not manifold.
     Mesh(KernelError),
-    /// What is given does not fit the format, or what was given before.
+    /// The input does not fit the format, or contradicts earlier input.
     Misfit(&'static str),
 }
 
@@ -29,11 +30,13 @@ impl fmt::Display for SnmError {
             level => format!("level {level}"),
         };
         match self {
-            Self::Magic => write!(f, "it is not an .snm file"),
-            Self::Version(version) => write!(f, "it is of version {version} of the format, which is unknown"),
-            Self::Truncated { part } => write!(f, "the file ends within {}", name(part)),
+            Self::Magic => write!(f, "this is not an .snm file"),
+            Self::Version(version) => {
+                write!(f, "version {version} of the format is not supported; versions 1 and 2 are")
+            }
+            Self::Truncated { part } => write!(f, "the file is truncated in {}", name(part)),
             Self::Damaged { part } => write!(f, "{} is damaged", name(part)),
-            Self::Surplus { bytes } => write!(f, "{bytes} bytes follow the last level"),
+            Self::Surplus { bytes } => write!(f, "{bytes} unexpected bytes follow the last level"),
             Self::Mesh(why) => why.fmt(f),
             Self::Misfit(why) => write!(f, "{why}"),
         }
@@ -42,13 +45,13 @@ impl fmt::Display for SnmError {
 
 impl std::error::Error for SnmError {}
 
-/// What a writer refuses.
+/// Convert errors of the writer.
 impl From<SnmError> for KernelError {
     fn from(error: SnmError) -> Self {
         match error {
             SnmError::Mesh(why) => why,
             SnmError::Misfit(why) => Self::Unwritable(why),
-            _ => Self::Unwritable("the coder failed"),
+            _ => Self::Unwritable("the encoder failed"),
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Which new vertices are exceptions. They come in groups, and stay where they are from level to level.
+//! Coding of offset kinds. Exceptions are offsets other than a scalar; they cluster, and recur from level to
+//! level.
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::{Decisions, Rates};
@@ -7,19 +8,20 @@ use super::relations::Relations;
 const RATES: Rates =
     Rates { regression: [0.1, 5e-5], mixer: [0.02, 1e-6], memory: 1000, trust: 3, margin: 16 };
 
-/// Where coded normal meshes of horse, cow, bunny, igea, rocker-arm and fandisk have left the weights.
+/// Initial weights, fitted to normal meshes of horse, cow, bunny, igea, rocker-arm and fandisk.
 const WEIGHTS: [f32; 7] = [-5.2, 1.5, 1.8, 0.55, 1.1, 0.1, -0.3];
 
+/// Adaptive models of offset kinds.
 pub(super) struct Exceptions {
     models: Decisions<7, 3>,
-    /// Whether points are relaxed at all, and an exception is a scalar from the unrelaxed one.
+    /// True if points are relaxed. Exceptions can then be scalars from the unrelaxed point.
     relaxed: bool,
     unrelaxed: Decisions<1, 1>,
-    /// Edges of the level before that had exceptions, and vertices that came with one.
+    /// Edges of the coarser level with exceptions, and vertices that were added by an exception.
     before: Vec<bool>,
     vertices: Vec<bool>,
     edges: Vec<bool>,
-    /// Exceptions at the edges coded so far of each vertex.
+    /// Number of exceptions among the coded edges of each vertex.
     around: Vec<u8>,
     is_unrelaxed: bool,
 }
@@ -48,8 +50,8 @@ impl Exceptions {
         self.vertices.extend(&self.before);
     }
 
-    /// Code whether the offset of an edge is a scalar from the relaxed point, from the unrelaxed point, or a
-    /// vector. `rough` grows with the magnitude offsets have there.
+    /// Code the kind of an edge's offset: scalar from the relaxed point, scalar from the unrelaxed point, or
+    /// vector. `rough` is the log-magnitude of nearby errors.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -87,7 +89,7 @@ impl Exceptions {
     }
 }
 
-/// How an offset is meant.
+/// Kind of an offset.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Kind {
     Scalar,

@@ -1,15 +1,15 @@
-//! Where the tip of a triangle should be, from the triangle across its first edge.
+//! Local frame of a gate, for predicting the tip of the next triangle.
 
-/// Axes at the middle of an edge: along it, away from the triangle that is known, and the normal of that.
+/// Axes at the midpoint of an edge: along the edge, away from the known triangle, and the triangle's normal.
 pub(super) struct Frame {
     middle: [f64; 3],
     axes: [[f64; 3]; 3],
-    /// Of the edge; 1 at least.
+    /// Length of the edge in grid units, at least 1.
     pub length: f64,
 }
 
 impl Frame {
-    /// At the edge `from` → `to` of a triangle with the third corner `across` on the right.
+    /// Build the frame of the edge `from` → `to` of a triangle, with its third corner `across` on the right.
     pub(super) fn new([from, to, across]: [[i32; 3]; 3]) -> Self {
         let [from, to, across] = [from, to, across].map(|p| p.map(f64::from));
         let middle = [0, 1, 2].map(|i| 0.5 * (from[i] + to[i]));
@@ -20,12 +20,13 @@ impl Frame {
         Self { middle, axes: [along, away, cross(along, away)], length }
     }
 
-    /// Coordinates in the frame, in lengths of the edge.
+    /// Convert to frame coordinates, in edge lengths.
     pub(super) fn local(&self, p: [f64; 3]) -> [f64; 3] {
         let from_middle = minus(p, self.middle);
         self.axes.map(|axis| dot(from_middle, axis) / self.length)
     }
 
+    /// Convert frame coordinates to grid coordinates.
     pub(super) fn point(&self, local: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|i| {
             let offset: f64 = (0..3).map(|k| local[k] * self.axes[k][i]).sum();
@@ -34,15 +35,15 @@ impl Frame {
     }
 }
 
-/// What independent deviations along axes look like one coordinate after the other: with the matrix `below`
-/// and independent u, a deviation is u_i + Σ below_ij u_j over j < i; `variances` are those of u.
+/// Sequential form of a normal distribution: coordinate i deviates by u_i + Σ below_ij u_j over j < i. The
+/// u_i are independent, with the given `variances`.
 pub(super) struct Conditional {
     pub below: [[f64; 3]; 3],
     pub variances: [f64; 3],
 }
 
 impl Frame {
-    /// For deviations of the given size along each axis, in lengths of the edge.
+    /// Factorise the covariance of independent deviations along the frame axes, given in edge lengths.
     pub(super) fn conditional(&self, deviations: [f64; 3]) -> Conditional {
         let scale = deviations.map(|d| (d * self.length) * (d * self.length));
         let covariance = |i: usize, j: usize| -> f64 {
@@ -61,7 +62,7 @@ impl Frame {
     }
 }
 
-/// The direction of a vector and its length; 1 for a shorter one.
+/// Normalise a vector and return its length, but at least 1.
 fn unit(v: [f64; 3]) -> ([f64; 3], f64) {
     let length = dot(v, v).sqrt().max(1.0);
     (v.map(|x| x / length), length)

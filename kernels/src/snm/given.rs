@@ -1,4 +1,4 @@
-//! The base mesh to encode, seen from the border of the part that is coded.
+//! Base mesh to encode, as viewed from the border of the coded region.
 
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
@@ -7,16 +7,16 @@ use super::border::{Border, Left, NONE};
 use super::error::SnmError;
 use crate::subdivision::contents::Base;
 
-/// The mesh to encode, and how much of it has been met.
+/// Mesh to encode, and the parts of it already coded.
 pub(super) struct Given<'a> {
     pub base: &'a Base,
     pub connectivity: Connectivity,
-    /// New number of each vertex.
+    /// New index of each vertex; [`NONE`] if not coded yet.
     numbers: Vec<u32>,
-    /// The border edge each open halfedge is at.
+    /// Border edge at each halfedge whose triangle is not coded yet.
     border: Vec<u32>,
     done: Vec<bool>,
-    /// No triangle before this one is left.
+    /// All triangles below this index are coded.
     first_left: usize,
     pub vertex_source: Vec<u32>,
     pub triangle_source: Vec<u32>,
@@ -38,11 +38,12 @@ impl<'a> Given<'a> {
         })
     }
 
+    /// Check whether the mesh has a boundary.
     pub(super) fn is_open(&self) -> bool {
         self.connectivity.edges().any(|edge| self.connectivity.is_boundary_edge(edge))
     }
 
-    /// A halfedge of a component that has not been met.
+    /// Return a halfedge of a component that is not coded yet.
     pub(super) fn seed(&mut self) -> Option<HalfedgeId> {
         while *self.done.get(self.first_left)? {
             self.first_left += 1;
@@ -50,7 +51,7 @@ impl<'a> Given<'a> {
         Some(HalfedgeId::from_index(3 * self.first_left))
     }
 
-    /// What is on the left of an edge of the border.
+    /// Determine the symbol of a border edge.
     pub(super) fn left(&self, border: &Border, edge: u32) -> Left {
         let gate = border.edge(edge);
         let h = gate.halfedge;
@@ -71,7 +72,7 @@ impl<'a> Given<'a> {
         }
     }
 
-    /// The border edge from the origin of `h` that ends the open fan `h` is in.
+    /// Find the border edge at the origin of `h` that bounds the uncoded triangle fan around `h`.
     fn gap(&self, border: &Border, h: HalfedgeId) -> u32 {
         let mut clockwise = h;
         loop {
@@ -85,7 +86,7 @@ impl<'a> Given<'a> {
             }
             clockwise = Connectivity::next(twin);
         }
-        // A boundary of the mesh is in between; the fan's other end cannot be one, too.
+        // A mesh boundary interrupts the fan, so the border edge is at its other end.
         let mut arriving = Connectivity::prev(h);
         loop {
             let edge = self.border[arriving.index()];
@@ -96,19 +97,20 @@ impl<'a> Given<'a> {
         }
     }
 
-    /// The triangle of `h` has been met.
+    /// Record that the triangle of `h` has been coded.
     pub(super) fn meet_triangle(&mut self, h: HalfedgeId) {
         let TriangleId(triangle) = Connectivity::triangle(h);
         self.done[triangle as usize] = true;
         self.triangle_source.push(triangle);
     }
 
-    /// A vertex has been met; the next number is its own.
+    /// Record that a vertex has been coded, and give it the next index.
     pub(super) fn meet_vertex(&mut self, VertexId(v): VertexId) {
         self.numbers[v as usize] = self.vertex_source.len() as u32;
         self.vertex_source.push(v);
     }
 
+    /// Record the border edge at a halfedge.
     pub(super) fn meet_edge(&mut self, h: HalfedgeId, edge: u32) {
         self.border[h.index()] = edge;
     }

@@ -1,9 +1,9 @@
-//! The header, in the same stream as the base mesh.
+//! Coding of the header, in the same stream as the base mesh.
 
 use super::coder::{Coder, Exhausted};
 use crate::subdivision::contents::{Header, Scheme};
 
-/// Code the header; what a decoder is given counts for nothing, but for whether there is an `up`.
+/// Code the header. A decoder only uses the presence of `up` in its argument.
 pub(super) fn code<C: Coder>(coder: &mut C, header: &Header) -> Result<Header, Exhausted> {
     let butterfly = coder.even(header.scheme == Scheme::Butterfly)?;
     let relaxations = number(coder, header.relaxations.into(), 2)? as u8;
@@ -25,7 +25,8 @@ pub(super) fn code<C: Coder>(coder: &mut C, header: &Header) -> Result<Header, E
     Ok(Header { scheme, relaxations, origin, grid, step, step_ratio, channels, units, levels, up })
 }
 
-/// What is up: one of the six axes, or three numbers. What is neither reads as no direction at all.
+/// Code the up direction: one of six axis directions, or three numbers. An invalid axis decodes to the zero
+/// vector.
 fn up<C: Coder>(coder: &mut C, given: [f64; 3]) -> Result<[f64; 3], Exhausted> {
     let along = given.iter().position(|x| x.abs() == 1.0);
     let axis = along.filter(|_| given.iter().filter(|&&x| x == 0.0).count() == 2);
@@ -56,7 +57,7 @@ fn zigzag_back(x: u64) -> i64 {
     (x >> 1) as i64 ^ -((x & 1) as i64)
 }
 
-/// An Exp-Golomb number of order `order`.
+/// Code an Exp-Golomb number of order `order`.
 fn number<C: Coder>(coder: &mut C, value: u64, order: u32) -> Result<u64, Exhausted> {
     let value = u128::from(value) + (1 << order);
     let mut length = order;
@@ -70,7 +71,7 @@ fn number<C: Coder>(coder: &mut C, value: u64, order: u32) -> Result<u64, Exhaus
     Ok((decoded - (1 << order)) as u64)
 }
 
-/// A positive number in single precision: its exponent, and its mantissa without the zeros at the end.
+/// Code a positive single-precision number: its exponent, then its mantissa without trailing zeros.
 fn real<C: Coder>(coder: &mut C, value: f32) -> Result<f32, Exhausted> {
     const MANTISSA: u32 = 23;
     let bits = value.to_bits();

@@ -1,37 +1,39 @@
-//! Whole numbers as binary decisions.
+//! Coding of integers as binary decisions.
 //!
-//! A magnitude is expected to be about `e`. With `k` = max(0, ⌊log2 e⌋ − 2) the upper part |x| >> k is coded
-//! in unary up to [`UNARY`], each step a decision; what is beyond it follows as an Exp-Golomb number. Then
-//! come the lower k bits, evenly, and the sign if the number is not 0. So a number takes about as many
-//! decisions whatever its size, as long as the expectation is of the right order.
+//! Let `e` be the expected magnitude and k = max(0, ⌊log2 e⌋ − 2). The upper part |x| >> k is coded in unary
+//! up to [`UNARY`], one decision per step; larger values continue as an Exp-Golomb number. The lower k bits
+//! follow with probability 1/2, then the sign of non-zero numbers. The number of decisions hardly depends on
+//! the size of the number, as long as the expectation has the right order of magnitude.
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::{Decisions, Rates};
 
-/// Longest unary part.
+/// Maximum length of the unary part.
 const UNARY: usize = 18;
-/// Bits of the longest number beyond it.
+/// Maximum bits of the number beyond the unary part.
 const LENGTHS: usize = 40;
 
-/// What is known of a number before it is coded.
+/// Prior knowledge about a number.
 pub(super) struct Known<const F: usize, const N: usize> {
-    /// The magnitude to reckon with.
+    /// Expected magnitude.
     pub expected: f32,
-    /// The first is 1, the others are logarithms of magnitudes it may have.
+    /// A constant 1, then logarithms of magnitudes that the number may have.
     pub features: [f32; F],
     pub contexts: [usize; N],
-    /// The logit of its being positive, and a context for it.
+    /// Logit of a positive sign, and a context for the sign.
     pub lean: f32,
     pub side: usize,
 }
 
+/// Adaptive models of a family of integers.
 pub(super) struct Integers<const F: usize, const N: usize> {
     magnitudes: Decisions<F, N>,
     signs: Decisions<2, 1>,
 }
 
 impl<const F: usize, const N: usize> Integers<F, N> {
-    /// `weights` are those of the features for the first steps; all others have the last.
+    /// Create the models. `weights` holds the initial feature weights of the first steps; later steps use the
+    /// last row.
     pub(super) fn new(rates: Rates, weights: &[[f32; F]], sizes: [usize; N], sides: usize) -> Self {
         let last = weights.len() - 1;
         let weights: Vec<[f32; F]> = (0..UNARY + LENGTHS).map(|step| weights[step.min(last)]).collect();
@@ -41,14 +43,14 @@ impl<const F: usize, const N: usize> Integers<F, N> {
         }
     }
 
-    /// Code `value`, whose magnitude is below 2^39.
+    /// Code `value`, with a magnitude below 2^39.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
         known: &Known<F, N>,
         value: i64,
     ) -> Result<i64, Exhausted> {
-        // The exponent of the expectation, without rounding.
+        // Exponent of the expectation, read from the bits to avoid rounding.
         let exponent = (known.expected.to_bits() >> 23) as i32 - 127;
         let k = (exponent - 2).clamp(0, LENGTHS as i32 - 1) as u32;
         let mut features = known.features;

@@ -1,5 +1,5 @@
-//! What is on the left of an edge of the border, as decisions: is it nothing, is the tip the next vertex of
-//! the border, the previous, a new one; or which of all others.
+//! Coding of gate symbols as decisions: mesh boundary, tip at the next border vertex, at the previous one,
+//! new tip, or another border vertex.
 
 use crate::base::ids::VertexId;
 
@@ -13,13 +13,14 @@ use super::logistic::ln;
 use super::region::Region;
 
 const CLOSING: usize = 10;
-/// Where least squares over base meshes of nine scans have left the weights.
+/// Initial weights, from least squares over the base meshes of nine scans.
 const CLOSINGS: [[f32; CLOSING]; 2] = [[-0.5, -1.4, 0.35, 1.0, 0.55, 1.5, 0.5, -0.6, 1.4, 0.0]; 2];
 
-/// In a border of more edges than this the vertices are not put in order for each tip that is elsewhere on
-/// it.
+/// Maximum number of border edges for which vertices are sorted by distance for each tip elsewhere on the
+/// border.
 const LONG: usize = 1024;
 
+/// Adaptive models of gate symbols.
 pub(super) struct Lefts {
     closes: Decisions<CLOSING, 0>,
     nothing: Decisions<1, 0>,
@@ -29,7 +30,8 @@ pub(super) struct Lefts {
 
 impl Lefts {
     pub(super) fn new() -> Self {
-        // Others cost a search. The margin keeps a damaged file from asking for very many.
+        // Other vertices need a search. The margin limits the number of searches that a damaged file can
+        // cause.
         let rare = Rates { margin: 4096, ..RATES };
         Self {
             closes: Decisions::new(RATES, &CLOSINGS, []),
@@ -39,7 +41,7 @@ impl Lefts {
         }
     }
 
-    /// Code what is on the left of `gate`; `is_open` if the mesh has a boundary at all.
+    /// Code the symbol of `gate`. `is_open` is true if the mesh has a boundary.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -74,7 +76,7 @@ impl Lefts {
         self.other(coder, region, gate, guess, given).map(Left::Other)
     }
 
-    /// Code at which edge of the border another tip is, as its rank by distance from where the tip should be.
+    /// Code the border edge of another tip, as its rank by distance from the predicted tip.
     fn other<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -87,10 +89,10 @@ impl Lefts {
         let is_long = border.present().len() > LONG;
         let key = |gap: u32| {
             let apart = minus(region.position(border.edge(gap).origin), guess.point);
-            // Distances are positive: their order is that of their bits.
+            // Positive floats are ordered like their bits.
             (if is_long { 0 } else { dot(apart, apart).to_bits() }, gap)
         };
-        // The vertices beside the gate would leave a loop of two edges.
+        // Exclude the neighbours of the gate, which would leave a loop of two edges.
         let beside = [border.edge(gate).prev, border.edge(border.edge(gate).next).next];
         let is_far = |gap: &u32| !beside.contains(gap) && !guess.ends.contains(&border.edge(*gap).origin);
         let mut keys: Vec<(u64, u32)> = border.present().iter().copied().filter(is_far).map(key).collect();
@@ -106,8 +108,8 @@ impl Lefts {
     }
 }
 
-/// What speaks for a tip at `tip`, the vertex of the border beside the end of the gate that is at `at` (±½)
-/// along it.
+/// Compute the features for a tip at `tip`, the border vertex next to one end of the gate. That end, vertex
+/// `end`, has coordinate `at` (±½) along the gate.
 fn closing(region: &Region, guess: &Guess, tip: u32, at: f64, end: u32) -> [f32; CLOSING] {
     let valence = |v: u32| 0.2 * (f32::from(region.valences[v as usize]) - 5.0).min(5.0);
     let local = guess.frame.local(region.position(tip));

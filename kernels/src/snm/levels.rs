@@ -1,4 +1,4 @@
-//! Refinements: an offset for every edge, and what its vertex carries.
+//! Coding of refinements: an offset per edge, and the channels of its vertex.
 
 use crate::subdivision::topology::Topology;
 
@@ -10,9 +10,9 @@ use super::scalars::Scalars;
 use super::vectors::Vectors;
 use crate::subdivision::contents::{Base, Header, Offset, Refinement};
 
-/// What the levels so far have taught.
+/// Adaptive models, carried over from level to level.
 pub(super) struct Levels {
-    /// Vertices, and edges of the triangles, of the level before.
+    /// Number of vertices, and the edges of each triangle, on the coarser level.
     vertices: usize,
     triangle_edges: Option<Vec<[u32; 3]>>,
     relaxed: bool,
@@ -36,7 +36,7 @@ impl Levels {
         }
     }
 
-    /// Whether `topology` is what comes next, and the other arguments of [`Levels::code`] go with it.
+    /// Check whether `topology` is the next level and the other arguments of [`Levels::code`] match it.
     pub(super) fn fits(&self, topology: &Topology, expected: &[i32], given: Option<&Refinement>) -> bool {
         let edges = topology.edges.len();
         let is_finer = |coarse: &Vec<_>| topology.triangles.len() == 4 * coarse.len();
@@ -53,7 +53,7 @@ impl Levels {
             && given.is_none_or(is_whole)
     }
 
-    /// Code a level on `topology`; a decoder is given none.
+    /// Code a level on `topology`. A decoder has no `given` refinement.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -68,7 +68,7 @@ impl Levels {
         for &edge in &relations.order {
             let edge = edge as usize;
             let given = given.map_or(Offset::Scalar(0), |given| given.offsets[edge]);
-            // A decoder is given a scalar everywhere, and looks at none.
+            // The decoder passes placeholders, which its coder ignores.
             let (kind, scalar, vector) = match given {
                 Offset::Scalar(scalar) => (Kind::Scalar, scalar, [0; 3]),
                 Offset::Unrelaxed(scalar) => (Kind::Unrelaxed, scalar, [0; 3]),

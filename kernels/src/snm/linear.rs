@@ -1,13 +1,13 @@
-//! Linear prediction whose weights follow what is coded, by recursive least squares.
+//! Linear prediction with online learning by recursive least squares.
 
-/// Variance of the weights at first, and at most.
+/// Initial and maximum variance of the weights.
 const UNCERTAIN: f32 = 0.003;
 
-/// Weights of `I` inputs, and how uncertain they still are.
+/// Weights of `I` inputs, and their covariance.
 #[derive(Clone, Copy)]
 pub(super) struct Linear<const I: usize> {
     weights: [f32; I],
-    /// Covariance of the weights, in errors squared.
+    /// Covariance of the weights, relative to the squared error.
     spread: [[f32; I]; I],
 }
 
@@ -17,13 +17,14 @@ impl<const I: usize> Linear<I> {
         Self { weights, spread }
     }
 
+    /// Return the weighted sum of the inputs.
     pub(super) fn predict(&self, inputs: &[f32; I]) -> f32 {
         (0..I).map(|i| self.weights[i] * inputs[i]).sum()
     }
 
-    /// Move the weights towards the value that came; `noise` is what the prediction misses by as a rule.
+    /// Update the weights. `error` is the observed value minus the prediction, `noise` its typical magnitude.
     pub(super) fn learn(&mut self, inputs: &[f32; I], error: f32, noise: f32) {
-        // An outlier must not undo what many have taught, nor a large number overflow.
+        // Clamping keeps outliers from undoing what was learnt, and large numbers from overflowing.
         let error = (error / noise).clamp(-3.0, 3.0);
         let inputs = inputs.map(|x| (x / noise).clamp(-16.0, 16.0));
         let reach: [f32; I] = std::array::from_fn(|i| (0..I).map(|j| self.spread[i][j] * inputs[j]).sum());
@@ -34,7 +35,7 @@ impl<const I: usize> Linear<I> {
             for j in 0..I {
                 self.spread[i][j] -= gain * reach[i] * reach[j];
             }
-            // Weights stay a little uncertain: one part of a mesh is not like the other.
+            // A minimum variance keeps weights adaptive, because regions of a mesh differ.
             if self.spread[i][i] < UNCERTAIN {
                 self.spread[i][i] = self.spread[i][i].max(1e-5) + 1e-6;
             }

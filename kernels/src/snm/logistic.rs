@@ -1,9 +1,9 @@
-//! Logarithm, logit and its inverse by +, −, × and ÷ alone, which every machine rounds alike; the library's
-//! own differ in the last bit from system to system.
+//! Logarithm, logit and its inverse, from +, −, × and ÷ alone. All machines round these alike, whereas
+//! library functions differ in the last bit between systems.
 
 const KNOTS: usize = 4096;
 
-/// ln(p / (1 − p)) at the middle of each of [`KNOTS`] parts of 0..1.
+/// ln(p / (1 − p)) at the centres of [`KNOTS`] intervals of 0..1.
 static LOGITS: [f32; KNOTS] = {
     let mut table = [0.0; KNOTS];
     let mut i = 0;
@@ -15,15 +15,15 @@ static LOGITS: [f32; KNOTS] = {
     table
 };
 
-/// Logits beyond this count as this.
+/// Maximum magnitude of logits; larger ones are clamped.
 const REACH: f32 = 12.0;
 const PER_UNIT: usize = 32;
 
-/// 1 / (1 + e^−x) at multiples of 1 / [`PER_UNIT`] from −[`REACH`].
+/// 1 / (1 + e^−x) at multiples of 1 / [`PER_UNIT`], from −[`REACH`] on.
 static PROBABILITIES: [f32; 2 * REACH as usize * PER_UNIT + 2] = {
     let mut table = [0.0; 2 * REACH as usize * PER_UNIT + 2];
     let mut i = 0;
-    // e^(1/32) and e^12 by their series.
+    // e^(1/32) and e^12 from their series.
     let step = exponential(1.0 / PER_UNIT as f64);
     let mut inverse_odds = exponential(REACH as f64);
     while i < table.len() {
@@ -44,7 +44,8 @@ const fn exponential(x: f64) -> f64 {
     sum
 }
 
-/// By halving into 2/3..4/3 and the series of the inverse hyperbolic tangent.
+/// Compute the natural logarithm: halve or double into 2/3..4/3, then use the series of the inverse
+/// hyperbolic tangent.
 const fn natural_log(x: f64) -> f64 {
     let (mut m, mut halvings) = (x, 0.0);
     while m > 4.0 / 3.0 {
@@ -65,10 +66,12 @@ const fn natural_log(x: f64) -> f64 {
     halvings * std::f64::consts::LN_2 + 2.0 * sum
 }
 
+/// Look up the logit of a probability in 0..1.
 pub(super) fn logit(p: f32) -> f32 {
     LOGITS[((p * KNOTS as f32) as usize).min(KNOTS - 1)]
 }
 
+/// Interpolate the probability of a logit, the inverse of [`logit`].
 pub(super) fn probability(logit: f32) -> f32 {
     let x = (logit.clamp(-REACH, REACH) + REACH) * PER_UNIT as f32;
     let i = x as usize;
@@ -76,19 +79,19 @@ pub(super) fn probability(logit: f32) -> f32 {
     PROBABILITIES[i] + t * (PROBABILITIES[i + 1] - PROBABILITIES[i])
 }
 
-/// Natural logarithm of a positive normal number, to 1e-4.
+/// Compute the natural logarithm of a positive normal number, to 1e-4.
 pub(super) fn ln(x: f32) -> f32 {
     let bits = x.to_bits();
     let exponent = (bits >> 23) as i32 - 127;
     let m = f32::from_bits(bits & 0x007f_ffff | 127 << 23);
-    // The same series, about √2: |z| is below 0.172.
+    // Same series, centred at √2 so that |z| is below 0.172.
     let z = (m - std::f32::consts::SQRT_2) / (m + std::f32::consts::SQRT_2);
     let square = z * z;
     let series = 2.0 * z * (1.0 + square * (1.0 / 3.0 + square * 0.2));
     (exponent as f32 + 0.5) * std::f32::consts::LN_2 + series
 }
 
-/// The class of a number among `count`: the first up to 1, then `per_octave` to each doubling.
+/// Classify a number into one of `count` classes: class 0 up to 1, then `per_octave` classes per doubling.
 pub(super) fn class(x: f32, per_octave: f32, count: usize) -> usize {
     ((ln(x) * per_octave * std::f32::consts::LOG2_E) as usize).min(count - 1)
 }
@@ -102,7 +105,7 @@ mod tests {
         for i in 1..1000 {
             let p = i as f32 / 1000.0;
             let exact = (f64::from(p) / (1.0 - f64::from(p))).ln();
-            // A part of the table is 1/4096 wide, and the logit's slope 1 / p(1 − p).
+            // A table interval is 1/4096 wide, and the slope of the logit is 1 / p(1 − p).
             let slope = 1.0 / f64::from(p * (1.0 - p));
             assert!((f64::from(logit(p)) - exact).abs() < slope / 4096.0, "{p}");
             assert!((probability(exact as f32) - p).abs() < 3e-5, "{p}");

@@ -1,63 +1,63 @@
-//! The `.snm` container of normal meshes, versions 1 and 2.
+//! `.snm` container of normal meshes, versions 1 and 2.
 //!
 //! # Layout
 //!
 //! ```text
-//! file    = "snm" version part part*       the first part: header and base mesh; then one part a level
-//! version = 01, or 02 where the header says what is up
+//! file    = "snm" version part part*       first part: header and base mesh; then one part per level
+//! version = 01, or 02 if the header contains the up direction
 //! part    = length checksum coded
-//! length  = bytes of `coded`, 7 bits a byte, the lowest first, the top bit set in all but the last
-//! checksum= 2 bytes if length < 4096, else 4, the highest first
+//! length  = bytes of `coded`, 7 bits per byte, lowest first, top bit set in all but the last byte
+//! checksum= 2 bytes if length < 4096, else 4, highest first
 //! coded   = one stream of the range coder
 //! ```
 //!
-//! A file may end after any part: it is a mesh with fewer levels than its header says. The checksum is a
-//! cyclic one over the bytes of `length` and `coded`, polynomial 0x1021 (2 bytes) or 0x04c11db7 (4 bytes),
-//! bits neither reflected nor inverted at the end. The register starts as the complement of the checksum of
-//! the part before (its lower bits, if that had more), in the first part of 0, or of 1 in version 2; so a part
-//! is good only in its place.
+//! A file may end after any part; it then is a mesh with fewer levels than its header declares. The checksum
+//! is a CRC over the bytes of `length` and `coded`, with polynomial 0x1021 (2 bytes) or 0x04c11db7 (4 bytes).
+//! Bits are neither reflected nor inverted at the end. The register starts as the complement of the previous
+//! part's checksum (its lower bits, if it was longer). Before the first part, the checksum counts as 0 in
+//! version 1 and as 1 in version 2. A part is thus valid only in its position.
 //!
 //! # Numbers
 //!
-//! The stream is that of `constriction`'s queue with 16-bit words, the high byte first, and a state of 64
-//! bits. Behind the last byte a decoder sees 8 bytes of zeros; asking for more is an error. All that is coded
-//! are decisions, each with a probability of 16 bits for `true`, which has the lower part of the interval.
-//! *Even* decisions have one half. The other probabilities come from the models of `decisions`, which learn
-//! as they are used and go on from part to part. They are worked out in single precision by +, −, ×, ÷ and
-//! square root in the order of the source, without fused operations: there the source is the specification.
-//! `logistic` holds the functions that other libraries would round differently, `integers` says how a whole
-//! number becomes decisions, `linear` how predictions learn.
+//! The stream has the format of `constriction`'s queue with 16-bit words, high byte first, and a 64-bit
+//! state. After the last byte a decoder reads 8 bytes of zeros; reading more is an error. All data are binary
+//! decisions, each with a 16-bit probability of `true`, which has the lower part of the interval. *Even*
+//! decisions have probability 1/2. All other probabilities come from the models of `decisions`, which learn
+//! with each decision and are kept from part to part. They are computed in single precision by +, −, ×, ÷ and
+//! square root in the order of the source, without fused operations. For them, the source code is the
+//! specification. `logistic` contains functions that libraries round differently. `integers` defines the
+//! decisions of an integer, `linear` the adaptive prediction.
 //!
 //! # Header
 //!
-//! All even decisions. *Number of order k*: Exp-Golomb; x + 2^k has n + 1 bits, n − k times `true`, `false`,
-//! then the lower n bits, the highest first. *Real*: the 8 bits of the exponent in single precision, the
-//! length of the mantissa without the zeros at its end as a number of order 2, and so many bits. In order:
-//! whether the scheme is butterfly; relaxations (order 2), levels (order 3), channels (order 0); the reals
-//! grid, step, step ratio and one unit a channel; the three origins, as numbers of order 0, 0, −1, 1, −2, …
-//! counted as 0, 1, 2, 3, ….
+//! All decisions are even. *Number of order k*: Exp-Golomb. For x + 2^k with n + 1 bits: n − k times `true`,
+//! then `false`, then the lower n bits, highest first. *Real*: the 8 exponent bits in single precision, the
+//! length of the mantissa without trailing zeros as a number of order 2, then these mantissa bits. In order:
+//! true for the butterfly scheme; relaxations (order 2), levels (order 3), channels (order 0); the reals
+//! grid, step, step ratio and one unit per channel; the three origins as numbers of order 0, with 0, −1, 1,
+//! −2, … mapped to 0, 1, 2, 3, ….
 //!
-//! In version 2 what is up follows: whether it is along an axis; if so which (0, 1 or 2, order 0), and whether it is down
-//! along it; else three numbers in double precision, each of 64 bits, the highest first. Its length is 1. Version 1 says
-//! nothing of it, and is what is written where it is not known.
+//! Version 2 continues with the up direction, a unit vector. The first decision is true for an axis
+//! direction. Then follow the axis (0, 1 or 2, order 0) and a decision that is true for the negative
+//! direction. Otherwise three double-precision numbers follow, 64 bits each, highest first. Version 1 has no
+//! up direction; it is written if none is known.
 //!
 //! # Base mesh
 //!
-//! An even decision says whether there is a boundary. Then components follow until a decision says there are
-//! no more. A component begins with the positions of the first triangle's corners; the rest grows as `base`
-//! says, from one edge of the border to the next in the order of `region`. `lefts` codes what is on the left
-//! of an edge and `corners` new vertices. Vertices, triangles and the turn of each triangle are numbered as
-//! they come.
+//! An even decision is true if the mesh has a boundary. Then components follow, each announced by a decision.
+//! A component starts with the positions of the first triangle's corners. It grows as described in `base`,
+//! from one border edge to the next, in the order defined by `region`. `lefts` codes the symbol of each
+//! border edge, `corners` the new vertices. Vertices, triangles and the first corner of each triangle are
+//! numbered in coding order.
 //!
-//! Each base vertex takes a bit at least, each new vertex of a level 1/1400 bit: what a decoder allocates is
-//! bounded by the length of the file, whatever it says.
+//! Each base vertex takes at least one bit, each new vertex of a level at least 1/1400 bit. The memory of a
+//! decoder is thus bounded by the length of the file.
 //!
 //! # Levels
 //!
-//! Edges are numbered as in [`crate::subdivision::topology`] and come in the order of `relations`. For each:
-//! unless it is on the boundary, what kind of offset it has (`exceptions`); then the scalar (`scalars`) or
-//! the vector (`vectors`). When all are coded, the channels of each edge follow in the same order
-//! (`channels`).
+//! Edges are numbered as in [`crate::subdivision::topology`] and coded in the order of `relations`. Interior
+//! edges start with the kind of their offset (`exceptions`). The scalar (`scalars`) or vector (`vectors`)
+//! follows. After all offsets, the channels of each edge follow in the same order (`channels`).
 
 mod base;
 mod border;

@@ -1,31 +1,33 @@
-//! The part of a base mesh that is coded.
+//! Coded part of a base mesh.
 
 use super::border::Border;
 use super::frame::{Frame, dot, minus};
 use crate::subdivision::contents::Base;
 
+/// Coded vertices and triangles, with the border around them.
 #[derive(Default)]
 pub(super) struct Region {
     pub border: Border,
     pub base: Base,
-    /// Triangles at each vertex so far, 255 at most.
+    /// Number of coded triangles at each vertex, at most 255.
     pub valences: Vec<u8>,
 }
 
 impl Region {
+    /// Return the position of a vertex in grid coordinates.
     pub(super) fn position(&self, v: u32) -> [f64; 3] {
         self.base.positions[v as usize].map(f64::from)
     }
 
-    /// The frame of an edge of the border.
+    /// Build the frame of a border edge.
     pub(super) fn frame(&self, gate: u32) -> Frame {
         let edge = self.border.edge(gate);
         let corners = [edge.origin, self.border.target(gate), edge.across];
         Frame::new(corners.map(|v| self.base.positions[v as usize]))
     }
 
-    /// The corners across the triangle of a gate, at the end of the next edge and at the beginning of the
-    /// previous.
+    /// Return the opposite corner of the gate's triangle, the end of the next edge and the start of the
+    /// previous edge.
     pub(super) fn around(&self, gate: u32) -> [u32; 3] {
         let edge = self.border.edge(gate);
         [edge.across, self.border.target(edge.next), self.border.edge(edge.prev).origin]
@@ -46,8 +48,8 @@ impl Region {
         self.valences.len() as u32 - 1
     }
 
-    /// The smaller, the sooner an edge of the border is grown at: where the border turns sharply at its end,
-    /// the next vertex is likely to be the tip, and a new vertex at a long edge is better known.
+    /// Compute the priority of a gate; smaller values are processed first. A sharp turn of the border makes
+    /// the next vertex a likely tip. At long edges, a new vertex is predicted better.
     pub(super) fn urgency(&self, gate: u32) -> u64 {
         let edge = self.border.edge(gate);
         let frame = self.frame(gate);
@@ -56,11 +58,11 @@ impl Region {
             let next = frame.local(self.position(self.border.target(edge.next)));
             let arm = minus(next, [0.5, 0.0, 0.0]);
             let cosine = -arm[0] / dot(arm, arm).sqrt().max(1e-9);
-            // From 0 to 4 as the angle goes from 0 to 360°.
+            // Monotonic in the angle: 0 to 4 for 0 to 360°.
             angle = if arm[1] >= 0.0 { 1.0 - cosine } else { 3.0 + cosine };
         }
         let root = frame.length.sqrt();
-        // Positive numbers are ordered as their bits are.
+        // Positive floats are ordered like their bits.
         (angle.max(0.3) / (root * root.sqrt())).to_bits()
     }
 }

@@ -1,23 +1,23 @@
-//! What an edge of a level has to do with other edges, of its level and of the one before.
+//! Relations of a level's edges to each other and to edges of the coarser level.
 
 use crate::subdivision::topology::{NONE, Topology};
 
 /// Relations between the edges of a level.
 pub(super) struct Relations<'a> {
     pub topology: &'a Topology,
-    /// The order in which edges are coded.
+    /// Coding order of the edges.
     pub order: Vec<u32>,
-    /// For each edge that of the level before which is parallel to it; nothing in the first level.
+    /// Parallel edge of the coarser level, per edge; empty on the first level.
     above: Vec<u32>,
-    /// The other half of the edge above, [`NONE`] for edges within a triangle of the level before.
+    /// Other half of the same coarse edge; [`NONE`] for edges inside a coarse triangle.
     sibling: Vec<u32>,
 }
 
 impl<'a> Relations<'a> {
-    /// `coarse` are the edges of the triangles of the level before.
+    /// Derive the relations. `coarse` holds the edges of each triangle on the coarser level.
     ///
-    /// Halves of edges of the level before come first, then the edges within its triangles, which then know
-    /// most of their neighbours; each in the order of their numbers.
+    /// Halves of coarse edges are coded first, then edges inside coarse triangles, whose neighbours are
+    /// mostly known by then. Both groups are ordered by index.
     pub(super) fn new(topology: &'a Topology, coarse: Option<&[[u32; 3]]>) -> Self {
         let count = topology.edges.len();
         let mut order: Vec<u32> = (0..count as u32).collect();
@@ -34,7 +34,7 @@ impl<'a> Relations<'a> {
                 if above[edge as usize] != NONE {
                     continue;
                 }
-                // The middle child is turned by one corner against its parent.
+                // The middle child is rotated by one corner relative to its parent.
                 let parallel = parent[if place == 3 { (corner + 2) % 3 } else { corner }];
                 above[edge as usize] = parallel;
                 if place == 3 || corner == (place + 1) % 3 {
@@ -54,17 +54,19 @@ impl<'a> Relations<'a> {
         Self { topology, order, above, sibling }
     }
 
-    /// The other edges of the triangles at `edge`.
+    /// List the other edges of the triangles adjacent to `edge`.
     pub(super) fn neighbours(&self, edge: usize) -> impl Iterator<Item = usize> + use<'_> {
         let triangles = self.topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE);
         let edges = triangles.flat_map(|t| self.topology.triangle_edges[t as usize]);
         edges.map(|e| e as usize).filter(move |&e| e != edge)
     }
 
+    /// Return the parallel edge of the coarser level.
     pub(super) fn above(&self, edge: usize) -> Option<usize> {
         self.above.get(edge).map(|&e| e as usize)
     }
 
+    /// Return the other half of the same coarse edge.
     pub(super) fn sibling(&self, edge: usize) -> Option<usize> {
         self.sibling.get(edge).filter(|&&e| e != NONE).map(|&e| e as usize)
     }

@@ -1,9 +1,9 @@
-//! Scalar offsets, in steps.
+//! Coding of scalar offsets, in steps.
 //!
-//! Three predictions are weighed by how well they did nearby: none; one from the edge of the level before
-//! that is parallel (on a smooth surface its offset was four times as large) and from neighbours that are
-//! coded; and one that also knows what the caller expects from the shape. What is left is coded with a
-//! magnitude that its surroundings tell.
+//! Three predictions are weighted by their accuracy nearby. The first is zero. The second uses coded
+//! neighbours and the parallel edge of the coarser level, whose offset is four times as large on a smooth
+//! surface. The third also uses the caller's shape prediction. The residual is coded with a magnitude
+//! estimated from its surroundings.
 
 use crate::subdivision::topology::NONE;
 
@@ -14,19 +14,19 @@ use super::linear::Linear;
 use super::logistic::{class, ln};
 use super::relations::Relations;
 
-/// `expected` is given in this part of a step.
+/// Unit of `expected`, in steps.
 const PART: f32 = 1.0 / 16.0;
-/// The least magnitude to reckon with.
+/// Minimum expected magnitude, in steps.
 const LEAST: f32 = 1.0 / 16.0;
-/// How much smaller errors are from level to level, in lengths.
+/// Expected decrease of errors per level, as a ratio of lengths.
 const DECAY: f32 = 0.5;
 
 const RATES: Rates =
     Rates { regression: [0.1, 1e-4], mixer: [0.03, 1e-6], memory: 400, trust: 3, margin: 16 };
 
-// The numbers below are where horse, cow, bunny, igea, rocker-arm and fandisk have left the weights.
+// Initial weights, fitted to horse, cow, bunny, igea, rocker-arm and fandisk.
 
-/// Weights of the predictions by how many neighbours are coded; see [`Scalars::prediction`].
+/// Prediction weights by the number of coded neighbours, with and without shape; see [`Scalars::prediction`].
 const FULL: [[f32; 7]; 5] = [
     [0.05, 0.58, 0.2, 0.25, 0.06, 0.03, -0.13],
     [0.05, 0.58, 0.09, 0.25, 0.03, 0.01, -0.08],
@@ -41,7 +41,7 @@ const SHAPELESS: [[f32; 4]; 5] = [
     [0.17, 0.68, -0.12, 0.0],
     [0.16, 0.97, -0.16, 0.0],
 ];
-/// Weights of the features of the first steps of a magnitude; see [`Scalars::known`].
+/// Feature weights of the first unary steps of a magnitude; see [`Scalars::known`].
 const STEPS: [[f32; 10]; 5] = [
     [1.3, -0.25, 0.02, 0.12, 0.05, 1.0, 0.25, 0.35, 0.42, 0.55],
     [-0.05, 0.12, 0.23, 0.06, 0.12, 0.75, 0.37, 0.48, 0.43, 0.37],
@@ -50,36 +50,37 @@ const STEPS: [[f32; 10]; 5] = [
     [-0.13, 0.13, 0.05, -0.04, 0.03, 0.12, 0.25, 0.1, 0.14, -0.08],
 ];
 
-/// What is known of an edge once its offset is coded.
+/// Statistics of a coded edge.
 #[derive(Clone, Copy, Default)]
 struct Coded {
-    /// Whether it is a scalar.
+    /// True if its offset is a scalar.
     is_known: bool,
     value: f32,
-    /// What the value differs by from what the caller expected, and from the prediction.
+    /// Value minus the shape prediction, and value minus the weighted prediction.
     surprise: f32,
     error: f32,
-    /// What each of the three predictions missed it by.
+    /// Errors of the three predictions.
     missed: [f32; 3],
 }
 
+/// Adaptive models of scalar offsets.
 pub(super) struct Scalars {
-    /// Steps of a level in one of the level before.
+    /// Step of a level in steps of the next finer level.
     step_ratio: f32,
     full: [Linear<7>; 5],
     shapeless: [Linear<4>; 5],
-    /// Mean squares of what the predictions miss by.
+    /// Mean squared errors of the three predictions.
     noise: [f32; 3],
     models: Integers<10, 7>,
     before: Vec<Coded>,
     edges: Vec<Coded>,
-    /// Mean error at the edges of each vertex in the level before, in steps of this one.
+    /// Mean error at the edges of each vertex on the coarser level, in steps of this level.
     active: Vec<f32>,
-    /// Sum and count of errors at the edges coded so far of each vertex.
+    /// Sum and count of errors at the coded edges of each vertex.
     around: Vec<[f32; 2]>,
 }
 
-/// What an offset is predicted from, and the outcome.
+/// Inputs and results of predicting an offset.
 struct Prediction {
     neighbours: usize,
     inputs: [f32; 7],
@@ -119,6 +120,7 @@ impl Scalars {
         self.before = std::mem::take(&mut self.edges);
     }
 
+    /// Code the scalar of an edge. `expected` is the caller's shape prediction, in 1/16 steps.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -129,8 +131,7 @@ impl Scalars {
     ) -> Result<i32, Exhausted> {
         let shape = expected as f32 * PART;
         let prediction = self.prediction(relations, edge, shape);
-        // Small offsets are mostly 0 whatever the prediction, as encoders prefer it: the sign is where it
-        // counts.
+        // Small offsets are mostly 0, as encoders prefer, so the prediction only biases the sign.
         let centre = if prediction.weighed.abs() < 6.0 { 0.0 } else { prediction.weighed.trunc() };
         let known = self.known(relations, edge, shape, prediction.weighed, prediction.weighed - centre);
         let error = self.models.code(coder, &known, i64::from(given) - centre as i64)?;
@@ -139,7 +140,7 @@ impl Scalars {
         Ok(value)
     }
 
-    /// Logarithm of the magnitude that errors have around an edge.
+    /// Estimate the logarithm of the error magnitude around an edge.
     pub(super) fn roughness(&self, relations: &Relations, edge: usize) -> f32 {
         let [a, b] = relations.topology.edges[edge].map(|v| {
             let [sum, count] = self.around[v as usize];
@@ -196,7 +197,8 @@ impl Scalars {
         Prediction { neighbours: count, inputs, shapeless, each, weighed }
     }
 
-    /// What speaks for the magnitude of the error of a prediction that is `fraction` beside a whole number.
+    /// Compute the prior for the magnitude of an error. `fraction` is the prediction's distance from a whole
+    /// number.
     fn known(
         &self,
         relations: &Relations,

@@ -1,4 +1,4 @@
-//! Offsets that are vectors: of the vertices on the boundary, and of the few that no scalar can place.
+//! Coding of vector offsets: of boundary vertices, and of vertices that no scalar can reach.
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::Rates;
@@ -13,9 +13,10 @@ const LEAST: f32 = 1.0 / 16.0;
 const RATES: Rates =
     Rates { regression: [0.1, 1e-5], mixer: [0.02, 1e-5], memory: 400, trust: 4, margin: 16 };
 
+/// Adaptive models of vector offsets.
 pub(super) struct Vectors {
-    /// For each component of exceptions, then of boundary vertices: prediction from the vector above and that
-    /// of the other half, and how far it is from the truth.
+    /// Predictor per component, first for interior exceptions, then for boundary vertices; and its mean
+    /// absolute error. Inputs are the vectors of the parallel coarse edge and of the sibling edge.
     predictors: [Linear<2>; 6],
     spread: [f32; 6],
     models: Integers<4, 2>,
@@ -36,7 +37,7 @@ impl Vectors {
         self.before = offsets.to_vec();
     }
 
-    /// Code the vector of an edge; `offsets` are those of the level so far.
+    /// Code the vector of an edge. `offsets` holds the offsets coded so far on this level.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -75,7 +76,7 @@ impl Vectors {
     }
 }
 
-/// A scalar counts as no vector: its axis is another.
+/// Return the components of a vector offset; zeros for a scalar, which refers to another axis.
 fn components(offset: Option<Offset>) -> [f32; 3] {
     match offset {
         Some(Offset::Vector(v)) => v.map(|x| x as f32),

@@ -1,10 +1,10 @@
-//! Modified butterfly subdivision (Zorin, Schröder and Sweldens, "Interpolating subdivision for meshes with arbitrary
-//! topology", 1996).
+//! Modified butterfly subdivision (Zorin, Schröder and Sweldens, "Interpolating subdivision for meshes with
+//! arbitrary topology", 1996).
 
 use super::topology::{NONE, Topology};
 use crate::base::geometry::{Vec3, add_scaled, midpoint};
 
-/// The new vertex of every edge.
+/// Compute the new vertex of every edge.
 pub fn middles(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
     let rings = Rings::new(topology);
     let mut ring = [vec![], vec![]];
@@ -18,11 +18,12 @@ pub fn middles(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
             let regular = [closed[0] && ring[0].len() == 6, closed[1] && ring[1].len() == 6];
             let at = |v: u32| points[v as usize];
             match (closed, regular) {
-                // Eight points: half of the ends, an eighth of the corners across, less a sixteenth of those beyond.
+                // Eight-point stencil: 1/2 for the ends, 1/8 for the opposite corners, −1/16 for the four
+                // outer ones.
                 (_, [true, true]) => {
                     let mut sum = midpoint(&at(a), &at(b));
                     for ring in &ring {
-                        // Both rings name the corners across; half of an eighth each.
+                        // Both rings contain the opposite corners, so each contributes half of 1/8.
                         for (place, weight) in [(1, 0.0625), (5, 0.0625), (2, -0.0625), (4, -0.0625)] {
                             sum = add_scaled(&sum, weight, &at(ring[place]));
                         }
@@ -42,7 +43,8 @@ pub fn middles(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
         .collect()
 }
 
-/// The rule around one end: three quarters of it, and its neighbours, the other end of the edge first.
+/// Apply the stencil of an extraordinary vertex: weight 3/4, and its neighbours, starting at the other end of
+/// the edge.
 fn from_end(end: &Vec3, ring: &[u32], points: &[Vec3]) -> Vec3 {
     let mut sum = end.map(|x| 0.75 * x);
     let mut add = |weight: f64, v: u32| sum = add_scaled(&sum, weight, &points[v as usize]);
@@ -70,7 +72,8 @@ fn from_end(end: &Vec3, ring: &[u32], points: &[Vec3]) -> Vec3 {
     sum
 }
 
-/// cos(2π / k) for k ≥ 4 by its series: the same bits everywhere, which the mathematics library does not promise.
+/// Compute cos(2π / k) for k ≥ 4 from its series. The bits are the same on all platforms, unlike the maths
+/// library's.
 fn cosine_of_part(k: usize) -> f64 {
     let x = 2.0 * std::f64::consts::PI / k as f64;
     let (mut term, mut sum) = (1.0, 1.0);
@@ -82,10 +85,10 @@ fn cosine_of_part(k: usize) -> f64 {
     sum
 }
 
-/// The neighbours of vertices, in order.
+/// Ordered neighbours of vertices.
 struct Rings<'a> {
     topology: &'a Topology,
-    /// The boundary edge that leaves each boundary vertex, and the one that arrives.
+    /// Outgoing and incoming boundary edge of each boundary vertex.
     leaving: Vec<u32>,
     arriving: Vec<u32>,
 }
@@ -101,7 +104,8 @@ impl<'a> Rings<'a> {
         Self { topology, leaving, arriving }
     }
 
-    /// The neighbours of an end of an inner edge in turn, the other end first. Whether they go all the way round.
+    /// Collect the neighbours of one end of an interior edge, starting at the other end. Returns false at a
+    /// boundary vertex.
     fn around(&self, end: u32, edge: usize, ring: &mut Vec<u32>) -> bool {
         ring.clear();
         let topology = self.topology;
@@ -110,13 +114,13 @@ impl<'a> Rings<'a> {
         }
         let mut edge = edge as u32;
         let start = edge;
-        // The side on which the edge leaves the end.
+        // Triangle in which the edge starts at `end`.
         let mut t =
             topology.edge_triangles[edge as usize][usize::from(topology.edges[edge as usize][0] != end)];
         loop {
             let [a, b] = topology.edges[edge as usize];
             ring.push(if a == end { b } else { a });
-            // In triangle t the edge leaves the end; the one that comes back to it is next.
+            // In triangle t the edge leaves `end`; the triangle's edge back to `end` is next.
             let corners = &topology.triangles[t as usize];
             let Some(corner) = corners.iter().position(|&v| v == end) else { return false };
             edge = topology.triangle_edges[t as usize][(corner + 2) % 3];
@@ -128,7 +132,7 @@ impl<'a> Rings<'a> {
         }
     }
 
-    /// Four points along the boundary.
+    /// Apply the four-point stencil along the boundary.
     fn on_boundary(&self, edge: usize, points: &[Vec3]) -> Vec3 {
         let at = |v: u32| points[v as usize];
         let [a, b] = self.topology.edges[edge];

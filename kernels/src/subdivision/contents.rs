@@ -1,64 +1,65 @@
-//! What an `.snm` file holds: whole numbers, and the few real ones they are multiples of.
+//! Contents of an `.snm` file: integers, and the few real units that scale them.
 
-/// How positions of new vertices are predicted.
+/// Prediction of new vertices.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Scheme {
-    /// The middle of the edge.
+    /// Edge midpoint.
     #[default]
     Linear,
     /// Modified butterfly (Zorin, Schröder and Sweldens 1996).
     Butterfly,
 }
 
-/// What all levels share.
+/// Parameters that all levels share.
 #[derive(Clone, Copy, PartialEq, Debug, Default)]
 pub struct Header {
     pub scheme: Scheme,
-    /// Turns of the tangential Laplacian on predicted vertices.
+    /// Tangential Laplacian steps applied to predicted vertices.
     pub relaxations: u8,
-    /// What is added to positions of the base mesh, in spacings of the grid. Needed only where the mesh is so
-    /// far from the origin that 32 bits do not hold its positions; 0 takes no room.
+    /// Offset of base mesh positions, in grid spacings. Needed only for meshes so far from the origin that
+    /// positions exceed 32 bits; zeros hardly take space.
     pub origin: [i64; 3],
-    /// Spacing of the grid for base vertices and vectors. This and the numbers below are positive, and take
-    /// as many bits as their mantissas need: round numbers are short.
+    /// Grid spacing of base vertices and vectors. This and the numbers below are positive and stored without
+    /// trailing mantissa bits, so round numbers are short.
     pub grid: f32,
-    /// One unit of a scalar offset at the finest level, and the factor from a level to the next coarser one.
+    /// Step of scalar offsets at the finest level, and the factor from a level to the next coarser one.
     pub step: f32,
     pub step_ratio: f32,
-    /// Channels a vertex carries, 0 to 4, and one unit of each.
+    /// Number of channels per vertex, 0 to 4, and the unit of each channel.
     pub channels: u8,
     pub units: [f32; 4],
-    /// Refinements the file was made with.
+    /// Number of refinements that the complete file has.
     pub levels: u8,
-    /// What is up, of length 1, where that is known.
+    /// Unit up direction, if known.
     pub up: Option<[f64; 3]>,
 }
 
-/// The base mesh, numbered in the order of its coder.
+/// Base mesh, numbered in coder order.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Base {
     pub positions: Vec<[i32; 3]>,
     pub triangles: Vec<[u32; 3]>,
-    /// Per vertex: `channels` values.
+    /// Channels of each vertex in units; only the first `Header::channels` values are used. Empty without
+    /// channels.
     pub channels: Vec<[i32; 4]>,
 }
 
-/// Where a new vertex is, from where it was predicted.
+/// Displacement of a new vertex from its prediction.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Offset {
     /// Along the normal, in steps.
     Scalar(i32),
-    /// The same from the point as it was before relaxation.
+    /// Along the normal from the unrelaxed point, in steps.
     Unrelaxed(i32),
-    /// Along normal, tangent and the third axis, in grid units.
+    /// Along normal, tangent and third axis, in grid spacings.
     Vector([i32; 3]),
 }
 
-/// One refinement: an offset for every edge of the level before, in the order of its edges. Vertices on the
-/// boundary always have vectors.
+/// One refinement: an offset per edge of the coarser level, in the order of its edges. Boundary vertices
+/// always have vectors.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Refinement {
     pub offsets: Vec<Offset>,
-    /// What the channels of each new vertex differ by from their prediction, in units.
+    /// Residuals of the channels of each new vertex, in units.
     pub channels: Vec<[i32; 4]>,
 }

@@ -1,10 +1,10 @@
-//! Subdivision: from a triangle list to the next, and what is kept of the step.
+//! Subdivision of triangle meshes, and the data of each step.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`topology`] | which vertices are between which |
-//! | [`butterfly`] | where they are expected |
-//! | [`contents`] | whole numbers that say where they are instead |
+//! | [`topology`] | connectivity of a level and its refinement |
+//! | [`butterfly`] | predicted positions of new vertices |
+//! | [`contents`] | quantised offsets from the predictions |
 
 pub mod butterfly;
 pub mod contents;

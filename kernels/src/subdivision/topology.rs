@@ -1,11 +1,11 @@
-//! Linear 1–4 subdivision of a triangle list: which vertices are between which.
+//! Connectivity of linear 1–4 subdivision.
 //!
 //! ```text
-//!          c              Edge i of a triangle goes from corner i to corner i + 1. Its middle
-//!         / \             becomes vertex n + (number of the edge), n being the vertices there
-//!        / 2 \            were. Triangle t has the children 4t to 4t + 3: one at each corner,
-//!      ca --- bc          which keeps that corner's place, and the middle one. Both sides of a
-//!      / \ 3 / \          file number what they make by this rule alone.
+//!          c              Edge i of a triangle goes from corner i to corner i + 1. Its midpoint
+//!         / \             becomes vertex n + (index of the edge), with n the number of coarse
+//!        / 2 \            vertices. Triangle t has the children 4t to 4t + 3: one at each corner,
+//!      ca --- bc          which keeps that corner's position in the triangle, and the middle one.
+//!      / \ 3 / \          Encoder and decoder number all elements by this rule alone.
 //!     / 0 \ / 1 \
 //!    a --- ab --- b
 //! ```
@@ -14,23 +14,25 @@ use crate::base::errors::KernelError;
 use crate::base::ids::{HalfedgeId, TriangleId};
 use crate::mesh::connectivity::Connectivity;
 
-/// No triangle: the other side of a boundary edge.
+/// No triangle: the outer side of a boundary edge.
 pub const NONE: u32 = u32::MAX;
 
-/// Triangles with their edges numbered by first appearance, triangle by triangle and corner by corner.
+/// Triangles with edges numbered by first appearance, triangle by triangle and corner by corner.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Topology {
     pub vertices: usize,
     pub triangles: Vec<[u32; 3]>,
-    /// Ends of each edge, as its first triangle runs through it.
+    /// Ends of each edge, in the direction of its first triangle.
     pub edges: Vec<[u32; 2]>,
-    /// The edges of each triangle, from corner 0 to 1, 1 to 2, 2 to 0.
+    /// Edges of each triangle: corner 0 to 1, 1 to 2, 2 to 0.
     pub triangle_edges: Vec<[u32; 3]>,
-    /// First and second triangle at each edge; [`NONE`] for the second on a boundary.
+    /// First and second triangle of each edge; the second is [`NONE`] on a boundary.
     pub edge_triangles: Vec<[u32; 2]>,
 }
 
 impl Topology {
+    /// Build the topology of a triangle list.
+    ///
     /// # Errors
     /// As [`Connectivity::from_triangles`].
     pub fn new(vertices: usize, triangles: Vec<[u32; 3]>) -> Result<Self, KernelError> {
@@ -63,37 +65,38 @@ impl Topology {
         Ok(topology)
     }
 
+    /// Check whether an edge has only one triangle.
     pub fn is_boundary_edge(&self, edge: usize) -> bool {
         self.edge_triangles[edge][1] == NONE
     }
 
-    /// The corners across from an edge, [`NONE`] beyond a boundary.
+    /// Return the corners opposite an edge; [`NONE`] beyond a boundary.
     pub fn across(&self, edge: usize) -> [u32; 2] {
         self.edge_triangles[edge].map(|t| {
             if t == NONE {
                 return NONE;
             }
             let corner = self.triangle_edges[t as usize].iter().position(|&e| e as usize == edge);
-            // Every triangle at an edge has it among its own.
+            // Every triangle adjacent to the edge contains it.
             corner.map_or(NONE, |i| self.triangles[t as usize][(i + 2) % 3])
         })
     }
 
-    /// The children of a triangle.
+    /// Return the four children of a triangle.
     pub fn children(&self, t: usize) -> [[u32; 3]; 4] {
         let [a, b, c] = self.triangles[t];
         let [ab, bc, ca] = self.triangle_edges[t].map(|e| self.vertices as u32 + e);
         [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     }
 
-    /// One level finer.
+    /// Build the next finer level.
     pub fn subdivided(&self) -> Self {
         let triangles = (0..self.triangles.len()).flat_map(|t| self.children(t)).collect();
         let vertices = self.vertices + self.edges.len();
         Self::numbered(vertices, triangles, self)
     }
 
-    /// Number the edges of the children of `coarse`; no search is needed.
+    /// Number the edges of the children of `coarse`, without searching for twins.
     fn numbered(vertices: usize, triangles: Vec<[u32; 3]>, coarse: &Self) -> Self {
         let mut fine = Self {
             vertices,
@@ -124,17 +127,17 @@ impl Topology {
         fine
     }
 
-    /// The child beside edge `corner` of child `child`.
+    /// Find the child across edge `corner` of child `child`.
     fn beside(&self, child: usize, corner: usize) -> u32 {
         let (parent, place) = (child / 4, child % 4);
         if place == 3 {
-            // Edges of the middle child: ab–bc faces the child at b, bc–ca that at c, ca–ab that at a.
+            // In the middle child, ab–bc faces the child at b, bc–ca the one at c, ca–ab the one at a.
             return (4 * parent + (corner + 1) % 3) as u32;
         }
         if corner == (place + 1) % 3 {
             return (4 * parent + 3) as u32;
         }
-        // A half of an edge of the parent, next to the corner `place`.
+        // Half of a parent edge, next to corner `place`.
         let edge = self.triangle_edges[parent][corner] as usize;
         let [first, second] = self.edge_triangles[edge];
         let other = if first as usize == parent { second } else { first };
@@ -153,7 +156,7 @@ mod tests {
 
     #[test]
     fn numbering_without_search_is_that_by_search() {
-        // A strip of two triangles, a tetrahedron, and both.
+        // A strip of two triangles, with and without a tetrahedron.
         let strip = vec![[0, 1, 2], [2, 1, 3]];
         let closed: Vec<[u32; 3]> = vec![[4, 5, 6], [4, 6, 7], [4, 7, 5], [5, 7, 6]];
         for triangles in [strip.clone(), [strip, closed].concat()] {

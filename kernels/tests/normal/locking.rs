@@ -1,4 +1,4 @@
-//! A base once more, with vertices that have to stay.
+//! Rebuild of a base mesh with locked vertices.
 
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
@@ -12,7 +12,7 @@ use scanloom_kernels::subdivision::contents::Scheme;
 
 use super::remesh::{settings, sheet};
 
-/// What a base is made of, whatever its order.
+/// List the triangles of a base by sorted input vertices, independent of their order.
 fn triangles_of(base: &Base) -> Vec<[u32; 3]> {
     let mut triangles: Vec<[u32; 3]> = base
         .triangles
@@ -44,7 +44,7 @@ fn a_base_once_more_is_the_same_but_where_vertices_are_locked() {
     let again = locking.base(&input, target, progress).unwrap();
     assert_eq!(triangles_of(&base), triangles_of(&again));
 
-    // The corner of an input triangle that is nearest to where something is said to fold.
+    // Simulate a fold at a removed vertex; the nearest input vertex must be locked.
     let gone = (0..points.len()).filter(|&v| base.parameters[v].barycentric.iter().all(|&x| x > 0.2));
     let v = gone.into_iter().next().unwrap();
     let fold = Fold { triangle: base.parameters[v].triangle as usize, middle: points[v] };
@@ -56,7 +56,7 @@ fn a_base_once_more_is_the_same_but_where_vertices_are_locked() {
     let kept = triangles_of(&more).iter().filter(|t| triangles_of(&base).contains(t)).count();
     assert!(2 * kept > base.triangles.len());
 
-    // There once more: all corners of a triangle there, and what lies around them.
+    // Further folds at the same point lock all corners of the nearest triangle, then the ring around it.
     locking.lock(&[fold], &base, &input);
     locking.lock(&[fold], &base, &input);
     let most = locking.base(&input, target, progress).unwrap();

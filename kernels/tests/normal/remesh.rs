@@ -1,4 +1,4 @@
-//! Normal meshes: what the base stands for, and the step from level to level.
+//! Normal meshes: correspondence of base and input, and the step from level to level.
 
 use scanloom_kernels::base::geometry::Vec3;
 use scanloom_kernels::base::progress::{Control, Progress};
@@ -15,7 +15,7 @@ use scanloom_kernels::subdivision::butterfly::middles;
 use scanloom_kernels::subdivision::contents::{Offset, Scheme};
 use scanloom_kernels::subdivision::topology::{NONE, Topology};
 
-/// A wavy sheet of n × n squares with a square hole.
+/// Build a wavy height field of n × n squares with a square hole.
 pub fn sheet(n: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let at = |i: u32, j: u32| i * (n + 1) + j;
     let point = |k: u32| {
@@ -74,7 +74,7 @@ fn the_associated_set_of_a_base_triangle_covers_what_lies_on_it() {
             assert_ne!(at.triangle, NONE, "vertex {v} lies nowhere");
             assert!(at.barycentric.iter().all(|&x| (0.0..=1.0).contains(&x)));
             assert!((at.barycentric.iter().sum::<f64>() - 1.0).abs() < 1e-9);
-            // Not one that only touches it at a corner or a side.
+            // Triangles that only touch the base triangle at a corner or side need not be in its set.
             if at.barycentric.iter().all(|&x| x > 1e-6) {
                 assert!(base.sets.holds(at.triangle as usize, number as u32));
             }
@@ -114,7 +114,7 @@ fn butterfly_and_relaxation_leave_a_plane_flat_and_a_regular_grid_even() {
             assert!((p[2] - (0.5 * p[0] - p[1])).abs() < 1e-12);
         }
     }
-    // Weights add up to 1 everywhere: shifted points are predicted where the others are, shifted.
+    // All stencils have weights that sum to 1, so translated points give translated predictions.
     let shifted: Vec<Vec3> = points.iter().map(|p| p.map(|x| x + 7.0)).collect();
     for (a, b) in middles(&topology, &points).iter().zip(middles(&topology, &shifted)) {
         (0..3).for_each(|i| assert!((b[i] - a[i] - 7.0).abs() < 1e-12));
@@ -123,7 +123,7 @@ fn butterfly_and_relaxation_leave_a_plane_flat_and_a_regular_grid_even() {
 
 #[test]
 fn butterfly_reproduces_cubics_inside_a_regular_grid() {
-    // Interpolating with four points along each direction, it is exact for them where its stencil is whole.
+    // The stencil interpolates four points per direction, so it is exact for cubics where it is complete.
     let n = 8;
     let (mut points, triangles) = sheet(n);
     let cubic = |x: f64, y: f64| x * x * x - 2.0 * x * y * y + y * y - x;
@@ -133,7 +133,7 @@ fn butterfly_reproduces_cubics_inside_a_regular_grid() {
     let mut checked = 0;
     for (edge, p) in middles(&topology, &points).iter().enumerate() {
         let ends = topology.edges[edge].map(|v| (v / (n + 1), v % (n + 1)));
-        // Both ends with whole rings, and those with whole rings again.
+        // Only edges whose ends, and their neighbours, are interior have a complete stencil.
         if ends.iter().all(|(i, j)| (2..=n - 2).contains(i) && (6..=n - 1).contains(j)) {
             assert!((p[2] - cubic(p[0], p[1])).abs() < 1e-12, "{p:?}");
             checked += 1;
@@ -160,7 +160,8 @@ fn what_is_decoded_is_what_was_made_and_every_beginning_is_a_level() {
             assert_eq!(level.topology, decoded.topology);
             assert_eq!(level.channels, decoded.channels);
         }
-        // Every byte of the beginning and around the ends of levels, where cuts differ.
+        // Cut the file at all bytes near its start and near level ends, where the cases differ, and at a
+        // sample of others.
         let near = |end: &usize| {
             *end < 40 || made.ends.iter().any(|e| e.abs_diff(*end) < 12) || end.is_multiple_of(37)
         };

@@ -1,4 +1,4 @@
-//! Near-planar patches: what they promise on any mesh.
+//! Near-planar patches: guarantees that hold on any mesh.
 
 use crate::promises::common::{Noise, Triangles, octahedron, sheet, sheet_with_hole, tetrahedron, torus};
 use scanloom_kernels::base::geometry::{Vec3, triangle_distance2};
@@ -25,7 +25,8 @@ fn planar<const D: usize, const K: usize>(mesh: &Mesh<D>, options: &Options) -> 
     simplify::<D, K>(mesh, options, &mut Progress::new(&control)).expect("nobody interrupts")
 }
 
-/// The result is a manifold of the same topology, and vertices of the input are within the stated distance.
+/// Check that the result is a manifold of the same topology, with input vertices within the reported
+/// distance.
 fn check(points: &[Vec3], triangles: &Triangles, options: &Options) -> Planar {
     let mesh = Mesh::<3>::new(points.to_vec(), triangles).expect("a manifold");
     let result = planar::<3, 0>(&mesh, options);
@@ -142,7 +143,7 @@ fn noise_at_any_tolerance_gives_a_manifold_within_bounds() {
     }
 }
 
-/// A ramp that winds up around an axis, several turns over each other.
+/// Build a spiral ramp with several overlapping turns.
 fn ramp(turns: u32, steps: u32, rise: f64) -> (Vec<Vec3>, Triangles) {
     let (across, along) = (6, turns * steps);
     let (mut points, triangles) = sheet(along, across);
@@ -179,7 +180,7 @@ fn locked_vertices_keep_their_triangles() {
 #[test]
 fn colours_stay_near_linear_within_a_patch() {
     let (points, triangles) = sheet(40, 10);
-    // A ramp of one colour up to the middle, and another way down from there.
+    // Colours rise linearly up to the middle and fall from there.
     let coloured: Vec<[f64; 4]> =
         points.iter().map(|p| [p[0], p[1], p[2], 100.0 - 5.0 * (p[0] - 20.0).abs()]).collect();
     let mesh = Mesh::<4>::new(coloured, &triangles).expect("a manifold");
@@ -205,7 +206,8 @@ fn the_work_is_linear() {
 
 #[test]
 fn triangles_of_different_labels_are_in_different_patches() {
-    // A flat sheet whose left half is labelled otherwise: each half becomes two triangles, and the border is whole.
+    // A flat sheet with another label on its left half: each half becomes two triangles along an intact
+    // border.
     let n = 10u32;
     let points: Vec<Vec3> =
         (0..(n + 1) * (n + 1)).map(|i| [f64::from(i % (n + 1)), f64::from(i / (n + 1)), 0.0]).collect();
@@ -225,7 +227,7 @@ fn triangles_of_different_labels_are_in_different_patches() {
 
 #[test]
 fn the_number_of_threads_changes_nothing() {
-    // Patches of all sizes, many of them restless, and some that lie over themselves.
+    // A mesh with patches of all sizes, many repeatedly released triangles, and some folded patches.
     let (mut points, triangles) = ball(6);
     let mut noise = Noise(11);
     for p in &mut points {

@@ -1,4 +1,4 @@
-//! The `.snm` container: what is written is read, part by part; what is damaged is refused.
+//! `.snm` container: files are read back part by part, and damaged parts are rejected.
 
 use crate::promises::common::{Noise, Triangles, gallery, sheet, torus};
 use scanloom_kernels::base::ids::{EdgeId, VertexId};
@@ -8,7 +8,7 @@ use scanloom_kernels::snm::{Reader, SnmError, Writer, canonical};
 use scanloom_kernels::subdivision::contents::{Base, Header, Offset, Refinement, Scheme};
 use scanloom_kernels::subdivision::topology::Topology;
 
-/// How large random numbers are: the largest is 2^bits.
+/// Draw a random number of either sign with a magnitude below 2^bits, uniform in its logarithm.
 fn number(noise: &mut Noise, bits: f64) -> i32 {
     let magnitude = (noise.next() * bits).exp2() - 1.0;
     let sign = if noise.next() < 0.5 { -1.0 } else { 1.0 };
@@ -59,7 +59,7 @@ struct Made {
     base: Base,
     refinements: Vec<Refinement>,
     file: Vec<u8>,
-    /// Bytes after each part.
+    /// End of each part in the file, in bytes.
     ends: Vec<usize>,
 }
 
@@ -80,7 +80,7 @@ fn made(base: Base, levels: u8, channels: u8, noise: &mut Noise, bits: f64) -> M
     Made { header, base, refinements, file: writer.finish(), ends }
 }
 
-/// What can be read of a file, and what stopped the reading.
+/// Read as many parts of a file as possible, and return the error that stopped reading.
 fn read(file: &[u8]) -> Result<(Header, Base, Vec<Refinement>, Option<SnmError>), SnmError> {
     let (mut reader, header, base) = Reader::new(file)?;
     let mut refinements = vec![];
@@ -105,7 +105,7 @@ fn assert_reads(made: &Made, name: &str) {
     assert_eq!(stopped, None, "{name}");
 }
 
-/// Meshes of the gallery with random edges collapsed: irregular valences, boundaries and handles.
+/// Collapse random edges of the gallery meshes, for irregular valences, boundaries and handles.
 fn random_meshes() -> Vec<(String, Vec<[f64; 3]>, Triangles)> {
     let mut meshes = vec![];
     for (name, points, triangles) in gallery() {
@@ -235,7 +235,7 @@ fn any_wrong_byte_is_found_and_levels_before_it_are_kept() {
         let made = made(base, 2, 0, &mut noise, 3.0);
         for at in 0..made.file.len() {
             let part = made.ends.iter().filter(|&&whole| whole <= at).count();
-            // 3 makes one version of the other.
+            // Flipping 3 turns one version into the other.
             for flip in [1, 3, 128, 1 + noise.below(255) as u8] {
                 let mut wrong = made.file.clone();
                 wrong[at] ^= flip;

@@ -350,7 +350,7 @@ def test_other_files_are_told_apart(tmp_path: Path, data: bytes) -> None:
         decode(path)
 
 
-@pytest.mark.parametrize(("version", "words"), [(0, "of version 0"), (2, "damaged"), (3, "of version 3")])
+@pytest.mark.parametrize(("version", "words"), [(0, "version 0 of"), (2, "damaged"), (3, "version 3 of")])
 def test_another_version_is_told(version: int, words: str) -> None:
     made = bytearray(small().data)
     assert made[3] == 1
