@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of comparison, with explanations."""
+"""Diagnostic codes of the comparison stages."""
 
 from __future__ import annotations
 
