@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of inspection and coverage, with explanations."""
+"""Diagnostic codes of inspection and coverage."""
 
 from __future__ import annotations
 

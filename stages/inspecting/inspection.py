@@ -1,4 +1,4 @@
-"""What a scan holds: the result of `inspect`."""
+"""Result of `inspect`."""
 
 from __future__ import annotations
 
@@ -18,35 +18,34 @@ from scanloom.stages.scans.codes import POSE_MISSING
 from scanloom.stages.scans.model.scan import Camera, Scan
 from scanloom.stages.scans.model.world import Scale, WorldUp
 
-# Of files that nobody used, so many are named to a person.
+# Maximum number of unused files listed in the text for people.
 _SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What a scan holds.
+    """Contents and quality of a scan.
 
     Attributes
     ----------
-    scan : what was inspected.
+    scan : inspected scan.
     color_size : (width, height) of the colour (left) images, pixels; None without colour.
-    path : of the camera; None without poses.
-    depth : of RGB-D scans, None when no sampled frame has any.
-    stereo_depth_m : for calibrated pairs: the depth at the largest stated disparity (or None) and at one
+    path : camera trajectory; None without poses.
+    depth : depth statistics of RGB-D scans; None if no sampled frame has depth.
+    stereo_depth_m : for calibrated stereo: depth at the largest calibrated disparity (or None) and at one
         pixel.
-    misfit_px : how far from its match a point that two frames show lands by depth and poses, median; None if
-        not measured.
-    pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
-    least_sharp : the least sharp twentieth of the frames with colour, the worst first, each with the variance
-        of its image's Laplacian over the median frame's; of long scans, of a sample.
-    scene : where what the frames show lies in the scan's world, of RGB-D scans with poses.
-    outlook : what fusing takes, of the same.
-    subject : what poses will be found for, `scene`, or the `object` that moves before a camera that stands
-        still; None where there are poses, or no depth maps.
-    focal : of the depth camera, where nobody states it and the frames tell it.
-    up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
-    unused : files of the folder that nobody used.
-    diagnostics : all that is odd, the reader's own first.
+    misfit_px : median reprojection error between frames, pixels; None if not measured.
+    pose_errors_m : median depth error after reprojection, by pose convention; empty if not measured.
+    least_sharp : names and sharpness of the 5 % blurriest frames, the worst first. Sharpness is the variance
+        of the Laplacian, relative to the median frame. Long scans are sampled.
+    scene : extent of the scan in world coordinates; only for RGB-D scans with poses.
+    outlook : estimated resources of fusion; only for RGB-D scans with poses.
+    up : up direction in world coordinates; None if neither layout nor accelerometer provides it.
+    subject : what registration will find poses for: `scene`, or the `object` that moves before a static
+        camera. None if the scan has poses, or no depth maps.
+    focal : focal length of the depth camera, estimated from the frames if the input does not state it.
+    unused : files of the folder that were not used.
+    diagnostics : all warnings, beginning with those from reading the scan.
     """
 
     scan: Scan
@@ -69,9 +68,9 @@ class Inspection:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return everything as what JSON can hold; units are in the names.
+        """Return all values for JSON, with units in the key names.
 
-        Where the scan is not `metric`, metres are the unit of its world.
+        If the scan is not `metric`, metres stand for the unit of its world.
         """
         scan = self.scan
         camera = scan.frames[0].camera
@@ -111,7 +110,7 @@ class Inspection:
         }
 
     def lines(self) -> list[str]:
-        """Return the same as lines of text for a person."""
+        """Return the inspection as lines of text for people."""
         scan, camera = self.scan, self.scan.frames[0].camera
         single = "single views" if scan.is_views else "colour and depth"
         kind = "stereo pairs" if scan.is_stereo else single

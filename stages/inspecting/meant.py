@@ -1,4 +1,4 @@
-"""The ways in which poses can be meant, whatever a file's own form says: direction, axes, order."""
+"""Candidate pose conventions: direction, axes and frame order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scanloom.stages.scans.model.poses import (
 from scanloom.stages.scans.model.scan import Pose
 
 AS_GIVEN = "as given"
-# The values of scan.pose_convention, by how a sentence calls them.
+# Values of `scan.pose_convention`, by their description in messages.
 _CONVENTIONS = {
     AS_GIVEN: AS_WRITTEN,
     WORLD_TO_CAMERA: WORLD_TO_CAMERA,
@@ -25,7 +25,12 @@ _CONVENTIONS = {
 
 
 def advice(best: str) -> str:
-    """Return the sentence that says what to do where the poses are probably meant another way."""
+    """Suggest how to correct the pose convention, as a sentence.
+
+    Parameters
+    ----------
+    best : description of the best-fitting convention, a key of `motions`.
+    """
     convention = _CONVENTIONS.get(best)
     change = "Give them" if convention is None else f"Set scan.pose_convention={convention}, or give them"
     return (
@@ -35,7 +40,17 @@ def advice(best: str) -> str:
 
 
 def motions(poses: Sequence[Pose], first: int, second: int) -> dict[str, Pose]:
-    """Return second_from_first as each way to take the poses gives it, by how a sentence calls it."""
+    """Compute second_from_first under each candidate convention.
+
+    Parameters
+    ----------
+    poses : poses of all frames, as read.
+    first, second : indices of the two frames.
+
+    Returns
+    -------
+    Relative poses (4, 4), by the description of the convention.
+    """
     ways = {
         name: inverted(meant(poses[second], convention)) @ meant(poses[first], convention)
         for name, convention in _CONVENTIONS.items()

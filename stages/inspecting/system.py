@@ -1,4 +1,4 @@
-"""What systems tell of themselves, each in its own way, and what is odd about one."""
+"""Operating system queries: memory, processor, and limitations of the platform."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if sys.platform == "win32":
 
 
 def memory_bytes() -> tuple[int | None, int | None]:
-    """Return all memory there is and what is free of it; None for what the system does not tell."""
+    """Return total and available memory in bytes; None if unknown."""
     if sys.platform == "win32":
         return windows.memory_bytes()
     else:  # noqa: RET505 - type checkers take the rest for unreachable on Windows
@@ -27,16 +27,19 @@ def memory_bytes() -> tuple[int | None, int | None]:
 
 
 def of_processor(key: str) -> str | None:
-    """Return what the system says of the first processor under a key; None where it does not."""
+    """Look up a property of the first processor in /proc/cpuinfo.
+
+    Returns None if the file or the key does not exist.
+    """
     return _first(Path("/proc/cpuinfo"), key)
 
 
 def oddities(folder: Path) -> list[str]:
-    """Return sentences on what is other here than where scanloom is tried most, if anything.
+    """Return notes about untested or limiting properties of this platform.
 
     Parameters
     ----------
-    folder : on the file system that is meant; nothing is written.
+    folder : existing folder whose file system is checked; nothing is written.
     """
     system = {"win32": "Windows", "darwin": "macOS"}.get(sys.platform, sys.platform)
     sentences = {
@@ -53,7 +56,7 @@ def oddities(folder: Path) -> list[str]:
 
 
 def ignores_case(folder: Path) -> bool:
-    """Return whether names that differ in case alone are one file where a folder is."""
+    """Return True if a folder's file system ignores case."""
     there = folder.absolute()
     lettered = next((p for p in (there, *there.parents) if p.name.swapcase() != p.name), None)
     try:
@@ -67,7 +70,10 @@ def _of_kilobytes(text: str) -> int:
 
 
 def _first(path: Path, key: str) -> str | None:
-    """Return what stands behind a key of a file of the system; None where there is none."""
+    """Return the first value of a key in a system file.
+
+    Returns None if the file or the key does not exist.
+    """
     try:
         lines = text_in(path, "utf-8").splitlines()
     except (OSError, UnicodeDecodeError):

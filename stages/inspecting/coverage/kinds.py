@@ -1,4 +1,4 @@
-"""What can be wrong with a place, how much it counts beside others of its size, and how it is said."""
+"""Kinds of coverage defects, with weights, texts and colours."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of place.
+    """Kind of a coverage defect.
 
     Attributes
     ----------
-    weight : how much a square metre of it counts.
-    text : what is wrong, in a few words.
-    color : of it on the mesh.
-    word : for that colour.
+    weight : importance per square metre, for ranking.
+    text : short description for people.
+    color : RGB colour on the painted mesh.
+    word : name of the colour.
     """
 
     weight: float
@@ -23,9 +23,8 @@ class Kind:
     word: str
 
 
-# What is not there at all counts whole, if it belongs to what was scanned; what is there, but hardly seen,
-# less.
-# Beyond where a scan ends, nobody knows whether there is anything: outdoors it is the sky.
+# Missing surface of the scanned object has the highest weights, weakly observed surface lower ones. Beyond
+# the end of a scan there may be nothing to measure (outdoors, the sky), so "end" has the lowest.
 KINDS = {
     "hole": Kind(1.0, "hole in the surface", (214, 39, 40), "red"),
     "hidden": Kind(0.7, "hidden from all frames", (148, 40, 140), "purple"),
@@ -41,5 +40,5 @@ KINDS = {
 }
 MISSING = ("hole", "hidden", "gap", "blank", "unseen", "end")
 THIN = ("unmeasured", "few", "oblique", "far", "apart")
-# Of what is well.
+# RGB colour of well-observed surface.
 WELL = (196, 200, 196)

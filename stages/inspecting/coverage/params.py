@@ -1,4 +1,4 @@
-"""What counts as missing in a scan."""
+"""Parameters of the coverage analysis."""
 
 from __future__ import annotations
 
