@@ -112,9 +112,11 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     if found.fitness < _LEAST_OVERLAP:
         raise InputError(
             COMPARE_MESHES_APART,
-            "the two cannot be aligned: {fitness:.0%} of the points have a partner nearby",
-            remedy="bring them roughly into place first.",
+            "mesh and reference cannot be aligned: only {fitness:.0%} of the points have a correspondence "
+            "nearby ({minimum:.0%} required)",
+            remedy="align them roughly first.",
             fitness=found.fitness,
+            minimum=_LEAST_OVERLAP,
         )
     motion = _rigid(motion)
     rms = _rms_to_planes(source, target, np.asarray(found.correspondence_set), motion)

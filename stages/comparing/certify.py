@@ -42,47 +42,51 @@ class CertifyParams:
 
     shape_tolerance: float = param(
         0.05,
-        "How much the bound on shape may pass the greatest distance found, relative to that.",
+        "Maximum excess of the shape bound over the largest distance found, relative to that distance.",
         low=0,
     )
     color_tolerance: float = param(
         0.05,
-        "How much the bound on colour may pass the greatest difference found, relative to that.",
+        "Maximum excess of the colour bound over the largest colour difference found, relative to it.",
         low=0,
     )
     color_floor: float = param(
-        1.0, "An excess of the bound on colour that is small enough in any case.", unit="levels", low=0
+        1.0, "Excess of the colour bound that is always accepted.", unit="levels", low=0
     )
     max_shape: float | None = param(
         None,
-        "Also find out whether all stays within this distance; without max_color, colours are not asked for.",
+        "Also check that no distance exceeds this limit. Without max_color, colours are not checked.",
         unit="m",
         low=0,
     )
     max_color: float | None = param(
-        None, "Also find out whether all stays within this difference of colour.", unit="levels", low=0
+        None, "Also check that no colour difference exceeds this limit.", unit="levels", low=0
     )
     only_decide: bool = param(
         False,
-        "With max_shape or max_color: end as soon as it is clear whether they are kept, which is far faster. "
-        "What stays within them then has these as its bounds, however close it is.",
+        "With max_shape or max_color: stop as soon as it is decided whether the limits hold, which is much "
+        "faster. Bounds are then no tighter than the limits.",
     )
     effort: float = param(
         16.0,
-        "Pieces a triangle, on average, that may be spent on coming closer. More never makes a bound "
-        "greater.",
+        "Average number of pieces per triangle that may be evaluated to tighten the bounds. More effort "
+        "never loosens a bound.",
         low=0,
         high=1e6,
     )
     slack: float | None = param(
         None,
-        "Distance within which points count as equally near. None: what vertices and searches in single "
-        "precision cannot tell, 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal.",
+        "Distance within which points count as equally near. None: the error of coordinates and searches "
+        "in single precision, 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding-box diagonal.",
         unit="m",
         low=0,
     )
     threads: int = param(
-        0, "Processors to use; 0 for all. Equal bits for any number.", low=0, high=1024, invalidates=False
+        0,
+        "Number of threads; 0 for all processors. The result is bit-identical for any number.",
+        low=0,
+        high=1024,
+        invalidates=False,
     )
 
     def __post_init__(self) -> None:
@@ -90,9 +94,9 @@ class CertifyParams:
         if self.only_decide and self.max_shape is None and self.max_color is None:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "is for limits",
+                "requires a limit",
                 Where(parameter="only_decide"),
-                remedy="give max_shape, max_color or both.",
+                remedy="set max_shape, max_color or both.",
             )
 
 
@@ -217,7 +221,7 @@ def certify(
     if params.max_color is not None and not colored:
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "is given, but not both meshes have vertex colours.",
+            "requires vertex colours on both meshes.",
             Where(parameter="max_color"),
         )
     with_color = colored and (limit is None or params.max_color is not None)

@@ -35,13 +35,13 @@ class ChangeParams:
 
     change_distance: float | None = param(
         None,
-        "Farther than this from the other mesh is new, or gone. Not given: 1 % of the diagonal of A.",
+        "Surface farther than this from the other mesh is new or gone. Not given: 1 % of the diagonal of A.",
         unit="m",
         low=0,
         low_open=True,
     )
     change_area: float = param(
-        0.0, "Connected changes of a smaller area than this are left out.", unit="m²", low=0
+        0.0, "Minimum area of a connected change; smaller changes are ignored.", unit="m²", low=0
     )
 
     def __post_init__(self) -> None:

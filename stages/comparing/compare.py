@@ -41,12 +41,12 @@ class CompareParams:
 
     samples: int = param(
         500_000,
-        "Points sampled on each surface, spread evenly over its area; every vertex counts besides, for the "
-        "maximum. The relative error of mean and RMS falls with the square root of it.",
+        "Points sampled on each surface, uniformly over its area; every vertex also counts for the maximum. "
+        "The relative error of mean and RMS falls with the square root of this number.",
         low=1,
         high=100_000_000,
     )
-    seed: int = param(0, "Seed of the sampling; the same seed gives the same figures.", low=0)
+    seed: int = param(0, "Random seed of the sampling; the same seed gives the same result.", low=0)
 
     def __post_init__(self) -> None:
         check(self)
@@ -152,11 +152,11 @@ class Comparison:
         if color is not None:
             figures["color_rmse_levels"] = color.rmse
         clouds = [
-            f"{name} a cloud of {counted(one.points, 'point')}"
+            f"{name} is a cloud of {counted(one.points, 'point')}"
             for name, one in zip("AB", self.clouds, strict=True)
             if one is not None
         ]
-        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a surface", *clouds])
+        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} per surface", *clouds])
 
     _repr_html_ = table
 

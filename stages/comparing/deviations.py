@@ -45,26 +45,26 @@ class DeviationParams:
     """Tolerance, sampling and colours of a deviation measurement."""
 
     tolerance: float | None = param(
-        None, "What is nearer to the reference is within tolerance.", unit="m", low=0
+        None, "Maximum distance from the reference that is within tolerance.", unit="m", low=0
     )
     signed_samples: int = param(
         200_000,
-        "Points on the mesh that is measured, spread evenly over its area; of a cloud all points count.",
+        "Points sampled on the measured mesh, uniformly over its area; for a cloud, all points are used.",
         low=1,
         high=100_000_000,
     )
     color_range: float | None = param(
         None,
-        "Where the last colour of the palette begins. Not given: what 99 % of the surface is within, or "
-        "twice the tolerance, if that is more.",
+        "Distance at which the last colour of the palette begins. Not given: the larger of the 99 % "
+        "quantile of the distances and twice the tolerance.",
         unit="m",
         low=0,
         low_open=True,
     )
     palette: str = param(
         "metrology",
-        "Green within tolerance, red over and blue under it; `safe` for eyes that mix up red and green: "
-        "white, orange, blue.",
+        "Colours of the painted mesh. `metrology`: green within tolerance, red above, blue below. `safe`: "
+        "white, orange, blue, for readers with red-green colour blindness.",
         choices=PALETTES,
     )
 

@@ -153,7 +153,7 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         if judged is not None:
             found.append((*judged, pose))
     if not found:
-        raise InputError(TEXTURE_PHOTOS_MISMATCH, "its photo does not show the mesh.")
+        raise InputError(TEXTURE_PHOTOS_MISMATCH, "the photo does not show the mesh.")
     # A wrong pose can match a small part of the photo well, so poses with low coverage are rejected.
     least = _SAME_COVERAGE * max(score.coverage for score, *_ in found)
     score, drawn, pose = max(

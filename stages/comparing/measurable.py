@@ -40,7 +40,7 @@ def comparable(given: MeshLike, called: str) -> Mesh:
         return mesh
     require_measurable(mesh, called)
     if not np.ptp(mesh.vertices, axis=0).any():
-        raise MeshError(MESH_NO_SURFACE, "it has no triangles, and its points are all in one place.", called)
+        raise MeshError(MESH_NO_SURFACE, "it has no triangles, and all its points coincide.", called)
     return mesh
 
 

@@ -64,7 +64,7 @@ def camera_path(scan: Scan) -> Path3D | None:
     if outliers and not scan.is_views:
         emit(
             POSE_JUMPS.warning(
-                "{count} poses jump, by more than {step:.2g} {unit} or {turn:g}° from the one before: "
+                "{count} poses jump by more than {step:.2g} {unit} or {turn:g}° from the previous frame: "
                 "{named}",
                 count=len(outliers),
                 step=limit,

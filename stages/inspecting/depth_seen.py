@@ -20,12 +20,12 @@ _PLAUSIBLE_M = (0.1, 20.0)
 # Depth units per metre of known formats, for hints about implausible depth.
 SCALES = {
     1000.0: "millimetres",
-    10000.0: "tenths of millimetres",
-    4000.0: "quarters of millimetres",
+    10000.0: "0.1 mm",
+    4000.0: "0.25 mm",
     5000.0: "TUM RGB-D",
     6553.5: "Replica",
     256.0: "KITTI depth",
-    80000.0: "tenths of millimetres, bits rotated",
+    80000.0: "0.1 mm, bits rotated",
     1.0: "metres",
 }
 
@@ -73,9 +73,7 @@ def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bo
     valid = values[values > 0]
     if not valid.size:
         emit(
-            SCAN_DEPTH_MOSTLY_EMPTY.warning(
-                "no pixel of the sampled frames has a depth; all are 0 or missing"
-            )
+            SCAN_DEPTH_MOSTLY_EMPTY.warning("no pixel of the sampled frames has depth; all are 0 or missing")
         )
         return None
     near, median, far = (float(value) for value in np.percentile(valid, (2, 50, 98)))
@@ -91,7 +89,7 @@ def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bo
     ]
     emit(
         SCALE_DEPTH_UNIT_SUSPECT.warning(
-            "the median depth is {median:.3g} m with {scale:g} units a metre",
+            "the median depth is implausible: {median:.3g} m with {scale:g} depth units per metre",
             remedy="scan.depth_scale={hints} would make it plausible" if hints and with_hints else "",
             median=median,
             scale=scale,
@@ -115,8 +113,8 @@ def report_markers(frames: Sequence[Frame]) -> None:
     if share > 0.01 and top not in (0, *raws[0][0].depth_missing):
         emit(
             SCAN_DEPTH_MARKER_UNDECLARED.warning(
-                "{share:.0%} of the depth pixels hold the largest value, {top}; probably it marks a "
-                "missing one",
+                "{share:.0%} of the depth pixels have the maximum value {top}, which probably marks missing "
+                "depth",
                 share=share,
                 top=top,
             )

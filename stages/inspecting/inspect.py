@@ -161,8 +161,8 @@ def _misfit(frames: Sequence[Frame]) -> float | None:
     if seen.median >= _MISFIT_PX:
         emit(
             POSE_INCONSISTENT_WITH_IMAGES.warning(
-                "colour, depth and poses are off by {off:.1f} px (median of {count:,} points that two frames "
-                "show): `scanloom run` adjusts them, `scanloom adjust` does it alone",
+                "colour, depth and poses are misaligned by {off:.1f} px (median of {count:,} points seen in "
+                "two frames): `scanloom run` corrects them, `scanloom adjust` does only that",
                 off=seen.median,
                 count=len(seen.errors),
             )
@@ -180,10 +180,10 @@ def _report_unregistered(frames: Sequence[Frame]) -> None:
     if found is not None and found.is_clear:
         emit(
             CAMERA_COLOR_UNREGISTERED.warning(
-                "colour is not registered to depth: by the outlines of things photos lie {shift}",
+                "colour is not registered to depth: judged by silhouettes, the photos are shifted {shift}",
                 remedy=(
-                    "where frames have poses, `scanloom run` moves the colour camera there, `scanloom "
-                    "adjust` does it alone"
+                    "if frames have poses, `scanloom run` corrects the colour camera, `scanloom adjust` does "
+                    "only that"
                 ),
                 shift=found.said,
             )
@@ -197,8 +197,7 @@ def _least_sharp(scan: Scan) -> tuple[tuple[str, float], ...]:
     if blurred:
         emit(
             SCAN_FRAMES_BLURRED.warning(
-                "blurred, or with next to nothing to see: {names} ({count} of the {measured} frames "
-                "looked at)",
+                "{count} of {measured} sampled frames are blurred or show hardly any detail: {names}",
                 names=", ".join(blurred[:3]) + (" …" if len(blurred) > 3 else ""),
                 count=len(blurred),
                 measured=measured,

@@ -117,16 +117,16 @@ class Inspection:
         m = "m" if scan.is_metric else "units"
         lines = [
             f"layout    {scan.layout}: {kind}",
-            f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} left out" if scan.skipped else ""),
+            f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} skipped" if scan.skipped else ""),
             f"camera    {_camera_words(camera)}",
         ]
         if not scan.is_metric:
-            lines.append("scale     none: lengths are in units of the scan's own world")
+            lines.append("scale     unknown: lengths are in units of the scan's world")
         if scan.scale is not None:
             lines.append(f"scale     {_scale_words(scan.scale)}")
         if self.up is not None:
             x, y, z = self.up.direction
-            lines.append(f"up        {x:.3g} {y:.3g} {z:.3g}, by {self.up.source}")
+            lines.append(f"up        {x:.3g} {y:.3g} {z:.3g}, from {self.up.source}")
         if self.color_size and self.color_size != (camera.width, camera.height):
             lines.append(f"colour    {self.color_size[0]}×{self.color_size[1]} px")
         if scan.rig is not None and camera.is_calibrated:
@@ -154,22 +154,20 @@ class Inspection:
                 (f"{error * 1000:.0f} mm" if scan.is_metric else f"{error:.2g} units") + f" {name}"
                 for name, error in ways[:2]
             )
-            lines.append(
-                f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
-            )
+            lines.append(f"poses     overlapping depth maps agree to {words} (median, best two conventions)")
         if self.subject == "object":
             lines.append(
-                "subject   a thing that moves before a camera that stands still: `scanloom run` registers it "
-                "alone, all that is seen with register.subject=scene"
+                "subject   an object that moves in front of a static camera: `scanloom run` registers only "
+                "the object, or everything visible with register.subject=scene"
             )
         if self.misfit_px is not None:
-            lines.append(f"misfit    points that two frames show lie {self.misfit_px:.2g} px apart (median)")
+            lines.append(f"misfit    points seen in two frames are {self.misfit_px:.2g} px apart (median)")
         if self.least_sharp:
             words = ", ".join(f"{name} ({value:.0%})" for name, value in self.least_sharp[:5])
-            lines.append(f"sharpness least in {words} of the median frame's")
+            lines.append(f"sharpness lowest in {words} of the median frame")
         if self.scene is not None:
             lines += [
-                f"extent    {self.scene} m, lowest to highest corner (1st to 99th percentile)",
+                f"extent    {self.scene} m, minimum to maximum corner (1st to 99th percentile)",
                 f"looks at  {in_words(self.scene.center_m)} m, the centre of view",
             ]
         if self.outlook is not None:
@@ -178,21 +176,21 @@ class Inspection:
                 f"fusion    about {needs.triangles:,} triangles at voxels of {needs.voxel_size_m:g} {m}; "
                 f"{needs.volume_mb:.0f} MB of memory, {needs.disk_mb:.0f} MB on disk"
             )
-        found = "" if scan.is_views else "; without, `scanloom run` finds them"
+        found = "" if scan.is_views else "; `scanloom run` estimates them"
         lines += [f"missing   {one}{found if one.code == POSE_MISSING.name else ''}" for one in scan.missing]
-        lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
+        lines += [f"skipped   {one.name}: {one.reason}" for one in scan.skipped[:5]]
         if len(scan.skipped) > 5:
-            lines.append(f"left out  and {len(scan.skipped) - 5} more")
+            lines.append(f"skipped   and {len(scan.skipped) - 5} more")
         lines += [f"{one.severity.value:<9} {one}" for one in self.diagnostics]
-        lines += [f"not used  {one}" for one in self.unused[:_SHOWN]]
+        lines += [f"unused    {one}" for one in self.unused[:_SHOWN]]
         if len(self.unused) > _SHOWN:
-            lines.append(f"not used  and {len(self.unused) - _SHOWN} more")
+            lines.append(f"unused    and {len(self.unused) - _SHOWN} more")
         return lines
 
 
 def _scale_words(scale: Scale) -> str:
-    spread = "" if scale.spread_share is None else f", which differ by {scale.spread_share:.1%} at most"
-    return f"{scale.metres_per_unit:.6g} m a unit, {scale.source}{spread}"
+    spread = "" if scale.spread_share is None else f", which differ by up to {scale.spread_share:.1%}"
+    return f"{scale.metres_per_unit:.6g} m per unit, {scale.source}{spread}"
 
 
 def _camera_words(camera: Camera) -> str:

@@ -19,8 +19,8 @@ AS_GIVEN = "as given"
 _CONVENTIONS = {
     AS_GIVEN: AS_WRITTEN,
     WORLD_TO_CAMERA: WORLD_TO_CAMERA,
-    "of a camera with y up and z back": Y_UP,
-    "world-to-camera, with y up and z back": WORLD_TO_CAMERA_Y_UP,
+    "in camera axes with y up and z back": Y_UP,
+    "world-to-camera in axes with y up and z back": WORLD_TO_CAMERA_Y_UP,
 }
 
 
@@ -32,10 +32,11 @@ def advice(best: str) -> str:
     best : description of the best-fitting convention, a key of `motions`.
     """
     convention = _CONVENTIONS.get(best)
-    change = "Give them" if convention is None else f"Set scan.pose_convention={convention}, or give them"
+    change = "Provide" if convention is None else f"Set scan.pose_convention={convention}, or provide"
     return (
-        f"{change} camera-to-world with x right, y down, z forward, in the frames' order, or use them as "
-        "they are with --no-check-poses (in a config file: check_poses = false under [scan])."
+        f"{change} camera-to-world poses with x right, y down, z forward, in frame order. To use the poses "
+        "as given, disable the check with --no-check-poses (in a config file: check_poses = false under "
+        "[scan])."
     )
 
 
@@ -56,4 +57,4 @@ def motions(poses: Sequence[Pose], first: int, second: int) -> dict[str, Pose]:
         for name, convention in _CONVENTIONS.items()
     }
     backwards = inverted(poses[-1 - second]) @ poses[-1 - first]
-    return {**ways, "in the order of the frames backwards": backwards}
+    return {**ways, "in reverse frame order": backwards}

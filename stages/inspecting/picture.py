@@ -97,7 +97,7 @@ def _frame_panel(frame: Frame) -> NDArray[np.uint8]:
         sides = [image for image in (read_color(frame), read_right(frame)) if image is not None]
         if not sides:
             raise InputError(
-                SCAN_DEPTH_MOSTLY_EMPTY, "there is neither colour nor depth.", Where(frame=frame.name)
+                SCAN_DEPTH_MOSTLY_EMPTY, "the frame has neither colour nor depth.", Where(frame=frame.name)
             )
         panel = np.concatenate([_sized(image) for image in sides], axis=1)
         _write(panel, frame.name, (12, 22))

@@ -113,8 +113,8 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic |
     was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
     alike = [name for name, error in medians.items() if error < _CLEARLY * medians[best]]
     return medians, POSE_CONVENTION_SUSPECT.warning(
-        "the poses are probably {alike}: so taken, the depth of one frame meets another's to {best_mm:.0f} "
-        "mm, as given to {given}",
+        "the poses are probably {alike}: overlapping depth maps then agree to {best_mm:.0f} mm; as given: "
+        "{given}",
         alike=", or ".join(alike),
         best_mm=1000 * medians[best],
         given=was,
@@ -141,9 +141,9 @@ def pose_doubts(frames: Sequence[Frame]) -> None:
     if usual > _INEXACT_SHARE:
         emit(
             POSE_INEXACT.warning(
-                "by the poses, surfaces of one frame lie {share:.1%} of their distance off another's "
-                "(median): they are inexact",
-                remedy=("register.enabled=true with register.refine=true brings them nearer by the surfaces"),
+                "the poses are inexact: surfaces of overlapping frames are offset by {share:.1%} of their "
+                "distance (median)",
+                remedy="register.enabled=true with register.refine=true refines the poses",
                 share=usual,
             )
         )
@@ -203,8 +203,8 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> Diagnostic 
         return None  # The camera moves too little to distinguish the candidates.
     was = "no overlap" if given is None else f"{given:.1%}"
     return SCALE_DEPTH_UNIT_SUSPECT.warning(
-        "depth and poses fit together with scan.depth_scale={best:g}: so taken, depth of one frame meets "
-        "another's to {share:.1%} of the distance, with {declared:g} units a metre to {was}",
+        "the depth unit is probably wrong: with scan.depth_scale={best:g}, overlapping depth maps agree to "
+        "{share:.1%} of the distance; with {declared:g} units per metre: {was}",
         best=best,
         share=found[best],
         declared=declared,
@@ -250,14 +250,15 @@ def report_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], r
     if disparity < 0:
         emit(
             DEPTH_PAIR_SWAPPED.warning(
-                "left and right seem exchanged: the median disparity is {disparity:.1f} px",
+                "left and right images seem swapped: the median disparity is {disparity:.1f} px",
                 disparity=disparity,
             )
         )
     if rig.rectified and row > 0.5:
         emit(
             DEPTH_PAIR_ROWS_DIFFER.warning(
-                "the pairs are said to be rectified, but matched features differ by {rows:.1f} rows", rows=row
+                "the pairs are declared as rectified, but matched features differ by {rows:.1f} rows",
+                rows=row,
             )
         )
 

@@ -43,14 +43,14 @@ def oddities(folder: Path) -> list[str]:
     """
     system = {"win32": "Windows", "darwin": "macOS"}.get(sys.platform, sys.platform)
     sentences = {
-        f"scanloom is tried on Linux; on {system} it is expected to work, see docs/platforms.md.": (
+        f"scanloom is tested on Linux; on {system} it is expected to work, see docs/platforms.md.": (
             sys.platform != "linux"
         ),
-        "this Python has 32 bits: scans may not fit into its memory.": sys.maxsize < 1 << 32,
-        "this processor has its bytes in another order than files of scans do.": sys.byteorder != "little",
-        f"{folder}: names that differ in upper and lower case alone are one file here.": ignores_case(folder),
-        "paths may have 260 characters only: keep output folders near the root, or switch on long paths in "
-        "Windows.": (sys.platform == "win32" and not windows.takes_long_paths()),
+        "this is a 32-bit Python: scans may not fit into its address space.": sys.maxsize < 1 << 32,
+        "this processor is big-endian, but scan files are little-endian.": sys.byteorder != "little",
+        f"{folder}: the file system does not distinguish upper and lower case.": ignores_case(folder),
+        "paths are limited to 260 characters: keep output folders near the drive root, or enable long paths "
+        "in Windows.": (sys.platform == "win32" and not windows.takes_long_paths()),
     }
     return [sentence for sentence, holds in sentences.items() if holds]
 

@@ -50,11 +50,11 @@ _SUFFIXES = {
     ".ply": "points or a mesh",
     ".obj": "a mesh",
     ".glb": "a mesh",
-    ".bag": "a recording: a scan of its own",
-    ".db3": "a recording: a scan of its own",
-    ".mcap": "a recording: a scan of its own",
-    ".sens": "a recording: a scan of its own",
-    ".r3d": "a recording: a scan of its own",
+    ".bag": "a recording: a separate scan",
+    ".db3": "a recording: a separate scan",
+    ".mcap": "a recording: a separate scan",
+    ".sens": "a recording: a separate scan",
+    ".r3d": "a recording: a separate scan",
     ".mp4": "a video",
     ".mov": "a video",
 }
@@ -155,9 +155,9 @@ def _kind_of(place: Path, suffix: str) -> str:
     if suffix in IMAGES and "mask" in place.name.lower():
         return f"masks: scan.masks={place.name}"
     if suffix in IMAGES and "conf" in place.name.lower():
-        return "maps of confidence"
+        return "confidence maps"
     if suffix in DEPTHS and place.name.lower().startswith("disp"):
-        return "disparities that are known"
+        return "ground-truth disparities"
     return "images" if suffix in IMAGES else _SUFFIXES.get(suffix, "")
 
 
@@ -165,7 +165,7 @@ def _looks_like(path: Path, scan: Scan) -> str:
     """Guess the content of a file, and the option that reads it."""
     suffix = path.suffix.lower()
     if path.stem.lower().startswith("disp") and suffix in DEPTHS:
-        return "disparities that are known"
+        return "ground-truth disparities"
     if suffix in IMAGES:
         return "an image"
     if suffix not in _TEXTS or path.stat().st_size > _MAX_BYTES:
@@ -173,16 +173,20 @@ def _looks_like(path: Path, scan: Scan) -> str:
     if (count := _poses_in(path)) > 1:
         return f"{count} poses: scan.poses={path.name}"
     if path.suffix == ".txt" and _reads(lambda: read_associations(path)):
-        return "couples of colour and depth, which the frames are known without"
+        return "pairs of colour and depth images, which this layout does not need"
     if _reads(lambda: with_adjusted(scan, path)):
-        return f"what adjust found: scan.adjusted={path.name}"
+        return f"a result of adjust: scan.adjusted={path.name}"
     camera = scan.frames[0].camera
     size = camera.width, camera.height
     if scan.is_stereo and _reads(lambda: rig_calibration.read_rig(path, *size)):
-        return f"the calibration of a pair: scan.calibration={path.name}"
+        return f"a stereo calibration: scan.calibration={path.name}"
     if not _reads(lambda: calibration.read_camera(path, *size)):
         return ""
-    return "a camera alone" if scan.is_stereo else f"a camera: scan.calibration={path.name}"
+    return (
+        "the calibration of a single camera"
+        if scan.is_stereo
+        else f"a camera calibration: scan.calibration={path.name}"
+    )
 
 
 def _reads(read: Callable[[], object]) -> bool:

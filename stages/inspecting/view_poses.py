@@ -93,10 +93,9 @@ def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnos
     if declared < max(_SOUND_PX, _CLEARLY * errors[best]) or errors[best] > _FITTING_PX:
         return errors, None
     alike = [name for name, error in errors.items() if error < max(_CLEARLY * errors[best], 1.0)]
-    was = f"{declared:.0f} px" if np.isfinite(declared) else "behind the cameras"
+    was = f"{declared:.0f} px" if np.isfinite(declared) else "points behind the cameras"
     return errors, POSE_CONVENTION_SUSPECT.warning(
-        "the poses are probably {alike}: so taken, what one photo shows lies within {best_px:.1f} px of "
-        "where another has it, as given {given}",
+        "the poses are probably {alike}: feature matches then agree to {best_px:.1f} px; as given: {given}",
         alike=", or ".join(alike),
         best_px=max(errors[best], 0.1),
         given=was,

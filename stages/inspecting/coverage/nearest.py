@@ -186,19 +186,19 @@ def _judged(share: float, outside: float, angle: float, states: _States) -> tupl
     Returns the score (0 to 3), and the observation or obstacle as text.
     """
     if share == 0:
-        where = f"it is {outside:.0f}° outside its picture"
+        where = f"{outside:.0f}° outside the image"
         return 0.5 * _OUTSIDE / (_OUTSIDE + outside), where
     agrees, missing, hidden = (float(part.mean()) for part in (states.agrees, states.missing, states.hidden))
     if angle >= _EDGE_ON and not missing:
-        why = "stands behind it" if angle > 180 - _EDGE_ON else "sees it edge-on"
+        why = "camera is behind the surface" if angle > 180 - _EDGE_ON else "surface is edge-on"
     elif agrees >= max(missing, hidden, 1e-9):
-        why = f"sees something there, at {angle:.0f}°"
+        why = f"observes a surface there, at {angle:.0f}°"
     elif hidden >= missing and hidden > 0:
-        why = f"something {states.gap:.2g} m before it hides it"
+        why = f"occluded by something {states.gap:.2g} m in front"
     elif missing > 0:
-        why = "has no depth there"
+        why = "no depth there"
     else:
-        why = "looks through it"
+        why = "free space there"
     if share < 0.5:
-        why += f"; {share:.0%} of it is in its picture"
+        why += f"; {share:.0%} of the defect is in the image"
     return share * (1 + 2 * agrees + 0.5 * missing), why
