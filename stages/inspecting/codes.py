@@ -109,7 +109,10 @@ COVERAGE_MESH_UNMEASURED = Code(
 `coverage` requires the frames that the mesh was made from, with depth, and with poses in the world
 coordinates of the mesh.
 """,
-    "scans/desk: none of the 24 frames measured the mesh; check that poses and mesh belong together.",
+    (
+        "scans/desk: none of the 24 frames measured the mesh; check that poses and mesh are in the same "
+        "coordinate system."
+    ),
 )
 COVERAGE_LIMITED = Code(
     "coverage.limited",

@@ -77,7 +77,7 @@ class Coverage:
         and surface, metres.
     thin_areas : weakly observed area by kind, m².
     missing_areas : missing area by kind, m², including defects that are not listed.
-    ends_area : area where the scan ends, m²: nothing was measured beyond, and the far side is open.
+    ends_area : area where the scan ends, m²: space was free, but nothing was measured beyond.
     diagnostics : warnings about mesh and frames.
     """
 
@@ -108,7 +108,7 @@ class Coverage:
 
     @property
     def kinds(self) -> NDArray[np.int8]:
-        """Index of each vertex in `coverage.kinds.THIN`, (n,); -1 if well observed."""
+        """Defect kind per vertex as index into `THIN`, (n,); -1 if well observed."""
         return self.covered.kinds[self._probes]
 
     @cached_property

@@ -87,8 +87,8 @@ def patches_of_space(
 
     Returns
     -------
-    The patches, and the area in m² where the scan ends: nothing was measured beyond, and the far side is
-    open.
+    The patches, and the area in m² where the scan ends: nothing was measured beyond, and a wide sector around
+    has no surface.
     """
     left = _away_from(frontier.points, holes, _BEFORE * space.cell)
     counts = np.bincount(frontier.parts, left)

@@ -24,7 +24,7 @@ class Patch:
 
     Attributes
     ----------
-    kind : key of `scanloom.stages.inspecting.coverage.kinds.KINDS`.
+    kind : key of `KINDS`.
     points : (k, 3) float64, metres, relative to the origin.
     normals : (k, 3) float64, towards the viewer.
     areas : (k,) float64, m².

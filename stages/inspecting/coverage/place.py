@@ -21,7 +21,7 @@ class Place:
 
     Attributes
     ----------
-    kind : key of `scanloom.stages.inspecting.coverage.kinds.KINDS`.
+    kind : key of `KINDS`.
     point : point of the defect nearest to its centroid, world coordinates, metres.
     normal : (3,) unit vector towards the viewer.
     area : m².

@@ -120,7 +120,8 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
     if not seen.evidence.frames.any():
         raise InputError(
             COVERAGE_MESH_UNMEASURED,
-            "none of the {frames_count} frames measured the mesh; check that poses and mesh belong together.",
+            "none of the {frames_count} frames measured the mesh; check that poses and mesh are in the same "
+            "coordinate system.",
             where,
             frames_count=len(seen.frames),
         )

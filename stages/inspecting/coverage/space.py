@@ -44,8 +44,8 @@ class Frontier:
     ----------
     points : (k, 3) float64, face centres relative to the origin, metres.
     normals : (k, 3) float64, towards free space.
-    behind : (k,) int8, state of the unknown cell. HIDDEN: behind a measurement of some frame. BLANK: frames
-        that looked there have no depth. NOTHING: no frame looked there.
+    behind : (k,) int8, state of the unknown cell. `HIDDEN`: behind a measurement of some frame. `BLANK`:
+        frames that looked there have no depth. `NOTHING`: no frame looked there.
     parts : (k,) int64, label of the connected component; `behind` is constant in a component.
     at_rim : (k,) bool, True close to the surface.
     beside : (k,) number of frontier cells among the 27 cells around the cell: 3 along a line, 9 in a plane.

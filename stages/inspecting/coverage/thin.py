@@ -37,7 +37,7 @@ class Limits:
 def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
     """Classify points (n,) by their most important weakness.
 
-    Returns the index in THIN; -1 if the point is well observed.
+    Returns the index in `THIN`; -1 if the point is well observed.
     """
     kinds = np.full(len(evidence.frames), -1, np.int8)
     # Later assignments take precedence; they are in ascending order of importance.

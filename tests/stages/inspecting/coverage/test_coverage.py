@@ -355,7 +355,7 @@ def test_without_depth_and_poses_nothing_can_be_said(frames: list[Frame], why: s
 
 def test_frames_of_another_place_are_refused() -> None:
     frames = [replace(one, world_from_camera=looking((50, 0, 0), (51, 0, 0))) for one in frames_of(WALL, ROW)]
-    with pytest.raises(InputError, match="poses and mesh belong together"):
+    with pytest.raises(InputError, match="poses and mesh are in the same coordinate system"):
         coverage(WALL, frames)
 
 
