@@ -32,7 +32,7 @@ _EXTRAS = {
 def machine() -> dict[str, Any]:
     """Collect versions and resources of this machine.
 
-    Key names contain units. A value is None if it cannot be determined. No large library is imported.
+    Key names contain units. Unknown values become None. No large library is imported.
     """
     total, available = memory_bytes()
     return {
