@@ -1,1 +1,1 @@
-"""How far two meshes are apart: measured at samples, proven at every point, painted."""
+"""Comparison of meshes and point clouds, with samples or proven bounds."""

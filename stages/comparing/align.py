@@ -1,6 +1,6 @@
-"""Bring a mesh or cloud to where another one is, by a rigid motion: iterated closest points, point to plane.
+"""Rigid alignment of a mesh or cloud by point-to-plane ICP.
 
-Chen and Medioni, "Object modelling by registration of multiple range images", 1992; by Open3D.
+Chen and Medioni, "Object modelling by registration of multiple range images", 1992; Open3D implementation.
 """
 
 from __future__ import annotations
@@ -24,26 +24,27 @@ from scanloom.stages.surface.raycasting import Floats
 from scanloom.stages.surface.topology import areas
 from scanloom.stages.surface.vertex_normals import vertex_normals
 
-# Points on each surface, or of each cloud.
+# Number of points sampled on each mesh or drawn from each cloud.
 _POINTS = 60_000
 _SEED = 0
-# How far partners may be apart, as shares of the smaller mesh's diagonal: coarse to fine.
+# Maximum correspondence distances, coarse to fine, as ratios of the smaller bounding-box diagonal.
 _REACHES = (0.1, 0.03, 0.01, 0.003)
 _ITERATIONS = 60
-# Fewer points that find a partner than this share hold nothing in place.
+# Minimum ratio of points with a correspondence. With fewer, ICP does not constrain the motion.
 _LEAST_OVERLAP = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """How a mesh was moved.
+    """Result of a rigid alignment.
 
     Attributes
     ----------
-    reference_from_mesh : (4, 4) float64, a rotation and a translation in metres.
-    overlap : share of the mesh's points that have a partner in the end.
-    rms : of the distances to these partners' planes, metres.
-    moved_rms, angle : how far its points moved, RMS in metres, and by which angle it turned, degrees.
+    reference_from_mesh : (4, 4) float64, rotation and translation (metres) from mesh to reference
+        coordinates.
+    overlap : ratio of the mesh's sample points with a correspondence after alignment.
+    rms : RMS point-to-plane distance of these correspondences, metres.
+    moved_rms, angle : RMS displacement of the mesh's vertices in metres, and rotation angle in degrees.
     """
 
     reference_from_mesh: NDArray[np.float64]
@@ -56,7 +57,7 @@ class Alignment:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return the motion and how well it fits, units in the names."""
+        """Return the metrics for JSON, with units in the key names."""
         return {
             "reference_from_mesh": self.reference_from_mesh.tolist(),
             "overlap": self.overlap,
@@ -67,21 +68,26 @@ class Alignment:
 
 
 def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
-    """Return a mesh or cloud moved onto a reference, and the motion; its size stays.
+    """Align a mesh or cloud rigidly to a reference by ICP.
 
-    It has to lie there roughly already, within a tenth of its size: nearest points are taken for partners.
+    The scale stays unchanged. The initial offset must be below about a tenth of the object's size, because
+    correspondences are nearest points.
 
     Parameters
     ----------
-    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Without triangles it is
-        a cloud, whose normals come from the points around each, if it has none.
+    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Input without triangles
+        is a cloud. Missing normals of a cloud are estimated from neighbouring points.
+
+    Returns
+    -------
+    The moved mesh, and its alignment.
 
     Raises
     ------
     MeshError
-        If a mesh has no area, or a cloud is all in one place.
+        If a mesh has no area, or all points of a cloud coincide.
     InputError
-        If the two do not overlap enough for it.
+        If the overlap of mesh and reference is too small.
     """
     moving, fixed = comparable(mesh, "mesh"), comparable(reference, "reference")
     o3d = open3d()
@@ -106,13 +112,15 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     if found.fitness < _LEAST_OVERLAP:
         raise InputError(
             COMPARE_MESHES_APART,
-            "the two cannot be aligned: {fitness:.0%} of the points have a partner nearby",
-            remedy="bring them roughly into place first.",
+            "mesh and reference cannot be aligned: only {fitness:.0%} of the points have a correspondence "
+            "nearby ({minimum:.0%} required)",
+            remedy="align them roughly first.",
             fitness=found.fitness,
+            minimum=_LEAST_OVERLAP,
         )
     motion = _rigid(motion)
     rms = _rms_to_planes(source, target, np.asarray(found.correspondence_set), motion)
-    # Told of the world, not of the points around the centre.
+    # ICP ran on centred points; convert the translation to world coordinates.
     motion[:3, 3] += centre - motion[:3, :3] @ centre
     vertices = moving.vertices @ motion[:3, :3].T + motion[:3, 3]
     moved = np.linalg.norm(vertices - moving.vertices, axis=1)
@@ -142,7 +150,7 @@ def _moved(mesh: Mesh, motion: NDArray[np.float64]) -> Mesh:
 
 
 def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a motion whose rotation is one to the last digit."""
+    """Project the rotation part of a motion (4, 4) onto the exact rotations."""
     u, _, v = np.linalg.svd(motion[:3, :3])
     rigid = np.array(motion)
     rigid[:3, :3] = u @ np.diag((1, 1, np.sign(np.linalg.det(u @ v)))) @ v
@@ -150,7 +158,7 @@ def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _rms_to_planes(source: Any, target: Any, pairs: NDArray[np.int32], motion: NDArray[np.float64]) -> float:
-    """Return how far the moved points are from the planes of their partners, RMS."""
+    """Compute the RMS point-to-plane distance of the correspondences, metres."""
     moved = np.asarray(source.points)[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
     away = moved - np.asarray(target.points)[pairs[:, 1]]
     distances = np.einsum("kx,kx->k", away, np.asarray(target.normals)[pairs[:, 1]])
@@ -158,7 +166,10 @@ def _rms_to_planes(source: Any, target: Any, pairs: NDArray[np.int32], motion: N
 
 
 def _points_of(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
-    """Return points with normals: spread evenly over a mesh, or some of a cloud."""
+    """Convert a mesh or cloud to Open3D points with unit normals.
+
+    A mesh is sampled; a large cloud is subsampled. Coordinates are relative to `centre`.
+    """
     if is_cloud(mesh):
         chosen = some_of(mesh, _POINTS)
         assert chosen.normals is not None

@@ -1,7 +1,7 @@
-"""A surface or a cloud, of which the same is asked: points of it, and what of it is nearest to other points.
+"""Common interface of meshes and point clouds for distance measurements.
 
-Distances to a surface are to its nearest point, wherever that lies on a triangle. Distances to a cloud are to
-its nearest point, so they are never less than the gaps between its points let them be.
+It offers sample points and nearest-point queries. The nearest point of a mesh can be anywhere on a triangle.
+The nearest point of a cloud is one of its points, so distances to a cloud are limited by its point spacing.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from scanloom.stages.surface.raycasting import Floats, Surface, chunks, interpol
 from scanloom.stages.surface.topology import areas
 
 Levels = NDArray[np.floating]
-# Points of a cloud whose distances differ by less than this share count as equally near: where a cloud is far
-# off that is true of many of its points, and to tell them apart takes minutes.
+# Relative tolerance (`eps`) of nearest-point queries on a cloud. An exact query takes minutes for a distant
+# cloud, where many points are almost equally near.
 _ALIKE = 1e-6
-# Points that the spacing of a cloud is measured at.
+# Maximum number of points sampled to measure the spacing of a cloud.
 _SPACING_AT = 50_000
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Some points (k, 3), metres, and their colours (k, 3), levels, if these were asked for."""
+    """Sample points (k, 3) in metres, and their colours (k, 3) in levels if requested."""
 
     places: Floats
     colors: Levels | None
@@ -41,12 +41,12 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """What is nearest to some points.
+    """Nearest points of a target to k query points.
 
     Attributes
     ----------
-    distances : (k,) metres; negative behind what is oriented, if signs were asked for.
-    colors : (k, 3) levels there, if these were asked for.
+    distances : (k,) metres. If signs were requested and the target is oriented, negative behind the surface.
+    colors : (k, 3) levels at the nearest points; None if not requested.
     """
 
     distances: Floats
@@ -54,53 +54,56 @@ class Nearest:
 
 
 class Spread(Protocol):
-    """What points can be had of."""
+    """Surface or cloud that sample points can be drawn from."""
 
     @property
     def has_color(self) -> bool:
-        """Whether it has colours."""
+        """True if the mesh or cloud has colours."""
 
     def samples(self, wanted: int) -> int:
-        """Return how many points `spread` has, if so many are wanted."""
+        """Return the number of points that `spread` draws when `wanted` are requested."""
 
     def spread(self, rows: slice, count: int, rng: np.random.Generator, *, colored: bool) -> Points:
-        """Return rows of `count` points that stand for all of it."""
+        """Return rows `rows` of `count` evenly distributed sample points."""
 
     def corners(self, *, colored: bool) -> Iterator[Points]:
-        """Yield further points, which count for what is farthest off alone."""
+        """Yield additional points that count only for the maximum distance."""
 
 
 class Asked(Spread, Protocol):
-    """What can be asked of both."""
+    """Mesh or cloud that distances are measured to."""
 
     mesh: Mesh
 
     @property
     def is_oriented(self) -> bool:
-        """Whether there is a side that it looks to."""
+        """True if the target has a front side, which distance signs require."""
 
     @property
     def spacing(self) -> float | None:
-        """Metres from points of a cloud to their nearest neighbours, the median; None of a surface."""
+        """Median spacing of a cloud's points in metres; None for a mesh."""
 
     def nearest(self, points: Floats, *, colored: bool = False, signed: bool = False) -> Nearest:
-        """Return what is nearest to points (k, 3)."""
+        """Return the nearest points of the target to `points` (k, 3)."""
 
 
 def asked(mesh: Mesh, box: Floats, searched: WithNeedles | None = None) -> Asked:
-    """Return a mesh or cloud ready to be asked.
+    """Build the distance target for a mesh or cloud.
 
     Parameters
     ----------
-    mesh : that `comparable` returned.
-    box : (2, 3) lowest and highest corner of everything that will be asked.
-    searched : the mesh's surface, in this box, if there is one already.
+    mesh : mesh or cloud returned by `comparable`.
+    box : (2, 3) minimum and maximum corner of all geometry involved in queries.
+    searched : existing search structure of the mesh, built for this box; None to build one on first use.
     """
     return _Cloud(mesh) if is_cloud(mesh) else _Surface(mesh, box, searched)
 
 
 class _Surface:
-    """A mesh: its points are spread evenly over its area, and its vertices stray most."""
+    """Mesh as distance target, sampled evenly over its area.
+
+    Its vertices count for the maximum, because simplified surfaces deviate most at vertices.
+    """
 
     def __init__(self, mesh: Mesh, box: Floats, searched: WithNeedles | None) -> None:
         self.mesh = mesh
@@ -150,8 +153,8 @@ class _Surface:
 
 
 def corners_of(mesh: Mesh, *, colored: bool) -> Iterator[Points]:
-    """Yield the vertices of a mesh that a triangle uses."""
-    # A corner of each: along a seam of a texture it has several colours; one is looked at.
+    """Yield the vertices of a mesh that triangles use, in chunks."""
+    # Along a texture seam a vertex has several colours; only the first corner's colour is compared.
     used, corners = np.unique(mesh.triangles, return_index=True)
     for rows in chunks(len(used)):
         colors = None
@@ -161,13 +164,13 @@ def corners_of(mesh: Mesh, *, colored: bool) -> Iterator[Points]:
 
 
 class _Cloud:
-    """A cloud: every point of it counts once."""
+    """Point cloud as distance target; every point is a sample."""
 
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import cKDTree
 
         self.mesh = mesh
-        # Scanners spread points evenly enough for halves of space, which are found sooner than medians.
+        # Scans are dense and even enough for midpoint splits, which build faster than median splits.
         self._tree = cKDTree(mesh.vertices, balanced_tree=False)
 
     @property
@@ -184,7 +187,7 @@ class _Cloud:
         if len(points) > _SPACING_AT:
             points = points[np.random.default_rng(0).choice(len(points), _SPACING_AT, replace=False)]
         distances = self._tree.query(points, 2, workers=-1)[0][:, 1]
-        # A point that is there twice says nothing of the gaps between points.
+        # Duplicate points have distance 0 and are excluded from the spacing.
         return float(np.median(distances[distances > 0])) if distances.any() else 0.0
 
     def samples(self, wanted: int) -> int:  # noqa: ARG002

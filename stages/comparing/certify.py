@@ -1,7 +1,7 @@
-"""Proven bounds on how far two meshes are apart, in shape and in colour: never exceeded, at any point.
+"""Proven bounds on the distance and colour difference between two meshes.
 
-`compare` measures at samples, and a maximum between them goes unseen. Here every triangle is covered by
-pieces that are bounded as a whole, in both directions.
+The bounds are valid at every point; `compare` only measures at samples and can miss the maximum between them.
+Here every triangle is subdivided into pieces, and each piece is bounded as a whole, in both directions.
 """
 
 from __future__ import annotations
@@ -32,57 +32,61 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 1
 
-# Vertices, their attributes, triangles.
+# Vertices (n, 3), vertex attributes (n, k), triangles (m, 3).
 _Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.int32]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CertifyParams:
-    """How close the bounds are to come, or what they have to stay within."""
+    """Required tightness of the bounds, and limits to check."""
 
     shape_tolerance: float = param(
         0.05,
-        "How much the bound on shape may pass the greatest distance found, relative to that.",
+        "Maximum excess of the shape bound over the largest distance found, relative to that distance.",
         low=0,
     )
     color_tolerance: float = param(
         0.05,
-        "How much the bound on colour may pass the greatest difference found, relative to that.",
+        "Maximum excess of the colour bound over the largest colour difference found, relative to it.",
         low=0,
     )
     color_floor: float = param(
-        1.0, "An excess of the bound on colour that is small enough in any case.", unit="levels", low=0
+        1.0, "Excess of the colour bound that is always accepted.", unit="levels", low=0
     )
     max_shape: float | None = param(
         None,
-        "Also find out whether all stays within this distance; without max_color, colours are not asked for.",
+        "Also check that no distance exceeds this limit. Without max_color, colours are not checked.",
         unit="m",
         low=0,
     )
     max_color: float | None = param(
-        None, "Also find out whether all stays within this difference of colour.", unit="levels", low=0
+        None, "Also check that no colour difference exceeds this limit.", unit="levels", low=0
     )
     only_decide: bool = param(
         False,
-        "With max_shape or max_color: end as soon as it is clear whether they are kept, which is far faster. "
-        "What stays within them then has these as its bounds, however close it is.",
+        "With max_shape or max_color: stop as soon as it is decided whether the limits hold, which is much "
+        "faster. Bounds are then no tighter than the limits.",
     )
     effort: float = param(
         16.0,
-        "Pieces a triangle, on average, that may be spent on coming closer. More never makes a bound "
-        "greater.",
+        "Average number of pieces per triangle that may be evaluated to tighten the bounds. More effort "
+        "never loosens a bound.",
         low=0,
         high=1e6,
     )
     slack: float | None = param(
         None,
-        "Distance within which points count as equally near. None: what vertices and searches in single "
-        "precision cannot tell, 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal.",
+        "Distance within which points count as equally near. None: the error of coordinates and searches "
+        "in single precision, 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding-box diagonal.",
         unit="m",
         low=0,
     )
     threads: int = param(
-        0, "Processors to use; 0 for all. Equal bits for any number.", low=0, high=1024, invalidates=False
+        0,
+        "Number of threads; 0 for all processors. The result is bit-identical for any number.",
+        low=0,
+        high=1024,
+        invalidates=False,
     )
 
     def __post_init__(self) -> None:
@@ -90,33 +94,36 @@ class CertifyParams:
         if self.only_decide and self.max_shape is None and self.max_color is None:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "is for limits",
+                "requires a limit",
                 Where(parameter="only_decide"),
-                remedy="give max_shape, max_color or both.",
+                remedy="set max_shape, max_color or both.",
             )
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is proven. Distances in metres; colours in 8-bit levels, Euclidean norm over the channels.
+    """Proven bounds on shape and colour deviation.
+
+    Distances are in metres. Colour differences are in 8-bit levels, Euclidean norm over the channels. Colour
+    bounds exist only if both meshes have vertex colours, and not where only `max_shape` is given.
 
     Attributes
     ----------
-    shape_bound, color_bound : (q,) float64, for each triangle of the result, both ways: no point of it is
-        farther from the original, and no point of the original whose nearest point is on it is farther away.
-    original_shape_bound, original_color_bound : (m,) float64, for each triangle of the original, from its
-        points to the result.
-    shape_bound_m, color_bound_levels : the greatest of all. The colour bound also holds for the difference of
-        any single channel.
-    shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between.
-    slack_m : triangles within this of the smallest distance count as nearest too, each at its own nearest
-        point and at points within this of that: a search in single precision returns any of them. Bounds on
-        shape contain it.
-    color_slack_levels : contained in the bounds on colour, for interpolation in single precision.
-    within_limits : whether all is proven to stay within max_shape and max_color; None without them.
-    pieces : how many pieces of triangles were looked at.
-
-    Colour bounds are None unless both meshes have vertex colours, and where max_shape is given alone.
+    shape_bound, color_bound : (q,) float64, per triangle of the result, in both directions. No point of the
+        triangle is farther from the original. No point of the original whose nearest point is on the triangle
+        is farther away.
+    original_shape_bound, original_color_bound : (m,) float64, per triangle of the original, from its points
+        to the result.
+    shape_bound_m, color_bound_levels : maximum over all triangles. The colour bound also holds for the
+        difference of each single channel.
+    shape_attained_m, color_attained_levels : largest values found at a point. The true maximum is between
+        attained value and bound.
+    slack_m : distance within which points count as equally near, because a search in single precision can
+        return any of them. Shape bounds include the slack.
+    color_slack_levels : allowance for interpolation in single precision, included in the colour bounds.
+    within_limits : True if everything is proven to be within `max_shape` and `max_color`; None without
+        limits.
+    pieces : number of triangle pieces that were evaluated.
     """
 
     shape_bound: NDArray[np.float64]
@@ -136,7 +143,7 @@ class Certificate:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Everything but the arrays, ready for JSON; a bound that is infinite is None."""
+        """Return everything except the arrays for JSON; an infinite bound becomes None."""
         values = {
             "shape_bound_m": self.shape_bound_m,
             "shape_attained_m": self.shape_attained_m,
@@ -158,48 +165,50 @@ def certify(
     progress: Progress = silent,
     **changes: Unpack[CertifyKeywords],
 ) -> Certificate:
-    """Bound the two-sided distance and colour difference between a mesh and the one it came from.
+    """Prove bounds on the deviation of a mesh from its original.
 
-    The colour at a point is compared with the colour at the nearest point of the other mesh, at *every*
-    nearest point where there are several. To allow for single precision, triangles no more than `slack`
-    farther away count as well, each at its nearest point and within `slack` of that. So the bounds hold
-    for whoever samples the two surfaces, however densely, with whatever search: Metro, `compare`, Embree.
+    The bounds cover the distance in both directions and the colour difference. The colour at a point is
+    compared with the colour at every nearest point of the other mesh. To allow for single precision,
+    triangles up to `slack` farther away count as nearest, too, each at its nearest point and within `slack`
+    of that point. The bounds therefore hold for any sampling density and any search: Metro, `compare`,
+    Embree.
 
     Parameters
     ----------
-    result, original : Mesh, Open3D or trimesh mesh, or (vertices, triangles), in metres. Any triangles: they
-        need not be manifold, closed or oriented. Vertex colours are linear over each triangle; textures are
-        not read.
+    result, original : Mesh, Open3D or trimesh mesh, or (vertices, triangles), in metres. Meshes need not be
+        manifold, closed or oriented. Vertex colours are interpolated linearly over each triangle; textures
+        are ignored.
     params : CertifyParams; single fields can be given by name instead.
-    progress : called about ten times a second; raising from it stops the work.
+    progress : called about ten times a second; an exception from it stops the work.
 
     Returns
     -------
     Certificate
-        Where one mesh has no triangles, bounds for the other are infinite.
+        If one mesh has no triangles, bounds for the other are infinite.
 
-        Bounds of single triangles are within a fifth of what is attained there, or below 2 % of the greatest
-        deviation, unless `effort` runs out; so they are with `max_shape` or `max_color`, too. With
-        `only_decide` a triangle that stays within these has them as its bounds, and any other more; what has
-        no limit then has no bound.
+        The bound of a single triangle is within a fifth of its attained value, or below 2 % of the maximum
+        deviation, unless `effort` runs out. The same holds with `max_shape` or `max_color`. With
+        `only_decide`, a triangle within the limits has the limits as its bounds, and any other triangle has
+        larger bounds. A quantity without a limit is then not bounded.
 
     Raises
     ------
     MeshError
-        For an index out of range or a value that is not finite.
+        For an index out of range or a non-finite value.
     UsageError
         For a parameter out of range.
 
     Notes
     -----
-    A search in single precision can overlook a needle, a triangle far longer than high, and return what is
-    beside it. Of needles (below 1:250) therefore only the longest side counts as near; where that is a
-    boundary, so that nothing is beside it, such a search can still pass the bounds by the needle's height.
+    A search in single precision can miss a needle (a triangle far longer than high) and return a neighbouring
+    triangle. Only the longest side of a needle (height below 1:250 of its length) therefore counts as near.
+    If that side is a boundary and has no neighbour, such a search can exceed the bounds by the needle's
+    height.
 
     References
     ----------
-    Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998, for what is
-    bounded; Tang, Lee and Kim, "Interactive Hausdorff distance computation for general polygonal models",
+    Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998, for the bounded
+    quantities; Tang, Lee and Kim, "Interactive Hausdorff distance computation for general polygonal models",
     2009, for refining where the bound is greatest.
     """
     params = resolve(CertifyParams, params, changes)
@@ -212,7 +221,7 @@ def certify(
     if params.max_color is not None and not colored:
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "is given, but not both meshes have vertex colours.",
+            "requires vertex colours on both meshes.",
             Where(parameter="max_color"),
         )
     with_color = colored and (limit is None or params.max_color is not None)
@@ -222,8 +231,9 @@ def certify(
     if params.only_decide:
         found = prove(limit, progress)
         return _certificate(found, with_color, _is_within(found.bound, limit, with_color))
-    # A decision says no more of what is kept than that; whoever states a limit wants to know how close it is
-    # all the same. Where close bounds pass it though nothing was found to, pieces are spent on the question.
+    # Checking a limit yields no bound tighter than that limit, but a user who gives a limit also wants the
+    # actual deviation. So tight bounds are computed first. The limits are checked separately only if the
+    # tight bounds exceed them and the attained values do not.
     close = prove(None, progress)
     within = _is_within(close.bound, limit, with_color)
     if within or not _is_within(close.attained, limit, with_color):
@@ -278,7 +288,10 @@ def _certificate(found: _kernels.Certified, with_color: bool, within: bool | Non
 
 
 def _closer(a: Certificate, b: Certificate) -> Certificate:
-    """Return two proofs of the same meshes as one: each bound is the lesser one."""
+    """Combine two certificates of the same meshes.
+
+    Each bound is the smaller of the two, each attained value the larger.
+    """
 
     def least(name: str) -> Any:
         one, other = getattr(a, name), getattr(b, name)
@@ -305,7 +318,7 @@ def _closer(a: Certificate, b: Certificate) -> Certificate:
 
 
 def _finishing(progress: Progress) -> Progress:
-    """Keep telling that all is looked at, while some of it is looked at once more."""
+    """Return a callback that reports complete progress during the second pass."""
     return lambda done, total: progress(total, total)  # noqa: ARG005
 
 

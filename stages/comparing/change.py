@@ -1,4 +1,4 @@
-"""What is new in a scan of a place, and what is gone, since another scan of it."""
+"""Change detection between two scans of one location: new and removed surface."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import ChangeKeywords
 
-# Of the diagonal of the earlier mesh, where no distance is given.
+# Default change distance, as ratio of the earlier mesh's bounding-box diagonal.
 _FAR = 0.01
-# Places that are told, largest first.
+# Maximum number of changed regions in the JSON metrics, largest first.
 _PLACES = 10
 _SAME, _NEW, _GONE = (205, 205, 205), (45, 160, 70), (200, 60, 40)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChangeParams:
-    """What counts as a change between two scans of one place."""
+    """Thresholds of the change detection."""
 
     change_distance: float | None = param(
         None,
-        "Farther than this from the other mesh is new, or gone. Not given: 1 % of the diagonal of A.",
+        "Surface farther than this from the other mesh is new or gone. Not given: 1 % of the diagonal of A.",
         unit="m",
         low=0,
         low_open=True,
     )
     change_area: float = param(
-        0.0, "Connected changes of a smaller area than this are left out.", unit="m²", low=0
+        0.0, "Minimum area of a connected change; smaller changes are ignored.", unit="m²", low=0
     )
 
     def __post_init__(self) -> None:
@@ -50,16 +50,17 @@ class ChangeParams:
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """What is new in a later mesh, and what of an earlier one is gone.
+    """Surface that appeared or disappeared between an earlier and a later mesh.
 
     Attributes
     ----------
-    distance : metres; what is farther from the other mesh has changed.
-    new : (m,) bool, triangles of the later mesh that are new.
-    gone : (k,) bool, triangles of the earlier mesh that are gone, or were not seen again.
+    distance : change threshold in metres; surface farther from the other mesh has changed.
+    new : (m,) bool, new triangles of the later mesh.
+    gone : (k,) bool, triangles of the earlier mesh that are gone or were not seen again.
     new_area, gone_area : m².
-    places : connected changes, largest first: `kind` ("new" or "gone"), `area_m2`, `point_m` in their middle.
-    painted : the later mesh in grey, what is new in green, and what is gone of the earlier one in red.
+    places : connected changed regions, largest first: `kind` ("new" or "gone"), `area_m2`, `point_m`
+        (centroid).
+    painted : later mesh in grey with new surface in green, plus the gone surface of the earlier mesh in red.
     """
 
     distance: float
@@ -74,7 +75,7 @@ class Changes:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is to say of them, units in the names."""
+        """Return areas and the largest changed regions for JSON."""
         return {
             "distance_m": self.distance,
             "new_area_m2": self.new_area,
@@ -91,14 +92,15 @@ def changes(
     params: ChangeParams | None = None,
     **given: Unpack[ChangeKeywords],
 ) -> Changes:
-    """Find what is new in a later mesh of a place, and what of an earlier one is gone.
+    """Detect surface that appeared or disappeared between two meshes.
 
-    A triangle has changed if its centre is farther from the other mesh than the distance: areas are as exact
-    as triangles are small beside the change. What the later scan did not see counts as gone.
+    A triangle has changed if its centroid is farther from the other mesh than the change distance. The areas
+    are therefore accurate only if triangles are small compared with the change. Surface that the later scan
+    did not see counts as gone.
 
     Parameters
     ----------
-    earlier, later : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one place.
+    earlier, later : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one coordinate system.
     params : ChangeParams; single fields can be given by name instead.
 
     Raises
@@ -128,7 +130,13 @@ def changes(
 def _changed(
     mesh: Mesh, other: Mesh, box: Floats, distance: float, least: float, kind: str
 ) -> tuple[NDArray[np.bool_], list[dict[str, Any]]]:
-    """Return which triangles of a mesh are far from the other, without small patches, and these patches."""
+    """Find the triangles of a mesh that are far from another mesh.
+
+    Returns
+    -------
+    A mask (m,) of the changed triangles without patches smaller than `least` m², and a description of each
+    remaining patch.
+    """
     surface = WithNeedles(Surface(other, box), box)
     centres = mesh.vertices[mesh.triangles].mean(axis=1)
     far = np.zeros(len(centres), bool)
@@ -149,7 +157,7 @@ def _changed(
 
 
 def _patches(mesh: Mesh, rows: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Return for each of these triangles the number of its patch; those with a common vertex are in one."""
+    """Label the connected components (common vertices) of the given triangles, (k,) int32."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -163,7 +171,10 @@ def _patches(mesh: Mesh, rows: NDArray[np.intp]) -> NDArray[np.int32]:
 
 
 def _painted(before: Mesh, after: Mesh, new: NDArray[np.bool_], gone: NDArray[np.bool_]) -> Mesh:
-    """Return both in one mesh; no two kinds of triangles share vertices, so colours do not run together."""
+    """Combine both meshes into one painted mesh.
+
+    Triangles of different colour share no vertices, so that colours do not blend.
+    """
     parts = ((after, ~new, _SAME), (after, new, _NEW), (before, gone, _GONE))
     vertices, triangles, colors, count = [], [], [], 0
     for mesh, chosen, color in parts:

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of comparison, with explanations."""
+"""Diagnostic codes of the comparison stages."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 COMPARE_MESHES_APART = Code(
     "compare.meshes-apart",
-    "Meshes that lie apart",
+    "Meshes too far apart",
     """
-Exit code 1. They are in different worlds or units: millimetres against metres, or a mesh that was centred
-by another program. `--align icp` moves one onto the other if it lies roughly there; it never scales.
+Exit code 1. The meshes are in different coordinate systems or units: millimetres and metres, or a mesh that
+another program centred. `--align icp` aligns them if they overlap roughly; it never changes the scale.
 """,
     (
         "scan.ply: lies 812 m from truth.ply, which is more than their size; give meshes of one thing, in "
@@ -18,11 +18,11 @@ by another program. `--align icp` moves one onto the other if it lies roughly th
 )
 TEXTURE_PHOTOS_MISMATCH = Code(
     "texture.photos-mismatch",
-    "Photos that do not fit the mesh",
+    "Photos that do not show the mesh",
     """
-The mesh and the photos are not of one world: poses of another scan, a mesh that was moved or scaled
-since, or a calibration of another size. A mesh for `scanloom texture` has to stand where the scan stands;
-`scanloom compare FUSED MESH` shows by how much it is off.
+Mesh and photos are in different coordinate systems: the poses are from another scan, the mesh was moved or
+scaled, or the calibration is for another image size. `scanloom texture` requires a mesh in the world
+coordinates of the scan; `scanloom compare FUSED MESH` shows its deviation.
 """,
     "none of the 120 photos shows the mesh: do poses and mesh belong together?",
 )

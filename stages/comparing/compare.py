@@ -1,10 +1,10 @@
-"""How far apart two meshes are, or a mesh and a cloud of points, in shape and in colour.
+"""Sampled distance and colour error between meshes and point clouds.
 
-Both surfaces are sampled densely, each sample is taken to the nearest point of the other surface, and the
-distances are summed up in both directions (Cignoni, Rocchini and Scopigno, "Metro: measuring error on
-simplified surfaces", 1998). Samples are spread over the area, so mean and RMS are integrals over the
-surface; the maximum also looks at every vertex, where simplified surfaces stray most. Of a cloud every point
-is a sample, and distances to it are to its nearest point.
+Both surfaces are sampled densely. The distances from the samples to the other surface are accumulated in both
+directions (Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998). Samples
+are uniform over the area, so mean and RMS approximate integrals over the surface. The maximum also includes
+every vertex, where simplified surfaces deviate most. Every point of a cloud is a sample, and distances to a
+cloud are to its nearest point.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 5
 
-# A colour error below this (levels) is the rounding of interpolation, not a difference.
+# Levels. A smaller colour RMSE is interpolation rounding, not a difference; the PSNR is then infinite.
 _EQUAL = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareParams:
-    """How densely two meshes are compared."""
+    """Sampling density and seed of a comparison."""
 
     samples: int = param(
         500_000,
-        "Points sampled on each surface, spread evenly over its area; every vertex counts besides, for the "
-        "maximum. The relative error of mean and RMS falls with the square root of it.",
+        "Points sampled on each surface, uniformly over its area; every vertex also counts for the maximum. "
+        "The relative error of mean and RMS falls with the square root of this number.",
         low=1,
         high=100_000_000,
     )
-    seed: int = param(0, "Seed of the sampling; the same seed gives the same figures.", low=0)
+    seed: int = param(0, "Random seed of the sampling; the same seed gives the same result.", low=0)
 
     def __post_init__(self) -> None:
         check(self)
@@ -65,7 +65,7 @@ class Deviation:
         return line(self, facts(figures))
 
     def figures(self, diagonal: float) -> dict[str, float]:
-        """Return the distances in metres, and relative to the bounding-box diagonal."""
+        """Return the distances in metres and relative to the bounding-box diagonal."""
         figures = {"maximum_m": self.maximum, "mean_m": self.mean, "rms_m": self.rms}
         relative = {
             "maximum_relative": self.maximum / diagonal,
@@ -81,8 +81,8 @@ class ColorError:
 
     Attributes
     ----------
-    rmse : over all samples and the three channels.
-    maximum : the largest difference of one channel at one point, 0 to 255.
+    rmse : root mean square over all samples and the three channels.
+    maximum : largest difference of one channel at one point, 0 to 255.
     """
 
     rmse: float
@@ -92,24 +92,24 @@ class ColorError:
 
     @property
     def psnr(self) -> float:
-        """Return the peak signal-to-noise ratio in dB for a peak of 255 levels; inf for equal colours."""
+        """Peak signal-to-noise ratio in dB; infinite for equal colours."""
         return 20 * math.log10(255 / self.rmse) if self.rmse > _EQUAL else math.inf
 
     def figures(self) -> dict[str, float | None]:
-        """Return RMSE and maximum in levels and the PSNR in dB (None, not infinity, for equal colours)."""
+        """Return the metrics for JSON; an infinite PSNR becomes None."""
         psnr = self.psnr if math.isfinite(self.psnr) else None
         return {"rmse_levels": self.rmse, "psnr_db": psnr, "maximum_levels": self.maximum}
 
 
 @dataclass(frozen=True)
 class CloudFacts:
-    """What there is to know of a cloud to read distances to it.
+    """Point count and spacing of a cloud, for judging distances to it.
 
     Attributes
     ----------
-    points : all of them are measured.
-    spacing : metres from a point to its nearest neighbour, the median. Less than this a distance to the cloud
-        says little: between its points, nothing tells where the surface is.
+    points : number of points; all are measured.
+    spacing : median distance to the nearest neighbour, metres. Distances below the spacing are not
+        meaningful, because the surface between the points is unknown.
     """
 
     points: int
@@ -118,23 +118,22 @@ class CloudFacts:
     __repr__ = by_figures
 
     def figures(self) -> dict[str, float]:
-        """Return both, units in the names."""
+        """Return both values for JSON, with units in the key names."""
         return {"points": self.points, "spacing_m": self.spacing}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The two-sided distance of two meshes or clouds A and B.
+    """Two-sided distance and colour error of meshes or clouds A and B.
 
     Attributes
     ----------
-    a_to_b, b_to_a : from each surface to the other. Different where one of them is incomplete.
-    symmetric : both together, each as much as the other; its maximum is the Hausdorff distance, as far as the
-        samples see it.
-    color_a_to_b, color_b_to_a, color : the same for colour; None unless both meshes have colours.
-    diagonal : metres, of the bounding box of A; what relative figures refer to.
-    samples : on each surface.
-    clouds : of A and B, what there is to know of it where it is a cloud.
+    a_to_b, b_to_a : one-sided distances. They differ if one of the surfaces is incomplete.
+    symmetric : both directions with equal weight; its maximum is the sampled Hausdorff distance.
+    color_a_to_b, color_b_to_a, color : the same for colour; None unless both A and B have colours.
+    diagonal : bounding-box diagonal of A in metres; relative values refer to it.
+    samples : number of samples on each surface.
+    clouds : cloud statistics of A and of B; None for a mesh.
     """
 
     a_to_b: Deviation
@@ -153,16 +152,19 @@ class Comparison:
         if color is not None:
             figures["color_rmse_levels"] = color.rmse
         clouds = [
-            f"{name} a cloud of {counted(one.points, 'point')}"
+            f"{name} is a cloud of {counted(one.points, 'point')}"
             for name, one in zip("AB", self.clouds, strict=True)
             if one is not None
         ]
-        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a surface", *clouds])
+        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} per surface", *clouds])
 
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON, units in the names; those of clouds only where there are any."""
+        """Return all metrics for JSON, with units in the key names.
+
+        The key `clouds` exists only if A or B is a cloud.
+        """
         clouds = {name: one and one.figures() for name, one in zip("ab", self.clouds, strict=True)}
         directions = {"a_to_b": self.a_to_b, "b_to_a": self.b_to_a, "symmetric": self.symmetric}
         colors = {"a_to_b": self.color_a_to_b, "b_to_a": self.color_b_to_a, "symmetric": self.color}
@@ -180,24 +182,24 @@ class Comparison:
 def compare(
     a: MeshLike, b: MeshLike, params: CompareParams | None = None, **changes: Unpack[CompareKeywords]
 ) -> Comparison:
-    """Measure the two-sided distance and colour error between two meshes, or a mesh and a cloud.
+    """Measure the distance and colour error between two meshes or clouds.
 
     Parameters
     ----------
-    a, b : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Without triangles it is a cloud.
+    a, b : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Input without triangles is a cloud.
         Relative distances refer to the bounding-box diagonal of `a`, so give the reference first.
     params : see CompareParams; its fields can also be given by name.
 
     Returns
     -------
     Comparison
-        Colours are those of the texture where there is one, else of the vertices; see `color_at`. Those of a
-        cloud are of its nearest point.
+        Colours come from the texture if the mesh has one, else from its vertices (see `color_at`). For a
+        cloud, the colour of the nearest point counts.
 
     Raises
     ------
     MeshError
-        If a mesh has no area to sample, or a cloud is all in one place.
+        If a mesh has no area to sample, or all points of a cloud coincide.
     """
     params = resolve(CompareParams, params, changes)
     mesh_a, mesh_b = comparable(a, "first mesh"), comparable(b, "second mesh")
@@ -206,16 +208,19 @@ def compare(
 
 
 def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Comparison:
-    """Do as `compare` does, with surfaces that serve other queries too.
+    """Compare two surfaces whose search structures already exist; see `compare`.
 
-    Their boxes hold both meshes, and both have passed `require_area`.
+    Parameters
+    ----------
+    a, b : surfaces built for a box around both meshes. Both meshes have passed `require_area`.
+    params : sampling density and seed.
     """
     box = bounding_box(a.mesh, b.mesh)
     return compare_searched(WithNeedles(a, box), WithNeedles(b, box), params)
 
 
 def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> Comparison:
-    """Do as `compare_surfaces` does, with what finds needles too."""
+    """Compare two surfaces with needle-safe search structures that already exist; see `compare_surfaces`."""
     box = bounding_box(a.mesh, b.mesh)
     return _compared(asked(a.mesh, box, a), asked(b.mesh, box, b), params)
 
@@ -234,7 +239,10 @@ def comparison_of(
     samples: int,
     clouds: tuple[CloudFacts | None, CloudFacts | None] = (None, None),
 ) -> Comparison:
-    """Return what both directions come to; `box` (2, 3) is that of A."""
+    """Combine the sums of both directions into a comparison.
+
+    `box` (2, 3) is the bounding box of A.
+    """
     both = forward.merged(backward.counted_as(forward.count))
     low, high = box
     return Comparison(
@@ -256,7 +264,10 @@ def _facts_of(one: Asked) -> CloudFacts | None:
 
 @dataclass(frozen=True)
 class Sums:
-    """What one direction adds up to; colour fields stay None without colours."""
+    """Accumulated distances (metres) and colour differences (levels) of one direction.
+
+    `color_squared` : None without colours.
+    """
 
     count: int
     total: float
@@ -266,7 +277,7 @@ class Sums:
     color_maximum: float
 
     def counted_as(self, count: int) -> Sums:
-        """Return the sums as of so many points, so that a cloud of many weighs no more than a surface."""
+        """Rescale the sums to a point count, to weight both directions equally."""
         factor = count / self.count
         color = None if self.color_squared is None else factor * self.color_squared
         return replace(
@@ -274,7 +285,7 @@ class Sums:
         )
 
     def merged(self, other: Sums) -> Sums:
-        """Return the sums over both."""
+        """Add the sums of another set of points."""
         colored = self.color_squared is not None and other.color_squared is not None
         return Sums(
             self.count + other.count,
@@ -286,18 +297,18 @@ class Sums:
         )
 
     def deviation(self) -> Deviation:
-        """Return the distances they tell."""
+        """Return maximum, mean and RMS of the distances."""
         return Deviation(self.maximum, self.total / self.count, math.sqrt(self.squared / self.count))
 
     def color(self) -> ColorError | None:
-        """Return the differences of colour they tell."""
+        """Return RMSE and maximum of the colour differences; None without colours."""
         if self.color_squared is None:
             return None
         return ColorError(math.sqrt(self.color_squared / (3 * self.count)), self.color_maximum)
 
 
 def one_way(source: Spread, target: Asked, wanted: int, seed: tuple[int, int]) -> Sums:
-    """Measure from points of one to the other."""
+    """Accumulate distances and colour differences from samples of `source` to `target`."""
     rng = np.random.default_rng(seed)
     colored = source.has_color and target.has_color
     count = source.samples(wanted)
@@ -309,7 +320,10 @@ def one_way(source: Spread, target: Asked, wanted: int, seed: tuple[int, int]) -
 
 
 def sampled_color_error(source: Spread, target: Asked, wanted: int) -> ColorError | None:
-    """Measure the difference of colour from samples of one surface to the other; None without colours."""
+    """Measure the colour error from samples of one surface to another.
+
+    Returns None unless both have colours.
+    """
     if not (source.has_color and target.has_color):
         return None
     rng = np.random.default_rng((0, 0))
@@ -319,7 +333,7 @@ def sampled_color_error(source: Spread, target: Asked, wanted: int) -> ColorErro
 
 
 def all_sums(colored: bool, of_samples: Iterable[Sums], of_corners: Iterable[Sums]) -> Sums:
-    """Return the sums over samples; corners count for the maximum alone."""
+    """Accumulate the sums over samples; `of_corners` count only for the maximum."""
     sums = Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
     for one in of_samples:
         sums = sums.merged(one)
@@ -336,7 +350,7 @@ def _measured(points: Points, target: Asked) -> Sums:
 
 
 def sums_of(colors: Levels | None, nearest: Nearest) -> Sums:
-    """Return what points of these colours (k, 3) add up to."""
+    """Compute the sums for query points with colours (k, 3) and their nearest points."""
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
     if colors is not None and nearest.colors is not None:

@@ -1,4 +1,7 @@
-"""How a mesh or cloud is off a reference, as metrology tells it: with signs, percentiles and a tolerance."""
+"""Signed deviations of a mesh or cloud from a reference, as in metrology.
+
+They come with percentiles, a tolerance, the worst points and a painted mesh.
+"""
 
 from __future__ import annotations
 
@@ -25,42 +28,43 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import DeviationKeywords
 
 PERCENTILES = (50, 90, 95, 99)
-# As many of the worst places are told, apart by this share of the mesh's size.
+# Maximum number of worst points in the JSON metrics, and their minimum distance from each other as ratio of
+# the mesh's bounding-box diagonal.
 _PLACES = 10
 _APART = 0.03
-# Of more points only as many of the farthest are looked at for these.
+# Maximum number of points searched for the worst ones; of more points, only the farthest count.
 _LOOKED_AT = 2_000_000
-# The range of colours, where none is given: this share of the surface is nearer.
+# Default colour range: the quantile of the absolute distances that the range covers.
 _IN_RANGE = 0.99
-# And of what is well, where no tolerance is given.
+# Ratio of the colour range that is painted as within tolerance if no tolerance is given.
 _WELL = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviationParams:
-    """How deviations are measured and shown."""
+    """Tolerance, sampling and colours of a deviation measurement."""
 
     tolerance: float | None = param(
-        None, "What is nearer to the reference is within tolerance.", unit="m", low=0
+        None, "Maximum distance from the reference that is within tolerance.", unit="m", low=0
     )
     signed_samples: int = param(
         200_000,
-        "Points on the mesh that is measured, spread evenly over its area; of a cloud all points count.",
+        "Points sampled on the measured mesh, uniformly over its area; for a cloud, all points are used.",
         low=1,
         high=100_000_000,
     )
     color_range: float | None = param(
         None,
-        "Where the last colour of the palette begins. Not given: what 99 % of the surface is within, or "
-        "twice the tolerance, if that is more.",
+        "Distance at which the last colour of the palette begins. Not given: the larger of the 99 % "
+        "quantile of the distances and twice the tolerance.",
         unit="m",
         low=0,
         low_open=True,
     )
     palette: str = param(
         "metrology",
-        "Green within tolerance, red over and blue under it; `safe` for eyes that mix up red and green: "
-        "white, orange, blue.",
+        "Colours of the painted mesh. `metrology`: green within tolerance, red above, blue below. `safe`: "
+        "white, orange, blue, for readers with red-green colour blindness.",
         choices=PALETTES,
     )
 
@@ -70,19 +74,21 @@ class DeviationParams:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Distances of a mesh's surface, or of a cloud, from a reference.
+    """Distances of a mesh or cloud from a reference.
 
     Attributes
     ----------
-    is_signed : whether the reference is oriented; then distances are positive on the side that it looks to.
-    spacing : metres, of the reference's points, if that is a cloud: less than this a distance says little.
-    samples : (k,) distances at points spread evenly over the mesh's area, or at a cloud's points, metres.
-    points : (k, 3) these points.
-    at_vertices : (n,) distances at the mesh's vertices, metres; 0 at those without triangles.
-    delta_e : (k,) colour differences ΔE2000 at these points; None unless both have colours.
+    is_signed : True if the reference is oriented; distances are then positive in front of it.
+    spacing : point spacing of the reference in metres if it is a cloud, else None. Distances below the
+        spacing are not meaningful.
+    samples : (k,) distances at points uniform over the mesh's area, or at a cloud's points, metres.
+    points : (k, 3) positions of these points, metres.
+    at_vertices : (n,) distances at the mesh's vertices, metres; 0 at unused vertices.
+    delta_e : (k,) colour differences ΔE2000 at `points`; None unless both have colours.
     tolerance : metres, or None.
-    within, color_range : metres: what is nearer has the colour of what is well, and where the last begins.
-    painted : the mesh, or cloud, in the colours of its deviations.
+    within, color_range : metres; distances up to `within` get the in-tolerance colour, distances from
+        `color_range` the last colour.
+    painted : the measured mesh or cloud, coloured by deviation.
     """
 
     is_signed: bool
@@ -100,7 +106,7 @@ class Deviations:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is to say of them, units in the names."""
+        """Return the metrics for JSON, with units in the key names."""
         distances, known = np.abs(self.samples), self.is_signed
         extremes = self._all()[1]
         told: dict[str, Any] = {
@@ -136,7 +142,7 @@ class Deviations:
         return told
 
     def _worst(self) -> list[dict[str, Any]]:
-        """Return up to ten places where the mesh is farthest off, none beside another."""
+        """Return up to ten points with the largest absolute distances, spaced apart."""
         points, distances = self._all()
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
         left = np.abs(distances)
@@ -151,7 +157,7 @@ class Deviations:
         return found
 
     def _all(self) -> tuple[Floats, Floats]:
-        """Return the points that were spread, and vertices, which stray most; and their distances."""
+        """Return sample points plus used vertices of the mesh, and their distances."""
         if is_cloud(self.painted):
             return self.points, self.samples
         used = is_used(self.painted)
@@ -165,21 +171,21 @@ def deviations(
     params: DeviationParams | None = None,
     **changes: Unpack[DeviationKeywords],
 ) -> Deviations:
-    """Measure how far a mesh is from a reference, on which side of it, and how its colours differ.
+    """Measure signed distances and colour differences of a mesh from a reference.
 
-    Distances from a surface are exact; those from a cloud are to its nearest point, with the signs of that
-    point's normal, if it has one.
+    Distances from a mesh are exact. Distances from a cloud are to its nearest point; the sign comes from that
+    point's normal, if the cloud has normals.
 
     Parameters
     ----------
-    reference, mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one place. Without
-        triangles it is a cloud.
+    reference, mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one coordinate
+        system. Input without triangles is a cloud.
     params : DeviationParams; single fields can be given by name instead.
 
     Raises
     ------
     MeshError
-        If a mesh has no area, or a cloud is all in one place.
+        If a mesh has no area, or all points of a cloud coincide.
     UsageError
         If a parameter is out of range.
     """
@@ -190,9 +196,9 @@ def deviations(
 
 
 def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParams) -> Deviations:
-    """Do as `deviations` does, from a surface that serves other queries too.
+    """Measure deviations from a surface whose search structure already exists; see `deviations`.
 
-    Its box holds both meshes, and both have passed `require_area`.
+    The box of `surface` contains both meshes, and both have passed `require_area`.
     """
     box = box_of(surface.mesh, measured)
     return _measured(asked(surface.mesh, box, surface), asked(measured, box), params)
@@ -214,7 +220,10 @@ def _measured(target: Asked, source: Asked, params: DeviationParams) -> Deviatio
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was found where a mesh was measured: see Deviations; `seen` are the reference's colours (k, 3)."""
+    """Measured distances and colours before evaluation; see `Deviations`.
+
+    `seen` are the reference's colours (k, 3) at the nearest points, or None.
+    """
 
     is_signed: bool
     spacing: float | None
@@ -224,13 +233,13 @@ class Found:
 
 
 def points_of(source: Spread, params: DeviationParams, *, colored: bool) -> Points:
-    """Return the points that a mesh or cloud is measured at."""
+    """Draw the points at which a mesh or cloud is measured."""
     count = source.samples(params.signed_samples)
     return source.spread(slice(0, count), count, np.random.default_rng(0), colored=colored)
 
 
 def deviations_of(measured: Mesh, points: Points, found: Found, params: DeviationParams) -> Deviations:
-    """Return what there is to say of a mesh or cloud that was measured at these points."""
+    """Evaluate measured distances and colours, and paint the mesh by deviation."""
     delta_e = None
     if points.colors is not None and found.seen is not None:
         parts = [_delta_e(points.colors[rows], found.seen[rows]) for rows in chunks(len(found.samples))]
@@ -253,7 +262,10 @@ def deviations_of(measured: Mesh, points: Points, found: Found, params: Deviatio
 
 
 def _distances(points: Floats, target: Asked, *, colored: bool) -> tuple[Floats, NDArray[np.floating] | None]:
-    """Return distances (k,) of points from a reference, signed if oriented, and colours (k, 3) there."""
+    """Query the distances (k,) from points to a target, and its colours (k, 3).
+
+    Distances are signed if the target is oriented.
+    """
     found = [target.nearest(points[rows], colored=colored, signed=True) for rows in chunks(len(points))]
     distances = np.concatenate([one.distances for one in found])
     colors = [one.colors for one in found if one.colors is not None]
@@ -270,7 +282,7 @@ def _percentiles(values: Floats) -> dict[str, float]:
 
 
 def _delta_e(a: NDArray[np.floating], b: NDArray[np.floating]) -> Floats:
-    """Return ΔE2000 (Sharma, Wu and Dalal, 2005) of colours (k, 3), 0 to 255, as displayed."""
+    """Return ΔE2000 (Sharma, Wu and Dalal, 2005) between sRGB colours (k, 3), 0 to 255."""
     import skimage.color
 
     color: Any = skimage.color

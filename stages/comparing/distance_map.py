@@ -1,4 +1,4 @@
-"""A mesh painted with how far it is from another one."""
+"""Mesh painted by its distance from another surface."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from scanloom.stages._opencv import require_opencv
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Surface
 
-# By default, this share of the vertices is nearer than what the last colour stands for: a few that are far
-# off must not make all the others look alike.
+# Default colour range: quantile of the vertex distances. A few outliers must not compress the scale of all
+# other vertices.
 _WITHIN = 0.99
 
 
 def distance_map(mesh: Mesh, other: Surface, full_scale: float | None = None) -> tuple[Mesh, float]:
-    """Return a mesh in the colours of its vertices' distances from another surface, dark for near.
+    """Paint a mesh by its vertices' distances from another surface (viridis, dark is near).
 
-    Of a normal mesh and its original, paint the original: the vertices of a normal mesh lie on it, and would
-    show no distance at all.
+    For a normal mesh and its original, paint the original: the vertices of a normal mesh are on the original
+    and would all have distance 0.
 
     Parameters
     ----------
     mesh : in metres; its own colours are replaced.
-    other : of a box that holds both.
-    full_scale : metres, what the last colour stands for, and all that is farther. Default: what 99 % of the
-        vertices are within.
+    other : surface built for a box around both meshes.
+    full_scale : metres; this and larger distances get the last colour. Default: the 99 % quantile of the
+        vertex distances.
 
     Returns
     -------
-    The painted mesh, and `full_scale` as it was used.
+    The painted mesh, and the `full_scale` used.
     """
     require_opencv()
     import cv2

@@ -1,8 +1,8 @@
-"""How far apart a mesh in pieces and another one are, which alone has room in memory.
+"""Comparison of a chunked mesh larger than memory with another mesh.
 
-The same points are drawn as of the whole mesh. From the pieces to the other mesh they are measured piece by
-piece; the other way, each piece in turn is asked for what of it is nearest, by those points that no piece so
-far, nor any vertex of the mesh, is nearer to than its box.
+Samples are identical to those for a mesh in memory. Distances from the chunked mesh to the other mesh are
+measured chunk by chunk. In the other direction, each chunk is queried only for points whose distance bound so
+far exceeds the distance to the chunk's box.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from scanloom.stages.surface.raycasting import Floats, Located, Surface, chunks,
 
 Mask = NDArray[np.bool_]
 
-# For rounding: a box counts as this much nearer than it is, and places as near as this share of the mesh's
-# size are one.
+# Relative tolerance for rounding: distance bounds are enlarged by it, and positions closer than this ratio of
+# the box diagonal count as equal.
 _SLACK = 1e-9
 
 
@@ -47,21 +47,29 @@ def compare_in_pieces(
     box: Floats,
     signed: tuple[Mesh, DeviationParams] | None = None,
 ) -> tuple[Comparison, Deviations | None]:
-    """Measure the two-sided distance of a mesh in pieces, A, and another one, B, as `compare` does.
+    """Compare a chunked mesh A with a mesh B, as `compare` does.
 
-    Memory holds one piece at a time, and some 100 bytes for each sample.
+    Memory holds one chunk at a time, plus about 100 bytes per sample.
 
     Parameters
     ----------
-    box : (2, 3) around all meshes.
-    signed : a mesh whose deviations from A are wanted, too, as `deviations` tells them.
+    large : chunked mesh A.
+    mesh : mesh B.
+    params : sampling density and seed.
+    box : (2, 3) bounding box of all meshes, metres.
+    signed : a mesh and parameters if signed deviations from A are also wanted, as from `deviations`.
+
+    Returns
+    -------
+    The comparison, and the deviations of the mesh in `signed` (None without it).
 
     Raises
     ------
     InputError
-        If the file of the pieces is damaged.
+        If the file of the chunked mesh is damaged.
     """
-    # It is made ready to be searched when no piece is any more: there is no room for both.
+    # `light` builds its search structure only on first use, after all chunks are done; memory does not hold
+    # both.
     light = asked(mesh, box)
     colored = large.has_colors and light.has_color
     rng, count = np.random.default_rng((params.seed, 1)), params.samples
@@ -81,7 +89,7 @@ def compare_in_pieces(
     ]
     backward = all_sums(colored, sums[: len(samples)], sums[len(samples) :])
     deviating = None if off is None else off.deviations()
-    # The other way, the mesh is searched, which takes the room that its points had.
+    # Free the points first: the reverse direction needs the memory for the search structure of `light`.
     del samples, corners, points, question, off
     forward = one_way(_InPieces(large), light, params.samples, (params.seed, 0))
     return comparison_of(forward, backward, large.box, params.samples), deviating
@@ -93,7 +101,10 @@ def _rows_of(points: list[Points]) -> Iterator[slice]:
 
 
 class _InPieces:
-    """A mesh in pieces, of which points are spread as of the whole."""
+    """Sampled surface of a chunked mesh.
+
+    The sample points are the same as for a mesh in memory.
+    """
 
     def __init__(self, large: Piecewise) -> None:
         self._large = large
@@ -125,11 +136,11 @@ class _InPieces:
 
 
 class _Asked:
-    """A piece that is made ready as far as it is asked.
+    """Batch of triangles with search structures built on first use.
 
     Attributes
     ----------
-    mesh, box : of the piece.
+    mesh, box : triangles of the batch and their bounding box (2, 3).
     """
 
     def __init__(self, piece: Piece, box: Floats) -> None:
@@ -146,14 +157,14 @@ class _Asked:
 
 
 class _Question:
-    """What is nearest to some points (k, 3), of the pieces that were asked so far."""
+    """Nearest points to query points (k, 3), updated batch by batch."""
 
     def __init__(self, points: Floats, large: Piecewise, *, colored: bool, signed: bool = False) -> None:
         self._points, self._signed = points, signed
         self._enough = large.at_most(points) * (1 + _SLACK)
         self._distances = np.full(len(points), np.inf)
         self._colors: Levels | None = np.zeros((len(points), 3)) if colored else None
-        # For signs: how high points are there, and where that is.
+        # For signs: height above the surface at the nearest point, and the position of that point.
         self._heights = np.zeros(len(points) if signed else 0)
         self._places = np.full((len(points) if signed else 0, 3), np.inf)
         self._one_place = _SLACK * float(np.linalg.norm(large.box[1] - large.box[0]))
@@ -161,7 +172,7 @@ class _Question:
 
     def ask(self, piece: _Asked) -> None:
         low, high = piece.box
-        # A coordinate at a time: several times as fast as rows of three.
+        # One coordinate at a time: several times faster than rows of three.
         squared = np.zeros(len(self._points))
         for axis, x in enumerate(self._points.T):
             away = np.maximum(low[axis] - x, x - high[axis]).clip(0)
@@ -180,7 +191,10 @@ class _Question:
             self._colors[nearer] = color_at(piece.mesh, found.triangles[is_nearer], found.weights[is_nearer])
 
     def _look(self, piece: _Asked, rows: NDArray[np.intp], found: Located, is_nearer: Mask) -> None:
-        """Keep on which side points are: where pieces meet, what all of them say together counts."""
+        """Update the signed heights of the query points.
+
+        Where batches meet at the nearest point, their pseudonormal contributions add up.
+        """
         if piece.sides is None:
             self.has_sides = False
             return
@@ -193,7 +207,10 @@ class _Question:
         self._places[rows[is_other]] = places[is_other]
 
     def nearest(self, rows: slice) -> Nearest:
-        """Return what was found, with signs if these were asked for and all pieces have sides."""
+        """Return the nearest points found so far.
+
+        Distances are signed if requested and if every batch has pseudonormals.
+        """
         distances = self._distances[rows]
         if self.has_sides:
             distances = np.where(self._heights[rows] < 0, -distances, distances)
@@ -201,7 +218,7 @@ class _Question:
 
 
 class _Off:
-    """How far a mesh is off a mesh in pieces."""
+    """Signed deviations of a mesh from a chunked mesh."""
 
     def __init__(self, measured: Mesh, params: DeviationParams, large: Piecewise, box: Floats) -> None:
         self._measured, self._params = measured, params

@@ -1,9 +1,9 @@
-"""Photos that nothing was made from, beside the mesh as their cameras see it.
+"""Image quality of a textured mesh, measured against held-out photos.
 
-A photo is first placed against the mesh, for the poses of a scan are off by more than a good texture is:
-points recognised in the picture of the mesh say where it was taken (perspective-n-point), then the optical
-flow from that picture to the photo does so more precisely. Whichever pose explains it best counts. Only
-pixels count that show the mesh, and whose measured depth, where there is one, agrees.
+Each photo is first localised against the mesh, because scan poses are less accurate than a good texture.
+Feature matches between photo and rendered mesh give a pose (perspective-n-point). Optical flow from the
+rendering to the photo refines the pose. Among given, matched and refined pose, the one with the highest PSNR
+counts. Only pixels count that show the mesh and whose measured depth, if any, agrees.
 """
 
 from __future__ import annotations
@@ -30,29 +30,30 @@ from scanloom.stages.surface.raycasting import Surface
 
 RESULT_VERSION = 4
 
-# Depth that differs by more than this share of it, and this many metres, shows something else.
+# Depth tolerance, as ratio of the depth plus metres; a larger difference means another surface.
 _SAME_SHARE, _SAME_M = 0.01, 0.04
-# A photo of fewer pixels of the mesh is not judged, nor a pose from which far fewer count than from another.
+# Minimum number of mesh pixels in a photo. A pose whose coverage is below this ratio of the best pose's
+# coverage is rejected.
 _LEAST_PIXELS, _SAME_COVERAGE = 500, 0.9
-# Window of SSIM, and blur before gradients are measured, both standard deviations in pixels.
+# Standard deviations in pixels: SSIM window, and blur before the gradient energy.
 _SSIM_SIGMA, _GRADIENT_SIGMA = 1.5, 0.7
 _BORDER = 7
-# Where a larger photo was taken is looked for with so many pixels a side at most; it is judged as it is.
+# Pixels, longest side. Larger photos are localised at this size, but scored at full size.
 _LARGEST_PLACED = 1600
 
 
 @dataclass(frozen=True)
 class Score:
-    """How one photo and the mesh from its camera differ.
+    """Image metrics of one photo against the rendered mesh.
 
     Attributes
     ----------
-    place : of the frame among those given.
-    raw, affine : PSNR in dB, of the levels as they are, and after one gain and bias a channel.
+    place : index of the frame in the input.
+    raw, affine : PSNR in dB, without fit, and after fitting a gain and bias per channel.
     ssim : structural similarity (Wang et al. 2004), mean over the pixels, after the affine fit.
-    sharpness : gradient energy over the photo's, after the affine fit.
-    coverage : share of the photo's pixels that count.
-    placed : the photo was placed against the mesh.
+    sharpness : gradient energy of the rendering relative to the photo, after the affine fit.
+    coverage : ratio of the photo's pixels that count.
+    placed : True if the localised pose was used instead of the given one.
     """
 
     place: int
@@ -66,13 +67,13 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """How photos and a mesh differ.
+    """Image metrics of held-out photos against a mesh.
 
     Attributes
     ----------
-    scores : of each photo that could be judged.
-    pictures : of the worst and of the median photo by affine PSNR, photo | mesh, (h, 2w, 3) uint8.
-    skipped : frames that could not be judged, and why.
+    scores : one entry per photo that could be evaluated.
+    pictures : "worst" and "median" photo by affine PSNR, photo and rendering side by side, (h, 2w, 3) uint8.
+    skipped : frames that could not be evaluated, with the reason.
     """
 
     scores: tuple[Score, ...]
@@ -83,7 +84,7 @@ class LeftOut:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return means over the photos, and each one's scores, for JSON."""
+        """Return mean scores and the scores of each photo for JSON."""
         names = {
             "psnr_raw_db": "raw",
             "psnr_affine_db": "affine",
@@ -109,12 +110,12 @@ class LeftOut:
 
 
 def left_out(mesh: Mesh, frames: Sequence[Frame], progress: Progress = silent) -> LeftOut:
-    """Compare photos with a mesh.
+    """Evaluate a mesh against held-out photos.
 
     Parameters
     ----------
-    mesh : with a texture or vertex colours.
-    frames : with colour and poses, from which the mesh was not made.
+    mesh : mesh with a texture or vertex colours.
+    frames : frames with colour images and poses that the mesh was not made from.
     progress : called after each photo.
     """
     surface = Surface(mesh)
@@ -152,8 +153,8 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         if judged is not None:
             found.append((*judged, pose))
     if not found:
-        raise InputError(TEXTURE_PHOTOS_MISMATCH, "its photo does not show the mesh.")
-    # A wrong pose may come near to little of the photo.
+        raise InputError(TEXTURE_PHOTOS_MISMATCH, "the photo does not show the mesh.")
+    # A wrong pose can match a small part of the photo well, so poses with low coverage are rejected.
     least = _SAME_COVERAGE * max(score.coverage for score, *_ in found)
     score, drawn, pose = max(
         (one for one in found if one[0].coverage >= least), key=lambda one: (one[0].affine, not one[0].placed)
@@ -170,14 +171,17 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A photo without lens distortion, and which of its pixels count, if not all."""
+    """Undistorted photo with an optional mask of the valid pixels."""
 
     image: ColorImage
     camera: Camera
     shown: NDArray[np.bool_] | None
 
     def no_larger_than(self, side: int) -> _Photo:
-        """Return the photo with no side of more pixels: itself, where none is longer."""
+        """Downscale the photo so that no side exceeds `side` pixels.
+
+        A photo that is small enough is returned unchanged.
+        """
         import cv2
 
         width, height = self.camera.width, self.camera.height
@@ -195,10 +199,16 @@ class _Photo:
 def _from_pose(
     place: int, photo: _Photo, surface: Surface, frame: Frame, pose: Pose, apart: Pose, *, placed: bool
 ) -> tuple[Score, ColorImage] | None:
-    """Return how a photo and the mesh differ from a pose of its camera, and that picture of the mesh.
+    """Score a photo against the mesh rendered from a camera pose.
 
-    None if too little of the mesh is seen from there. `apart` takes points of the frame's camera to the
-    photo's.
+    Parameters
+    ----------
+    pose : world_from_camera of the photo's camera.
+    apart : (4, 4) transform from the frame's camera to the photo's camera.
+
+    Returns
+    -------
+    The score and the rendered image (h, w, 3) uint8; None if too little of the mesh is visible.
     """
     seen = seen_from(surface, photo.camera, pose)
     counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
@@ -210,7 +220,10 @@ def _from_pose(
 
 
 def _with_its_turn(frame: Frame, given: Pose, apart: Pose, surface: Surface) -> Frame:
-    """Return a frame with how its own camera turned while rows were read, by what it shows of the mesh."""
+    """Estimate the rolling-shutter rotation of a frame from photo and mesh.
+
+    Returns the frame with the estimate, or without any rotation if the estimate fails.
+    """
     frame = replace(frame, shutter_turn=None)
     image, camera, _ = read_photo(frame)
     *_, nearest = poses_of(image, camera, given, surface)
@@ -219,7 +232,10 @@ def _with_its_turn(frame: Frame, given: Pose, apart: Pose, surface: Surface) -> 
 
 
 def _counted(seen: Seen, frame: Frame) -> NDArray[np.bool_]:
-    """Return which pixels show what the depth map of the frame shows, too."""
+    """Return a mask (h, w) of mesh pixels that agree with measured depth.
+
+    Without a depth map, all mesh pixels are returned.
+    """
     import cv2
 
     try:
@@ -237,7 +253,7 @@ def _counted(seen: Seen, frame: Frame) -> NDArray[np.bool_]:
     measured = np.zeros(z.shape)
     measured[inside] = depth[row[inside].astype(np.int64), column[inside].astype(np.int64)]
     agrees = inside & (measured > 0) & (np.abs(measured - z) < _SAME_M + _SAME_SHARE * z)
-    # Depth that was brought to another camera has a lattice of holes.
+    # Depth reprojected into another camera has a lattice of holes.
     closed = cv2.morphologyEx(agrees.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     return np.asarray((closed > 0) & seen.hit)
 

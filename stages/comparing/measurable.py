@@ -1,4 +1,4 @@
-"""Meshes and clouds that can be measured, of whatever is given. A cloud is a mesh without triangles."""
+"""Input validation for comparisons; a mesh without triangles is a point cloud."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from scanloom.stages.surface.topology import require_area, require_measurable
 
 
 def measurable(given: MeshLike, called: str) -> Mesh:
-    """Return a mesh that has an area.
+    """Convert the input to a mesh with a surface area.
 
     Raises
     ------
     MeshError
-        If it has none, or is no mesh; `called` names it there.
+        If the input has no area or is not a mesh; the message names it `called`.
     """
     mesh = as_mesh(given, called)
     require_area(mesh, called)
@@ -27,12 +27,12 @@ def measurable(given: MeshLike, called: str) -> Mesh:
 
 
 def comparable(given: MeshLike, called: str) -> Mesh:
-    """Return a mesh that has an area, or a cloud of points that are not all in one place.
+    """Convert the input to a mesh with area or a cloud with extent.
 
     Raises
     ------
     MeshError
-        If it is neither; `called` names it there.
+        If the input is neither; the message names it `called`.
     """
     mesh = as_mesh(given, called)
     if not is_cloud(mesh):
@@ -40,22 +40,29 @@ def comparable(given: MeshLike, called: str) -> Mesh:
         return mesh
     require_measurable(mesh, called)
     if not np.ptp(mesh.vertices, axis=0).any():
-        raise MeshError(MESH_NO_SURFACE, "it has no triangles, and its points are all in one place.", called)
+        raise MeshError(MESH_NO_SURFACE, "it has no triangles, and all its points coincide.", called)
     return mesh
 
 
 def box_of(*meshes: Mesh) -> Floats:
-    """Return the lowest and the highest corner, (2, 3), around all that counts of meshes and clouds."""
+    """Return the joint bounding box (2, 3) of meshes and clouds.
+
+    Vertices that no triangle uses do not count.
+    """
     boxes = [_box_of_points(mesh.vertices) if is_cloud(mesh) else bounding_box(mesh) for mesh in meshes]
     lows, highs = np.array(boxes).swapaxes(0, 1)
     return np.array([lows.min(axis=0), highs.max(axis=0)])
 
 
 def gap_of_unrelated(a: Mesh, b: Mesh) -> float | None:
-    """Return the gap between two meshes or clouds in metres if it exceeds the size of the smaller one.
+    """Measure the gap between two meshes or clouds that seem unrelated.
 
-    Returns None otherwise: scans of one object need not touch, as two sides of a wall, but they are close
-    compared to their size. Both must have points.
+    Scans of one object need not touch (two sides of a wall), but their gap is small compared with their size.
+    Both inputs must have points.
+
+    Returns
+    -------
+    Distance between the bounding boxes in metres if it exceeds the smaller box diagonal, else None.
     """
     (low_a, high_a), (low_b, high_b) = box_of(a), box_of(b)
     between = np.maximum(np.maximum(low_a - high_b, low_b - high_a), 0)

@@ -1,8 +1,8 @@
-"""Needles, far longer than high, which searches in single precision overlook: found all the same.
+"""Closest-point search that is exact for needle triangles.
 
-Open3D's closest point is off by up to the height of a needle, and machined parts are full of them. Cut across
-into pieces that are about as long as high they are found like any other triangle; the distance is then that
-of the needle itself, in double precision.
+For needles (triangles far longer than high), Open3D's closest point in single precision is off by up to their
+height; CAD parts are full of needles. Needles are therefore cut across into pieces of moderate aspect ratio,
+which the search finds reliably. The distance is then computed on the original needle in double precision.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from numpy.typing import NDArray
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats, Located, Surface, closest_weights
 
-# Height over longest side of what a search in single precision may overlook; below the lesser one a triangle
-# is as good as its longest side.
+# Ratios of height to longest side that single precision handles badly. Below the minimum, the longest side
+# represents the triangle.
 _HIGHEST, _LOWEST = 0.02, 1e-4
-# The same of a piece, but for those at the tips, which are short.
+# Target ratio of height to longest side of the pieces, except for the short pieces at the tips.
 _PIECE = 0.1
-# Share of the box's diagonal that distances in single precision are not off by.
+# Error bound of distances in single precision, as ratio of the box diagonal.
 _ROUNDED = 1e-5
-# Pieces of all needles together, about; beyond, they are longer.
+# Approximate limit on the number of pieces of all needles together; beyond it, pieces get longer.
 _MOST_PIECES = 1 << 20
 
 
 class WithNeedles:
-    """A surface whose closest points may lie on needles.
+    """Surface with closest-point queries that are exact for needle triangles, too.
 
     Parameters
     ----------
-    surface : that is asked for all other triangles.
-    box : (2, 3) lowest and highest corner of everything that will be asked.
+    surface : search structure that handles all other triangles.
+    box : (2, 3) minimum and maximum corner of all geometry involved in queries.
     """
 
     def __init__(self, surface: Surface, box: Floats) -> None:
@@ -46,7 +46,7 @@ class WithNeedles:
             pieces, self._source = _cut(turned, area2[self._needles] / most[self._needles])
             rows = np.arange(3 * len(pieces), dtype=np.int32).reshape(-1, 3)
             self._pieces = Surface(Mesh(pieces.reshape(-1, 3), rows), box)
-            # What single precision may be off by, in the place and along the height of a piece.
+            # Error bound of the search: single-precision rounding plus the height of the highest needle.
             highest = (area2[self._needles] / np.sqrt(most[self._needles])).max()
             self._slack = _ROUNDED * float(np.linalg.norm(box[1] - box[0])) + float(highest)
 
@@ -56,7 +56,7 @@ class WithNeedles:
         if self._pieces is None or len(points) == 0:
             return found
         pieces, about = self._pieces.nearest(points)
-        # Few points are so near to a needle that it can be nearer than what was found.
+        # Only few points are close enough to a needle for it to be the nearest triangle.
         (close,) = np.nonzero(about < found.distances + self._slack)
         needles = self._source[pieces[close]]
         corners = self._corners[needles]
@@ -71,12 +71,17 @@ class WithNeedles:
 
 
 def _cut(corners: Floats, flatness: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Cut needles, their longest side first, across: from either tip to where they are highest.
+    """Cut needles crosswise into pieces, from both tips to the altitude.
+
+    Parameters
+    ----------
+    corners : (n, 3, 3) corners of the needles; the longest side is first.
+    flatness : (n,) ratio of height to longest side.
 
     Returns
     -------
     pieces : (p, 3, 3) corners.
-    source : (p,) the needle each is of.
+    source : (p,) index of the needle that each piece belongs to.
     """
     a, b, c = corners.transpose(1, 0, 2)
     along = b - a
@@ -84,7 +89,7 @@ def _cut(corners: Floats, flatness: Floats) -> tuple[Floats, NDArray[np.int64]]:
     below = a + foot.clip(0, 1)[:, None] * along
     halves = np.stack([a, below, c, b, c, below], axis=1).reshape(-1, 3, 3)
     wanted = _PIECE / flatness
-    # A strip has two pieces, and a needle two halves.
+    # Each strip has two pieces, and each needle two halves.
     share = min(1.0, _MOST_PIECES / (4 * float(wanted.sum())))
     count = np.repeat(np.ceil(share * wanted).astype(np.int64), 2)
     half = np.repeat(np.arange(len(halves)), count)

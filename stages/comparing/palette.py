@@ -1,4 +1,7 @@
-"""Colours of deviations: green within a tolerance, red over and blue under it; or others, for all eyes."""
+"""Diverging colour palettes for signed deviations.
+
+`safe` suits readers with red-green colour blindness.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +11,21 @@ from numpy.typing import NDArray
 from scanloom.stages.surface.raycasting import Floats
 
 PALETTES = ("metrology", "safe")
-# Levels of red, green and blue, from low to high; between two they are mixed.
+# RGB levels from low to high; colours between them are interpolated.
 _UNDER = {"metrology": ((30, 60, 200), (90, 190, 235)), "safe": ((5, 48, 130), (120, 175, 215))}
 _WITHIN = {"metrology": (70, 175, 80), "safe": (240, 240, 240)}
 _OVER = {"metrology": ((245, 205, 70), (200, 30, 30)), "safe": ((245, 170, 100), (150, 60, 0))}
 
 
 def colors_of(distances: Floats, within: float, most: float, palette: str = "metrology") -> NDArray[np.uint8]:
-    """Return colours (n, 3) of distances.
+    """Map distances to colours (n, 3).
 
     Parameters
     ----------
-    distances : (n,) metres; with signs, or all positive where there are none.
-    within : metres; what is nearer has the one colour of what is well.
-    most : metres, above `within`: where the last colour begins.
-    palette : of PALETTES.
+    distances : (n,) metres, signed; unsigned distances are all positive.
+    within : metres; smaller distances get the single in-tolerance colour.
+    most : metres, above `within`; from this distance the last colour is used.
+    palette : one of `PALETTES`.
     """
     shares = ((np.abs(distances) - within) / max(most - within, np.finfo(np.float64).tiny)).clip(0, 1)
     colors = np.tile(np.array(_WITHIN[palette], np.float64), (len(distances), 1))

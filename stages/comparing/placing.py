@@ -1,4 +1,4 @@
-"""Where a photo was taken, by what it shows of a mesh."""
+"""Localisation of a photo against a textured mesh."""
 
 from __future__ import annotations
 
@@ -13,24 +13,30 @@ from scanloom.stages.scans.model.rolling_shutter import late_at
 from scanloom.stages.scans.model.scan import Camera, ColorImage, Pose
 from scanloom.stages.surface.raycasting import Surface
 
-# Recognised points: how many are looked for, second best over best, pixels that they may be apart at first,
-# and from how many a pose is taken.
+# Feature matching: maximum number of SIFT features, ratio of best to second-best match distance, maximum
+# displacement in pixels at the given pose, minimum number of matches for a pose.
 _POINTS, _RATIO, _NEAR, _LEAST_POINTS = 4000, 0.8, 60.0, 12
 _REPROJECTION = (12.0, 4.0, 3.0)
-# Optical flow: how often it is followed, pixels that it may be off, pixels of a cell from which one place is
-# taken, and squared levels a pixel that there must be to see.
+# Optical flow: number of refinements, maximum reprojection error in pixels, side of a grid cell in pixels
+# (one point is used per cell), minimum squared gradient in levels² for a pixel to be used.
 _REFINEMENTS, _FLOW_REPROJECTION, _CELL, _LEAST_DETAIL = 2, 2.0, 6, 400.0
-# Where the mesh ends the flow is not believed; with fewer pixels of it there is none.
+# Pixels. Flow this close to the mesh's outline is unreliable and ignored. Below the minimum number of mesh
+# pixels, no flow is computed.
 _BORDER, _LEAST_PIXELS = 7, 500
 
 
 def poses_of(image: ColorImage, camera: Camera, given: Pose, surface: Surface) -> Iterator[Pose]:
-    """Yield the poses a photo may have: as given, by what is recognised, and by all that shows of the mesh.
+    """Yield candidate poses of a photo.
+
+    They are the given pose, the pose from feature matches, and the pose refined by optical flow. A pose that
+    cannot be estimated is left out.
 
     Parameters
     ----------
-    image : (h, w, 3) uint8, of a camera without lens distortion.
+    image : (h, w, 3) uint8, without lens distortion.
+    camera : intrinsics of the photo.
     given : world_from_camera.
+    surface : textured mesh to localise against.
     """
     yield given
     placed = _placed(image, camera, given, surface)
@@ -42,7 +48,10 @@ def poses_of(image: ColorImage, camera: Camera, given: Pose, surface: Surface) -
 
 
 def _placed(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> Pose | None:
-    """Return the pose from which the photo shows what is recognised in the mesh; None if too little is."""
+    """Estimate a photo's pose from feature matches with the rendered mesh.
+
+    Returns None with too few matches.
+    """
     import cv2
 
     search = cv2.SIFT.create(_POINTS)
@@ -64,7 +73,8 @@ def _placed(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> 
             return found
         pixels = np.rint(a[near]).astype(np.int64)
         points = seen.places[pixels[:, 1], pixels[:, 0]]
-        # These are known at whole pixels: what is recognised there lies as far beside in the photo, too.
+        # Surface points are known at whole pixels only; shift the matched photo position by the same
+        # rounding.
         b[near] += pixels - a[near]
         better = _from_points(points, b[near], camera, limit)
         if better is None:
@@ -74,9 +84,10 @@ def _placed(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> 
 
 
 def _refined(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> Pose | None:
-    """Return the pose that brings the mesh nearest to a photo, by the optical flow from the one to the other.
+    """Refine a photo's pose by optical flow from the rendered mesh.
 
-    Recognised points are few, each off by a pixel or so; the flow is known wherever there is much to see.
+    Feature matches are few and accurate to about a pixel; flow is available wherever the image has gradients.
+    Returns None if no pose is found.
     """
     for _ in range(_REFINEMENTS):
         found = _followed(image, camera, pose, surface)
@@ -88,16 +99,20 @@ def _refined(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) ->
 
 
 def turn_seen(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> NDArray[np.float64] | None:
-    """Return how a camera turned while the rows of its photo were read, by optical flow from the mesh.
+    """Estimate the rotation of a camera while its photo was read out.
+
+    The estimate uses optical flow from the rendered mesh to the photo.
 
     Parameters
     ----------
-    image : (h, w, 3) uint8, of a camera without lens distortion, rows as they were read.
-    pose : world_from_camera from which it nearly shows the mesh.
+    image : (h, w, 3) uint8, without lens distortion, rows as they were read (rolling shutter).
+    camera : intrinsics of the photo.
+    pose : approximate world_from_camera of the photo.
+    surface : textured mesh to render.
 
     Returns
     -------
-    (3,) rotation vector in the camera's axes, radians, see `Frame.shutter_turn`; None if too little is seen.
+    (3,) rotation vector in camera axes, radians (see `Frame.shutter_turn`); None if too little is visible.
     """
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
@@ -123,9 +138,10 @@ def turn_seen(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -
 def _followed(
     image: ColorImage, camera: Camera, pose: Pose, surface: Surface
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return places of the mesh (n, 3) and the pixels (n, 2) of a photo that show them, by optical flow.
+    """Match surface points (n, 3) to photo pixels (n, 2) by optical flow.
 
-    None where the pose shows hardly anything of the mesh.
+    The flow runs from the rendered mesh to the photo. Returns None if hardly any of the mesh is visible from
+    the pose.
     """
     import cv2
 
@@ -146,7 +162,7 @@ def _followed(
 
 
 def _strongest(detail: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return rows and columns of the pixels with the most detail, one in each cell of a grid."""
+    """Return row and column of the strongest gradient in each grid cell."""
     rows, columns = (count // _CELL for count in detail.shape)
     cells = detail[: rows * _CELL, : columns * _CELL].reshape(rows, _CELL, columns, _CELL)
     cells = cells.transpose(0, 2, 1, 3).reshape(rows, columns, _CELL**2)
@@ -159,7 +175,10 @@ def _strongest(detail: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[
 def _from_points(
     points: NDArray[np.float64], pixels: NDArray[np.float64], camera: Camera, limit: float
 ) -> Pose | None:
-    """Return the pose from which points appear at pixels; None if too few do within so many."""
+    """Solve for the pose from 3-D points and their pixels (PnP with RANSAC).
+
+    Returns None if fewer than `_LEAST_POINTS` points reproject within `limit` pixels.
+    """
     import cv2
 
     if len(points) < _LEAST_POINTS:

@@ -1,4 +1,4 @@
-"""Points spread evenly over the area of a surface."""
+"""Stratified sampling of points uniformly over the area of a surface."""
 
 from __future__ import annotations
 
@@ -8,15 +8,19 @@ from scanloom.stages.surface.raycasting import Floats, Located
 
 
 def sampled(cumulative: Floats, rows: slice, count: int, rng: np.random.Generator) -> Located:
-    """Draw samples `rows` of `count`: one in each of `count` equal shares of the area, in triangle order.
+    """Draw samples `rows` out of `count`, stratified by area.
 
-    Neighbours in this order are neighbours in space, which the closest-point search gains from.
+    The area is divided into `count` equal strata in triangle order, with one sample in each. Consecutive
+    samples are close in space, which speeds up closest-point queries.
     """
     return located(cumulative, *drawn(float(cumulative[-1]), rows, count, rng))
 
 
 def drawn(total: float, rows: slice, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return of the same samples how much area there is before each (k,), and its weights (k, 3)."""
+    """Draw samples as area offsets (k,) and barycentric weights (k, 3); see `sampled`.
+
+    An area offset is the area of all triangles before the sample, in m².
+    """
     number = np.arange(rows.start, rows.stop)
     u, v, w = rng.random((3, len(number)))
     root = np.sqrt(v)  # uniform on a triangle: Osada et al. 2002, "Shape distributions", eq. 1
@@ -24,12 +28,18 @@ def drawn(total: float, rows: slice, count: int, rng: np.random.Generator) -> tu
 
 
 def located(cumulative: Floats, before: Floats, weights: Floats) -> Located:
-    """Return the points on the triangles whose area is where so much is before them."""
+    """Return the surface points at area offsets `before` (k,)."""
     return Located(share_of(cumulative, before), weights, np.zeros(len(before)))
 
 
 def share_of(cumulative: Floats, before: Floats) -> np.ndarray:
-    """Return which of the shares that add up like this (n,) begins by so much (k,), and ends after it."""
+    """Find the interval (k,) of `cumulative` (n,) that contains each offset.
+
+    Parameters
+    ----------
+    cumulative : (n,) ascending interval ends.
+    before : (k,) offsets.
+    """
     found = np.searchsorted(cumulative, before, side="right")
-    # The last sample can round up to the full area, behind the last triangle that has any.
+    # Rounding can put the last sample at the full area, beyond the last triangle with a non-zero area.
     return np.asarray(np.minimum(found, np.searchsorted(cumulative, cumulative[-1])))

@@ -1,4 +1,4 @@
-"""A mesh as a camera sees it, and its levels brought to those of a photo."""
+"""Mesh rendering from a camera, and colour fit to a photo."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ Levels = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The mesh from a camera: levels (h, w, 3), whether it is there (h, w), and where (h, w, 3)."""
+    """Mesh rendered from a camera.
+
+    Attributes
+    ----------
+    levels : (h, w, 3) float32 colours, 0 to 255.
+    hit : (h, w) mask of the pixels that show the mesh.
+    places : (h, w, 3) surface points in world coordinates, metres; 0 outside `hit`.
+    """
 
     levels: Levels
     hit: NDArray[np.bool_]
@@ -25,7 +32,14 @@ class Seen:
 
 
 def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
-    """Return the mesh as a camera without lens distortion sees it from a pose (world_from_camera)."""
+    """Render a mesh as seen by an undistorted camera.
+
+    Parameters
+    ----------
+    surface : mesh with colours, ready for ray casting.
+    camera : intrinsics without lens distortion.
+    pose : world_from_camera.
+    """
     rows, columns = np.mgrid[: camera.height, : camera.width]
     rays = unproject(columns, rows, 1, camera)
     directions = (rays.reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
@@ -35,7 +49,7 @@ def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
     hit = np.zeros(rows.size, np.bool_)
     levels[hits.rays] = color_at(surface.mesh, hits.triangles, hits.weights)
     corners = surface.mesh.triangles.take(hits.triangles, axis=0)
-    # A corner at a time: several times as fast as all at once.
+    # One corner at a time: several times faster than all at once.
     places[hits.rays] = sum(
         surface.mesh.vertices.take(corners[:, k], axis=0) * hits.weights[:, k, None] for k in range(3)
     )
@@ -44,7 +58,10 @@ def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
 
 
 def fitted(levels: Levels, photo: Levels, counted: NDArray[np.bool_]) -> Levels:
-    """Return the levels with the gain and bias of each channel that bring them nearest to a photo's."""
+    """Fit the colours of a rendering to a photo by gain and bias.
+
+    The fit is per channel, over the pixels `counted`. Returns the fitted levels (h, w, 3), 0 to 255.
+    """
     fitted = np.empty_like(levels)
     for k in range(3):
         a, b = (image[..., k][counted].astype(np.float64) for image in (levels, photo))

@@ -1,8 +1,9 @@
-"""Signed distances from an oriented surface: positive on the side that it looks to.
+"""Signed distances from an oriented surface by angle-weighted pseudonormals.
 
-Bærentzen and Aanæs, "Signed distance computation using the angle weighted pseudonormal", 2005: where the
-nearest point lies on an edge or a vertex, the normal of one triangle there can tell the wrong side; the mean
-of the two, or of all by their angles, never does on a closed surface.
+Bærentzen and Aanæs, "Signed distance computation using the angle weighted pseudonormal", 2005. Distances are
+positive in front of the surface. If the nearest point is on an edge or a vertex, the normal of a single
+triangle can give the wrong sign. The angle-weighted sum of the adjacent normals always gives the correct sign
+on a closed surface.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats, Located, interpolated, unit_normals
 from scanloom.stages.surface.topology import inconsistent, repeats_vertex
 
-# A weight below this: the point is on the side opposite to that corner.
+# Barycentric weight below which a point is on the edge opposite to the corner.
 _ON_SIDE = 1e-6
 
 
 class Sides:
-    """Normals of triangles, edges and vertices of a surface, which tell on which side of it a point is.
+    """Pseudonormals of triangles, edges and vertices for signed distances.
 
     Parameters
     ----------
-    mesh : oriented; what its border looks to is told as of its inside.
-    edges : of its triangles that repeat no vertex, if they are known.
+    mesh : oriented mesh. Points beyond its border get the sign of the border's pseudonormal.
+    edges : edges of its triangles without repeated vertices, if known.
     """
 
     def __init__(self, mesh: Mesh, edges: Edges | None = None) -> None:
@@ -40,24 +41,25 @@ class Sides:
             sums[:, axis] = np.bincount(
                 edges.of_halfedge, self._of_triangles[owners, axis], minlength=len(edges.ends)
             )
-        # Of the sides of each triangle, the edge; a triangle that repeats a vertex has no normal anyhow.
+        # Edge index of each triangle side. A triangle with a repeated vertex has no normal and is left out.
         self._edges = np.zeros((len(mesh.triangles), 3), np.int64)
         self._edges[kept] = edges.of_halfedge.reshape(-1, 3)
         self._has_sides = kept
 
     def signs(self, points: Floats, nearest: Located) -> Floats:
-        """Return 1 where points (k, 3) are on the side that the surface looks to, -1 on the other."""
+        """Return 1 for points (k, 3) in front of the surface, else -1."""
         return np.where(self.heights(points, nearest) < 0, -1.0, 1.0)
 
     def heights(self, points: Floats, nearest: Located) -> Floats:
-        """Return how high points (k, 3) are along the normal where they are nearest, times its length.
+        """Compute heights (k,) of points above the pseudonormals at their nearest points.
 
-        Of parts of a surface that meet there, the sum is that of the whole.
+        The heights are scaled by the length of the pseudonormal. Pseudonormals are not normalised: values of
+        mesh parts that meet at a nearest point add up to the value of the whole surface.
         """
         outside = nearest.weights < _ON_SIDE
         normals = self._of_triangles[nearest.triangles].copy()
         one, two = outside.sum(axis=1) == 1, outside.sum(axis=1) >= 2
-        # The side that runs from corner k is opposite to corner k + 2.
+        # The side that starts at corner k is opposite to corner k + 2.
         side = (np.argmax(outside[one], axis=1) + 1) % 3
         on = nearest.triangles[one]
         normals[one] = self._of_edges[self._edges[on, side]] * self._has_sides[on, None]
@@ -68,15 +70,18 @@ class Sides:
 
 
 def sides_of(mesh: Mesh) -> Sides | None:
-    """Return the sides of a surface; None where it has none: neighbours disagree, or three triangles meet."""
+    """Build the pseudonormals of a consistently oriented mesh.
+
+    Returns None if neighbouring triangles disagree in orientation, or an edge has more than two triangles.
+    """
     edges = edges_of(mesh.triangles[~repeats_vertex(mesh.triangles)], len(mesh.vertices))
     has_sides = not inconsistent(edges).any() and not (edges.count > 2).any()
     return Sides(mesh, edges) if has_sides else None
 
 
 def _by_angle(mesh: Mesh, normals: Floats) -> Floats:
-    """Return the sum of the normals around each vertex (n, 3), each by its triangle's angle there."""
-    # A coordinate at a time: rows of three are slower.
+    """Return the angle-weighted sum of triangle normals at each vertex, (n, 3)."""
+    # One coordinate at a time: faster than rows of three.
     columns = np.array([[x.take(corner) for x in mesh.vertices.T] for corner in mesh.triangles.T])
     sums: NDArray[np.float64] = np.zeros((len(mesh.vertices), 3))
     for k in range(3):

@@ -1,1 +1,1 @@
-"""What a scan holds and what is odd about it, before any work."""
+"""Inspection of a scan before processing: contents, quality and suspicious input."""

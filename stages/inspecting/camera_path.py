@@ -1,4 +1,4 @@
-"""The way of the camera, and where it jumps."""
+"""Camera trajectory of a scan, with detection of pose jumps."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from scanloom.stages.printing import by_fields
 from scanloom.stages.scans.codes import POSE_JUMPS
 from scanloom.stages.scans.model.scan import Scan
 
-# A person walking with a camera does not move faster between two frames.
+# Metres and degrees between two frames. A person walking with a camera stays below both.
 _LARGEST_STEP_M = 0.5
 _LARGEST_TURN_DEG = 30.0
 
 
 @dataclass(frozen=True)
 class Path3D:
-    """The way of the camera: lengths in metres, angles in degrees.
+    """Statistics of the camera trajectory: lengths in metres, angles in degrees.
 
-    `outliers` are frames that a larger step (0.5 m or 30 degrees, or five usual steps) leads to.
+    `outliers` names the frames that follow a jump: a step of more than 0.5 m and five median steps, or a
+    rotation of more than 30 degrees.
     """
 
     length_m: float
@@ -33,9 +34,10 @@ class Path3D:
 
 
 def camera_path(scan: Scan) -> Path3D | None:
-    """Return the way of the camera, None without poses; warn of poses that jump.
+    """Measure the camera trajectory; emit a warning for pose jumps.
 
-    Single views are taken in no order: from one to the next is no step.
+    Returns None for a scan without poses. Single views (photos) are unordered, so jumps are not reported for
+    them.
     """
     frames = scan.frames
     poses = np.array([frame.world_from_camera for frame in frames if frame.world_from_camera is not None])
@@ -45,7 +47,8 @@ def camera_path(scan: Scan) -> Path3D | None:
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     cosines = (np.einsum("nij,nij->n", rotations[:-1], rotations[1:]) - 1) / 2
     turns = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
-    # A car makes a metre a frame: a step is odd when it is large both as such and for this scan.
+    # A camera on a car moves metres per frame. So a jump must exceed both the absolute limit and five median
+    # steps.
     least = _LARGEST_STEP_M if scan.is_metric else 0.0
     limit = max(least, 5 * float(np.median(steps))) if len(steps) else 0.0
     jumps = np.flatnonzero((steps > limit) | (turns > _LARGEST_TURN_DEG))
@@ -61,7 +64,7 @@ def camera_path(scan: Scan) -> Path3D | None:
     if outliers and not scan.is_views:
         emit(
             POSE_JUMPS.warning(
-                "{count} poses jump, by more than {step:.2g} {unit} or {turn:g}° from the one before: "
+                "{count} poses jump by more than {step:.2g} {unit} or {turn:g}° from the previous frame: "
                 "{named}",
                 count=len(outliers),
                 step=limit,

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of inspection and coverage, with explanations."""
+"""Diagnostic codes of inspection and coverage."""
 
 from __future__ import annotations
 
@@ -6,121 +6,124 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 POSE_INEXACT = Code(
     "pose.inexact",
-    "Poses that are inexact",
+    "Inexact poses",
     """
-A warning. Whole patches of depth lie off, which noise does not cause: the clock of a tracker was behind,
-or the tracker drifts. Walls come out double, edges round. Where the stage [adjust](../stages/adjust.md)
-recognises enough in the images it corrects the poses by itself, without this warning; scenes without
-texture are corrected by their surfaces.
+A warning. Whole patches of depth are offset between frames, which noise does not cause: the clock of the
+tracker is delayed, or the tracker drifts. Walls become double, edges round. If the images have enough
+texture, the stage [adjust](../stages/adjust.md) corrects the poses automatically, without this warning.
+Otherwise, refine the poses by aligning the surfaces, as the message says.
 """,
     (
-        "by the poses, surfaces of one frame lie 0.8% of their distance off another's (median): they are "
-        "inexact; register.enabled=true with register.refine=true brings them nearer by the surfaces"
+        "the poses are inexact: surfaces of overlapping frames are offset by 0.8% of their distance "
+        "(median); register.enabled=true with register.refine=true refines the poses"
     ),
 )
 POSE_CONVENTION_SUSPECT = Code(
     "pose.convention-suspect",
-    "Poses of another convention",
+    "Poses in another convention",
     """
-Depth of one frame was carried into another by the poses as given, inverted, with flipped axes, and in
-reverse order; of single views, points that two photos show were looked for on each other's epipolar
-lines. Another convention fits clearly better. A run stops at that, since the mesh would be scattered.
+Depth was reprojected between frames with the poses as given, inverted, with flipped axes, and in reverse
+order. For photos without depth, the epipolar distances of feature matches were compared. Another convention
+fits clearly better. A run stops, because the mesh would be scattered.
 
-`--pose-convention` (`scan.pose_convention`) names the convention of the poses: `world-to-camera`, `y-up`
-(a camera with y up and z back, as OpenGL has it), or `world-to-camera-y-up`; the message says which.
-Poses in another order have to be brought into that of the frames. Where two conventions are named, they
-fit alike (a camera that moves evenly). If the check is wrong (a scene of one flat wall fits every
-convention), `--no-check-poses` goes on.
+`--pose-convention` (`scan.pose_convention`) sets the convention of the poses: `world-to-camera`, `y-up`
+(camera axes with y up and z back, as in OpenGL), or `world-to-camera-y-up`. The message names the value.
+Poses in reverse order must be brought into frame order. If the message names two conventions, both fit
+equally well (uniform camera motion). If the check is wrong (a single flat wall fits every convention),
+disable it with `--no-check-poses`.
 """,
     (
-        "scans/desk: the poses are probably world-to-camera: so taken, the depth of one frame meets "
-        "another's to 4 mm, as given to 340 mm (compared: 340 mm as given; 4 mm world-to-camera). Set "
-        "scan.pose_convention=world-to-camera, or give them camera-to-world with x right, y down, z forward, "
-        "in the frames' order, or use them as they are with --no-check-poses (in a config file: "
-        "check_poses = false under [scan])."
+        "scans/desk: the poses are probably world-to-camera: overlapping depth maps then agree to 4 mm; as "
+        "given: 340 mm (compared: 340 mm as given; 4 mm world-to-camera). Set "
+        "scan.pose_convention=world-to-camera, or provide camera-to-world poses with x right, y down, z "
+        "forward, in frame order. To use the poses as given, disable the check with --no-check-poses (in a "
+        "config file: check_poses = false under [scan])."
     ),
 )
 SCALE_DEPTH_UNIT_SUSPECT = Code(
     "scale.depth-unit-suspect",
-    "Depth in another unit",
+    "Suspicious depth unit",
     """
-A warning. The median depth cannot be right for the unit that is declared, or depth and poses fit together
-in another unit. `scan.depth_scale` states how many units are one metre: 1000 is millimetres, 5000 TUM's,
-1 metres.
+A warning. The median depth is implausible in the declared unit, or depth and poses agree better in another
+unit. `scan.depth_scale` is the number of depth units per metre: 1000 for millimetres, 5000 for TUM RGB-D,
+1 for metres.
 """,
     (
-        "the median depth is 0.00152 m with 1000 units a metre; scan.depth_scale=1 (metres) would make it "
-        "plausible"
+        "the median depth is implausible: 0.00152 m with 1000 depth units per metre; scan.depth_scale=1 "
+        "(metres) would make it plausible"
     ),
 )
 SCAN_DEPTH_MARKER_UNDECLARED = Code(
     "scan.depth-marker-undeclared",
-    "A depth value that probably marks missing depth",
+    "Undeclared marker for missing depth",
     """
-A warning. Many pixels hold the largest value of the depth maps. Give it in `depth_missing` of
-[scan.json](../formats/scans.md), or these pixels become a wall far away.
+A warning. Many pixels have the maximum value of the depth maps. Unless `depth_missing` in
+[scan.json](../formats/scans.md) declares it as missing, these pixels become a distant wall.
 """,
-    "14% of the depth pixels hold the largest value, 65535; probably it marks a missing one",
+    "14% of the depth pixels have the maximum value 65535, which probably marks missing depth",
 )
 SCAN_IMAGES_UNREADABLE = Code(
     "scan.images-unreadable",
-    "Images that cannot be read",
+    "Unreadable images",
     """
-A warning. Their frames are left out by a run. Copy them again from their source.
+A warning. A run skips the frames of these images. Copy the images again from their source.
 """,
     "2 depth images cannot be read, the first is 000012.png",
 )
 SCAN_IMAGES_SIZES_DIFFER = Code(
     "scan.images-sizes-differ",
-    "Images of several sizes",
+    "Images of different sizes",
     """
-A warning. A camera has one image size; images of another one were scaled, cropped, or belong to another
-recording.
+A warning. All images of a camera must have one size. Images of another size were scaled or cropped, or
+belong to another recording.
 """,
     "3 color images have another size (320×240), the first is 000007.png",
 )
 SCAN_FRAMES_BLURRED = Code(
     "scan.frames-blurred",
-    "Frames that are blurred",
+    "Blurred frames",
     """
-A warning. Blurred frames give little depth and soft colours: move more slowly, or give more light
-([capturing](../capturing.md)). `scan.first`, `scan.last` and `scan.every` leave frames out.
+A warning. Blurred frames give little depth and soft colours. Move the camera more slowly, or use more light
+([capturing](../capturing.md)). `scan.first`, `scan.last` and `scan.every` exclude frames.
 """,
-    "blurred, or with next to nothing to see: 000007, 000020 (2 of the 40 frames looked at)",
+    "2 of 40 sampled frames are blurred or show hardly any detail: 000007, 000020",
 )
 CAMERA_COLOR_UNREGISTERED = Code(
     "camera.color-unregistered",
-    "Colour that is not registered to depth",
+    "Colour not registered to depth",
     """
-A warning. Silhouettes in the photos lie beside those in the depth maps, so that colours of the background
-end up on objects. The colour camera stands or looks elsewhere than the scan states. The stage
-[adjust](../stages/adjust.md) finds its position where frames have poses.
+A warning. Silhouettes in the photos are shifted relative to the depth maps, so that objects get colours of
+the background. The extrinsics of the colour camera are wrong. If frames have poses, the stage
+[adjust](../stages/adjust.md) estimates them.
 """,
     (
-        "colour is not registered to depth: by the outlines of things photos lie 5.0 px to the right and 0.3 "
-        "px up; where frames have poses, `scanloom run` moves the colour camera there, `scanloom adjust` "
-        "does it alone"
+        "colour is not registered to depth: judged by silhouettes, the photos are shifted 5.0 px to the "
+        "right and 0.3 px up; if frames have poses, `scanloom run` corrects the colour camera, `scanloom "
+        "adjust` does only that"
     ),
 )
 COVERAGE_MESH_UNMEASURED = Code(
     "coverage.mesh-unmeasured",
-    "Frames that did not measure the mesh",
+    "Frames did not measure the mesh",
     """
-`coverage` needs the frames that the mesh was made of, with poses and depth, in the world of the mesh.
-Depth of other frames, or poses of another world, say nothing about it.
+`coverage` requires the frames that the mesh was made from, with depth, and with poses in the world
+coordinates of the mesh.
 """,
-    "scans/desk: none of the 24 frames measured the mesh: do poses and mesh belong together?",
+    (
+        "scans/desk: none of the 24 frames measured the mesh; check that poses and mesh are in the same "
+        "coordinate system."
+    ),
 )
 COVERAGE_LIMITED = Code(
     "coverage.limited",
-    "Gaps of a run that cannot be found again, or not shown in full",
+    "Coverage of a run is unavailable or incomplete",
     """
-`scanloom coverage OUT` continues the run that wrote OUT: the record in that run's cache says which scan
-it was, and how it was read. Name a scan that was moved with `--scan`, a cache that is elsewhere with
-`--cache`, and finish a run that has no clean mesh yet.
+`scanloom coverage OUT` continues the run that wrote OUT. The record in the cache of that run names the scan
+and the parameters with which it was read. Pass `--scan` if the scan was moved, and `--cache` if the cache is
+elsewhere. A run without a clean mesh must be finished first.
 
-A warning: of a mesh of more than 5 million triangles there is `coverage.ply`, which MeshLab and
-CloudCompare read, and no `coverage.glb`, and the page lists the gaps in its table only.
+A warning: for a mesh of more than 5 million triangles, `coverage.ply` is written (MeshLab and CloudCompare
+can open it), but no `coverage.glb`, and the page lists the defects only in its table.
 """,
     (
         "out/desk: the scan that these results were made from is not there any more; say with --scan "

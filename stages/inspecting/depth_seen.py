@@ -1,4 +1,4 @@
-"""The depth of the sampled frames: how far, how much is missing, in what unit."""
+"""Depth range, missing pixels and plausible unit of the sampled depth maps."""
 
 from __future__ import annotations
 
@@ -17,22 +17,29 @@ from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
 from scanloom.stages.scans.model.scan import DepthImage, Frame, Scan
 
 _PLAUSIBLE_M = (0.1, 20.0)
-# Units a metre of the layouts in use, for a hint when the depth cannot be right.
+# Depth units per metre of known formats, for hints about implausible depth.
 SCALES = {
     1000.0: "millimetres",
-    10000.0: "tenths of millimetres",
-    4000.0: "quarters of millimetres",
+    10000.0: "0.1 mm",
+    4000.0: "0.25 mm",
     5000.0: "TUM RGB-D",
     6553.5: "Replica",
     256.0: "KITTI depth",
-    80000.0: "tenths of millimetres, bits rotated",
+    80000.0: "0.1 mm, bits rotated",
     1.0: "metres",
 }
 
 
 @dataclass(frozen=True)
 class DepthRange:
-    """Depth of the sampled frames: percentiles in metres, the share of pixels without a value (0 to 1)."""
+    """Depth statistics of the sampled frames.
+
+    Attributes
+    ----------
+    sampled_frames : number of sampled frames with a depth map.
+    near_m, median_m, far_m : 2nd, 50th and 98th percentile of the depth, metres.
+    missing_share : ratio of pixels without depth, 0 to 1.
+    """
 
     sampled_frames: int
     near_m: float
@@ -44,11 +51,19 @@ class DepthRange:
 
 
 def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bool) -> DepthRange | None:
-    """Return what the depth maps (h, w), metres, hold, None if nothing; warn of a range that cannot be right.
+    """Measure the depth range of the sampled depth maps.
+
+    Emits a warning if the range is implausible or there is no depth.
 
     Parameters
     ----------
-    with_hints : say which unit would make it plausible.
+    maps : (h, w) depth maps in metres, or None.
+    scan : scan that the maps belong to.
+    with_hints : True to name units that would make the range plausible.
+
+    Returns
+    -------
+    The range; None if no pixel has depth.
     """
     present = [depth for depth in maps if depth is not None]
     if not present:
@@ -58,9 +73,7 @@ def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bo
     valid = values[values > 0]
     if not valid.size:
         emit(
-            SCAN_DEPTH_MOSTLY_EMPTY.warning(
-                "no pixel of the sampled frames has a depth; all are 0 or missing"
-            )
+            SCAN_DEPTH_MOSTLY_EMPTY.warning("no pixel of the sampled frames has depth; all are 0 or missing")
         )
         return None
     near, median, far = (float(value) for value in np.percentile(valid, (2, 50, 98)))
@@ -76,7 +89,7 @@ def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bo
     ]
     emit(
         SCALE_DEPTH_UNIT_SUSPECT.warning(
-            "the median depth is {median:.3g} m with {scale:g} units a metre",
+            "the median depth is implausible: {median:.3g} m with {scale:g} depth units per metre",
             remedy="scan.depth_scale={hints} would make it plausible" if hints and with_hints else "",
             median=median,
             scale=scale,
@@ -87,7 +100,10 @@ def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bo
 
 
 def report_markers(frames: Sequence[Frame]) -> None:
-    """Warn of a raw value at the top of the range that fills more than 1 % of the pixels: surely no depth."""
+    """Warn about undeclared markers for missing depth.
+
+    A marker is the maximum raw value if it fills more than 1 % of the pixels.
+    """
     raws = [(frame, read_raw_depth(frame.depth)) for frame in frames if isinstance(frame.depth, Path)]
     raws = [(frame, raw) for frame, raw in raws if raw.dtype.kind == "u"]
     if not raws:
@@ -97,8 +113,8 @@ def report_markers(frames: Sequence[Frame]) -> None:
     if share > 0.01 and top not in (0, *raws[0][0].depth_missing):
         emit(
             SCAN_DEPTH_MARKER_UNDECLARED.warning(
-                "{share:.0%} of the depth pixels hold the largest value, {top}; probably it marks a "
-                "missing one",
+                "{share:.0%} of the depth pixels have the maximum value {top}, which probably marks missing "
+                "depth",
                 share=share,
                 top=top,
             )

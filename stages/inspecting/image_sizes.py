@@ -1,4 +1,4 @@
-"""Images of a stream that have another size than most."""
+"""Detection of images whose size differs within a stream."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from scanloom.stages.scans.model.scan import Scan
 
 
 def report_sizes(scan: Scan) -> None:
-    """Compare the sizes in the headers of all images of each stream, and warn of those that differ."""
+    """Warn about unreadable images and different image sizes within a stream.
+
+    Only the headers of the images are read.
+    """
     for stream in ("color", "right", "depth"):
         sizes: dict[tuple[int, int] | None, list[Path]] = {}
         for frame in scan.frames:

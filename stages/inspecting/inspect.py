@@ -1,6 +1,6 @@
-"""Look at a scan before any work is done: what is there, and what is odd about it.
+"""Inspection of a scan before processing.
 
-Everything is measured on a handful of frames, so that a person gets the answer in a second or two.
+Everything is measured on a few sampled frames, so that inspection takes a second or two.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from scanloom.stages.scans.model.sharpness import least_sharp
 from scanloom.stages.scans.transforms.up import known_up
 
 _SAMPLED = 8
-# A frame so much less sharp than the usual one shows hardly any of its edges.
+# Sharpness relative to the median frame, below which a frame is reported as blurred.
 _BLURRED = 0.25
-# Where points of two frames lie so far apart, details of the colours are lost.
+# Pixels. Above this median misalignment between frames, colour detail is lost.
 _MISFIT_PX = 1.5
 
 
 def inspect(scan: Scan) -> Inspection:
-    """Measure a scan on a sample of its frames.
+    """Inspect a scan on a sample of its frames.
 
     Parameters
     ----------
-    scan : with at least one frame, and perhaps without poses or calibration (see `Scan.missing`); its images
-        are read, never changed.
+    scan : scan with at least one frame; poses and calibration may be missing (see `Scan.missing`). Images are
+        only read.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def inspect(scan: Scan) -> Inspection:
     Raises
     ------
     InputError
-        If not one of the sampled frames can be read.
+        If no sampled frame can be read.
     """
     with collecting() as diagnostics:
         inspection = _inspect(scan)
@@ -84,7 +84,7 @@ def _inspect(scan: Scan) -> Inspection:
         depth = depth_range([one.depth for one in samples], scan, with_hints=about_scale is None)
         report_markers([one.frame for one in samples])
         errors, suspicion = ({}, None) if path is None else sanity.check_poses(scan.frames)
-        # Poses only seem to be meant another way where depth is of another unit.
+        # A wrong depth unit also makes the poses look wrong, so the unit is reported first.
         suspicion = about_scale or suspicion
         if suspicion is not None:
             emit(suspicion)
@@ -130,7 +130,7 @@ class _Sample:
 
 
 def _samples(scan: Scan) -> list[_Sample]:
-    """Read a few frames spread over the scan, and warn of those that cannot be read."""
+    """Read frames evenly sampled over the scan; warn about unreadable ones."""
     chosen = sample_evenly(len(scan.frames), _SAMPLED)
     found = [_sample(scan.frames[i]) for i in chosen]
     samples = [one for one in found if isinstance(one, _Sample)]
@@ -150,7 +150,10 @@ def _sample(frame: Frame) -> _Sample | InputError:
 
 
 def _misfit(frames: Sequence[Frame]) -> float | None:
-    """Return how far from its match a point of one frame lands in another, pixels; warn if that is far."""
+    """Measure the median reprojection error between frames, pixels.
+
+    Emits a warning if it is large. Returns None if it cannot be measured.
+    """
     places = usable(frames)
     seen = look(frames, places) if len(places) > 1 else None
     if seen is None or seen.trouble:
@@ -158,8 +161,8 @@ def _misfit(frames: Sequence[Frame]) -> float | None:
     if seen.median >= _MISFIT_PX:
         emit(
             POSE_INCONSISTENT_WITH_IMAGES.warning(
-                "colour, depth and poses are off by {off:.1f} px (median of {count:,} points that two frames "
-                "show): `scanloom run` adjusts them, `scanloom adjust` does it alone",
+                "colour, depth and poses are misaligned by {off:.1f} px (median of {count:,} points seen in "
+                "two frames): `scanloom run` corrects them, `scanloom adjust` does only that",
                 off=seen.median,
                 count=len(seen.errors),
             )
@@ -168,7 +171,7 @@ def _misfit(frames: Sequence[Frame]) -> float | None:
 
 
 def _report_unregistered(frames: Sequence[Frame]) -> None:
-    """Warn if photos lie beside depth, by the outlines of objects."""
+    """Warn if photos are offset from depth maps, judged by silhouettes."""
     both = [n for n, frame in enumerate(frames) if frame.color is not None and frame.depth is not None]
     if not both or not has_one_camera([frames[n] for n in both]):
         return
@@ -177,10 +180,10 @@ def _report_unregistered(frames: Sequence[Frame]) -> None:
     if found is not None and found.is_clear:
         emit(
             CAMERA_COLOR_UNREGISTERED.warning(
-                "colour is not registered to depth: by the outlines of things photos lie {shift}",
+                "colour is not registered to depth: judged by silhouettes, the photos are shifted {shift}",
                 remedy=(
-                    "where frames have poses, `scanloom run` moves the colour camera there, `scanloom "
-                    "adjust` does it alone"
+                    "if frames have poses, `scanloom run` corrects the colour camera, `scanloom adjust` does "
+                    "only that"
                 ),
                 shift=found.said,
             )
@@ -194,8 +197,7 @@ def _least_sharp(scan: Scan) -> tuple[tuple[str, float], ...]:
     if blurred:
         emit(
             SCAN_FRAMES_BLURRED.warning(
-                "blurred, or with next to nothing to see: {names} ({count} of the {measured} frames "
-                "looked at)",
+                "{count} of {measured} sampled frames are blurred or show hardly any detail: {names}",
                 names=", ".join(blurred[:3]) + (" …" if len(blurred) > 3 else ""),
                 count=len(blurred),
                 measured=measured,
@@ -207,7 +209,7 @@ def _least_sharp(scan: Scan) -> tuple[tuple[str, float], ...]:
 def _plan(scan: Scan) -> Plan | None:
     params = FuseParams()
     try:
-        # Fusion reports of its plan itself.
+        # Fusion emits the warnings of its plan itself.
         with collecting(forward=False):
             return make_plan(upsampled_alone(scan.frames, params), params, scan.folder, workers())
     except InputError:
@@ -220,7 +222,7 @@ def _color_size(samples: Sequence[_Sample]) -> tuple[int, int] | None:
 
 
 def _stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
-    """Return the depth at the largest disparity the calibration states, and at one pixel."""
+    """Compute the depth at the largest disparity (None if unknown) and at one pixel, metres."""
     strength = rig.left.fx * rig.baseline
     offset = rig.right.cx - rig.left.cx if rig.rectified else 0.0
     near = None if rig.disparities is None else strength / max(rig.disparities + offset, 1.0)

@@ -1,4 +1,4 @@
-"""What a scan holds: the result of `inspect`."""
+"""Result of `inspect`."""
 
 from __future__ import annotations
 
@@ -18,35 +18,34 @@ from scanloom.stages.scans.codes import POSE_MISSING
 from scanloom.stages.scans.model.scan import Camera, Scan
 from scanloom.stages.scans.model.world import Scale, WorldUp
 
-# Of files that nobody used, so many are named to a person.
+# Maximum number of unused files listed in the text for people.
 _SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What a scan holds.
+    """Contents and quality of a scan.
 
     Attributes
     ----------
-    scan : what was inspected.
+    scan : inspected scan.
     color_size : (width, height) of the colour (left) images, pixels; None without colour.
-    path : of the camera; None without poses.
-    depth : of RGB-D scans, None when no sampled frame has any.
-    stereo_depth_m : for calibrated pairs: the depth at the largest stated disparity (or None) and at one
+    path : camera trajectory; None without poses.
+    depth : depth statistics of RGB-D scans; None if no sampled frame has depth.
+    stereo_depth_m : for calibrated stereo: depth at the largest calibrated disparity (or None) and at one
         pixel.
-    misfit_px : how far from its match a point that two frames show lands by depth and poses, median; None if
-        not measured.
-    pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
-    least_sharp : the least sharp twentieth of the frames with colour, the worst first, each with the variance
-        of its image's Laplacian over the median frame's; of long scans, of a sample.
-    scene : where what the frames show lies in the scan's world, of RGB-D scans with poses.
-    outlook : what fusing takes, of the same.
-    subject : what poses will be found for, `scene`, or the `object` that moves before a camera that stands
-        still; None where there are poses, or no depth maps.
-    focal : of the depth camera, where nobody states it and the frames tell it.
-    up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
-    unused : files of the folder that nobody used.
-    diagnostics : all that is odd, the reader's own first.
+    misfit_px : median reprojection error between frames, pixels; None if not measured.
+    pose_errors_m : median depth error after reprojection, by pose convention; empty if not measured.
+    least_sharp : names and sharpness of the 5 % blurriest frames, the worst first. Sharpness is the variance
+        of the Laplacian, relative to the median frame. Long scans are sampled.
+    scene : extent of the scan in world coordinates; only for RGB-D scans with poses.
+    outlook : estimated resources of fusion; only for RGB-D scans with poses.
+    up : up direction in world coordinates; None if neither layout nor accelerometer provides it.
+    subject : what registration will find poses for: `scene`, or the `object` that moves before a static
+        camera. None if the scan has poses, or no depth maps.
+    focal : focal length of the depth camera, estimated from the frames if the input does not state it.
+    unused : files of the folder that were not used.
+    diagnostics : all warnings, beginning with those from reading the scan.
     """
 
     scan: Scan
@@ -69,9 +68,9 @@ class Inspection:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return everything as what JSON can hold; units are in the names.
+        """Return all values for JSON, with units in the key names.
 
-        Where the scan is not `metric`, metres are the unit of its world.
+        If the scan is not `metric`, metres stand for the unit of its world.
         """
         scan = self.scan
         camera = scan.frames[0].camera
@@ -111,23 +110,23 @@ class Inspection:
         }
 
     def lines(self) -> list[str]:
-        """Return the same as lines of text for a person."""
+        """Return the inspection as lines of text for people."""
         scan, camera = self.scan, self.scan.frames[0].camera
         single = "single views" if scan.is_views else "colour and depth"
         kind = "stereo pairs" if scan.is_stereo else single
         m = "m" if scan.is_metric else "units"
         lines = [
             f"layout    {scan.layout}: {kind}",
-            f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} left out" if scan.skipped else ""),
+            f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} skipped" if scan.skipped else ""),
             f"camera    {_camera_words(camera)}",
         ]
         if not scan.is_metric:
-            lines.append("scale     none: lengths are in units of the scan's own world")
+            lines.append("scale     unknown: lengths are in units of the scan's world")
         if scan.scale is not None:
             lines.append(f"scale     {_scale_words(scan.scale)}")
         if self.up is not None:
             x, y, z = self.up.direction
-            lines.append(f"up        {x:.3g} {y:.3g} {z:.3g}, by {self.up.source}")
+            lines.append(f"up        {x:.3g} {y:.3g} {z:.3g}, from {self.up.source}")
         if self.color_size and self.color_size != (camera.width, camera.height):
             lines.append(f"colour    {self.color_size[0]}×{self.color_size[1]} px")
         if scan.rig is not None and camera.is_calibrated:
@@ -155,22 +154,20 @@ class Inspection:
                 (f"{error * 1000:.0f} mm" if scan.is_metric else f"{error:.2g} units") + f" {name}"
                 for name, error in ways[:2]
             )
-            lines.append(
-                f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
-            )
+            lines.append(f"poses     overlapping depth maps agree to {words} (median, best two conventions)")
         if self.subject == "object":
             lines.append(
-                "subject   a thing that moves before a camera that stands still: `scanloom run` registers it "
-                "alone, all that is seen with register.subject=scene"
+                "subject   an object that moves in front of a static camera: `scanloom run` registers only "
+                "the object, or everything visible with register.subject=scene"
             )
         if self.misfit_px is not None:
-            lines.append(f"misfit    points that two frames show lie {self.misfit_px:.2g} px apart (median)")
+            lines.append(f"misfit    points seen in two frames are {self.misfit_px:.2g} px apart (median)")
         if self.least_sharp:
             words = ", ".join(f"{name} ({value:.0%})" for name, value in self.least_sharp[:5])
-            lines.append(f"sharpness least in {words} of the median frame's")
+            lines.append(f"sharpness lowest in {words} of the median frame")
         if self.scene is not None:
             lines += [
-                f"extent    {self.scene} m, lowest to highest corner (1st to 99th percentile)",
+                f"extent    {self.scene} m, minimum to maximum corner (1st to 99th percentile)",
                 f"looks at  {in_words(self.scene.center_m)} m, the centre of view",
             ]
         if self.outlook is not None:
@@ -179,21 +176,21 @@ class Inspection:
                 f"fusion    about {needs.triangles:,} triangles at voxels of {needs.voxel_size_m:g} {m}; "
                 f"{needs.volume_mb:.0f} MB of memory, {needs.disk_mb:.0f} MB on disk"
             )
-        found = "" if scan.is_views else "; without, `scanloom run` finds them"
+        found = "" if scan.is_views else "; `scanloom run` estimates them"
         lines += [f"missing   {one}{found if one.code == POSE_MISSING.name else ''}" for one in scan.missing]
-        lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
+        lines += [f"skipped   {one.name}: {one.reason}" for one in scan.skipped[:5]]
         if len(scan.skipped) > 5:
-            lines.append(f"left out  and {len(scan.skipped) - 5} more")
+            lines.append(f"skipped   and {len(scan.skipped) - 5} more")
         lines += [f"{one.severity.value:<9} {one}" for one in self.diagnostics]
-        lines += [f"not used  {one}" for one in self.unused[:_SHOWN]]
+        lines += [f"unused    {one}" for one in self.unused[:_SHOWN]]
         if len(self.unused) > _SHOWN:
-            lines.append(f"not used  and {len(self.unused) - _SHOWN} more")
+            lines.append(f"unused    and {len(self.unused) - _SHOWN} more")
         return lines
 
 
 def _scale_words(scale: Scale) -> str:
-    spread = "" if scale.spread_share is None else f", which differ by {scale.spread_share:.1%} at most"
-    return f"{scale.metres_per_unit:.6g} m a unit, {scale.source}{spread}"
+    spread = "" if scale.spread_share is None else f", which differ by up to {scale.spread_share:.1%}"
+    return f"{scale.metres_per_unit:.6g} m per unit, {scale.source}{spread}"
 
 
 def _camera_words(camera: Camera) -> str:

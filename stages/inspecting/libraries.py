@@ -1,10 +1,10 @@
-"""Which versions of libraries are installed; nothing is imported for it."""
+"""Versions of installed libraries, read without importing them."""
 
 from __future__ import annotations
 
 from importlib import metadata
 
-# The distributions that bring a library, where it has several.
+# Distributions that provide a library, if there are several.
 _DISTRIBUTIONS = {
     "open3d": ("open3d", "open3d-cpu"),
     "opencv": (
@@ -17,11 +17,11 @@ _DISTRIBUTIONS = {
 
 
 def version_of(library: str) -> str | None:
-    """Return the installed version of a library; None where it is not there."""
+    """Return the installed version of a library, or None."""
     names = _DISTRIBUTIONS.get(library, (library,))
     return next((one.version for name in names for one in metadata.distributions(name=name)), None)
 
 
 def installed(*libraries: str) -> dict[str, str]:
-    """Return the versions of libraries by name; "unknown" for what is not there."""
+    """Return the versions of libraries by name; "unknown" if not installed."""
     return {library: version_of(library) or "unknown" for library in libraries}

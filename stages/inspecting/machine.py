@@ -1,4 +1,4 @@
-"""What is there to work with: versions, processor, memory, disk, extras."""
+"""Machine report: versions, processor, memory, disk and extras."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from scanloom.stages.files.written_by import installed_version
 from scanloom.stages.inspecting.libraries import version_of
 from scanloom.stages.inspecting.system import memory_bytes, oddities, of_processor
 
-# What the kernels and the libraries are fast with.
+# Processor features that the kernels and libraries use.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd")
 _LIBRARIES = ("numpy", "open3d", "opencv", "scikit-image", "scipy", "trimesh", "typer")
-# By the extra that brings them.
+# Library provided by each extra.
 _EXTRAS = {
     "batch": "pyarrow",
     "dask": "distributed",
@@ -30,7 +30,10 @@ _EXTRAS = {
 
 
 def machine() -> dict[str, Any]:
-    """Return what is there, units in the names; None for what cannot be told. Nothing large is imported."""
+    """Collect versions and resources of this machine.
+
+    Key names contain units. Unknown values become None. No large library is imported.
+    """
     total, available = memory_bytes()
     return {
         "scanloom": installed_version(),
@@ -51,7 +54,10 @@ def machine() -> dict[str, Any]:
 
 
 def kernels_build() -> str:
-    """Return the kernels' file name and the first digits of its digest: two builds of a version differ."""
+    """Identify the build of the kernels by file name and digest.
+
+    The start of the SHA-256 digest distinguishes builds with the same version.
+    """
     path = Path(str(_kernels.__file__))
     return f"{path.name} {hashlib.sha256(content_of(path)).hexdigest()[:12]}"
 

@@ -1,4 +1,4 @@
-"""The ways in which poses can be meant, whatever a file's own form says: direction, axes, order."""
+"""Candidate pose conventions: direction, axes and frame order."""
 
 from __future__ import annotations
 
@@ -15,30 +15,46 @@ from scanloom.stages.scans.model.poses import (
 from scanloom.stages.scans.model.scan import Pose
 
 AS_GIVEN = "as given"
-# The values of scan.pose_convention, by how a sentence calls them.
+# Values of `scan.pose_convention`, by their description in messages.
 _CONVENTIONS = {
     AS_GIVEN: AS_WRITTEN,
     WORLD_TO_CAMERA: WORLD_TO_CAMERA,
-    "of a camera with y up and z back": Y_UP,
-    "world-to-camera, with y up and z back": WORLD_TO_CAMERA_Y_UP,
+    "in camera axes with y up and z back": Y_UP,
+    "world-to-camera in axes with y up and z back": WORLD_TO_CAMERA_Y_UP,
 }
 
 
 def advice(best: str) -> str:
-    """Return the sentence that says what to do where the poses are probably meant another way."""
+    """Suggest how to correct the pose convention, as a sentence.
+
+    Parameters
+    ----------
+    best : description of the best-fitting convention, a key of `motions`.
+    """
     convention = _CONVENTIONS.get(best)
-    change = "Give them" if convention is None else f"Set scan.pose_convention={convention}, or give them"
+    change = "Provide" if convention is None else f"Set scan.pose_convention={convention}, or provide"
     return (
-        f"{change} camera-to-world with x right, y down, z forward, in the frames' order, or use them as "
-        "they are with --no-check-poses (in a config file: check_poses = false under [scan])."
+        f"{change} camera-to-world poses with x right, y down, z forward, in frame order. To use the poses "
+        "as given, disable the check with --no-check-poses (in a config file: check_poses = false under "
+        "[scan])."
     )
 
 
 def motions(poses: Sequence[Pose], first: int, second: int) -> dict[str, Pose]:
-    """Return second_from_first as each way to take the poses gives it, by how a sentence calls it."""
+    """Compute second_from_first under each candidate convention.
+
+    Parameters
+    ----------
+    poses : poses of all frames, as read.
+    first, second : indices of the two frames.
+
+    Returns
+    -------
+    Relative poses (4, 4), by the description of the convention.
+    """
     ways = {
         name: inverted(meant(poses[second], convention)) @ meant(poses[first], convention)
         for name, convention in _CONVENTIONS.items()
     }
     backwards = inverted(poses[-1 - second]) @ poses[-1 - first]
-    return {**ways, "in the order of the frames backwards": backwards}
+    return {**ways, "in reverse frame order": backwards}

@@ -1,4 +1,4 @@
-"""What fusing a scan will take, before it is begun: estimated from the frames that fusion looks at first."""
+"""Estimate of the resources that fusion needs, from its sampled frames."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ from scanloom.stages.fusion.voxels import block_bytes
 from scanloom.stages.printing import by_fields
 from scanloom.stages.scans.model.scan import Frame
 
-# What a run leaves behind for each triangle that is fused: meshes after each stage, records, pictures.
+# Bytes on disk per fused triangle, over all artifacts: meshes after each stage, records, images.
 _DISK_BYTES = 130
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a run with the default parameters will need; good to a factor of about two.
+    """Estimated resources of a run with default parameters.
+
+    Estimates are within a factor of about two.
 
     Attributes
     ----------
-    voxel_size_m : metres, as fusion derives it.
-    volume_mb : memory of the voxels at the end of fusion; fusion stops where it outgrows `fuse.memory`.
-    triangles : of the fused mesh.
-    disk_mb : of all results and the cache.
+    voxel_size_m : derived voxel size, metres.
+    volume_mb : memory of the TSDF volume at the end of fusion, MB. Fusion stops if it exceeds `fuse.memory`.
+    triangles : triangles of the fused mesh.
+    disk_mb : disk space of all results and the cache, MB.
     """
 
     voxel_size_m: float
@@ -35,7 +37,7 @@ class Outlook:
 
 
 def outlook(frames: Sequence[Frame], plan: Plan) -> Outlook:
-    """Estimate what fusing frames with depth and poses takes, from the plan of it."""
+    """Estimate the resources that fusion needs from its plan."""
     color = any(frame.color is not None for frame in frames)
     return Outlook(
         voxel_size_m=plan.voxel_size,

@@ -1,4 +1,4 @@
-"""A picture of what a scan holds: where its cameras stand, and one frame's depth over its colour."""
+"""Overview image of a scan: trajectory, and depth over colour."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ _HEIGHT = 480
 _MARGIN = 48
 _INK, _FAINT, _PAPER = (32, 32, 40), (170, 170, 178), (248, 248, 250)
 _FIRST, _LAST = np.array((40.0, 90.0, 200.0)), np.array((220.0, 80.0, 30.0))
-# A camera's optical axis is drawn this long, as a share of the path's extent.
+# Length of a drawn optical axis, as ratio of the trajectory's extent.
 _AXIS = 0.08
 
 
 def inspection_picture(scan: Scan) -> ColorImage:
-    """Draw the cameras from above and from the side, and the middle frame: depth over colour, or a pair.
+    """Draw the camera trajectory from two sides, and the middle frame.
 
     Parameters
     ----------
-    scan : as read, with or without poses.
+    scan : scan with or without poses.
 
     Returns
     -------
-    (h, w, 3) uint8 RGB. Paths go from blue to red, each camera with the direction it looks in; "above" and
-    "side" look along the axes in which the path extends least. Near depth is yellow, far depth is purple, and
-    where there is none the colour shows.
+    (h, w, 3) uint8 RGB. The trajectory runs from blue to red, with the optical axis of each camera. "above"
+    and "side" look along the two axes of smallest extent. Near depth is yellow, far depth is purple; colour
+    shows where depth is missing. Stereo scans show the pair instead.
 
     Raises
     ------
     InputError
-        If the frame's images cannot be read.
+        If the images of the middle frame cannot be read.
     """
     frame = scan.frames[len(scan.frames) // 2]
     panels = [*_paths(scan), _frame_panel(frame)]
@@ -66,7 +66,7 @@ def _path(poses: NDArray[np.float64], axes: NDArray[np.float64], name: str) -> N
     panel = np.full((_HEIGHT, _HEIGHT, 3), _PAPER, np.uint8)
     flat = poses[:, :3, 3] @ axes.T
     middle = (flat.max(axis=0) + flat.min(axis=0)) / 2
-    # Both panels have one scale: that of the whole path.
+    # Both panels have the same scale, set by the extent of the trajectory.
     extent = max(float(np.ptp(poses[:, :3, 3], axis=0).max()), 1e-6)
     unit = (_HEIGHT - 2 * _MARGIN) / (1.2 * extent)
 
@@ -97,7 +97,7 @@ def _frame_panel(frame: Frame) -> NDArray[np.uint8]:
         sides = [image for image in (read_color(frame), read_right(frame)) if image is not None]
         if not sides:
             raise InputError(
-                SCAN_DEPTH_MOSTLY_EMPTY, "there is neither colour nor depth.", Where(frame=frame.name)
+                SCAN_DEPTH_MOSTLY_EMPTY, "the frame has neither colour nor depth.", Where(frame=frame.name)
             )
         panel = np.concatenate([_sized(image) for image in sides], axis=1)
         _write(panel, frame.name, (12, 22))
@@ -111,7 +111,7 @@ def _frame_panel(frame: Frame) -> NDArray[np.uint8]:
 
 
 def _over(depth: NDArray[np.float32], color: ColorImage | None) -> NDArray[np.uint8]:
-    """Return the depth in colours, with the edges of the colour image seen through it."""
+    """Blend colour-mapped depth with the colour image."""
     import cv2
 
     valid = depth > 0

@@ -1,7 +1,7 @@
-"""Do the images agree with what the folder says of them? Cheap tests on a few frames.
+"""Consistency checks of images, poses and calibration on a few frames.
 
-They emit or return diagnostics. They catch the mistakes that give a blurred or mirrored mesh and no
-error: poses taken the wrong way round, a wrong axis, colour beside depth, left and right exchanged.
+They emit or return diagnostics. They detect input mistakes that produce a blurred or mirrored mesh without an
+error: inverted poses, wrong axes, unregistered colour, swapped left and right images.
 """
 
 from __future__ import annotations
@@ -27,34 +27,37 @@ from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAP
 RESULT_VERSION = 2
 
 _COUPLES = 8
-# Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
+# Minimum ratio of a frame's points that fall on depth of the other frame for a comparison.
 _LEAST_OVERLAP = 0.1
-# Depth of one frame meets another's to half a per cent with sound poses; beyond 3 % nothing fits.
+# Relative depth errors between frames: correct poses reach 0.5 %; above 3 % no convention fits.
 _SOUND_SHARE = 0.005
 _FITTING_SHARE = 0.03
-# Noise of depth differs from pixel to pixel, poses move whole patches: so many pixels wide, each with so many
-# points that meet another frame's depth within this share of the distance.
+# Depth noise varies from pixel to pixel, pose errors displace whole patches. Side of a patch in pixels,
+# minimum number of matching points per patch, maximum relative depth difference of a matching point.
 _PATCH, _LEAST_POINTS, _NEAR_SHARE = 64, 16, 0.05
-# Recordings with sound poses come to 0.1 to 0.3 %; those with poses of another moment, or half a degree off,
-# to 0.6 to 1 %.
+# Measured relative offsets: 0.1 to 0.3 % with correct poses, 0.6 to 1 % with wrong timestamps or half a
+# degree of rotation error.
 _INEXACT_SHARE = 0.005
-# The same for the unit of depth: below the first the declared one is right, below the second another is.
+# The same for the depth unit. Below the first value the declared unit is accepted; below the second another
+# one fits.
 _SOUND_SCALE_SHARE = 0.015
 _FITTING_SCALE_SHARE = 0.012
 _CLEARLY = 1.25
 
-# The places of two frames among those compared, and the depth of both.
+# Two frames to compare: index and depth map of each.
 _Couple: TypeAlias = tuple[tuple[int, DepthImage], tuple[int, DepthImage]]
 
 
 def require_poses(scan: Scan) -> None:
-    """Stop when another reading of the poses clearly fits the depth better; warn if that is only suspected.
+    """Reject poses if another convention clearly fits the depth better.
+
+    A suspicion that cannot be confirmed only emits a warning.
 
     Raises
     ------
     InputError
-        With the comparison of `check_poses`. Where frames do not overlap with the poses as given, there is
-        nothing to compare, which is only suspicious.
+        With the comparison of `check_poses`. If frames do not overlap with the poses as given, there is
+        nothing to compare, and only a warning is emitted.
     """
     errors, suspicion = check_poses(scan.frames)
     if suspicion is None:
@@ -73,19 +76,20 @@ def require_poses(scan: Scan) -> None:
 
 
 def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic | None]:
-    """Reproject depth from frame to frame with the poses as given, inverted, with flipped axes, and both.
+    """Compare pose conventions by reprojecting depth between frames.
 
-    And with the last pose for the first frame, and so on: files that list frames the other way round.
+    Candidates are the poses as given, inverted, with flipped axes, both, and in reverse frame order.
 
     Parameters
     ----------
-    frames : with depth and poses; those without a pose are left out.
+    frames : frames with depth and poses; frames without a pose are ignored.
 
     Returns
     -------
-    The median depth error in metres of each way (those that overlap enough), and a warning when another way
-    fits, with less than half the error of the declared one, and that one does not. It names all ways that
-    fit as well: of a camera that moves evenly, poses inverted and poses backwards are the same.
+    errors : median depth error in metres by convention, for conventions with enough overlap.
+    suspicion : warning if another convention fits with less than half the error of the declared one, which
+        does not fit; else None. It names all conventions that fit equally well: for uniform camera motion,
+        inverted and reversed poses are the same.
     """
     frames, poses = _posed(frames)
     errors: dict[str, list[NDArray[np.float64]]] = {}
@@ -109,8 +113,8 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic |
     was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
     alike = [name for name, error in medians.items() if error < _CLEARLY * medians[best]]
     return medians, POSE_CONVENTION_SUSPECT.warning(
-        "the poses are probably {alike}: so taken, the depth of one frame meets another's to {best_mm:.0f} "
-        "mm, as given to {given}",
+        "the poses are probably {alike}: overlapping depth maps then agree to {best_mm:.0f} mm; as given: "
+        "{given}",
         alike=", or ".join(alike),
         best_mm=1000 * medians[best],
         given=was,
@@ -118,11 +122,13 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic |
 
 
 def pose_doubts(frames: Sequence[Frame]) -> None:
-    """Carry surfaces from frame to frame by the poses as given; warn when patches lie off as a whole.
+    """Warn if surfaces of neighbouring frames are offset patch by patch.
+
+    Such an offset indicates inexact poses rather than depth noise.
 
     Parameters
     ----------
-    frames : with depth and poses; those without a pose are left out.
+    frames : frames with depth and poses; frames without a pose are ignored.
     """
     frames, poses = _posed(frames)
     shares = []
@@ -135,16 +141,21 @@ def pose_doubts(frames: Sequence[Frame]) -> None:
     if usual > _INEXACT_SHARE:
         emit(
             POSE_INEXACT.warning(
-                "by the poses, surfaces of one frame lie {share:.1%} of their distance off another's "
-                "(median): they are inexact",
-                remedy=("register.enabled=true with register.refine=true brings them nearer by the surfaces"),
+                "the poses are inexact: surfaces of overlapping frames are offset by {share:.1%} of their "
+                "distance (median)",
+                remedy="register.enabled=true with register.refine=true refines the poses",
                 share=usual,
             )
         )
 
 
 def _off_in_patches(meets: NDArray[np.float64]) -> list[float]:
-    """Return how far patches lie off, as shares of their distance, from points as `_meeting` returns them."""
+    """Compute the median relative depth offset of each patch.
+
+    Parameters
+    ----------
+    meets : (n, 4) reprojected points from `_meeting`.
+    """
     column, row, distance, off = meets.T
     near = np.abs(off) < _NEAR_SHARE * distance
     patch = (row // _PATCH) * 10_000 + column // _PATCH
@@ -157,12 +168,16 @@ def _off_in_patches(meets: NDArray[np.float64]) -> list[float]:
 
 
 def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> Diagnostic | None:
-    """Reproject depth from frame to frame in each of several units; return a warning if another one fits.
+    """Compare depth units by reprojecting depth between frames.
 
     Parameters
     ----------
-    frames : with depth and metric poses between which the camera moves; those without a pose are left out.
-    scales : units a metre that depth files use.
+    frames : frames with depth and metric poses of a moving camera; frames without a pose are ignored.
+    scales : candidate depth units per metre.
+
+    Returns
+    -------
+    A warning if another unit clearly fits better, else None.
     """
     frames, poses = _posed(frames)
     couples = _couples(frames)
@@ -185,11 +200,11 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> Diagnostic 
     if best == declared or found[best] > min(_FITTING_SCALE_SHARE, (given or 1) / 2):
         return None
     if sum(share < _CLEARLY * found[best] for share in found.values()) > 1:
-        return None  # The camera moves too little to tell them apart.
+        return None  # The camera moves too little to distinguish the candidates.
     was = "no overlap" if given is None else f"{given:.1%}"
     return SCALE_DEPTH_UNIT_SUSPECT.warning(
-        "depth and poses fit together with scan.depth_scale={best:g}: so taken, depth of one frame meets "
-        "another's to {share:.1%} of the distance, with {declared:g} units a metre to {was}",
+        "the depth unit is probably wrong: with scan.depth_scale={best:g}, overlapping depth maps agree to "
+        "{share:.1%} of the distance; with {declared:g} units per metre: {was}",
         best=best,
         share=found[best],
         declared=declared,
@@ -200,15 +215,19 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> Diagnostic 
 def _misfit_share(
     frames: Sequence[Frame], poses: Sequence[Pose], couples: Sequence[_Couple], units: float
 ) -> float | None:
-    """Return the median depth error as a share of the depth if a metre were so many times the units it is.
+    """Measure the median relative depth error under another depth unit.
 
-    None where the frames do not overlap.
+    Returns None if the frames do not overlap.
+
+    Parameters
+    ----------
+    units : candidate units per metre, relative to the declared ones.
     """
     shares = []
     for (i, first), (k, second) in couples:
         points = _points(first, frames[i].camera)
         given = inverted(poses[k]) @ poses[i]
-        # As if the camera had moved farther, instead of depth being less.
+        # Scaling the translation up is equivalent to scaling depth down.
         given[:3, 3] *= units
         errors = _depth_errors(points, given, second, frames[k].camera)
         if errors.size > _LEAST_OVERLAP * len(points):
@@ -217,31 +236,35 @@ def _misfit_share(
 
 
 def report_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> None:
-    """Match features of left and right; warn if their rows differ though rectified, or left is right."""
+    """Warn about stereo pairs that are swapped, or not rectified as declared.
+
+    Rows and disparities are measured on feature matches.
+    """
     moves = [_feature_moves(left, right) for left, right in pairs if left is not None and right is not None]
     found = np.concatenate(moves) if moves else np.empty((0, 2))
     if len(found) < 50:
         return
-    # With an offset between the centres, disparity may rightly be negative.
+    # Different principal points can make the disparity negative in a correct pair.
     disparity = float(np.median(found[:, 0])) + rig.right.cx - rig.left.cx
     row = float(np.median(np.abs(found[:, 1])))
     if disparity < 0:
         emit(
             DEPTH_PAIR_SWAPPED.warning(
-                "left and right seem exchanged: the median disparity is {disparity:.1f} px",
+                "left and right images seem swapped: the median disparity is {disparity:.1f} px",
                 disparity=disparity,
             )
         )
     if rig.rectified and row > 0.5:
         emit(
             DEPTH_PAIR_ROWS_DIFFER.warning(
-                "the pairs are said to be rectified, but matched features differ by {rows:.1f} rows", rows=row
+                "the pairs are declared as rectified, but matched features differ by {rows:.1f} rows",
+                rows=row,
             )
         )
 
 
 def _couples(frames: Sequence[Frame]) -> list[_Couple]:
-    """Read a few couples of frames some way apart, so that the camera has moved between them."""
+    """Read frame pairs that are far enough apart for camera motion."""
     step = max(1, len(frames) // 25)
     last = len(frames) - 1 - step
     if last < 0:
@@ -269,7 +292,7 @@ def _posed(frames: Sequence[Frame]) -> tuple[Sequence[Frame], list[Pose]]:
 
 
 def _points(depth: DepthImage, camera: Camera) -> NDArray[np.float64]:
-    """Return (n, 3) points in the camera's axes from every eighth pixel that has depth."""
+    """Unproject every eighth pixel with depth to points (n, 3) in camera coordinates."""
     rows, columns = np.mgrid[4 : depth.shape[0] : 8, 4 : depth.shape[1] : 8]
     z = depth[rows, columns].astype(np.float64)
     points: NDArray[np.float64] = unproject(columns, rows, z, camera)[z > 0]
@@ -279,14 +302,21 @@ def _points(depth: DepthImage, camera: Camera) -> NDArray[np.float64]:
 def _depth_errors(
     points: NDArray[np.float64], second_from_first: Pose, depth: DepthImage, camera: Camera
 ) -> NDArray[np.float64]:
-    """Return how far the depth map lies from each point that falls on it, in metres."""
+    """Return the absolute depth difference of each overlapping point, metres."""
     return np.asarray(np.abs(_meeting(points, second_from_first, depth, camera)[:, 3]))
 
 
 def _meeting(
     points: NDArray[np.float64], second_from_first: Pose, depth: DepthImage, camera: Camera
 ) -> NDArray[np.float64]:
-    """Return the points that fall on depth of a map, (n, 4): column, row, distance, how far it is behind."""
+    """Reproject points into a depth map and compare depths.
+
+    Points that fall on no measured depth are dropped.
+
+    Returns
+    -------
+    (n, 4) column, row, depth of the point, and measured depth minus that depth, metres.
+    """
     moved = points @ second_from_first[:3, :3].T + second_from_first[:3, 3]
     moved = moved[moved[:, 2] > 0.05]
     columns, rows = map(np.rint, project(moved, camera))
@@ -298,7 +328,7 @@ def _meeting(
 
 
 def _feature_moves(left: ColorImage, right: ColorImage) -> NDArray[np.float64]:
-    """Return (n, 2) left minus right positions of features that match both ways, in pixels."""
+    """Return the displacements (n, 2), left minus right, of mutual feature matches, pixels."""
     import cv2
 
     finder = cv2.ORB.create(1000)

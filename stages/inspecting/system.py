@@ -1,4 +1,4 @@
-"""What systems tell of themselves, each in its own way, and what is odd about one."""
+"""Operating system queries: memory, processor, and limitations of the platform."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if sys.platform == "win32":
 
 
 def memory_bytes() -> tuple[int | None, int | None]:
-    """Return all memory there is and what is free of it; None for what the system does not tell."""
+    """Return total and available memory in bytes; None if unknown."""
     if sys.platform == "win32":
         return windows.memory_bytes()
     else:  # noqa: RET505 - type checkers take the rest for unreachable on Windows
@@ -27,33 +27,36 @@ def memory_bytes() -> tuple[int | None, int | None]:
 
 
 def of_processor(key: str) -> str | None:
-    """Return what the system says of the first processor under a key; None where it does not."""
+    """Look up a property of the first processor in /proc/cpuinfo.
+
+    Returns None if the file or the key does not exist.
+    """
     return _first(Path("/proc/cpuinfo"), key)
 
 
 def oddities(folder: Path) -> list[str]:
-    """Return sentences on what is other here than where scanloom is tried most, if anything.
+    """Return notes about untested or limiting properties of this platform.
 
     Parameters
     ----------
-    folder : on the file system that is meant; nothing is written.
+    folder : existing folder whose file system is checked; nothing is written.
     """
     system = {"win32": "Windows", "darwin": "macOS"}.get(sys.platform, sys.platform)
     sentences = {
-        f"scanloom is tried on Linux; on {system} it is expected to work, see docs/platforms.md.": (
+        f"scanloom is tested on Linux; on {system} it is expected to work, see docs/platforms.md.": (
             sys.platform != "linux"
         ),
-        "this Python has 32 bits: scans may not fit into its memory.": sys.maxsize < 1 << 32,
-        "this processor has its bytes in another order than files of scans do.": sys.byteorder != "little",
-        f"{folder}: names that differ in upper and lower case alone are one file here.": ignores_case(folder),
-        "paths may have 260 characters only: keep output folders near the root, or switch on long paths in "
-        "Windows.": (sys.platform == "win32" and not windows.takes_long_paths()),
+        "this is a 32-bit Python: scans may not fit into its address space.": sys.maxsize < 1 << 32,
+        "this processor is big-endian, but scan files are little-endian.": sys.byteorder != "little",
+        f"{folder}: the file system does not distinguish upper and lower case.": ignores_case(folder),
+        "paths are limited to 260 characters: keep output folders near the drive root, or enable long paths "
+        "in Windows.": (sys.platform == "win32" and not windows.takes_long_paths()),
     }
     return [sentence for sentence, holds in sentences.items() if holds]
 
 
 def ignores_case(folder: Path) -> bool:
-    """Return whether names that differ in case alone are one file where a folder is."""
+    """Return True if a folder's file system ignores case."""
     there = folder.absolute()
     lettered = next((p for p in (there, *there.parents) if p.name.swapcase() != p.name), None)
     try:
@@ -67,7 +70,10 @@ def _of_kilobytes(text: str) -> int:
 
 
 def _first(path: Path, key: str) -> str | None:
-    """Return what stands behind a key of a file of the system; None where there is none."""
+    """Return the first value of a key in a system file.
+
+    Returns None if the file or the key does not exist.
+    """
     try:
         lines = text_in(path, "utf-8").splitlines()
     except (OSError, UnicodeDecodeError):

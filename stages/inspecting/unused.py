@@ -1,4 +1,7 @@
-"""Files of a scan folder that nobody used, and what they might be: nothing is ignored in silence."""
+"""Detection of unused files in a scan folder.
+
+Nothing is ignored silently: each file is reported with a guess at its content.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +24,12 @@ from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.transforms.adjusted_cameras import with_adjusted
 
-# Of a folder with more, the rest is not looked through.
+# Maximum number of files examined in a folder.
 _MOST_FILES = 20_000
-# More files of one kind in a folder are told as one.
+# Up to this number, files of one type in a folder are listed individually; more are summarised in one entry.
 _ALONE = 3
 _TEXTS_ALONE = 12
-# Larger texts are logs and meshes; a pose takes some hundred bytes.
+# Bytes. Larger text files are logs or meshes; a pose takes about a hundred bytes.
 _MAX_BYTES = 1 << 22
 _TEXTS = (
     ".json",
@@ -47,27 +50,27 @@ _SUFFIXES = {
     ".ply": "points or a mesh",
     ".obj": "a mesh",
     ".glb": "a mesh",
-    ".bag": "a recording: a scan of its own",
-    ".db3": "a recording: a scan of its own",
-    ".mcap": "a recording: a scan of its own",
-    ".sens": "a recording: a scan of its own",
-    ".r3d": "a recording: a scan of its own",
+    ".bag": "a recording: a separate scan",
+    ".db3": "a recording: a separate scan",
+    ".mcap": "a recording: a separate scan",
+    ".sens": "a recording: a separate scan",
+    ".r3d": "a recording: a separate scan",
     ".mp4": "a video",
     ".mov": "a video",
 }
-# For people, or left by systems.
+# Prefixes of files for people or operating systems, which are not reported.
 _NOTES = ("readme", "license", "licence", "thumbs.db", "desktop.ini")
 
 
 @dataclass(frozen=True)
 class Unused:
-    """A file that nobody used, or several of a folder.
+    """Unused file, or group of unused files in one folder.
 
     Attributes
     ----------
-    name : below the scan folder; a pattern for several.
-    count : of files.
-    looks_like : what it might be and the option that takes it; empty where nothing is known of it.
+    name : path relative to the scan folder; a pattern for a group.
+    count : number of files.
+    looks_like : guessed content and the option that reads it; empty if unknown.
     """
 
     name: str
@@ -77,26 +80,26 @@ class Unused:
     __repr__ = by_fields
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Describe the entry for people."""
         several = f" ({self.count} files)" if self.count > 1 else ""
         return f"{self.name}{several}" + (f" looks like {self.looks_like}" if self.looks_like else "")
 
 
 def unused(scan: Scan) -> tuple[Unused, ...]:
-    """Return the files of a scan's folder, and of the folders in it, that were not read."""
+    """List the files below a scan's folder that were not read."""
     if scan.folder is None or not scan.folder.is_dir() or not scan.read_from:
         return ()
     known = {os.path.realpath(path) for path in scan.read_from}
     files = []
     for path in islice(_files(scan.folder), _MOST_FILES):
-        # Links lead to files twice, and folders that hold themselves do without end.
+        # Links can lead to the same file twice, or to a folder that contains itself.
         if (real := os.path.realpath(path)) not in known:
             known.add(real)
             files.append(path)
     kinds: dict[tuple[Path, str], list[str]] = defaultdict(list)
     for path in files:
         kinds[path.parent, path.suffix.lower()].append(path.stem)
-    # Diagnostics of files that are only tried say nothing about the scan.
+    # Warnings from trial reads are not about the scan.
     with only_looking(), collecting(forward=False):
         found = [
             Unused(path.relative_to(scan.folder).as_posix(), 1, _looks_like(path, scan))
@@ -116,7 +119,7 @@ def unused(scan: Scan) -> tuple[Unused, ...]:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the files of a folder and of all below it, each folder once, whatever links lead to it."""
+    """Yield the files below a folder; linked folders are visited once."""
     seen = {os.path.realpath(folder)}
     waiting = [folder]
     while waiting:
@@ -138,8 +141,8 @@ def _listed(place: Path) -> list[Path]:
 
 
 def _beginning(stems: Sequence[str]) -> str:
-    """Return what all names begin with, but for their numbers."""
-    # What the first and the last in order share, all between have.
+    """Return the common prefix of file names, without trailing digits."""
+    # The common prefix of the first and last name in sorted order is shared by all names.
     both = takewhile(lambda pair: pair[0] == pair[1], zip(min(stems), max(stems), strict=False))
     return "".join(one for one, _ in both).rstrip("0123456789")
 
@@ -152,17 +155,17 @@ def _kind_of(place: Path, suffix: str) -> str:
     if suffix in IMAGES and "mask" in place.name.lower():
         return f"masks: scan.masks={place.name}"
     if suffix in IMAGES and "conf" in place.name.lower():
-        return "maps of confidence"
+        return "confidence maps"
     if suffix in DEPTHS and place.name.lower().startswith("disp"):
-        return "disparities that are known"
+        return "ground-truth disparities"
     return "images" if suffix in IMAGES else _SUFFIXES.get(suffix, "")
 
 
 def _looks_like(path: Path, scan: Scan) -> str:
-    """Say what a file might be, and which option takes it."""
+    """Guess the content of a file, and the option that reads it."""
     suffix = path.suffix.lower()
     if path.stem.lower().startswith("disp") and suffix in DEPTHS:
-        return "disparities that are known"
+        return "ground-truth disparities"
     if suffix in IMAGES:
         return "an image"
     if suffix not in _TEXTS or path.stat().st_size > _MAX_BYTES:
@@ -170,16 +173,20 @@ def _looks_like(path: Path, scan: Scan) -> str:
     if (count := _poses_in(path)) > 1:
         return f"{count} poses: scan.poses={path.name}"
     if path.suffix == ".txt" and _reads(lambda: read_associations(path)):
-        return "couples of colour and depth, which the frames are known without"
+        return "pairs of colour and depth images, which this layout does not need"
     if _reads(lambda: with_adjusted(scan, path)):
-        return f"what adjust found: scan.adjusted={path.name}"
+        return f"a result of adjust: scan.adjusted={path.name}"
     camera = scan.frames[0].camera
     size = camera.width, camera.height
     if scan.is_stereo and _reads(lambda: rig_calibration.read_rig(path, *size)):
-        return f"the calibration of a pair: scan.calibration={path.name}"
+        return f"a stereo calibration: scan.calibration={path.name}"
     if not _reads(lambda: calibration.read_camera(path, *size)):
         return ""
-    return "a camera alone" if scan.is_stereo else f"a camera: scan.calibration={path.name}"
+    return (
+        "the calibration of a single camera"
+        if scan.is_stereo
+        else f"a camera calibration: scan.calibration={path.name}"
+    )
 
 
 def _reads(read: Callable[[], object]) -> bool:

@@ -1,8 +1,9 @@
-"""Do photos agree with the poses that a folder gives them? What two of them show lies where the poses say.
+"""Consistency check of photos and their given poses by epipolar geometry.
 
-Points that are recognised in both lie on each other's epipolar lines (Hartley and Zisserman, "Multiple view
-geometry", 2004, section 9), and in front of both cameras. If they do under another reading of the poses, and
-not under the declared one, no depth comes of them, or a wrong one.
+Under correct poses, matched features are on each other's epipolar lines and in front of both cameras. If they
+only are under another pose convention, depth from these photos would be missing or wrong.
+
+Hartley and Zisserman, "Multiple view geometry", 2004, section 9.
 """
 
 from __future__ import annotations
@@ -29,22 +30,24 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole,
 
 RESULT_VERSION = 1
 
-# Couples of views, each of one and the next or the one after; images no wider than so many pixels.
+# Number of view pairs, maximum index distance within a pair, maximum image width in pixels, number of
+# keypoints.
 _COUPLES, _AFTER, _WIDEST, _KEYPOINTS = 5, 2, 1200, 2000
-# Matches of one motion that a couple needs to tell anything.
+# Minimum number of geometrically consistent matches per pair.
 _LEAST = 24
-# So exact a reading fits; one that is no worse than the second is sound, whatever another comes to.
+# Pixels. Another convention must fit below the first value; below the second, the declared convention is
+# accepted.
 _FITTING_PX, _SOUND_PX = 2.0, 4.0
-# A reading is another's better by so much.
+# Minimum ratio between the errors of the declared and a better convention.
 _CLEARLY = 4.0
-# Points behind a camera were not seen.
+# Minimum ratio of matches in front of both cameras; otherwise the convention is rejected.
 _LEAST_IN_FRONT = 0.5
 
 Pixels = NDArray[np.float64]
 
 
 def require_view_poses(scan: Scan) -> None:
-    """Stop when another reading of the poses clearly fits the photos better.
+    """Reject poses if another convention clearly fits the photos better.
 
     Raises
     ------
@@ -65,17 +68,17 @@ def require_view_poses(scan: Scan) -> None:
 
 
 def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic | None]:
-    """Match a few couples of views, and measure how far matches are off with the poses meant in several ways.
+    """Compare pose conventions by the epipolar distances of feature matches.
 
     Parameters
     ----------
-    frames : with photos and poses; those without are left out.
+    frames : frames with photos and poses; other frames are ignored.
 
     Returns
     -------
-    The median distance of each way from its epipolar lines, in pixels of photos no wider than 1200; infinite
-    where points come to lie behind a camera. And a warning if another way fits clearly better than the
-    declared one.
+    errors : median distance to the epipolar lines by convention, in pixels of photos up to 1200 wide;
+        infinite if points are behind a camera.
+    suspicion : warning if another convention fits clearly better than the declared one, else None.
     """
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
     poses = [frame.world_from_camera for frame in posed if frame.world_from_camera is not None]
@@ -90,10 +93,9 @@ def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnos
     if declared < max(_SOUND_PX, _CLEARLY * errors[best]) or errors[best] > _FITTING_PX:
         return errors, None
     alike = [name for name, error in errors.items() if error < max(_CLEARLY * errors[best], 1.0)]
-    was = f"{declared:.0f} px" if np.isfinite(declared) else "behind the cameras"
+    was = f"{declared:.0f} px" if np.isfinite(declared) else "points behind the cameras"
     return errors, POSE_CONVENTION_SUSPECT.warning(
-        "the poses are probably {alike}: so taken, what one photo shows lies within {best_px:.1f} px of "
-        "where another has it, as given {given}",
+        "the poses are probably {alike}: feature matches then agree to {best_px:.1f} px; as given: {given}",
         alike=", or ".join(alike),
         best_px=max(errors[best], 0.1),
         given=was,
@@ -103,7 +105,12 @@ def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnos
 def _matched(
     frames: Sequence[Frame],
 ) -> list[tuple[int, int, Pixels, Pixels, tuple[Camera, Camera]]]:
-    """Return couples of views: their places, the pixels in each of what both show, and their cameras."""
+    """Match features in pairs of neighbouring views.
+
+    Returns
+    -------
+    Per pair: indices of both views, matched pixels (n, 2) in each, and their cameras.
+    """
     count = len(frames)
     starts = sample_evenly(max(count - 1, 0), _COUPLES)
     places = sorted({int(at) + n for at in starts for n in range(_AFTER + 1) if at + n < count})
@@ -129,7 +136,10 @@ def _matched(
 
 
 def _seen(frame: Frame) -> tuple[Keypoints, Camera] | None:
-    """Return what can be recognised in a view, and its camera in that size; None if it cannot be read."""
+    """Detect features of a view, with its camera at that image size.
+
+    Returns None if the photo cannot be read.
+    """
     import cv2
 
     try:
@@ -147,7 +157,10 @@ def _seen(frame: Frame) -> tuple[Keypoints, Camera] | None:
 
 
 def _agreeing(one: Keypoints, other: Keypoints) -> tuple[Pixels, Pixels] | None:
-    """Return the pixels of matches that one motion of the camera explains, None where they are too few."""
+    """Match the features of two views and keep the epipolar inliers.
+
+    Returns None with fewer than `_LEAST` inliers.
+    """
     pairs = match_descriptors(one.descriptors, other.descriptors)
     first, second = one.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
     good = find_epipolar_inliers(first, second)
@@ -159,21 +172,24 @@ def _agreeing(one: Keypoints, other: Keypoints) -> tuple[Pixels, Pixels] | None:
 def _errors(
     second_from_first: Pose, first: Pixels, second: Pixels, cameras: tuple[Camera, Camera]
 ) -> NDArray[np.float64]:
-    """Return how far matches (n, 2) are off each other's epipolar lines (Sampson's distance), pixels."""
+    """Compute the Sampson distances (n,) of matches (n, 2) in pixels.
+
+    All distances are infinite if too many points are behind a camera.
+    """
     turn, shift = second_from_first[:3, :3], second_from_first[:3, 3]
     rays = [_rays(pixels, camera) for pixels, camera in zip((first, second), cameras, strict=True)]
     across = np.array([[0, -shift[2], shift[1]], [shift[2], 0, -shift[0]], [-shift[1], shift[0], 0]])
     essential = across @ turn / max(float(np.linalg.norm(shift)), 1e-300)
     lines, others = rays[0] @ essential.T, rays[1] @ essential
     off = np.abs((rays[1] * lines).sum(axis=1))
-    # A line's slope in pixels: rays are of focal length 1.
+    # Convert line slopes to pixels; the rays are at focal length 1.
     slopes = (
         np.hypot(*(lines[:, :2] / _focal(cameras[1])).T),
         np.hypot(*(others[:, :2] / _focal(cameras[0])).T),
     )
     distance = off / np.hypot(*slopes).clip(1e-300)
     turned = rays[0] @ turn.T
-    # Signs of the depths at which the rays come nearest: d1 turned + shift = d2 ray.
+    # Signs of the depths where both rays come closest: d1 · turned + shift = d2 · ray.
     normal = np.cross(turned, rays[1])
     depths = [-(np.cross(shift, ray) * normal).sum(axis=1) for ray in (rays[1], turned)]
     in_front = (depths[0] > 0) & (depths[1] > 0)

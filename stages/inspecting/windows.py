@@ -1,16 +1,16 @@
-"""What Windows tells of itself."""
+"""Windows system queries."""
 
 from __future__ import annotations
 
 import ctypes
 import sys
 
-# For type checkers: what follows is not there elsewhere.
+# For type checkers: the rest of the module exists on Windows only.
 assert sys.platform == "win32"
 
 
 class _MemoryStatus(ctypes.Structure):
-    """MEMORYSTATUSEX."""
+    """The Win32 structure MEMORYSTATUSEX."""
 
     _fields_ = (
         ("length", ctypes.c_uint32),
@@ -22,7 +22,7 @@ class _MemoryStatus(ctypes.Structure):
 
 
 def memory_bytes() -> tuple[int | None, int | None]:
-    """Return all memory there is and what is free of it; None for what the system does not tell."""
+    """Return total and available memory in bytes; None if unknown."""
     status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
     if not ctypes.WinDLL("kernel32").GlobalMemoryStatusEx(ctypes.byref(status)):
         return None, None
@@ -30,5 +30,5 @@ def memory_bytes() -> tuple[int | None, int | None]:
 
 
 def takes_long_paths() -> bool:
-    """Return whether paths may have more than 260 characters."""
+    """Return True if paths may have more than 260 characters."""
     return bool(ctypes.WinDLL("ntdll").RtlAreLongPathsEnabled() & 0xFF)

@@ -24,8 +24,8 @@ def unit_scan(tiny_scan: Path, tmp_path: Path) -> Path:
 
 def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path) -> None:
     text = scanloom("inspect", unit_scan).stdout
-    assert "scale     none: lengths are in units" in text
-    assert "up        0 -1 0, by scan.json" in text
+    assert "scale     unknown: lengths are in units" in text
+    assert "up        0 -1 0, from scan.json" in text
     lengths = [line for line in text.splitlines() if line.split()[0] in ("path", "depth", "poses", "fusion")]
     assert lengths
     assert all(" units" in line for line in lengths)
@@ -38,7 +38,7 @@ def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path
 
 def test_inspect_says_the_scale_that_it_has(scanloom: Run, unit_scan: Path) -> None:
     text = scanloom("inspect", unit_scan, "--known-distance", "2 0.5").stdout
-    assert "scale     0.25 m a unit, a known distance" in text
+    assert "scale     0.25 m per unit, a known distance" in text
     assert " units" not in text
     assert "no metric scale" not in text
     figures = scanloom("inspect", unit_scan, "--scale", 0.25, "--json").json

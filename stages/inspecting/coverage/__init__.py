@@ -1,1 +1,1 @@
-"""What is missing in a scan: holes, space that no frame saw, and surface that was hardly seen."""
+"""Coverage analysis: holes, unseen space and weakly observed surface of a scan."""

@@ -1,4 +1,4 @@
-"""The border of a surface: edges of one triangle, of whichever piece."""
+"""Boundary edges of a surface that is processed in batches."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Edges of one triangle each, in the order of their vertices.
+    """Boundary edges (edges with one triangle), sorted by their vertices.
 
     Attributes
     ----------
-    tails, heads : (k,) their vertices in all of the mesh, as the triangle runs along them.
-    starts, ends : (k, 3) float64 where these are, metres, in the axes of the mesh.
-    facing : (k, 3) sum of the normals of both.
-    beside : (k, 3) the normal of the triangle, as long as twice its area, m².
+    tails, heads : (k,) global vertex indices, in the direction of the triangle's halfedge.
+    starts, ends : (k, 3) float64, their positions in metres, in mesh coordinates.
+    facing : (k, 3) sum of the two vertex normals.
+    beside : (k, 3) normal of the adjacent triangle; its length is twice the triangle's area, m².
     """
 
     tails: Ids
@@ -33,7 +33,7 @@ class Border:
 
 
 def border_of(surface: Piecewise | OnePiece) -> Border:
-    """Return the border of an oriented manifold."""
+    """Find the boundary edges of an oriented manifold."""
     found = []
     for piece in surface.pieces(facing=True):
         assert piece.normals is not None
@@ -49,7 +49,7 @@ def border_of(surface: Piecewise | OnePiece) -> Border:
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
     low, high = np.minimum(*columns[:2]), np.maximum(*columns[:2])
     order = np.lexsort((high, low))
-    # Where pieces meet, both have the edge for their border.
+    # An edge between two batches is a boundary edge in both.
     is_same = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
     is_inner = np.concatenate([is_same, [False]]) | np.concatenate([[False], is_same])
     return Border(*(column[order[~is_inner]] for column in columns))

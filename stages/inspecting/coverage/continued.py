@@ -1,8 +1,8 @@
-"""Where a surface would go on: between its border on one side of a gap, and its border on the other.
+"""Gaps bridged by straight continuation of the surface.
 
-A wall that nobody looked at in its middle ends twice, and nothing but a straight line tells where the rest of
-it is. Two stretches of border belong together if each lies where the surface would go on from the other, and
-no frame has seen anything of what is between them.
+The middle of a wall that no frame looked at leaves two boundaries. Two stretches of boundary belong together
+on two conditions: each is where the surface would continue from the other, and no frame observed the space
+between them.
 """
 
 from __future__ import annotations
@@ -15,29 +15,32 @@ from scanloom.stages.inspecting.coverage.patches import Patch, cut_up, squares, 
 from scanloom.stages.inspecting.coverage.space import Space
 from scanloom.stages.inspecting.coverage.views import Floats
 
-# Stretches of border at most; each is looked at with all others.
+# Maximum number of boundary stretches. Every pair of stretches is tested.
 _STRETCHES = 4000
 _AT_ONCE = 250
-# Of the sum of directions of a stretch of border, the least length: less goes all ways.
+# Minimum length of the mean outward direction of a stretch. Below it, the boundary winds in all directions.
 _STRAIGHT = 0.5
-# Cosines of how far the other side may be off the way that the surface goes on, of how far the surface may
-# turn on the way, and sine of how far the line between both may leave it.
+# Minimum cosine between the continuation direction and the line to the other side, minimum cosine between the
+# normals of both sides, maximum sine between the line and the surface.
 _AHEAD, _ALIKE, _LEVEL = 0.8, 0.8, 0.2
-# Cells between both sides, at least.
+# Minimum distance between both sides, in cells.
 _LEAST = 3.0
-# Of what a line comes through, the share of which nothing is known, at least, and that is empty, at most.
+# Limits for the cells along a connecting line: minimum ratio of unknown cells, maximum ratio of free cells.
 _UNKNOWN, _FREE = 0.6, 0.1
-# Cells that are neighbours.
+# Maximum distance of neighbouring cells, in cells.
 _BESIDE = 1.8
 
 
 def continued(border: Border, space: Space, origin: Floats, reach: float, size: float) -> list[Patch]:
-    """Return what lies between the sides of gaps, cut up into patches of `size` metres at most.
+    """Find gaps where the surface would continue, split into patches.
 
     Parameters
     ----------
-    border : of all of the mesh.
-    reach : metres, how wide gaps may be.
+    border : boundary of the whole mesh.
+    space : space carved by the frames.
+    origin : (3,) origin of the coordinates of `space` and of the patches, metres.
+    reach : maximum width of a gap, metres.
+    size : maximum size of a patch, metres.
     """
     places, ways, facing = _stretches(border, space.cell)
     one, other = _pairs(places, ways, facing, _LEAST * space.cell, reach)
@@ -51,12 +54,15 @@ def continued(border: Border, space: Space, origin: Floats, reach: float, size: 
 
 
 def _stretches(border: Border, cell: float) -> tuple[Floats, Floats, Floats]:
-    """Return places on the border, which way the surface would go on there, and its normals, (k, 3) each.
+    """Group the boundary into straight stretches, at most one per cell.
 
-    There is one for each cell that the border is in and that it does not wind about in.
+    Returns
+    -------
+    places, ways, facing : (k, 3) each: positions in metres, unit directions in which the surface would
+        continue, unit normals.
     """
     middles = (border.starts + border.ends) / 2
-    # A triangle lies to the left of its halfedges, seen from where its normal points.
+    # Seen against its normal, a triangle is on the left of its halfedges.
     outwards = unit(np.cross(border.ends - border.starts, border.facing))
     _, of = np.unique(np.floor(middles / cell).astype(np.int64), axis=0, return_inverse=True)
     of = of.reshape(-1)
@@ -73,7 +79,17 @@ def _stretches(border: Border, cell: float) -> tuple[Floats, Floats, Floats]:
 def _pairs(
     places: Floats, ways: Floats, facing: Floats, least: float, reach: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return pairs of stretches of border that belong together."""
+    """Find pairs of stretches that face each other across a gap.
+
+    Parameters
+    ----------
+    places, ways, facing : (k, 3) as returned by `_stretches`.
+    least, reach : minimum and maximum width of the gap, metres.
+
+    Returns
+    -------
+    Indices (p,) of the first and the second stretch of each pair.
+    """
     ones, others = [np.zeros(0, np.intp)], [np.zeros(0, np.intp)]
     for start in range(0, len(places), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
@@ -85,14 +101,17 @@ def _pairs(
         fits &= np.einsum("ijx,jx->ij", lines, ways) <= -_AHEAD
         fits &= np.abs(np.einsum("ijx,ix->ij", lines, facing[rows])) <= _LEVEL
         one, other = np.nonzero(fits)
-        # Each pair once.
+        # The relation is symmetric; keep each pair once.
         ones.append(one[one + start < other] + start)
         others.append(other[one + start < other])
     return np.concatenate(ones), np.concatenate(others)
 
 
 def _between(first: Floats, second: Floats, spacing: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Return points along lines, and which line each is of."""
+    """Sample points along line segments, at about `spacing` metres.
+
+    Returns the points (k, 3) and the segment index (k,) of each point.
+    """
     lines = second - first
     counts = np.ceil(np.linalg.norm(lines, axis=1) / spacing).astype(np.int64)
     of = np.repeat(np.arange(len(lines)), counts)
@@ -101,7 +120,10 @@ def _between(first: Floats, second: Floats, spacing: float) -> tuple[Floats, NDA
 
 
 def _patches(points: Floats, normals: Floats, cell: float, size: float) -> list[Patch]:
-    """Return patches of the cells that points lie in, which face as their points do in the mean."""
+    """Group points into cells, and connected cells into gap patches.
+
+    The normal of a cell is the mean of its points' normals.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -112,7 +134,7 @@ def _patches(points: Floats, normals: Floats, cell: float, size: float) -> list[
     of = of.reshape(-1)
     counts = np.bincount(of)
     middles, facing = _means(points, of, counts), unit(_means(normals, of, counts))
-    # A plane goes through more cells the more it is aslant.
+    # An oblique plane passes through more cells per area than an axis-aligned one.
     areas = cell**2 / np.maximum(np.abs(facing).sum(axis=1), 1.0)
     pairs = cKDTree(middles).query_pairs(_BESIDE * cell, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), (len(middles), len(middles)))

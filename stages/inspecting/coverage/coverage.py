@@ -1,10 +1,13 @@
-"""What is missing in a scan: where to go again.
+"""Coverage analysis: missing and weakly observed surface of a scan.
 
-Something is missing where the surface has a hole, where space that frames looked through ends at space that
-none did, and where the surface is there but was measured by few frames, only obliquely, only from far, or by
-frames that disagree. Places are told by how much they matter: their area, times how much their kind counts.
-For each it is told which frames came nearest to seeing it, what kept them from it, and from where one should
-look.
+Three kinds of defects are reported:
+
+- holes in the surface,
+- free space that ends at space no frame observed,
+- surface that was measured by few frames, only obliquely, only from far, or inconsistently.
+
+Defects are ranked by area times the weight of their kind. Each defect lists the frames that came nearest to
+observing it, with the reasons why they did not. It also suggests a viewpoint for another capture.
 """
 
 from __future__ import annotations
@@ -47,15 +50,15 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 3
 
-# Derived parameters; see CoverageParams.
+# Factors of derived parameters; see `CoverageParams`.
 _FEW, _SHARE_OF_FRAMES = 3, 5
 _FAR = 2.5
 _APART, _LEAST_EDGES = 2.5, 0.5
 _LEAST_AREA = 1 / 2000
 _PLACE_SIZE = 0.75
-# Of the same distance: what is around a gap is as near.
+# Multiple of the median viewing distance: range of the surface that counts as being around a gap.
 _REACH = 2.0
-# Frames that are told of each place.
+# Number of frames listed per defect.
 _NEAREST = 5
 
 
@@ -67,26 +70,32 @@ def coverage(
     progress: Progress = silent,
     **changes: Unpack[CoverageKeywords],
 ) -> Coverage:
-    """Tell what is missing in a scan, and from where one should look at it.
+    """Find missing and weakly observed surface of a scan.
 
-    Each frame's depth map is read once. Beside the mesh, of one in pieces a piece at a time, and a grid of a
-    million and a half cells at most, memory grows by some 40 kB a frame. Equal input gives an equal result,
-    on any number of threads, in pieces or not.
+    Each depth map is read once. Memory holds the mesh (one batch at a time if chunked), a grid of up to 1.5
+    million cells, and about 40 kB per frame. The result does not depend on the number of threads or on
+    chunking.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world of the poses; an oriented manifold,
-        border allowed, as `clean` leaves it; or one in pieces, as that leaves it.
-    frames : with depth and poses, those that the mesh was made of.
-    params : see CoverageParams; single ones can be given by name.
+    mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses; an
+        oriented manifold, with or without boundary, as `clean` returns it. Or the chunked mesh that `clean`
+        writes.
+    frames : frames with depth and poses that the mesh was made from.
+    params : see CoverageParams; single fields can be given by name.
     progress : called after each frame.
+
+    Returns
+    -------
+    Coverage
+        Ranked defects with suggested viewpoints, and the evidence per vertex.
 
     Raises
     ------
     MeshError
-        If the mesh is not valid, has no area, or is no oriented manifold.
+        If the mesh is invalid, has no area, or is not an oriented manifold.
     InputError
-        If the file of pieces is damaged, no frame has a pose and depth, or none has measured the mesh.
+        If the chunked mesh file is damaged, no frame has both pose and depth, or no frame measured the mesh.
     UsageError
         If a parameter is out of range.
     """
@@ -99,7 +108,10 @@ def coverage(
 
 
 def _surface_of(mesh: MeshLike | Piecewise) -> OnePiece | Piecewise:
-    """Return a mesh as one of pieces; what cleaning left in pieces is known to be an oriented manifold."""
+    """Wrap a mesh for batch-wise processing.
+
+    A chunked mesh is not checked, because `clean` guarantees an oriented manifold.
+    """
     if isinstance(mesh, Piecewise):
         return mesh
     given = as_mesh(mesh)
@@ -122,7 +134,7 @@ def _covered(
     laid = laid_out(probes, surface)
     (known,) = np.nonzero(seen.evidence.frames[:-1])
     measured, around = seen.evidence.at(known), laid.areas[known]
-    # From how far the median place was measured best.
+    # The median over the area of the nearest measuring distance.
     usual = _up_to(0.5, measured.distance, around)
     spread = _up_to(0.5, measured.spread, around)
     apart = params.spread or max(_APART * spread, _LEAST_EDGES * ground.edge)
@@ -170,7 +182,7 @@ def _limits(frames: int, usual: float, apart: float, params: CoverageParams) -> 
 
 
 def _up_to(share: float, values: Singles, areas: Floats) -> float:
-    """Return the value that so much of an area has at most."""
+    """Return the area-weighted quantile of values; `share` is 0 to 1."""
     order = np.argsort(values, kind="stable")
     ends = np.cumsum(areas[order])
     return float(values[order[np.searchsorted(ends, share * ends[-1])]])
@@ -179,7 +191,7 @@ def _up_to(share: float, values: Singles, areas: Floats) -> float:
 def _missing(
     border: Border, ground: Ground, sight: Sight, size: float, reach: float, least: float
 ) -> tuple[list[Patch], float]:
-    """Return what is not there at all, and how much of the scan just ends, m²."""
+    """Find missing surface, and the area in m² where the scan ends."""
     holes = patches_of_holes(caps(border, ground.edge, least), ground.space, ground.origin, size)
     frontier = ground.space.frontier()
     space, ends = patches_of_space(frontier, holes, ground.space, sight, ground.origin, size, reach)

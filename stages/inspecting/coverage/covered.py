@@ -1,4 +1,4 @@
-"""What is missing in a scan, as it was found."""
+"""Result of the coverage analysis."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """A surface, and what is known of it; what is told of each vertex is made of that when it is asked for.
+    """Surface with coverage per probe; per-vertex values are computed on request.
 
     Attributes
     ----------
-    surface, probes : the mesh, and vertices that stand for those around them.
-    evidence, kinds : (k + 1) of each probe; the last row of what has none.
-    caps : kind and corners (c, 3, 3), metres, of what would close holes.
+    surface, probes : the mesh, and the vertices that represent their neighbourhoods.
+    evidence, kinds : (k + 1) rows, one per probe; the last row is for vertices without a probe.
+    caps : defect kind and corners (c, 3, 3) in metres of triangles that would close holes.
     """
 
     surface: Piecewise | OnePiece
@@ -42,12 +42,12 @@ class Covered:
 
     @property
     def vertex_count(self) -> int:
-        """Return how many vertices `painted` yields."""
+        """Number of vertices that `painted` yields."""
         return self.surface.vertex_count + 3 * self._cap_count
 
     @property
     def triangle_count(self) -> int:
-        """Return how many triangles `painted` yields."""
+        """Number of triangles that `painted` yields."""
         return self.surface.triangle_count + self._cap_count
 
     @property
@@ -55,30 +55,30 @@ class Covered:
         return sum(len(corners) for _, corners in self.caps)
 
     def painted(self) -> Iterator[Painted]:
-        """Yield the mesh in colours, piece by piece, and behind it what would close its holes."""
+        """Yield the painted mesh in batches, then its painted hole caps."""
         return painted(self.surface, self.probes, self.kinds, self.caps)
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """What is missing in a scan.
+    """Missing and weakly observed surface of a scan.
 
     Attributes
     ----------
-    places : where to go again, the most important first.
-    left_out : how many places are not told, beyond as many as were asked for.
-    covered : what is known of the mesh; piece by piece, where it has no room in memory.
-    limits : what counted as thin.
-    least_area, place_size, spacing : m² and metres, as given or derived.
-    frames : how many were looked at.
-    skipped : those that were not, and why.
+    places : defects to capture again, the most important first.
+    left_out : number of defects beyond the requested maximum.
+    covered : coverage of the mesh, evaluated in batches if the mesh exceeds memory.
+    limits : thresholds for weakly observed surface.
+    least_area, place_size, spacing : thresholds in m², metres and metres, as given or derived.
+    frames : number of frames that were used.
+    skipped : frames that were skipped, with the reason.
     surface_area : m².
-    spread_median, spread_95 : metres; that of half of what was measured of the surface, and of 95 % of it, is
-        at most as large.
-    thin_areas : m² of the surface, by kind.
-    missing_areas : m² of what is not there at all, by kind; also of places that are not told.
-    ends_area : m² where the scan ends: nobody measured anything beyond, and it is open to the other side.
-    diagnostics : what is odd about mesh and frames.
+    spread_median, spread_95 : area-weighted median and 95 % quantile of the RMS distance between measurements
+        and surface, metres.
+    thin_areas : weakly observed area by kind, m².
+    missing_areas : missing area by kind, m², including defects that are not listed.
+    ends_area : area where the scan ends, m²: space was free, but nothing was measured beyond.
+    diagnostics : warnings about mesh and frames.
     """
 
     places: tuple[Place, ...]
@@ -103,17 +103,17 @@ class Coverage:
 
     @property
     def evidence(self) -> Evidence:
-        """Return what frames have measured of each vertex."""
+        """Evidence from all frames, per vertex."""
         return self.covered.evidence.at(self._probes)
 
     @property
     def kinds(self) -> NDArray[np.int8]:
-        """Return the index of each vertex in `coverage.kinds.THIN`, (n,); -1 for well seen."""
+        """Defect kind per vertex as index into `THIN`, (n,); -1 if well observed."""
         return self.covered.kinds[self._probes]
 
     @cached_property
     def painted(self) -> Mesh:
-        """Return the mesh in colours of that, and behind its triangles what would close its holes."""
+        """Mesh coloured by defect kind, followed by caps over its holes."""
         vertices, colors, triangles = (
             np.concatenate([getattr(part, name) for part in self.covered.painted()])
             for name in ("vertices", "colors", "triangles")
@@ -126,7 +126,7 @@ class Coverage:
         return every[: self.covered.surface.vertex_count]
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is to say, for JSON, units in the names."""
+        """Return the metrics for JSON, with units in the key names."""
         return {
             "frames_used": self.frames,
             "frames_skipped": [one.figures() for one in self.skipped],

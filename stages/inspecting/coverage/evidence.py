@@ -1,6 +1,6 @@
-"""How well frames have measured a surface: how many, from how near, how straight, and how much they agree.
+"""Evidence for a surface: number, distance, angle and consistency of its measurements.
 
-Points of the surface are looked up in each depth map: where it agrees, the frame has measured the place.
+Surface points are projected into each depth map. A frame whose depth agrees has measured the point.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 from scanloom.stages.inspecting.coverage.probes import Ids, Probes
 from scanloom.stages.inspecting.coverage.views import Floats, Singles, View
 
-# Of its depth, and of the edges of the mesh: so far a surface may be off a depth map that measured it.
+# Tolerance between surface and depth map: the larger of a ratio of the depth and a number of mesh edges.
 _SAME_DEPTH = np.float32(0.03)
 _SAME_EDGES = 2.0
-# Flatter than at this cosine a frame tells nothing of a place.
+# Minimum cosine to the normal; at more grazing angles, a frame provides no evidence.
 _LEAST_COSINE = np.float32(0.03)
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The probes that a frame measured, and how.
+    """Probes that a frame measured.
 
     Attributes
     ----------
-    rows : (k,) their numbers.
-    cosines : (k,) float32, of the angle between their normals and the line to the camera.
+    rows : (k,) indices of the probes.
+    cosines : (k,) float32, cosine of the angle between normal and line of sight.
     depths : (k,) float32, metres.
-    heights : (k,) float32, metres, of what was measured above the surface, along its normal.
+    heights : (k,) float32, height of the measured point above the surface along its normal, metres.
     """
 
     rows: NDArray[np.intp]
@@ -40,17 +40,16 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What frames have measured of places.
+    """Accumulated evidence from all frames per probe or vertex.
 
     Attributes
     ----------
-    frames : (n,) int32, how many measured it.
-    cosine : (n,) float32, of the angle between its normal and the straightest look at it; 0 for none.
-    distance : (n,) float32, metres, from which the nearest of them did; infinite for none.
-    pixel : (n,) float32, metres, the width of a pixel there in the frame that shows it best; infinite for
-        none.
-    cosines : (n,) float32, sum over all frames that measured it.
-    squares : (n,) float32, m², sum of how far off it they did, along its normal.
+    frames : (n,) int32, number of frames that measured the point.
+    cosine : (n,) float32, largest cosine between normal and line of sight; 0 without measurement.
+    distance : (n,) float32, smallest measured depth in metres; infinite without measurement.
+    pixel : (n,) float32, smallest pixel footprint on the surface in metres; infinite without measurement.
+    cosines : (n,) float32, sum of the cosines over all measuring frames.
+    squares : (n,) float32, sum of the squared heights above the surface, m².
     """
 
     frames: NDArray[np.int32]
@@ -62,22 +61,25 @@ class Evidence:
 
     @classmethod
     def none(cls, count: int) -> Evidence:
-        """Return that of places that no frame has measured yet."""
+        """Return empty evidence for `count` points."""
         zero, infinite = np.zeros(count, np.float32), np.full(count, np.inf, np.float32)
         return cls(np.zeros(count, np.int32), zero, infinite, infinite.copy(), zero.copy(), zero.copy())
 
     @property
     def mean_cosine(self) -> Singles:
-        """Return the mean over the frames that measured it (n,); 0 for none."""
+        """Mean cosine (n,) over the measuring frames; 0 without measurement."""
         return np.asarray(self.cosines / np.maximum(self.frames, 1), np.float32)
 
     @property
     def spread(self) -> Singles:
-        """Return how far off it, RMS, frames have measured it (n,), along its normal, metres; 0 for none."""
+        """RMS distance (n,) of measurements from the surface, metres.
+
+        Points without measurement have 0.
+        """
         return np.asarray(np.sqrt(self.squares / np.maximum(self.frames, 1)), np.float32)
 
     def add(self, found: Measured, focal: float) -> None:
-        """Count what a frame measured; `focal` in pixels."""
+        """Accumulate the measurements of a frame; `focal` is in pixels."""
         rows = found.rows
         self.frames[rows] += 1
         self.cosine[rows] = np.maximum(self.cosine[rows], found.cosines)
@@ -87,7 +89,7 @@ class Evidence:
         self.squares[rows] += found.heights**2
 
     def at(self, rows: Ids) -> Evidence:
-        """Return that of some places."""
+        """Return the evidence of selected points."""
         return Evidence(
             self.frames[rows],
             self.cosine[rows],
@@ -99,7 +101,15 @@ class Evidence:
 
 
 def measured_by(view: View, probes: Probes, origin: Floats, edge: float) -> Measured:
-    """Return which probes a frame has measured, and how; `edge` is the median of the mesh, metres."""
+    """Find the probes that a frame measured.
+
+    Parameters
+    ----------
+    view : depth map and pose of the frame.
+    probes : surface points.
+    origin : (3,) origin of the probe coordinates, metres.
+    edge : median edge length of the mesh, metres.
+    """
     columns, rows, z = view.in_camera(probes.points)
     inside, pixels = view.pixels(columns, rows, z)
     depth = view.depth.reshape(-1)[pixels]
@@ -107,7 +117,7 @@ def measured_by(view: View, probes: Probes, origin: Floats, edge: float) -> Meas
     away = np.sqrt(np.einsum("kx,kx->k", towards, towards))
     cosines = np.einsum("kx,kx->k", towards, probes.normals[inside]) / np.maximum(away, np.float32(1e-9))
     z = z[inside]
-    # Across a pixel a slope is that much deeper.
+    # Depth varies by this much across a pixel on an oblique surface.
     slope = z / np.float32(view.camera.fx) / np.maximum(cosines, np.float32(0.2))
     reach = np.maximum(_SAME_DEPTH * z, np.float32(_SAME_EDGES * edge)) + slope
     agrees = (depth > 0) & (cosines > _LEAST_COSINE) & (np.abs(depth - z) <= reach)
@@ -117,8 +127,8 @@ def measured_by(view: View, probes: Probes, origin: Floats, edge: float) -> Meas
 
 
 def _heights(view: View, probes: Probes, chosen: NDArray[np.intp], pixels: Ids) -> Singles:
-    """Return how high above the surface what was measured lies, along the normals of probes (k,), metres."""
-    # In the middle of a pixel: beside it a slope has another depth.
+    """Compute heights (k,) of measured points along the probe normals, metres."""
+    # Unproject at the pixel centre: on an oblique surface, depth is valid only there.
     rows, columns = np.divmod(pixels, view.camera.width)
     above = view.point_at(columns, rows) - view.turn @ probes.points[chosen].T - view.shift[:, None]
     return np.asarray(np.einsum("xk,xk->k", view.turn @ probes.normals[chosen].T, above), np.float32)

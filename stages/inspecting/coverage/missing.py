@@ -1,4 +1,4 @@
-"""What is not there at all: holes within the surface, and space that no frame saw."""
+"""Missing surface: holes in the mesh, and frontiers to unobserved space."""
 
 from __future__ import annotations
 
@@ -14,37 +14,45 @@ from scanloom.stages.inspecting.coverage.sight import Sight
 from scanloom.stages.inspecting.coverage.space import BLANK, HIDDEN, NOTHING, Frontier, Space
 from scanloom.stages.inspecting.coverage.views import Floats
 
-# What is told of the sides of a frontier.
+# Kind of a defect, by the state of the space behind its frontier.
 _KINDS = {NOTHING: "unseen", BLANK: "blank", HIDDEN: "hidden"}
-# Of the circle around a patch, degrees: without surface in a wider sector the scan ends there; where frames
-# looked and have no depth, one may be wider.
+# Maximum angle in degrees of a sector around a patch without any surface. In a wider sector, the scan ends.
+# The limit is larger where frames looked but have no depth.
 _OPEN = {NOTHING: 135.0, BLANK: 200.0}
-# Directions in the plane of a patch, and how far they are turned out of it, degrees: to both sides, because
-# what goes on beside it may lie a little before or behind it.
+# Number of ray directions in the plane of a patch, and tilts out of that plane in degrees. Tilts go both
+# ways, because the surface may continue slightly in front of or behind the patch.
 _DIRECTIONS = 72
 _TILTS = (-5.0, 0.0, 5.0)
-# Positions whose surroundings are measured at a time: bounds the memory.
+# Positions per batch, to limit memory.
 _AT_ONCE = 1000
-# Cells that a frontier may lie before a hole that it belongs to.
+# Maximum distance, in cells, of a frontier in front of the hole it belongs to.
 _BEFORE = 3.0
-# Faces that hang together: fewer are the noise of the grid.
+# Minimum number of connected faces; smaller components are grid noise.
 _LEAST_FACES = 6
-# Cells of a patch around each of it, in the mean: strips of a cell's width have fewer.
+# Minimum mean number of frontier cells around each cell of a patch; strips one cell wide have fewer.
 _LEAST_BESIDE = 5.0
-# Of what would go around a patch of that many faces if it were round, cells at the surface: space that is
-# open all around, such as the sky, is not missing.
+# Minimum number of cells near the surface, relative to the circumference of a round patch with the same
+# number of faces. Frontiers that are open all around, such as the sky, are not missing surface.
 _RIM = 0.5
-# Points of a patch that are asked whether a gap is behind them, and the share of them for which it is.
+# Number of points sampled per patch, and minimum ratio of points with a gap behind them.
 _ASKED, _SHARE_BEFORE = 40, 0.3
 
 
 def patches_of_holes(caps: list[Cap], space: Space, origin: Floats, size: float) -> list[Patch]:
-    """Return the holes that no frame looked through, cut up into patches of `size` metres at most."""
+    """Convert holes that no frame looked through into patches.
+
+    Parameters
+    ----------
+    caps : triangles that would close the holes.
+    space : space carved by the frames.
+    origin : (3,) origin of the coordinates of `space` and of the patches, metres.
+    size : maximum size of a patch, metres.
+    """
     found = []
     for cap in caps:
         points, areas = _spread(cap, space.cell)
         points = points - origin
-        # Frames have looked through an opening: there is nothing.
+        # Frames looked through an opening, so there is no surface.
         if areas[space.is_free(points)].sum() > 0.5 * areas.sum():
             continue
         normals = np.tile(cap.normal, (len(points), 1))
@@ -66,15 +74,21 @@ def patches_of_space(
     size: float,
     reach: float,
 ) -> tuple[list[Patch], float]:
-    """Return where free space ends at space that no frame saw, cut up into patches of `size` metres at most.
-
-    Beside them the area in m² where the scan ends: nobody measured anything beyond, and it is open to the
-    other side.
+    """Convert frontiers between free and unobserved space into patches.
 
     Parameters
     ----------
-    holes : what is told already.
-    reach : metres, up to which surface counts that is around a gap.
+    frontier : faces between free and unknown cells.
+    holes : patches already reported; frontier faces close to them are dropped.
+    space, sight : space carved by the frames, and occlusion test.
+    origin : (3,) origin of the coordinates of the patches, metres.
+    size : maximum size of a patch, metres.
+    reach : range in which surface counts as being around a gap, metres.
+
+    Returns
+    -------
+    The patches, and the area in m² where the scan ends: nothing was measured beyond, and a wide sector around
+    has no surface.
     """
     left = _away_from(frontier.points, holes, _BEFORE * space.cell)
     counts = np.bincount(frontier.parts, left)
@@ -100,7 +114,10 @@ def patches_of_space(
 def _within(
     found: list[tuple[int, Patch]], sight: Sight, origin: Floats, reach: float
 ) -> tuple[list[Patch], float]:
-    """Return patches within a scan, and the area of those where it ends, m²."""
+    """Separate patches inside the scan from patches where the scan ends.
+
+    Returns the patches inside the scan, and the area of the others in m².
+    """
     asked = [patch for behind, patch in found if behind != HIDDEN]
     middles, normals = (
         np.array([getattr(patch, name) for patch in asked]).reshape(-1, 3) for name in ("middle", "normal")
@@ -117,16 +134,17 @@ def _within(
 
 
 def _measure_open_sectors(middles: Floats, normals: Floats, sight: Sight, reach: float) -> Floats:
-    """Measure the widest sector (k,), in degrees, without surface around each position.
+    """Measure the widest sector (k,) without surface around each position, in degrees.
 
-    The wall of a room that no frame saw has surface all around. Where a scan ends, surface lies on one side.
-    Without any surface around, the sector is 360°.
+    A wall of a room that no frame saw is surrounded by surface. Where a scan ends, surface is on one side
+    only. Without any surface around, the sector is 360°.
 
     Parameters
     ----------
-    middles : (k, 3) metres, in the axes of the surface.
-    normals : (k, 3) towards the viewer of each position; 0 if it is seen from all sides.
-    reach : metres, up to which surface counts.
+    middles : (k, 3) positions in world coordinates, metres.
+    normals : (k, 3) directions towards the viewer; 0 if the position is visible from all sides.
+    sight : occlusion test.
+    reach : range in which surface counts, metres.
     """
     sectors = np.full(len(middles), 360.0)
     (rows,) = np.nonzero(normals.any(axis=1))
@@ -147,7 +165,7 @@ def _measure_open_sectors(middles: Floats, normals: Floats, sight: Sight, reach:
 
 
 def _fan_directions(normal: Floats) -> Floats:
-    """Return directions (k, 3) around a normal: all directions for each tilt in turn."""
+    """Return ray directions (k, 3) around a normal; tilts vary slowest."""
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)
     angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
@@ -158,12 +176,14 @@ def _fan_directions(normal: Floats) -> Floats:
 
 
 def before(patches: list[Patch], gaps: list[Patch], cell: float, reach: float) -> list[Patch]:
-    """Return patches without those that lie before a gap: it is told where the surface would be.
+    """Drop patches in front of a gap.
+
+    The gap is reported at the expected surface instead.
 
     Parameters
     ----------
-    patches, gaps : from the origin on.
-    cell, reach : metres, how finely one looks behind a patch, and how far.
+    patches, gaps : both relative to the same origin.
+    cell, reach : step and range of the search behind each patch, metres.
     """
     from scipy.spatial import cKDTree
 
@@ -184,7 +204,7 @@ def before(patches: list[Patch], gaps: list[Patch], cell: float, reach: float) -
 
 
 def _spread(cap: Cap, spacing: float) -> tuple[Floats, Floats]:
-    """Return points all over a cap, and the area of each, whose sum is that of its triangles."""
+    """Sample a cap; return the points (k, 3) and their areas (k,), m²."""
     first, second, middle = cap.corners.transpose(1, 0, 2)
     outer = (first + second) / 2
     steps = max(1, int(np.ceil(np.linalg.norm(outer - middle, axis=1).max() / spacing)))
@@ -196,7 +216,7 @@ def _spread(cap: Cap, spacing: float) -> tuple[Floats, Floats]:
 
 
 def _away_from(points: Floats, patches: list[Patch], reach: float) -> NDArray[np.bool_]:
-    """Return which points no patch is near to."""
+    """Return a mask (k,) of the points farther than `reach` from all patches."""
     from scipy.spatial import cKDTree
 
     if not patches or not len(points):

@@ -1,4 +1,4 @@
-"""Which frames came nearest to seeing a place, and what kept them from it."""
+"""Ranking of the frames that came nearest to observing a defect."""
 
 from __future__ import annotations
 
@@ -13,25 +13,29 @@ from scanloom.stages.frames.sampling import sample_evenly
 from scanloom.stages.inspecting.coverage.views import Floats, Singles, View
 from scanloom.stages.scans.model.scan import Camera
 
-# Points of a place that are looked up in each frame.
+# Number of points of a defect that are projected into each frame.
 _POINTS = 24
-# Of a depth: what differs by less is the same surface.
+# Relative depth difference below which two depths count as the same surface.
 _SAME_DEPTH = 0.03
-# Half precision is enough to tell what was before a place.
+# float16 halves the memory per frame and is precise enough to detect occluders.
 _Halves = NDArray[np.float16]
-# Degrees that a place may be out of a picture and still count half of one that is in it.
+# Degrees outside the image at which the score halves.
 _OUTSIDE = 20.0
-# Degrees to the normal, from which on nothing is seen of a surface.
+# Degrees to the normal. From this angle on, a surface is effectively invisible.
 _EDGE_ON = 86.0
 
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """What is kept of a frame for later: where it stood, and its coarse depth.
+    """Pose and coarse depth map of a frame, for ranking.
+
+    The full depth map is freed once a frame has been added.
 
     Attributes
     ----------
-    number : of the frame among those given.
+    number : index of the frame in the input.
+    name, camera, place, turn, shift, step : as in `View`.
+    coarse : (h', w') float16, coarse depth in metres.
     """
 
     number: int
@@ -45,22 +49,22 @@ class Remembered:
 
     @classmethod
     def of(cls, number: int, view: View) -> Remembered:
-        """Return what is kept of a view."""
+        """Keep the part of a view that ranking needs."""
         coarse = view.coarse.astype(np.float16)
         return cls(number, view.name, view.camera, view.place, view.turn, view.shift, coarse, view.step)
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a frame came near to seeing a place.
+    """View of one frame towards a defect.
 
     Attributes
     ----------
-    frame : its name.
-    share : of the place that is in its picture.
-    angle : degrees between the place's normal and the line to the camera.
+    frame : name of the frame.
+    share : ratio of the defect's points inside the image.
+    angle : angle between the defect's normal and the line of sight, degrees.
     distance : metres.
-    why : what it saw of the place, or kept it from that.
+    why : what the frame observed, or the reason why it observed nothing.
     """
 
     frame: str
@@ -70,7 +74,7 @@ class Look:
     why: str
 
     def figures(self) -> dict[str, Any]:
-        """Return it for JSON, units in the names."""
+        """Return the values for JSON, with units in the key names."""
         return {
             "frame": self.frame,
             "in_picture_share": round(self.share, 3),
@@ -82,12 +86,12 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """How all frames look at a place.
+    """Views of all frames towards a defect.
 
     Attributes
     ----------
-    nearest : the frames that came nearest to seeing it, the best first.
-    in_picture : how many frames have half of it in their picture.
+    nearest : frames that came nearest to observing the defect, the best first.
+    in_picture : number of frames with at least half of the defect in the image.
     """
 
     nearest: tuple[Look, ...]
@@ -97,13 +101,15 @@ class Looks:
 def looks_at(
     points: Floats, normal: Floats, frames: Sequence[Remembered], origin: Floats, count: int
 ) -> Looks:
-    """Return how frames look at a place.
+    """Rank frames by how well they observe a defect.
 
     Parameters
     ----------
-    points : (k, 3) of it, metres, from the origin on.
-    normal : (3,) to where one looks at it from.
-    count : of the nearest frames that are told.
+    points : (k, 3) points of the defect relative to `origin`, metres.
+    normal : (3,) direction towards the viewer.
+    frames : poses and coarse depth maps.
+    origin : (3,) metres.
+    count : number of nearest frames to return.
     """
     rows = sample_evenly(len(points), _POINTS)
     chosen = points[rows].astype(np.float32)
@@ -118,7 +124,7 @@ def looks_at(
         in_picture += share >= 0.5
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
         score, why = _judged(share, outside, angle, states)
-        # From behind, nothing can be seen of it.
+        # A camera behind the surface cannot observe it.
         score *= 0.5 + 0.5 * cosine if cosine > 0 else 0.25
         scored.append((-score, frame.number, Look(frame.name, share, angle, distance, why)))
     scored.sort(key=lambda one: one[:2])
@@ -128,7 +134,10 @@ def looks_at(
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """Of the points that are in a picture: whether there is no depth, something before, or it agrees."""
+    """State of the points inside an image: depth missing, occluded, or consistent.
+
+    `gap` is the median distance from the occluder to the occluded points, metres.
+    """
 
     missing: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
@@ -137,12 +146,17 @@ class _States:
 
 
 def _looked_up(points: Singles, frame: Remembered) -> tuple[float, float, _States]:
-    """Return how far out of the picture the nearest point is, degrees, the share in it, and what is there."""
+    """Project points into a frame and classify them against its depth map.
+
+    Returns
+    -------
+    Angle of the nearest point outside the image in degrees, ratio of the points inside, and their states.
+    """
     camera = frame.camera
     x, y, z = frame.turn @ points.T + frame.shift[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         columns, rows = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        # Where the edge of the picture is nearest to a point, both as directions.
+        # Nearest point on the image border, for the angle between both directions.
         u = columns.clip(-0.5, camera.width - 0.5)
         v = rows.clip(-0.5, camera.height - 0.5)
     u = np.where(z > 0, u, np.where(x > 0, camera.width - 0.5, -0.5))
@@ -167,21 +181,24 @@ def _looked_up(points: Singles, frame: Remembered) -> tuple[float, float, _State
 
 
 def _judged(share: float, outside: float, angle: float, states: _States) -> tuple[float, str]:
-    """Return how near a frame came to seeing a place, up to 3, and what kept it from that."""
+    """Score how close a frame came to observing a defect.
+
+    Returns the score (0 to 3), and the observation or obstacle as text.
+    """
     if share == 0:
-        where = f"it is {outside:.0f}° outside its picture"
+        where = f"{outside:.0f}° outside the image"
         return 0.5 * _OUTSIDE / (_OUTSIDE + outside), where
     agrees, missing, hidden = (float(part.mean()) for part in (states.agrees, states.missing, states.hidden))
     if angle >= _EDGE_ON and not missing:
-        why = "stands behind it" if angle > 180 - _EDGE_ON else "sees it edge-on"
+        why = "camera is behind the surface" if angle > 180 - _EDGE_ON else "surface is edge-on"
     elif agrees >= max(missing, hidden, 1e-9):
-        why = f"sees something there, at {angle:.0f}°"
+        why = f"observes a surface there, at {angle:.0f}°"
     elif hidden >= missing and hidden > 0:
-        why = f"something {states.gap:.2g} m before it hides it"
+        why = f"occluded by something {states.gap:.2g} m in front"
     elif missing > 0:
-        why = "has no depth there"
+        why = "no depth there"
     else:
-        why = "looks through it"
+        why = "free space there"
     if share < 0.5:
-        why += f"; {share:.0%} of it is in its picture"
+        why += f"; {share:.0%} of the defect is in the image"
     return share * (1 + 2 * agrees + 0.5 * missing), why

@@ -1,4 +1,4 @@
-"""A mesh in colours of what is missing: what was hardly seen, and beside it what would close its holes."""
+"""Mesh coloured by coverage: weakly observed surface, and caps over its holes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from scanloom.stages.inspecting.coverage.probes import Ids, Probes
 from scanloom.stages.inspecting.coverage.views import Floats
 from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 
-# How dark it is where no light falls, and where that comes from: viewers may have none.
+# Ambient ratio and light direction of shading baked into the colours, for viewers without lighting.
 _AMBIENT, _LIGHT = 0.6, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
 
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A piece in its colours.
+    """Batch of painted triangles.
 
     Attributes
     ----------
-    vertices : (n, 3) float64, metres; its own, which follow those of the pieces before.
+    vertices : (n, 3) float64, metres; vertices that belong to this batch, numbered after earlier batches.
     colors : (n, 3) uint8.
-    triangles : (m, 3) int64, by numbers that count through all pieces.
-    probes : (n,) which of the probes stands for each vertex; −1 for those that close holes.
+    triangles : (m, 3) int64, vertex indices in the whole mesh.
+    probes : (n,) index of the probe that represents each vertex; −1 for caps.
     """
 
     vertices: Floats
@@ -41,12 +41,15 @@ def painted(
     kinds: NDArray[np.int8],
     caps: Sequence[tuple[str, Floats]],
 ) -> Iterator[Painted]:
-    """Yield a surface, and behind its triangles those of the caps, each in the colour of its kind.
+    """Yield the surface in batches, then its hole caps, coloured by kind.
 
     Parameters
     ----------
-    kinds : (k + 1,) which of THIN each probe is, −1 for none; the last is of what has no probe.
-    caps : kind and corners (k, 3, 3), metres, of what would close holes.
+    surface : mesh in batches.
+    probes : vertices that represent their neighbourhoods.
+    kinds : (k + 1,) index in `THIN` of each probe, −1 if well observed; the last is for vertices without a
+        probe.
+    caps : defect kind and corners (k, 3, 3) in metres of the triangles that would close holes.
     """
     palette = np.array([*(KINDS[kind].color for kind in THIN), WELL], np.float64)
     for part in surface.parts():

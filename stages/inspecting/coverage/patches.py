@@ -1,7 +1,7 @@
-"""Patches of what is missing: points with the way they face and the area that each stands for.
+"""Patches of coverage defects: oriented points with areas.
 
-A patch that is too large for one look is cut in two across its longest way, again and again; which way it
-faces counts as a way, too, so that what goes around a corner, or around a thing, becomes several.
+A patch that is too large for one view is split recursively across its longest dimension. The normal counts as
+an additional dimension, so that a defect around a corner or an object becomes several patches.
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ from numpy.typing import NDArray
 
 from scanloom.stages.inspecting.coverage.views import Floats
 
-# Facing the other way is as far apart as so many of the largest patches.
+# Distance between opposite normals, as multiple of the maximum patch size.
 _TURN = 0.7
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A patch.
+    """Patch of a coverage defect.
 
     Attributes
     ----------
-    kind : of `scanloom.stages.inspecting.coverage.kinds`.
-    points : (k, 3) float64, metres, from the origin on.
-    normals : (k, 3) float64, to where one looks at it from.
+    kind : key of `KINDS`.
+    points : (k, 3) float64, metres, relative to the origin.
+    normals : (k, 3) float64, towards the viewer.
     areas : (k,) float64, m².
-    area : m²; of steps of a grid less than the sum of their faces.
-    corners : (t, 3, 3) float64 of triangles that show what is not there, from the origin on; none of what is.
+    area : m²; for faces of a grid, less than the sum of `areas`.
+    corners : (t, 3, 3) float64, triangles to display missing surface, relative to the origin; empty for
+        existing surface.
     """
 
     kind: str
@@ -41,25 +42,28 @@ class Patch:
 
     @property
     def middle(self) -> Floats:
-        """Return the point (3,) of it that is nearest to its middle."""
+        """Point (3,) of the patch nearest to its centroid."""
         mean = np.average(self.points, axis=0, weights=self.areas)
         nearest: Floats = self.points[((self.points - mean) ** 2).sum(axis=1).argmin()]
         return nearest
 
     @property
     def normal(self) -> Floats:
-        """Return the mean of where it faces, (3,) of length 1; 0 if it faces all ways."""
+        """Mean unit normal (3,); 0 if the normals cancel out."""
         total = self.areas @ self.normals
         return np.asarray(total / max(float(np.linalg.norm(total)), np.finfo(np.float64).tiny))
 
     @property
     def extent(self) -> float:
-        """Return how far its points are apart at most, along an axis of the world, metres."""
+        """Longest side of the axis-aligned bounding box, metres."""
         return float(np.ptp(self.points, axis=0).max())
 
 
 def cut_up(points: Floats, normals: Floats, areas: Floats, size: float) -> Iterator[NDArray[np.int64]]:
-    """Yield the rows of patches no larger than `size` metres that make up a larger one."""
+    """Split a patch recursively into parts of at most `size` metres.
+
+    Yields the rows of each part.
+    """
     ways = np.concatenate([points, 0.5 * _TURN * size * normals], axis=1)
     waiting = [np.arange(len(points))]
     while waiting:
@@ -70,18 +74,24 @@ def cut_up(points: Floats, normals: Floats, areas: Floats, size: float) -> Itera
         if len(rows) < 2 or np.ptp(along) <= size:
             yield rows
             continue
-        # In the middle of its length: halves of one area would leave a long thin end with most of the way.
+        # Split at half the length. Splitting at half the area would leave long thin ends.
         first = along < (along.min() + along.max()) / 2
         waiting += [rows[first], rows[~first]]
 
 
 def total_area(normals: Floats, areas: Floats) -> float:
-    """Return the area of what faces as steps of a grid do, m²: that of the plane through them."""
+    """Compute the area that a staircase of grid faces approximates, m².
+
+    The area is measured on the plane through the faces.
+    """
     return float(np.linalg.norm(areas @ normals))
 
 
 def squares(points: Floats, normals: Floats, side: float) -> Floats:
-    """Return two triangles each, (2 k, 3, 3), for squares about points (k, 3), square to their normals."""
+    """Build squares around points, perpendicular to their normals.
+
+    Returns the corners (2k, 3, 3) of two triangles per square.
+    """
     first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first = unit(first) * side / 2
     second = np.cross(normals, first)
@@ -91,6 +101,6 @@ def squares(points: Floats, normals: Floats, side: float) -> Floats:
 
 
 def unit(values: Floats) -> Floats:
-    """Return vectors (k, 3) of length 1; 0 for those of none."""
+    """Normalise vectors (k, 3); zero vectors stay zero."""
     lengths = np.linalg.norm(values, axis=1, keepdims=True)
     return np.asarray(values / np.maximum(lengths, np.finfo(np.float64).tiny))

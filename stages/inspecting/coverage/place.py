@@ -1,4 +1,4 @@
-"""A place of a scan where something is missing, and what is known of it."""
+"""Coverage defect: location, nearest frames and suggested viewpoint."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Place:
-    """A place where one should go again.
+    """Coverage defect that should be captured again.
 
     Attributes
     ----------
-    kind : of `scanloom.stages.inspecting.coverage.kinds`.
-    point : in the middle of it, in the scan's world, metres.
-    normal : (3,) unit, to where one looks at it from.
+    kind : key of `KINDS`.
+    point : point of the defect nearest to its centroid, world coordinates, metres.
+    normal : (3,) unit vector towards the viewer.
     area : m².
-    extent : metres, of the longest side of the box around it.
-    looks : the frames that came nearest to seeing it, and what kept them from it.
-    frames_towards : how many frames have half of it in their picture, whatever is before it.
-    stand : from where one should look.
+    extent : longest side of the bounding box, metres.
+    looks : frames that came nearest to observing the defect, with the reasons why they did not.
+    frames_towards : number of frames with at least half of the defect in the image, occluded or not.
+    stand : suggested viewpoint.
     """
 
     kind: str
@@ -44,11 +44,11 @@ class Place:
 
     @property
     def why(self) -> str:
-        """Return what is wrong with it, in a few words."""
+        """Short description of the defect."""
         return KINDS[self.kind].text
 
     def figures(self) -> dict[str, Any]:
-        """Return it for JSON, units in the names."""
+        """Return the defect for JSON, with units in the key names."""
         return {
             "kind": self.kind,
             "why": self.why,
@@ -67,7 +67,7 @@ class Place:
 
 
 def place_of(patch: Patch, looks: Looks, stand: Standpoint, origin: Floats) -> Place:
-    """Return what is known of a patch as a place; its points are counted from `origin`."""
+    """Convert a patch, given relative to `origin`, into a reported defect."""
     return Place(
         kind=patch.kind,
         point=_point(patch.middle + origin),

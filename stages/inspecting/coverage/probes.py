@@ -1,7 +1,8 @@
-"""Vertices that stand for those around them: as many as can be looked up in each frame, of any mesh.
+"""Probes: a limited number of mesh vertices that represent their neighbourhoods.
 
-One vertex stands for all of a small cube that face alike. Meshes come piece by piece; what is kept of them is
-as much as there are such cubes.
+One vertex represents all vertices in a small cube whose normals have the same dominant direction. A mesh of
+any size is reduced to about 80,000 probes, few enough to project into every frame. Meshes are read in
+batches; memory grows with the number of occupied cubes only.
 """
 
 from __future__ import annotations
@@ -18,23 +19,23 @@ from scanloom.stages.surface.topology import areas
 
 Ids = NDArray[np.int64]
 
-# How many there are, about, and edges of the mesh that a cube is wide, at least and at most: a building has
-# more of them than a room.
+# Approximate number of probes; minimum and maximum cube size in mesh edges. The size limits take precedence,
+# so a building has more probes than a room.
 _POINTS = 80_000
 _EDGES = 1.5, 6.0
-# Triangles from what was measured that are as well seen.
+# Number of triangles from measured surface within which a vertex counts as equally well observed.
 _RIM = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Cubes:
-    """Space in small cubes, each six times: what faces alike is together.
+    """Grid of cubes, with six direction classes in each cube.
 
     Attributes
     ----------
-    low : (3,) where they begin, metres, in the axes of the mesh.
-    size : metres, of their sides.
-    count : (3,) how many there are along each axis.
+    low : (3,) corner of the grid in mesh coordinates, metres.
+    size : side of a cube, metres.
+    count : (3,) number of cubes along each axis.
     """
 
     low: Floats
@@ -42,9 +43,12 @@ class Cubes:
     count: Ids
 
     def keys(self, vertices: Floats, normals: Singles) -> Ids:
-        """Return in which each vertex (n,) is."""
+        """Return the group key of each vertex (n,).
+
+        The key combines the cube and the direction class of the normal.
+        """
         x, y, z = np.floor((vertices - self.low) / self.size).astype(np.int64).T
-        # The two sides of a sheet are two places.
+        # The two sides of a thin sheet get different keys.
         facing = np.abs(normals).argmax(axis=1)
         is_back = np.take_along_axis(normals, facing[:, None], axis=1)[:, 0] < 0
         return np.asarray(((x * self.count[1] + y) * self.count[2] + z) * 6 + 2 * facing + is_back)
@@ -52,13 +56,14 @@ class Cubes:
 
 @dataclass(frozen=True, eq=False)
 class Probes:
-    """Vertices that stand for those around them.
+    """Vertices that represent their neighbourhoods.
 
     Attributes
     ----------
-    points, normals : (k, 3) float32, metres from the origin on.
-    cubes, keys : where they are, ascending.
-    rims, instead : vertices, ascending, that another one stands for than that of their cube, and which.
+    points, normals : (k, 3) float32; points in metres relative to the origin.
+    cubes, keys : the grid, and the ascending keys (k,) of the probes.
+    rims, instead : ascending global indices of vertices that use another probe than their cube's, and those
+        probes.
     """
 
     points: Singles
@@ -69,31 +74,36 @@ class Probes:
     instead: Ids
 
     def of(self, vertices: Floats, normals: Singles, numbers: Ids) -> Ids:
-        """Return which of them stands for each vertex (n,); −1 for what no triangle has.
+        """Look up the probe index of each vertex (n,).
+
+        The index is −1 for vertices that no triangle uses.
 
         Parameters
         ----------
-        vertices, normals : (n, 3), metres, in the axes of the mesh.
-        numbers : (n,) of the vertices in all of the mesh.
+        vertices, normals : (n, 3), in mesh coordinates, metres.
+        numbers : (n,) global vertex indices.
         """
         own = rows_of(self.keys, self.cubes.keys(vertices, normals))
         at_rim = rows_of(self.rims, numbers)
         return np.where(at_rim >= 0, self.instead[at_rim], own) if len(self.rims) else own
 
     def of_piece(self, piece: Piece) -> Ids:
-        """Return which of them stands for each vertex (n,) of a piece that has normals."""
+        """Look up the probe index (n,) of each vertex of a batch.
+
+        The batch must have normals.
+        """
         assert piece.normals is not None
         return self.of(piece.mesh.vertices, piece.normals, piece.numbers)
 
 
 @dataclass(frozen=True, eq=False)
 class Laid:
-    """What probes stand for.
+    """Areas of the probes, and adjacency between them.
 
     Attributes
     ----------
-    areas : (k,) m² of each.
-    links : (l, 2) pairs of them whose vertices share an edge, each once.
+    areas : (k,) m².
+    links : (l, 2) pairs of adjacent probes (their vertices share an edge), each pair once.
     """
 
     areas: Floats
@@ -101,12 +111,13 @@ class Laid:
 
 
 def probes_of(surface: Piecewise | OnePiece, origin: Floats, edge: float) -> Probes:
-    """Choose vertices that stand for those around them.
+    """Choose the probes of a surface.
 
     Parameters
     ----------
-    origin : (3,) metres, what they are counted from.
-    edge : metres, the median of the mesh.
+    surface : mesh in batches.
+    origin : (3,) origin of the probe coordinates, metres.
+    edge : median edge length of the mesh, metres.
     """
     low, high = surface.box
     size = float(np.clip((surface.area / _POINTS) ** 0.5, _EDGES[0] * edge, _EDGES[1] * edge))
@@ -120,8 +131,8 @@ def probes_of(surface: Piecewise | OnePiece, origin: Floats, edge: float) -> Pro
         (rows,) = np.nonzero(is_used(piece.mesh))
         vertices = piece.mesh.vertices[rows]
         of = np.searchsorted(keys, cubes.keys(vertices, piece.normals[rows]))
-        # The one that is nearest to the middle of its fellows: at borders less than elsewhere is measured. In
-        # single precision those that are as near are so in pieces of any kind.
+        # Choose the vertex nearest to the centroid of its group, because vertices near a boundary are
+        # measured less often. Single precision makes ties independent of the batch layout.
         away = ((vertices - origin - middles[of]) ** 2).sum(axis=1).astype(np.float32)
         first = _firsts(of, away, piece.numbers[rows])
         of, away, own = of[first], away[first], piece.numbers[rows[first]]
@@ -133,21 +144,22 @@ def probes_of(surface: Piecewise | OnePiece, origin: Floats, edge: float) -> Pro
 
 
 def with_rims(probes: Probes, surface: Piecewise | OnePiece, frames: NDArray[np.int32]) -> Probes:
-    """Return probes of which at rims those beside it stand for a vertex.
+    """Reassign unmeasured vertices at rims to a measured neighbouring probe.
 
-    Fusion goes on a voxel or two beyond what was measured; what no frame measured but what is beside it is no
-    place of its own.
+    Fusion extends the surface one or two voxels beyond the measurements. Unmeasured vertices next to measured
+    ones are therefore not a separate defect.
 
     Parameters
     ----------
-    frames : (k + 1,) how many measured each probe; the last 0.
+    probes, surface : the probes, and the mesh they were chosen from.
+    frames : (k + 1,) number of frames that measured each probe; the last is 0.
     """
     count = len(probes.keys)
     for _ in range(_RIM):
         rims, scores = [probes.rims], [probes.instead]
         for piece in surface.pieces(facing=True):
             own = probes.of_piece(piece)
-            # What most frames have measured stands for what is beside it.
+            # Among neighbouring probes, the one measured by most frames is used.
             score = frames[own].astype(np.int64) * count + own
             corners = score[piece.mesh.triangles]
             best = np.broadcast_to(corners.max(axis=1, keepdims=True), corners.shape)
@@ -161,7 +173,7 @@ def with_rims(probes: Probes, surface: Piecewise | OnePiece, frames: NDArray[np.
 
 
 def laid_out(probes: Probes, surface: Piecewise | OnePiece) -> Laid:
-    """Return what probes stand for on a surface."""
+    """Compute the area of each probe and the adjacency between probes."""
     count = len(probes.keys)
     total = np.zeros(count)
     links = [np.zeros(0, np.int64)]
@@ -176,7 +188,13 @@ def laid_out(probes: Probes, surface: Piecewise | OnePiece) -> Laid:
 
 
 def _middles(surface: Piecewise | OnePiece, cubes: Cubes, origin: Floats) -> tuple[Ids, Floats]:
-    """Return the keys (k,) of what is not empty, ascending, and the mean (k, 3) of what corners lie there."""
+    """Compute the centroid of each group of vertices with equal key.
+
+    Returns
+    -------
+    keys : (k,) ascending keys of the occupied groups.
+    middles : (k, 3) mean of the triangle corners in each group, relative to `origin`, metres.
+    """
     keys, sums = [np.zeros(0, np.int64)], [np.zeros((0, 4))]
     for piece in surface.pieces(facing=True):
         assert piece.normals is not None
@@ -198,13 +216,16 @@ def _summed(of: Ids, points: Floats, times: NDArray[np.int64], count: int) -> Fl
 
 
 def _firsts(of: Ids, away: Singles, numbers: Ids) -> NDArray[np.intp]:
-    """Return the rows of the nearest of each, and among those as near of the first."""
+    """Find the row of the nearest vertex in each group.
+
+    Ties go to the lowest vertex index.
+    """
     order = np.lexsort((numbers, away, of))
     return order[np.flatnonzero(np.diff(of[order], prepend=-1))]
 
 
 def _most(numbers: Ids, scores: Ids) -> tuple[Ids, Ids]:
-    """Return numbers, each once and ascending, with the highest score that it has."""
+    """Return unique ascending indices, each with its highest score."""
     order = np.lexsort((scores, numbers))
     last = order[np.flatnonzero(np.diff(numbers[order], append=-1))]
     return numbers[last], scores[last]

@@ -1,8 +1,8 @@
-"""Holes within a surface: rims of its border, and what would close them.
+"""Holes in a surface, and caps that would close them.
 
-The outline of a piece is a closed border as well, and so is where a scan ends. A cap over a hole faces as the
-triangles around it do, one over an outline faces the other way; and a rim that winds through a whole scan has
-no cap that could be called one.
+Holes are closed boundary loops. The outline of a component and the end of a scan are closed boundaries, too.
+A cap over a hole has the orientation of the surrounding triangles; a cap over an outline has the opposite
+one. A loop that winds through the whole scan has no meaningful cap.
 """
 
 from __future__ import annotations
@@ -15,24 +15,23 @@ from numpy.typing import NDArray
 from scanloom.stages.inspecting.coverage.borders import Border
 from scanloom.stages.inspecting.coverage.views import Floats
 
-# Of the angle between a cap and the triangles around it, the least cosine: at the open end of a tube they
-# stand at right angles.
+# Minimum cosine between a cap and the surrounding triangles; at the open end of a tube it is 0.
 _FACING = -0.5
-# Of the triangles of a cap, which share of their area does not cancel out: less has no side.
+# Minimum ratio of a cap's vector area to its total area. Below it, the cap has no defined side.
 _FLAT = 0.6
-# Edges of the mesh: what is narrower is a crack, not a hole.
+# Minimum width of a hole in mesh edges; narrower ones are cracks.
 _WIDTH = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """What would close a hole: triangles between its rim and the middle of it.
+    """Triangle fan that would close a hole.
 
     Attributes
     ----------
-    corners : (k, 3, 3) float64 of the triangles, metres, in the axes of the mesh.
+    corners : (k, 3, 3) float64, from the rim to its centroid, metres, in mesh coordinates.
     area : m².
-    normal : (3,) unit, as the surface around it faces.
+    normal : (3,) unit, oriented like the surrounding surface.
     """
 
     corners: Floats
@@ -41,13 +40,13 @@ class Cap:
 
 
 def caps(border: Border, edge: float, least_area: float) -> list[Cap]:
-    """Return caps of the holes within an oriented manifold.
+    """Build caps for the holes of an oriented manifold.
 
     Parameters
     ----------
-    border : of all of it.
-    edge : metres, the median of the mesh.
-    least_area : m²; smaller ones are left out.
+    border : boundary of the whole mesh.
+    edge : median edge length of the mesh, metres.
+    least_area : m²; smaller holes are dropped.
     """
     found = []
     for loop in _loops(border):
@@ -70,7 +69,7 @@ def caps(border: Border, edge: float, least_area: float) -> list[Cap]:
 
 
 def _loops(border: Border) -> list[NDArray[np.int64]]:
-    """Return the closed chains of border edges, as a cap runs along them."""
+    """Chain boundary edges into closed loops, in a cap's winding direction."""
     tails = border.tails.tolist()
     follower = {head: row for row, head in enumerate(border.heads.tolist())}
     loops = []

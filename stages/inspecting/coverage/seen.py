@@ -1,4 +1,4 @@
-"""All frames of a scan, each read once: what they measured of a surface, and of the space around it."""
+"""Single pass over all frames for surface evidence and space carving."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 from scanloom.stages.surface.raycasting import is_used
 from scanloom.stages.surface.topology import areas
 
-# Edges of the mesh that a cell of space is wide, where nobody says it.
+# Default cell size of the space grid, in mesh edges.
 _CELL_EDGES = 4.0
-# Triangles whose edges are measured, about.
+# Approximate number of triangles sampled for the median edge length.
 _EDGES = 500_000
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A surface made ready to be looked at.
+    """Surface prepared for the coverage analysis.
 
     Attributes
     ----------
-    origin : (3,) metres, what all coordinates are counted from: single precision is then enough for them.
-    edge : metres, the median of the mesh.
-    probes : vertices that stand for those around them.
-    space : around the mesh, unknown before a frame is added.
+    origin : (3,) metres. Coordinates relative to the origin fit single precision.
+    edge : median edge length of the mesh, metres.
+    probes : vertices that represent their neighbourhoods.
+    space : grid around the mesh; unknown until frames are added.
     """
 
     origin: Floats
@@ -47,7 +47,10 @@ class Ground:
 
     @classmethod
     def of(cls, surface: Piecewise | OnePiece, spacing: float | None) -> Ground:
-        """Make a surface ready; `spacing` is that of space, metres, None for what the mesh tells."""
+        """Prepare a surface.
+
+        `spacing` is the cell size of the space grid in metres; None derives it from the mesh.
+        """
         origin = surface.box.mean(axis=0)
         edge = _edge_of(surface)
         cell = spacing or _CELL_EDGES * edge
@@ -57,7 +60,14 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What frames have told: of the ground's probes, and one row more of what has none, and of themselves."""
+    """Observations of all frames.
+
+    Attributes
+    ----------
+    evidence : one row per probe, plus an empty last row for vertices without a probe.
+    frames : summaries of the frames that were used.
+    skipped : frames that could not be used.
+    """
 
     evidence: Evidence
     frames: list[Remembered]
@@ -65,16 +75,19 @@ class Seen:
 
 
 def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: Progress) -> Seen:
-    """Read all frames; what they tell of space is added to the ground's.
+    """Read all frames, collect evidence, and carve the space of `ground`.
 
     Parameters
     ----------
-    where : the scan's folder, for messages.
+    ground : prepared surface; its space is updated.
+    frames : frames with depth and poses.
+    where : folder of the scan, for messages.
+    progress : called after each frame.
 
     Raises
     ------
     InputError
-        If none can be used, or none measured the mesh.
+        If no frame can be used, or no frame measured the mesh.
     """
 
     def prepared(frame: Frame) -> tuple[View, Measured] | SkippedFrame:
@@ -107,7 +120,8 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
     if not seen.evidence.frames.any():
         raise InputError(
             COVERAGE_MESH_UNMEASURED,
-            "none of the {frames_count} frames measured the mesh: do poses and mesh belong together?",
+            "none of the {frames_count} frames measured the mesh; check that poses and mesh are in the same "
+            "coordinate system.",
             where,
             frames_count=len(seen.frames),
         )
@@ -115,7 +129,7 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
 
 
 def _edge_of(surface: Piecewise | OnePiece) -> float:
-    """Return the median length of edges, metres: of triangles at equal steps through all."""
+    """Estimate the median edge length in metres from evenly sampled triangles."""
     step, before, lengths = 1 + surface.triangle_count // _EDGES, 0, []
     for piece in surface.pieces():
         ends = piece.mesh.vertices[piece.mesh.triangles[-before % step :: step, :2]]
@@ -125,8 +139,11 @@ def _edge_of(surface: Piecewise | OnePiece) -> float:
 
 
 def _samples(surface: Piecewise | OnePiece, origin: Floats, spacing: float) -> Iterator[Floats]:
-    """Yield points all over a surface, about as close as `spacing`: more than one in large triangles."""
-    # Chosen by chance, but the same each time.
+    """Yield points that cover a surface, about `spacing` metres apart.
+
+    Large triangles get additional random points.
+    """
+    # A fixed seed makes the result reproducible.
     rng = np.random.default_rng(0)
     for piece in surface.pieces():
         mesh = piece.mesh

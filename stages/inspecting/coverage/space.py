@@ -1,8 +1,8 @@
-"""Space around a surface: what frames saw through, what they did not, and where the one ends at the other.
+"""Space carving around a surface: free, occluded and unobserved cells, and frontiers.
 
-A grid of cells, each unknown until a frame looks through its middle, as in space carving. Where free space
-ends at unknown space without a surface between them, something is missing: a frontier. What lies behind it
-was hidden from all frames, had no depth, or nobody looked there.
+Every cell of the grid is unknown until a frame looks through its centre. Missing surface shows as a frontier:
+free space next to unknown space without a surface between them. The space behind a frontier was occluded in
+all frames, had no depth, or was never in an image.
 
 References
 ----------
@@ -21,35 +21,35 @@ from numpy.typing import NDArray
 from scanloom.stages.frames.projection import unproject
 from scanloom.stages.inspecting.coverage.views import Floats, Singles, View
 
-# What is known of a cell: a frame looked through it; one measured what is before it, or has no depth there;
-# it holds what one measured, or the surface.
+# Flags of a cell: a frame looked through it; it is behind a measurement; a frame has no depth there; it
+# contains a measurement; it contains surface.
 _FREE, _HIDDEN, _BLANK, _MEASURED, _SURFACE = 1, 2, 4, 8, 16
-# What is behind a frontier.
+# State of the space behind a frontier.
 NOTHING, BLANK, HIDDEN = 0, 1, 2
-# Cells of a block, along an axis: blocks out of a picture are not looked at one by one.
+# Side of a block in cells. Blocks outside an image are skipped as a whole.
 _BLOCK = 16
-# Cells at most.
+# Maximum number of cells.
 _CELLS = 1_500_000
-# Cells around the surface.
+# Margin around the surface, in cells.
 _AROUND = 3
-# Of a cell, and of the depth: so far before what was measured space still counts as unknown.
+# Safety margin in front of a measurement in which space is not marked as free: cells, and ratio of the depth.
 _BEFORE_CELLS, _BEFORE_DEPTH = 1.0, np.float32(0.01)
 
 
 @dataclass(frozen=True, eq=False)
 class Frontier:
-    """Faces between cells of free and of unknown space.
+    """Faces between free and unknown cells.
 
     Attributes
     ----------
-    points : (k, 3) float64, their middles, metres from the origin on.
+    points : (k, 3) float64, face centres relative to the origin, metres.
     normals : (k, 3) float64, towards free space.
-    behind : (k,) int8, what is known of the other side: HIDDEN where some frame has measured what is before
-        it, BLANK where those that looked there have no depth, NOTHING where none did.
-    parts : (k,) int64, those of one number hang together, and are alike in `behind`.
-    at_rim : (k,) whether the surface is near.
-    beside : (k,) how many of the 27 cells around its own are of the frontier: 3 along a line, 9 in a plane.
-    face : m², of each.
+    behind : (k,) int8, state of the unknown cell. `HIDDEN`: behind a measurement of some frame. `BLANK`:
+        frames that looked there have no depth. `NOTHING`: no frame looked there.
+    parts : (k,) int64, label of the connected component; `behind` is constant in a component.
+    at_rim : (k,) bool, True close to the surface.
+    beside : (k,) number of frontier cells among the 27 cells around the cell: 3 along a line, 9 in a plane.
+    face : area of a face, m².
     """
 
     points: Floats
@@ -62,13 +62,13 @@ class Frontier:
 
 
 class Space:
-    """A grid around a surface.
+    """Grid of the observed space around a surface.
 
     Parameters
     ----------
-    box : (2, 3) lowest and highest corner around the surface; metres, from the origin on.
-    samples : points of the surface (k, 3), closer than cells are, some at a time.
-    cell : metres; made larger where there were too many.
+    box : (2, 3) minimum and maximum corner of the surface relative to the origin, metres.
+    samples : batches of surface points (k, 3), spaced more closely than the cells.
+    cell : cell size in metres; enlarged if the grid would have too many cells.
     """
 
     def __init__(self, box: Floats, samples: Iterable[Floats], cell: float) -> None:
@@ -83,7 +83,7 @@ class Space:
         self._blocks, self._ids, self._centers = self._in_blocks()
 
     def see(self, view: View) -> None:
-        """Take note of what a frame looked through, and what it measured."""
+        """Carve the space that a frame looked through, and mark its measurements."""
         self._carve(view)
         rows, columns = np.nonzero(view.coarse)
         z = view.coarse[rows, columns]
@@ -93,22 +93,25 @@ class Space:
         self._state[numbers] |= _MEASURED
 
     def is_free(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (k, 3) some frame looked through; False outside the grid."""
+        """Return a mask (k,) of the points that some frame looked through.
+
+        Points outside the grid are False.
+        """
         return self._has(points, _FREE)
 
     def unknown_and_free(self, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which points (k, 3) are where nothing is known of, and which where frames looked through."""
+        """Return masks (k,) of the points in unknown and in free cells."""
         known = _FREE | _HIDDEN | _MEASURED | _SURFACE
         return self.is_inside(points) & ~self._has(points, known), self._has(points, _FREE)
 
     def is_inside(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (k, 3) are in the grid."""
+        """Return a mask (k,) of the points inside the grid."""
         inside = np.zeros(len(points), bool)
         inside[self._numbers(points)[1]] = True
         return inside
 
     def frontier(self) -> Frontier:
-        """Return where free space ends at unknown space."""
+        """Find the faces where free space ends at unknown space."""
         from scipy.ndimage import binary_dilation, convolve, label
 
         state = self._state.reshape(self._shape)
@@ -118,7 +121,7 @@ class Space:
         found: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
         for axis in range(3):
             for sign in (1, -1):
-                # Two cells to each side: what is thinner is nothing but the steps of the grid.
+                # Require two cells on each side; thinner layers are staircase artefacts of the grid.
                 is_face = free & _shifted(free, axis, -sign)
                 is_face &= _shifted(unknown, axis, sign) & _shifted(unknown, axis, 2 * sign)
                 cells = np.argwhere(is_face)
@@ -153,13 +156,23 @@ class Space:
         return found
 
     def _numbers(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-        """Return the cells of those points that are in the grid, and which these are."""
+        """Find the grid cells of points.
+
+        Returns
+        -------
+        The flat cell indices of the points inside the grid, and the rows of these points.
+        """
         cells = np.floor((points - self._low) / self.cell).astype(np.int64)
         (inside,) = np.nonzero(((cells >= 0) & (cells < self._shape)).all(axis=1))
         return np.ravel_multi_index(tuple(cells[inside].T), tuple(self._shape)), inside
 
     def _in_blocks(self) -> tuple[Singles, list[NDArray[np.int64]], list[Singles]]:
-        """Return the middles of blocks, and of each the cells that are not surface, and their middles."""
+        """Group the cells without surface into blocks.
+
+        Returns
+        -------
+        Block centres (b, 3), and per block the flat cell indices and cell centres, relative to the origin.
+        """
         (ids,) = np.nonzero(self._state == 0)
         cells = np.stack(np.unravel_index(ids, tuple(self._shape)), axis=1)
         blocks = -(-self._shape // _BLOCK)
@@ -190,12 +203,12 @@ class Space:
                 self._ids[block], self._centers[block] = self._ids[block][kept], self._centers[block][kept]
 
     def _shown(self, view: View) -> list[int]:
-        """Return the blocks that may be in a picture, before the farthest that it measured or behind it."""
+        """Return the blocks that may be inside a view frustum."""
         camera = view.camera
         radius = np.float32(0.5 * 3**0.5 * _BLOCK * self.cell)
         x, y, z = view.turn @ self._blocks.T + view.shift[:, None]
         shown = z > -radius
-        # Signed distances to the four planes through the edges of the picture.
+        # Signed distances to the four side planes of the frustum.
         for across, focal, center, size in (
             (x, camera.fx, camera.cx, camera.width),
             (y, camera.fy, camera.cy, camera.height),
@@ -207,7 +220,7 @@ class Space:
 
 
 def _cell_for(size: Floats) -> float:
-    """Return the least side of cells of which a box of this size has not too many."""
+    """Find the smallest cell size that keeps the grid within `_CELLS` cells."""
     low, high = 0.0, float(max(size.max(), 1e-9))
     for _ in range(40):
         middle = (low + high) / 2
@@ -219,7 +232,10 @@ def _cell_for(size: Floats) -> float:
 
 
 def _shifted(cells: NDArray[np.bool_], axis: int, by: int) -> NDArray[np.bool_]:
-    """Return for each cell what there is so many cells on; False beyond the grid."""
+    """Shift a boolean grid by `by` cells towards its start.
+
+    Cells beyond the grid become False.
+    """
     result = np.zeros_like(cells)
     to, of = [slice(None)] * 3, [slice(None)] * 3
     to[axis] = slice(0, -by) if by > 0 else slice(-by, None)

@@ -1,4 +1,4 @@
-"""From where one should look at a place: from free space, straight at it, from about as near as usual."""
+"""Viewpoints for capturing defects: in free space, frontal, at the usual distance."""
 
 from __future__ import annotations
 
@@ -14,34 +14,33 @@ from scanloom.stages.inspecting.coverage.sight import Sight
 from scanloom.stages.inspecting.coverage.space import Space
 from scanloom.stages.inspecting.coverage.views import Floats
 
-# Directions that are tried, those not too flat, and distances, of the usual one.
+# Number of candidate directions, minimum cosine to the normal, and distances as multiples of the usual one.
 _DIRECTIONS = 192
 _LEAST_COSINE = 0.1
 _DISTANCES = (1.0, 0.6, 1.5)
-# Points of the place that must be in sight.
+# Number of points per defect tested for visibility.
 _POINTS = 12
-# Of the way to a point, what lies before it: what is nearer to the end is the place itself.
+# Ratio of the distance to a point within which surface counts as an occluder; beyond it is the defect itself.
 _BEFORE = 0.93
-# Cameras that a standpoint should be near to.
+# Maximum number of camera positions; viewpoints near existing cameras are preferred.
 _CAMERAS = 500
-# Patches that are looked at at a time, by some 7,000 rays each.
+# Patches per batch of rays; each patch takes about 7,000 rays.
 _AT_ONCE = 100
-# What a straight look at all of a place is worth from where nobody knows that there is room, within the scan
-# or outside; and how much less it is for each usual distance away from all cameras, and for each factor of e
-# from that distance to the place.
+# Score factors of a viewpoint in unknown space and outside the grid (free space: 1). Then penalty per usual
+# distance from the nearest camera, and penalty per factor of e from the usual distance to the defect.
 _UNKNOWN, _OUTSIDE, _AWAY, _DISTANCE = 0.5, 0.7, 1.0, 0.3
 
 
 @dataclass(frozen=True)
 class Standpoint:
-    """Where to stand.
+    """Suggested viewpoint for capturing a defect.
 
     Attributes
     ----------
-    position : metres, in the scan's world.
-    direction : unit, from there to the middle of the place.
-    sees : share of the place that is in sight from there.
-    is_free : whether frames looked through where it is, or it is beyond all surface.
+    position : world coordinates, metres.
+    direction : unit vector from the position to the defect.
+    sees : ratio of the defect visible from the position.
+    is_free : True if frames looked through the position, or if it is outside the grid.
     """
 
     position: tuple[float, float, float]
@@ -52,9 +51,15 @@ class Standpoint:
 
 @dataclass(frozen=True, eq=False)
 class _Looks:
-    """Places (p, 3) that are tried, `reaches` (p,) from the middle (3,), and lines from there to points.
+    """Candidate viewpoints of a patch, with rays to the patch's points.
 
-    `rays` (p, k, 3) are unit, `lengths` (p, k) metres, `straight` (p, k) their cosines to the patch.
+    Attributes
+    ----------
+    places : (p, 3) candidate positions.
+    reaches : (p,) distances from the patch's middle, metres.
+    middle : (3,) middle of the patch.
+    rays, lengths : (p, k, 3) unit directions to the points, and (p, k) distances in metres.
+    straight : (p, k) cosines between the rays and the patch's normal; 0 from behind.
     """
 
     places: Floats
@@ -66,15 +71,15 @@ class _Looks:
 
 
 class Standing:
-    """Where one can stand around a scan.
+    """Planner of viewpoints around a scan.
 
     Parameters
     ----------
-    space : that frames have seen.
-    sight : what may be in the way, in the axes of the scan.
-    cameras : (c, 3) where frames were taken, likewise, metres.
-    usual : metres, from where places are seen.
-    origin : (3,) what points of patches and of space are counted from.
+    space : space carved by the frames.
+    sight : occlusion test in world coordinates.
+    cameras : (c, 3) camera positions in world coordinates, metres.
+    usual : median viewing distance, metres.
+    origin : (3,) origin of the coordinates of patches and space.
     """
 
     def __init__(self, space: Space, sight: Sight, cameras: Floats, usual: float, origin: Floats) -> None:
@@ -84,7 +89,7 @@ class Standing:
         self.origin = origin
 
     def best(self, patches: Sequence[Patch]) -> list[Standpoint]:
-        """Return the best place to look at each patch from."""
+        """Return the best viewpoint for each patch."""
         found = []
         for start in range(0, len(patches), _AT_ONCE):
             some = [self._looks(patch) for patch in patches[start : start + _AT_ONCE]]
@@ -100,7 +105,13 @@ class Standing:
         return found
 
     def _best(self, looks: _Looks, is_seen: NDArray[np.bool_]) -> Standpoint:
-        """Return the best of some places, from which points (p, k) are seen."""
+        """Return the candidate with the highest score.
+
+        Parameters
+        ----------
+        looks : candidate viewpoints.
+        is_seen : (p, k) visibility of each point from each candidate.
+        """
         is_outside = ~self._space.is_inside(looks.places)
         is_free = self._space.is_free(looks.places)
         away = np.linalg.norm(looks.places[:, None] - self._cameras[None], axis=2).min(axis=1) / self._usual
@@ -116,7 +127,7 @@ class Standing:
         )
 
     def _looks(self, patch: Patch) -> _Looks:
-        """Return how places around a patch look at it."""
+        """Generate the candidate viewpoints of a patch."""
         normal, middle = patch.normal, patch.middle
         directions = _spread_directions(_DIRECTIONS)
         if normal.any():
@@ -133,7 +144,7 @@ class Standing:
 
 def _spread_directions(count: int) -> Floats:
     """Spread unit directions (count, 3) evenly over the sphere."""
-    # Along a spiral, by the golden angle.
+    # Fibonacci spiral: the golden angle between consecutive points.
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = np.arange(count) * np.pi * (3 - 5**0.5)
     level = np.sqrt(1 - z * z)

@@ -1,4 +1,4 @@
-"""Surface that is there, but hardly seen: by few frames, obliquely, from far, or by frames that disagree."""
+"""Weakly observed surface: few, oblique, distant or inconsistent measurements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,15 @@ _WEIGHTS = np.array([KINDS[kind].weight for kind in THIN])
 
 @dataclass(frozen=True)
 class Limits:
-    """What counts as thin: fewer frames, a smaller cosine, a larger distance or spread (metres)."""
+    """Thresholds for weakly observed surface.
+
+    Attributes
+    ----------
+    frames : minimum number of frames.
+    cosine : minimum cosine to the normal.
+    distance : maximum distance of the nearest frame, metres.
+    spread : maximum RMS distance of the measurements from the surface, metres.
+    """
 
     frames: int
     cosine: float
@@ -27,9 +35,12 @@ class Limits:
 
 
 def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
-    """Return for each place (n,) which of THIN it is, that which counts most; -1 where it is well seen."""
+    """Classify points (n,) by their most important weakness.
+
+    Returns the index in `THIN`; -1 if the point is well observed.
+    """
     kinds = np.full(len(evidence.frames), -1, np.int8)
-    # The last that holds counts most.
+    # Later assignments take precedence; they are in ascending order of importance.
     kinds[evidence.distance > limits.distance] = THIN.index("far")
     kinds[evidence.cosine < limits.cosine] = THIN.index("oblique")
     kinds[evidence.spread > limits.spread] = THIN.index("apart")
@@ -41,12 +52,14 @@ def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
 def patches_of_thin(
     probes: Probes, laid: Laid, kinds: NDArray[np.int8], size: float, least_area: float
 ) -> list[Patch]:
-    """Return what is thin and hangs together, cut up into patches of `size` metres at most.
+    """Group weakly observed probes into connected patches of limited size.
 
     Parameters
     ----------
-    kinds : (k,) as `kinds_at` returns them, of the probes.
-    least_area : m²; what hangs together and is smaller is left out.
+    probes, laid : the probes, and their areas and adjacency.
+    kinds : (k,) classes of the probes from `kinds_at`.
+    size : maximum size of a patch, metres.
+    least_area : m²; smaller connected components are dropped.
     """
     thin = kinds >= 0
     ends = laid.links[thin[laid.links].all(axis=1)]

@@ -1,4 +1,4 @@
-"""A frame's depth map with its pose, in two sizes: as it is, and coarse, for space."""
+"""Depth map and pose of a frame, with a coarse depth map."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from scanloom.stages.scans.model.scan import Camera, DepthImage, Frame, pinhole
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-# Of coarse depth, the longer side, pixels.
+# Longer side of the coarse depth map, pixels.
 _COARSE = 160
-# Of its width: so far from the nearest pixel with a depth it counts as that deep, where it has none itself.
+# Maximum distance over which gaps in depth are filled, as ratio of the coarse map's width.
 _FILLED = 0.1
-# Of the four sides of a gap, on how many there is some depth in its row or column.
+# Number of directions (of four) in which a gap pixel needs some depth in its row or column.
 _SIDES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a frame measured.
+    """Depth measurements and pose of a frame.
 
     Attributes
     ----------
-    name : of the frame.
-    camera : without distortion.
-    place : (3,) float64 where it stood, metres.
-    turn, shift : (3, 3) and (3,) float32: take points from `origin` on to the camera's axes.
-    depth : (h, w) float32 metres, 0 where missing.
-    coarse : (h', w') float32, the least depth of `step` × `step` pixels each, 0 where missing in all.
-    filled : `coarse` with what is missing as deep as the nearest pixel beside it, if one is near; infinite
-        where a mask says that nothing of the scene is there.
-    step : pixels.
+    name : name of the frame.
+    camera : camera model without distortion.
+    place : (3,) float64, camera position in world coordinates, metres.
+    turn, shift : (3, 3) and (3,) float32, transform from coordinates relative to `origin` to camera
+        coordinates.
+    depth : (h, w) float32, metres; 0 if missing.
+    coarse : (h', w') float32, minimum depth of `step` × `step` pixels; 0 if missing in all of them.
+    filled : `coarse` with small gaps filled from the nearest pixel; infinite where a mask excludes the scene.
+    step : downsampling factor, pixels.
     """
 
     name: str
@@ -56,7 +56,10 @@ class View:
     step: int
 
     def in_camera(self, points: Singles) -> tuple[Singles, Singles, Singles]:
-        """Return where points (n, 3), from the origin on, appear: columns, rows and depths (n,)."""
+        """Project points (n, 3) to columns, rows and depths (n,).
+
+        The points are relative to `origin`.
+        """
         x, y, z = self.turn @ points.T + self.shift[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             columns = np.float32(self.camera.fx) * x / z + np.float32(self.camera.cx)
@@ -64,7 +67,7 @@ class View:
         return columns, rows, z
 
     def point_at(self, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Singles:
-        """Return where what pixels measured is, (3, k) along the axes of the camera, metres."""
+        """Unproject pixels to points (3, k) in camera coordinates, metres."""
         camera = self.camera
         z = self.depth[rows, columns]
         across = (columns.astype(np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
@@ -74,11 +77,12 @@ class View:
     def pixels(
         self, columns: Singles, rows: Singles, z: Singles, step: int = 1
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """Return which points are in the picture, and the pixels of these, numbered row by row.
+        """Find the points inside the image, and their flat pixel indices.
 
         Parameters
         ----------
-        step : 1 for `depth`, that of the view for `coarse`.
+        columns, rows, z : (n,) projected points.
+        step : 1 for indices into `depth`; the view's `step` for `coarse`.
         """
         width, height = self.camera.width, self.camera.height
         (inside,) = np.nonzero(
@@ -90,11 +94,12 @@ class View:
 
 
 def read_view(frame: Frame, origin: Floats) -> View:
-    """Read a frame.
+    """Read the depth map and pose of a frame.
 
     Parameters
     ----------
-    origin : (3,) metres, from which points are counted: near them, so that single precision is enough.
+    frame : frame with depth and pose.
+    origin : (3,) origin for point coordinates in metres, close to the points so that float32 suffices.
 
     Raises
     ------
@@ -124,7 +129,7 @@ def read_view(frame: Frame, origin: Floats) -> View:
 
 
 def _without_masked(filled: DepthImage, frame: Frame, step: int) -> DepthImage:
-    """Return depth that is infinite where a mask leaves out all of a square of pixels."""
+    """Set coarse depth to infinity where a mask excludes all pixels."""
     if frame.mask is None:
         return filled
     mask = read_seen(frame).astype(np.float32)
@@ -133,7 +138,10 @@ def _without_masked(filled: DepthImage, frame: Frame, step: int) -> DepthImage:
 
 
 def _least(depth: DepthImage, step: int) -> DepthImage:
-    """Return the least depth of squares of pixels, 0 where none has one."""
+    """Downsample depth by the minimum of `step` × `step` pixels.
+
+    Blocks without any depth become 0.
+    """
     rows, columns = (math.ceil(size / step) for size in depth.shape)
     padded = np.full((rows * step, columns * step), np.inf, np.float32)
     padded[: depth.shape[0], : depth.shape[1]] = np.where(depth > 0, depth, np.float32(np.inf))
@@ -142,10 +150,11 @@ def _least(depth: DepthImage, step: int) -> DepthImage:
 
 
 def _filled(coarse: DepthImage) -> DepthImage:
-    """Return depth with gaps as deep as the nearest pixel.
+    """Fill gaps in coarse depth from the nearest pixel.
 
-    Through glass and black things one looks as far as what is around them. What lies beyond the edge of a
-    thing is no gap: there may be nothing at all.
+    Glass and black surfaces return no depth. Space in front of them counts as observed up to the depth of
+    their surroundings. Missing depth beyond a silhouette is not filled, because there may be no surface at
+    all.
     """
     import cv2
 

@@ -197,9 +197,7 @@ def test_the_distance_that_an_alignment_tells_is_to_planes() -> None:
 
 
 def test_what_has_no_extent_or_no_area_is_refused() -> None:
-    with pytest.raises(
-        InputError, match="first mesh: it has no triangles, and its points are all in one place"
-    ):
+    with pytest.raises(InputError, match="first mesh: it has no triangles, and all its points coincide"):
         compare(cloud(np.ones((3, 3))), FLOOR)
     with pytest.raises(InputError, match=r"mesh: .*too large"):
         deviations(FLOOR, cloud(np.array([[1e200, 0, 0], [0, 0, 0]])))

@@ -81,7 +81,7 @@ def test_what_cannot_be_judged_is_named(painted):
     found = left_out(painted, [lost, away, replace(lost, color=None)])
     assert [one.diagnostic.message for one in found.skipped] == [
         "there is no camera pose.",
-        "its photo does not show the mesh.",
+        "the photo does not show the mesh.",
         "there is no colour image.",
     ]
     assert found.figures()["psnr_raw_db"] is None

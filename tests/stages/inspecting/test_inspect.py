@@ -60,8 +60,8 @@ def test_true_poses_meet_and_raise_no_warning():
     ("change", "name"),
     [
         (np.linalg.inv, "world-to-camera"),
-        (lambda pose: pose @ FLIP, "of a camera with y up and z back"),
-        (lambda pose: np.linalg.inv(pose @ FLIP), "world-to-camera, with y up and z back"),
+        (lambda pose: pose @ FLIP, "in camera axes with y up and z back"),
+        (lambda pose: np.linalg.inv(pose @ FLIP), "world-to-camera in axes with y up and z back"),
     ],
 )
 def test_poses_of_another_convention_are_named(change, name):
@@ -83,7 +83,7 @@ def test_poses_backwards_are_named():
         Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=given)
         for i, (pose, given) in enumerate(zip(poses, reversed(poses), strict=True))
     ]
-    with pytest.raises(InputError, match=r"in the order of the frames backwards: so taken"):
+    with pytest.raises(InputError, match=r"in reverse frame order: overlapping"):
         require_poses(Scan("plain-rgbd", frames))
 
 
@@ -95,7 +95,7 @@ def test_poses_that_fit_two_ways_are_called_by_both():
         for i, pose in enumerate(poses)
     ]
     errors, suspicion = check_poses(frames)
-    assert "probably world-to-camera, or in the order of the frames backwards: so taken" in str(suspicion)
+    assert "probably world-to-camera, or in reverse frame order: overlapping" in str(suspicion)
     assert errors["as given"] > 0.05
 
 
@@ -244,7 +244,7 @@ def test_a_sound_pair_raises_no_warning():
 def test_left_and_right_exchanged_is_noticed():
     (diagnostic,) = stereo_inspection(*reversed(textured_pair(12))).diagnostics
     assert diagnostic.code == DEPTH_PAIR_SWAPPED.name
-    assert "exchanged" in str(diagnostic)
+    assert "swapped" in str(diagnostic)
 
 
 def test_rows_that_do_not_correspond_are_noticed():
@@ -323,7 +323,9 @@ def test_shifted_colour_is_noticed_on_real_frames(shared_data):
 
 def test_a_colour_camera_that_stands_elsewhere_is_told(shared_data):
     said = list(map(str, inspected(shared_data / "rgbd" / "tabletop_box_realsense").diagnostics))
-    assert any("not registered to depth: by the outlines of things photos lie 4." in text for text in said)
+    assert any(
+        "not registered to depth: judged by silhouettes, the photos are shifted 4." in text for text in said
+    )
 
 
 @pytest.mark.parametrize(
@@ -401,7 +403,7 @@ def test_without_poses_nothing_is_estimated():
     frames = [replace(frame, world_from_camera=None) for frame in room_scan().frames]
     found = inspect(Scan("plain-rgbd", frames, missing=(POSE_MISSING.warning("no poses: none"),)))
     assert found.outlook is None
-    assert "missing   no poses: none; without, `scanloom run` finds them" in found.lines()
+    assert "missing   no poses: none; `scanloom run` estimates them" in found.lines()
 
 
 def test_a_single_frame_is_compared_with_nothing():
@@ -426,7 +428,7 @@ def test_a_depth_scale_that_is_off_is_found_by_the_poses(true_scale):
     ]
     warnings = list(map(str, inspect(Scan("x", frames)).diagnostics))
     (told,) = (text for text in warnings if "depth_scale" in text)
-    assert told.startswith(f"depth and poses fit together with scan.depth_scale={true_scale}: so taken")
+    assert told.startswith(f"the depth unit is probably wrong: with scan.depth_scale={true_scale}, ")
 
 
 def test_poses_of_a_camera_that_only_turns_say_nothing_of_the_scale():
@@ -435,4 +437,6 @@ def test_poses_of_a_camera_that_only_turns_say_nothing_of_the_scale():
         Frame(str(i), CAMERA, depth=room_depth(pose) * 10, world_from_camera=pose)
         for i, pose in enumerate(poses)
     ]
-    assert not any("fit together with" in text for text in map(str, inspect(Scan("x", frames)).diagnostics))
+    assert not any(
+        "depth unit is probably wrong" in text for text in map(str, inspect(Scan("x", frames)).diagnostics)
+    )

@@ -31,4 +31,4 @@ def test_poses_that_are_off_are_told_with_the_way():
     assert found.misfit_px > 2
     (said,) = (text for text in map(str, found.diagnostics) if "scanloom adjust" in text)
     assert f"off by {found.misfit_px:.1f} px" in said
-    assert f"points that two frames show lie {found.misfit_px:.2g} px apart" in "\n".join(found.lines())
+    assert f"points seen in two frames are {found.misfit_px:.2g} px apart" in "\n".join(found.lines())

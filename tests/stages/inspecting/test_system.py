@@ -49,5 +49,5 @@ def test_letter_case_that_does_not_count_is_odd(tmp_path: Path, monkeypatch: pyt
 def test_another_system_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     assert [text.partition(",")[0] for text in system.oddities(tmp_path)] == [
-        "scanloom is tried on Linux; on macOS it is expected to work"
+        "scanloom is tested on Linux; on macOS it is expected to work"
     ]

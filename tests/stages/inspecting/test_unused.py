@@ -49,11 +49,11 @@ def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
         scan_folder / "mono.npz", mtx=np.array([[30, 0, 15.5], [0, 30, 11.5], [0, 0, 1]]), dist=np.zeros(5)
     )
     assert told(scan_folder) == [
-        "associations.txt looks like couples of colour and depth, which the frames are known without",
+        "associations.txt looks like pairs of colour and depth images, which this layout does not need",
         "camera_path.txt looks like 3 poses: scan.poses=camera_path.txt",
         "cloud.ply looks like points or a mesh",
-        "mono.npz looks like a camera: scan.calibration=mono.npz",
-        "other.json looks like a camera: scan.calibration=other.json",
+        "mono.npz looks like a camera calibration: scan.calibration=mono.npz",
+        "other.json looks like a camera calibration: scan.calibration=other.json",
         "notes.txt",
     ]
     assert "camera_path.txt" not in " ".join(told(scan_folder, poses="camera_path.txt"))
@@ -65,7 +65,7 @@ def test_files_that_are_only_tried_emit_nothing(scan_folder):
         scan = read_scan(scan_folder, complete=False)
     with collecting() as tried:
         assert [str(one) for one in unused(scan)] == [
-            "other.json looks like a camera: scan.calibration=other.json"
+            "other.json looks like a camera calibration: scan.calibration=other.json"
         ]
     assert not tried
     with collecting() as stated:
@@ -78,7 +78,7 @@ def test_what_adjust_found_is_no_camera(scan_folder):
     found = {"accepted": True, "color_camera": None, "color_from_depth": None}
     found |= {"names": {"0": name}, "poses": {"0": np.eye(4).tolist()}}
     (scan_folder / "cameras.json").write_text(json.dumps(found))
-    assert told(scan_folder) == ["cameras.json looks like what adjust found: scan.adjusted=cameras.json"]
+    assert told(scan_folder) == ["cameras.json looks like a result of adjust: scan.adjusted=cameras.json"]
 
 
 def test_many_files_of_a_kind_are_one_line(scan_folder):
@@ -101,9 +101,9 @@ def test_inspect_tells_it(scan_folder):
     for number in range(20):
         (scan_folder / f"log.{number}").write_text("")
     found = inspect(read_scan(scan_folder, complete=False))
-    lines = [line for line in found.lines() if line.startswith("not used")]
+    lines = [line for line in found.lines() if line.startswith("unused")]
     assert len(lines) == 13
-    assert lines[-1] == "not used  and 8 more"
+    assert lines[-1] == "unused    and 8 more"
     assert found.figures()["unused"][0] == {"name": "log.0", "count": 1, "looks_like": ""}
 
 

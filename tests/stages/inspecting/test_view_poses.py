@@ -13,8 +13,8 @@ from scanloom.stages.scans.read import read_scan
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 READINGS = {
     "world-to-camera": np.linalg.inv,
-    "of a camera with y up and z back": lambda pose: pose @ FLIP,
-    "world-to-camera, with y up and z back": lambda pose: np.linalg.inv(pose @ FLIP),
+    "in camera axes with y up and z back": lambda pose: pose @ FLIP,
+    "world-to-camera in axes with y up and z back": lambda pose: np.linalg.inv(pose @ FLIP),
 }
 VIEWS = [
     "real/nerf_alpha_toy",
@@ -43,8 +43,8 @@ def test_sound_poses_are_let_be(shared_data, folder):
 def test_poses_that_are_meant_another_way_are_told(shared_data, folder, reading):
     scan = meant(read_scan(shared_data / folder), READINGS[reading])
     convention = {
-        "of a camera with y up and z back": "y-up",
-        "world-to-camera, with y up and z back": "world-to-camera-y-up",
+        "in camera axes with y up and z back": "y-up",
+        "world-to-camera in axes with y up and z back": "world-to-camera-y-up",
     }.get(reading, reading)
     with pytest.raises(InputError, match=f"probably {reading}.*Set scan.pose_convention={convention},"):
         require_view_poses(scan)
@@ -54,7 +54,7 @@ def test_poses_in_the_wrong_order_are_told(shared_data):
     scan = read_scan(shared_data / "real" / "nerf_alpha_toy")
     poses = [frame.world_from_camera for frame in scan.frames][::-1]
     frames = [replace(frame, world_from_camera=pose) for frame, pose in zip(scan.frames, poses, strict=True)]
-    with pytest.raises(InputError, match="in the order of the frames backwards"):
+    with pytest.raises(InputError, match="in reverse frame order"):
         require_view_poses(replace(scan, frames=frames))
 
 

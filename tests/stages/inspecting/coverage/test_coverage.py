@@ -82,7 +82,7 @@ def test_frames_that_have_no_depth_at_a_hole_say_so_and_one_looks_straight_at_it
     (hole,) = of_kind(glass, "hole")
 
     assert len(hole.looks) == 5
-    assert {look.why for look in hole.looks} == {"has no depth there"}
+    assert {look.why for look in hole.looks} == {"no depth there"}
     assert all(look.share == 1 for look in hole.looks)
     assert hole.stand.position[1] < -0.5
     assert hole.stand.sees == 1
@@ -160,7 +160,7 @@ def test_the_side_of_a_thing_that_no_frame_saw_is_told_and_looked_at_from_there(
     assert first.stand.sees > 0.7
     back = BOX[2].vertices[BOX[2].triangles].mean(axis=1)
     assert in_sight(world, first, back) > 0.9
-    assert any("hides it" in look.why or "behind" in look.why for look in first.looks)
+    assert any("occluded" in look.why or "behind" in look.why for look in first.looks)
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_a_gap_between_what_was_scanned_is_told_where_the_surface_would_be() -> 
     assert {look.frame for look in gap.looks[:2]} == {"2", "3"}
     assert 0.5 < gap.stand.position[2] < 1.4
     assert gap.stand.sees == 1
-    assert "outside its picture" in gap.looks[0].why
+    assert "outside the image" in gap.looks[0].why
     assert gap.frames_towards == 0
     # Those beyond the ends are none.
     assert not [place for place in of_kind(found, *MISSING) if abs(place.point[0]) > 0.6]
@@ -355,7 +355,7 @@ def test_without_depth_and_poses_nothing_can_be_said(frames: list[Frame], why: s
 
 def test_frames_of_another_place_are_refused() -> None:
     frames = [replace(one, world_from_camera=looking((50, 0, 0), (51, 0, 0))) for one in frames_of(WALL, ROW)]
-    with pytest.raises(InputError, match="do poses and mesh belong together"):
+    with pytest.raises(InputError, match="poses and mesh are in the same coordinate system"):
         coverage(WALL, frames)
 
 
