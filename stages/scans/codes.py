@@ -25,7 +25,7 @@ Intrinsics are in pixels of a certain image size. A calibration for another size
 is scaled to the images. This is right if the images were downscaled after the calibration. If the images
 were cropped, subtract the removed columns and rows from `cx` and `cy`.
 """,
-    ("room/camera.json: it is for images of 1280×960 px; its camera is scaled to these images of 640×480 px"),
+    "room/camera.json: it is for images of 1280×960 px; its camera is scaled to these images of 640×480 px",
 )
 CAMERA_CALIBRATION_MISMATCH = Code(
     "camera.calibration-mismatch",
@@ -83,8 +83,9 @@ Focal length × baseline scales every depth of a stereo pair, so scanloom does n
 calibration ([forms](../formats/calibrations.md)), or for rectified images `--intrinsics` and `--baseline`.
 """,
     (
-        "street: no calibration: calibration.json is missing; name one with scan.calibration=FILE, or "
-        "set scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair"
+        "street: no calibration: calibration.json is missing; name a calibration with "
+        "scan.calibration=FILE, or for rectified pairs set scan.intrinsics=fx,fy,cx,cy and "
+        "scan.baseline=METRES"
     ),
 )
 POSE_INVALID = Code(
@@ -119,7 +120,7 @@ No trajectory was given, or the file has more poses than the scan has frames. Th
 are used. If they are wrong, give a trajectory with `--poses FILE` (`scan.poses`;
 [forms](../formats/scans.md#trajectories)).
 """,
-    "the poses are read from slam.txt, which was found next to the images",
+    "the poses are read from slam.txt, which was found in the scan folder",
 )
 POSE_INCONSISTENT_WITH_IMAGES = Code(
     "pose.inconsistent-with-images",
@@ -131,8 +132,8 @@ adjustment. In that case give the pose of the colour camera (`color_from_depth` 
 [scan.json](../formats/scans.md)), or record depth that is aligned to colour.
 """,
     (
-        "colour, depth and poses are off by 3.1 px (median of 1,204 points that two frames show): "
-        "`scanloom run` adjusts them, `scanloom adjust` does it alone"
+        "colour, depth and poses are misaligned by 3.1 px (median of 1,204 points seen in two frames): "
+        "`scanloom run` corrects them, `scanloom adjust` does only that"
     ),
 )
 SCALE_NOT_METRIC = Code(
@@ -160,7 +161,10 @@ The files do not state the unit of the depth maps, or they contradict each other
 unit is used. If all lengths of the result are wrong by one factor, set `scan.depth_scale`, the units per
 metre: 1000 for millimetres, 5000 for TUM, 1 for metres.
 """,
-    "depth is taken as TUM's 5000 units a metre; where it is in millimetres set scan.depth_scale=1000",
+    (
+        "depth is assumed to have TUM's 5000 units per metre; if it is in millimetres, set "
+        "scan.depth_scale=1000"
+    ),
 )
 SCALE_TAGS_UNRELIABLE = Code(
     "scale.tags-unreliable",
@@ -261,7 +265,7 @@ FILE_COLMAP_INVALID = Code(
 A model needs both `cameras` and `images`, in the same format (text or binary), as COLMAP wrote them. A depth
 map must have the size of its image: give the model of the dense workspace (`sparse/` next to `stereo/`).
 """,
-    "scene/sparse/0/cameras.bin: camera 1 claims to have 0×480 pixels.",
+    "scene/sparse/0/cameras.bin: camera 1 states an invalid size of 0×480 pixels.",
 )
 RECORDING_SEVERAL = Code(
     "recording.several",
@@ -270,7 +274,7 @@ RECORDING_SEVERAL = Code(
 If a recording consists of several files, give its folder, which contains metadata.yaml. Several recordings
 in a folder are several scans: give one of the files.
 """,
-    "bags: there are 3 recordings in it; give the one to read.",
+    "bags: the folder has 3 recordings; give the recording to read.",
 )
 RECORDING_CLOCKS_DIFFER = Code(
     "recording.clocks-differ",
@@ -281,7 +285,7 @@ recording times are used instead, which are less accurate while the camera moves
 clock, or with frame numbers instead of times, can be matched by order with `--poses-by-order`, if it has one
 pose per frame.
 """,
-    "room.bag: no depth map and colour image in it are of one moment.",
+    "room.bag: no depth map and colour image were captured at the same time.",
 )
 RECORDING_ENCODING_UNKNOWN = Code(
     "recording.encoding-unknown",
@@ -290,7 +294,7 @@ RECORDING_ENCODING_UNKNOWN = Code(
 Record with the usual encodings of the driver: `rgb8` or `bgr8` for colour, `16UC1` for depth, or their
 compressed transports (JPEG or PNG; depth as `compressedDepth png`).
 """,
-    "room.bag: colour is encoded as yuv420, which is not known; record it as rgb8.",
+    "room.bag: unknown colour encoding 'yuv420'; record colour as rgb8.",
 )
 RECORDING_WRONG_KIND = Code(
     "recording.wrong-kind",
@@ -298,7 +302,7 @@ RECORDING_WRONG_KIND = Code(
     """
 The file was renamed, is a database of another program, or has a version that scanloom does not support.
 """,
-    "room.bag: this is a ROS bag of another version than 2.0.",
+    "room.bag: this is a ROS bag of another version; the file must begin with `#ROSBAG V2.0`.",
 )
 RECORDING_TOPIC_MISSING = Code(
     "recording.topic-missing",
@@ -308,9 +312,9 @@ A recording needs depth images (16UC1 or 32FC1) with a `camera_info`, and colour
 images with a `camera_info` each.
 """,
     (
-        "room.bag: there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in "
-        "the topic's name), and no left/ and right/, only /camera/color/image_raw. Record the depth "
-        "topic too."
+        "room.bag: the recording has neither depth images (sensor_msgs/Image with 16UC1 or 32FC1, `depth` "
+        "in the topic name) nor a left and a right image topic, only /camera/color/image_raw. Record the "
+        "depth topic as well."
     ),
 )
 RECORDING_TOPIC_CHOSEN = Code(
@@ -320,7 +324,7 @@ RECORDING_TOPIC_CHOSEN = Code(
 The recording has several topics of the same kind; the message states which one is used. There is no option
 to choose another one: record only the required topics, or filter the recording.
 """,
-    "of 2 topics of depth, /camera/aligned_depth_to_color/image_raw is used",
+    "2 topics contain depth; /camera/aligned_depth_to_color/image_raw is used",
 )
 SCAN_SELECTION_EMPTY = Code(
     "scan.selection-empty",
@@ -337,7 +341,7 @@ SCAN_FILES_MISSING = Code(
 The folder looks like the given data set, but a part is missing. Often a folder was not unpacked or not
 exported. The message names the missing part. Each layout requires the files that its own tools write.
 """,
-    "40753679: no images named like 41069021_305.377.png in lowres_depth/.",
+    "40753679: lowres_depth/ has no images named like 41069021_305.377.png.",
 )
 SCAN_FRAMES_SKIPPED = Code(
     "scan.frames-skipped",
@@ -378,8 +382,8 @@ timestamps. If their names share no numbers, they are paired by order, with a wa
 both images of a frame the same name. Images without a counterpart are skipped.
 """,
     (
-        "the names in color/ and depth/ share no numbers: they are paired in their order; name the two "
-        "images of a moment alike if that is wrong"
+        "the names in color/ and depth/ share no numbers: the images are paired by position; if that is "
+        "wrong, give the two images of a frame the same number"
     ),
 )
 SCAN_TABLE_DAMAGED = Code(
@@ -389,7 +393,7 @@ SCAN_TABLE_DAMAGED = Code(
 A line or value does not follow the format. Download or copy the file again; if it was edited, compare it with
 the description of the data set. [Formats](../formats/scans.md) describes scanloom's own formats.
 """,
-    "room/rgb.txt: it lists no images.",
+    "room/rgb.txt: the file lists no images.",
 )
 SCAN_DEPTH_MISSING = Code(
     "scan.depth-missing",
@@ -400,8 +404,8 @@ Polycam, Middlebury's multi-view). Export the depth, too. Phones need a LiDAR se
 setting of the app.
 """,
     (
-        "room: its views have no depth, and views of this layout alone cannot be read yet. Record3D "
-        "writes it to depth/ when it exports with EXR files."
+        "room: the views have no depth, and this layout requires depth. Record3D writes depth/ if the "
+        "export includes EXR files."
     ),
 )
 SCAN_PHONE_IMAGES = Code(
@@ -412,8 +416,8 @@ Cropped or rotated images no longer fit the camera in the export: export the ori
 tracking, before the correction of the app, drift.
 """,
     (
-        "room/cameras/1.json: the images are 1920×1080, which is not the shape of the camera's "
-        "1920×1440. Export them again without cropping."
+        "room/cameras/1.json: the size of the images is 1920×1080 pixels, but the camera has another aspect"
+        " ratio (1920×1440). Export the images again without cropping."
     ),
 )
 SCAN_CONFIDENCE = Code(
@@ -424,9 +428,9 @@ Phones store a confidence for each depth value. By default, only depth of the lo
 `scan.least_confidence` changes the threshold.
 """,
     (
-        "depth of confidence 1 and more (of 0, 1, 2) is kept: scan.least_confidence=2 keeps the best "
-        "only, scan.least_confidence=0 all; a phone's depth past 5 m is a guess, which "
-        "fuse.max_depth=5 leaves out"
+        "depth of confidence 1 or higher (levels 0, 1, 2) is used: scan.least_confidence=2 keeps only the "
+        "highest level, scan.least_confidence=0 keeps everything. Depth of phones is unreliable beyond 5 m;"
+        " fuse.max_depth=5 ignores it"
     ),
 )
 SCAN_LAYOUT_UNKNOWN = Code(
@@ -466,7 +470,10 @@ SCAN_ASSUMED = Code(
     """
 The reader had several options; the message states which one it used.
 """,
-    "of 2 models, 0/ is read: it has the most images (0/ (120), 1/ (14)). They have no common world",
+    (
+        "the folder has 2 models without a common world frame: 0/ is read, which has the most images (0/ "
+        "(120), 1/ (14))"
+    ),
 )
 SCAN_ALIGNMENT_MISSING = Code(
     "scan.alignment-missing",
@@ -475,7 +482,7 @@ SCAN_ALIGNMENT_MISSING = Code(
 `scan.align_axes` rotates the world by the axisAlignment in scene*.txt of the data set. Download that file
 again, or remove the option.
 """,
-    "scene0000_00: there is no scene*.txt with an axisAlignment; leave scan.align_axes out.",
+    "scene0000_00: the folder has no scene*.txt with an axisAlignment; leave out scan.align_axes.",
 )
 SCAN_OPTION_UNUSED = Code(
     "scan.option-unused",
