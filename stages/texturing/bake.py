@@ -1,9 +1,9 @@
-"""Baking: a light mesh gets a texture that holds the colours of the original surface.
+"""Bake the colours of an original surface into a texture for its simplified mesh.
 
-Every texel is taken to its place on the light mesh, from there to the nearest point of the original that
-faces the same way, and gets the colour there (Cignoni, Montani, Rocchini and Scopigno 1998, "A general method
-for preserving attribute values on simplified meshes"). What is between the charts is filled from them, so
-that neither bilinear sampling nor smaller copies of the image (mip levels) bring in a colour from elsewhere.
+Each texel is mapped to its point on the simplified mesh. The texel takes the colour of the nearest point of
+the original that faces the same way (Cignoni, Montani, Rocchini and Scopigno 1998, "A general method for
+preserving attribute values on simplified meshes"). Gaps between charts are filled with colours of the charts
+around them, so bilinear sampling and mip levels do not bleed foreign colours.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ if TYPE_CHECKING:
 RESULT_VERSION = 7
 
 _MIN_SIZE = 64
-# Of the images, that charts fill.
+# Typical ratio of an image that charts fill; converts `max_texels` to texels of surface.
 _FILLED = 0.5
-# An image has room for charts beside so many times the padding.
+# Minimum side of an image in multiples of the padding; smaller images have no space for a chart.
 _SIDES_OF_PADDING = 4
 _MOST_SAMPLES = 4
-# Of all texels, by default: an image whose details are too fine for a few samples is averaged before, which
-# takes far less time and shows the same.
+# Default limit of samples in all texels together. Finer source images are averaged before sampling instead,
+# which is much faster and gives the same result.
 _ALL_SAMPLES = 16e6
-# An image that is finer by no more than this factor is shown as it is.
+# Source images up to this factor finer than the target are sampled as they are.
 _ALIKE = 1.25
-# A light mesh of more than this many times the original's area shows something else: it gets no more texels
-# for being large.
+# Maximum area of the simplified mesh relative to the original. A larger mesh is of another surface, and its
+# area does not increase the number of texels.
 _MOST_AREA = 4
 _COMPARED = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class BakeParams:
-    """How finely the colours of the original are kept, and in how large an image."""
+    """Parameters of baking: texel size, image size and sampling."""
 
     texel_size: float | None = param(
         None,
@@ -126,25 +126,26 @@ class BakeParams:
 
 @dataclass(frozen=True, eq=False)
 class Baked:
-    """A textured mesh and how well it shows its original.
+    """Textured mesh and its deviation from the original.
 
     Attributes
     ----------
-    mesh : the light mesh with texture images, without vertex colours.
+    mesh : the simplified mesh with texture images, without vertex colours.
     sizes : (width, height) of each image, texels.
-    texel_size : metres, of a texel on the surface, in the mean.
-    coverage : share of the images that shows the surface.
-    charts : pieces the surface is cut into.
-    padding : texels around each chart that show its colours, at least.
-    samples : along each side of a texel.
-    turned : share of the samples whose nearest point faced away, and that took another one.
-    color : difference from the original's colours, sampled on the original.
-    vertex_color : the same for the light mesh's vertex colours; None if it has none.
-    image_bytes, source_image_bytes : of all new images, and of those they replace, as files; None where there
-        were none.
-    resolution_scale : of a side of an image, below 1 where it was made smaller to have no more bytes.
-    quality : of JPEG or WebP, the lowest of all images; None for PNG.
-    diagnostics : what baking left out.
+    texel_size : mean size of a texel on the surface, metres.
+    coverage : ratio of the images that shows the surface.
+    charts : number of charts.
+    padding : minimum number of texels around each chart that continue its colours.
+    samples : samples along each side of a texel.
+    turned : ratio of samples whose nearest point faced away and was replaced by a point that faces the same
+    way.
+    color : colour difference from the original, sampled on the original.
+    vertex_color : the same for the vertex colours of the simplified mesh; None without vertex colours.
+    image_bytes, source_image_bytes : file sizes of the new images, and of the images they replace; None if no
+        image was replaced.
+    resolution_scale : scale of an image side; below 1 if images were reduced to fit into the byte limit.
+    quality : lowest JPEG or WebP quality of all images; None for PNG.
+    diagnostics : warnings, such as attributes that baking drops.
     """
 
     mesh: Mesh
@@ -168,12 +169,12 @@ class Baked:
 
     @property
     def halvings(self) -> int:
-        """Return how often an image can be halved (mip levels) with no colour crossing to another chart."""
-        # A bilinear sample of a halved image reaches twice as far as a texel of it is wide.
+        """Number of mip levels without colour bleeding between charts."""
+        # A bilinear sample reaches two texels of the halved image across.
         return max(int(math.log2(self.padding)) - 1, 0)
 
     def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON, units in the names."""
+        """Return all metrics for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),
             "images": [list(size) for size in self.sizes],
@@ -209,23 +210,27 @@ def bake(
     progress: Progress = silent,
     **changes: Unpack[BakeKeywords],
 ) -> Baked:
-    """Give a light mesh a texture that holds the colours of its original.
+    """Bake the colours of an original mesh into a texture for its simplified mesh.
 
-    The same meshes give the same image. Memory beside the meshes and the image is bounded.
+    The result is deterministic. Memory besides the meshes and the images is bounded.
 
     Parameters
     ----------
-    light : Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be a manifold. Its own colours and
-        texture are replaced.
-    original : in the same place, with vertex colours or a texture.
-    params : see BakeParams; single ones can be given by name.
-    progress : told of rows of the images.
+    light : the simplified mesh: Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be manifold. Its
+        colours and texture are replaced.
+    original : mesh in the same coordinates, with vertex colours or a texture.
+    params : see BakeParams; single parameters can be given by keyword.
+    progress : called with the number of finished rows of the images and their total.
+
+    Returns
+    -------
+    Baked : the textured mesh, and its colour difference from the original.
 
     Raises
     ------
     MeshError
-        If a mesh is not valid or has no area, the light mesh is of needles alone, or the original has no
-        colours.
+        If a mesh is invalid or has no area, the simplified mesh consists of degenerate triangles only, or the
+        original has no colours.
     """
     params = resolve(BakeParams, params, changes)
     with collecting() as diagnostics:
@@ -291,9 +296,10 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
 
 
 def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], original: Mesh) -> Mesh:
-    """Return the mesh with the images, and without vertex colours: a viewer would multiply the two.
+    """Attach the images to a mesh and remove its vertex colours.
 
-    It takes no light where the original takes none.
+    Vertex colours are removed because viewers multiply them with the texture. The material is unlit if all
+    materials of the original are.
     """
     names = [f"baked-{number}" for number in range(1, len(images) + 1)] if len(images) > 1 else ["baked"]
     theirs = () if original.texture is None else original.texture.materials
@@ -306,13 +312,16 @@ def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], ori
 
 
 def _stretch(light: Mesh, original: Mesh) -> float:
-    """Return how much larger the original's details are on the light mesh: 1 where both show one surface."""
+    """Return the scale of details on the simplified mesh relative to the original.
+
+    The scale is 1 unless the simplified mesh has more than `_MOST_AREA` times the area.
+    """
     light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
     return math.sqrt(light_area / area) if light_area > _MOST_AREA * area else 1.0
 
 
 def _most_samples(texels: float) -> int:
-    """Return how many samples along its side each of so many texels may have."""
+    """Return the affordable number of samples along a texel's side, for a number of texels."""
     return max(min(int(math.sqrt(_ALL_SAMPLES / texels)), _MOST_SAMPLES), 1)
 
 

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of texturing and baking, with explanations."""
+"""Diagnostic codes of texturing and baking, with explanations."""
 
 from __future__ import annotations
 
