@@ -28,7 +28,7 @@ _CELLS = 80
 # Downscaling factor of the images in which the flow is smoothed: saves time, and smooth fields lose nothing.
 _SHARE = 4
 # Gradient descent iterations of the flow per patch. Twice as many take 1.5 times as long and do not reduce
-# the error on held-out photos after smoothing. Other ways to save time produce shifts where there are none.
+# the error on held-out photos after smoothing. Other ways to save time produce spurious shifts.
 _STEPS = 12
 # Weight of the prior that pulls shifts to 0 where the image has little detail, in squared levels per pixel.
 _PRIOR = 20.0

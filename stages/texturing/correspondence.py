@@ -234,8 +234,7 @@ class Correspondence:
         Returns
         -------
         Triangles (k,) of the original, barycentric weights (k, 3), and a mask (k,) of points for which a
-        nearer
-        point was rejected because it faced away.
+        nearer point was rejected because it faced away.
         """
         mesh = self._simplified
         a, b, c = (
@@ -253,8 +252,7 @@ class Correspondence:
         """Query structure of the original, and the search radius in metres.
 
         The radius is twice the maximum distance sampled between both meshes. A thin sheet may be displaced to
-        the
-        wrong side of itself by simplification; its right side is not much farther away than that.
+        the wrong side of itself by simplification; its right side is not much farther away than that.
         """
         surface = _create_surface(self._original)
         step = math.ceil(len(self._simplified.triangles) / PROBES)

@@ -58,8 +58,7 @@ class FacingColors:
         Returns
         -------
         Triangles (k,) of the original, barycentric weights (k, 3), and the number of points whose nearest
-        point
-        faced away and was replaced.
+        point faced away and was replaced.
         """
         corners = self._light.vertices[self._light.triangles[triangles]]
         points = np.einsum("kc,kcx->kx", weights, corners)
@@ -79,8 +78,7 @@ class FacingColors:
         """Return the search radius along a normal, metres.
 
         The radius is twice the maximum distance sampled between both meshes. A thin sheet may be displaced to
-        the
-        wrong side of itself by simplification; its right side is not much farther away than that.
+        the wrong side of itself by simplification; its right side is not much farther away than that.
         """
         step = math.ceil(len(self._light.triangles) / PROBES)
         corners = self._light.vertices[self._light.triangles[::step]]
@@ -118,8 +116,7 @@ def move_inwards(points: Floats, middles: Floats, distance: float) -> Floats:
     """Move points slightly towards the centres of their triangles.
 
     Charts often end at texel centres. On a sharp edge, rounding alone would choose the side a texel is
-    sampled
-    from, row by row, and gap filling would spread such stripes.
+    sampled from, row by row, and gap filling would spread such stripes.
     """
     towards = middles - points
     lengths = np.sqrt(_dot(towards, towards))
