@@ -1,4 +1,4 @@
-"""Building a hierarchy of levels from a mesh."""
+"""Construction of a level-of-detail hierarchy from a mesh."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import LodKeywords
 
-# Raised by hand when levels of the same mesh become others.
+# Relative tolerance of proven bounds over measured errors. Tighter bounds take longer than building the
+# levels.
 RESULT_VERSION = 5
 
-# How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
+# Maximum distance between two colours, levels.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
-# Levels between the farthest two colours there are.
+# Bound of the first level relative to the base error, if there is a base error.
 _FARTHEST_COLOR = 255 * math.sqrt(3)
-# The first bound over the base's error, where the base has one.
+# Bound of the first level relative to the median vertex height, if there is no base error.
 _FIRST_PER_BASE = 2.5
-# The first bound over the median height of vertices, where the base has no error.
+# Minimum bound of the first level relative to the bounding box diagonal: flat meshes need levels, too.
 _FIRST_PER_HEIGHT = 1.4
-# Minimum first bound as a share of the diagonal: flat meshes have levels, too.
 _MIN_FIRST_PER_DIAGONAL = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelsParams:
-    """How levels are made above the finest."""
+    """Parameters of the levels above the finest."""
 
     first_error: float | None = param(
         None,
@@ -88,7 +88,7 @@ class LevelsParams:
 
 @dataclass(frozen=True, kw_only=True)
 class LodParams(LevelsParams):
-    """How levels of detail are made."""
+    """Parameters of level-of-detail hierarchies."""
 
     base_error: float = param(
         0.0,
@@ -107,29 +107,36 @@ def build(
 ) -> Hierarchy:
     """Build the levels of detail of a mesh.
 
-    The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound,
-    the cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on
-    each level against its part of the mesh that was given (or simplified within `base_error`, which is
-    added): at every point, both ways, in shape and colour. With `drop_islands` it is the mesh without these.
-    Bounds of levels are never added up.
+    The surface is divided into cells along edges of the mesh. Each level is simplified within a larger bound,
+    with locked cell borders. Then neighbouring cells are merged, until one is left.
 
-    After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012),
-    with clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
+    The bound of each cell is proven on each level against the cell's part of the input mesh, in shape and
+    colour, at every point and in both directions. Bounds of levels do not accumulate. If `base_error` is set,
+    the reference is the mesh simplified within it, and its bound is added. With `drop_islands`, the reference
+    is the mesh without the dropped components.
+
+    The method follows Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
+    hierarchies" (2012), with clusters of Garland, Willmott and Heckbert (2001) and fitted instead of
+    half-edge collapses.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Of a texture, levels
-        have the colours at the vertices; the mesh itself is kept as `Hierarchy.model`, for images of tiles
-        and cuts.
-    params : LodParams; single fields can be given by name instead.
-    progress : called with (triangles gone, all).
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Levels of a textured
+        mesh get vertex colours. The textured mesh itself is kept as `Hierarchy.model`, to texture tiles and
+        cuts.
+    params : LodParams; single parameters can be given by keyword instead.
+    progress : called with the number of removed triangles and their total.
+
+    Returns
+    -------
+    Hierarchy
 
     Raises
     ------
     InputError
-        If the mesh has no triangles, or no piece that is not dropped.
+        If the mesh has no triangles, or all its components would be dropped.
     MeshError
-        If it is no valid mesh, or its coordinates are too large.
+        If the mesh is invalid, or its coordinates are too large.
     UsageError
         If a parameter is out of range.
     """
@@ -158,11 +165,13 @@ def _built(given: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
 
 
 def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
-    """Return levels as those of a mesh that the one they were built of is proven to be near, both ways.
+    """Widen all bounds of a hierarchy by the deviation of its base mesh.
 
     Parameters
     ----------
-    shape, color : metres, and levels of colour; they count in all bounds, by the triangle inequality.
+    hierarchy : levels built from a simplified mesh.
+    shape, color : proven two-sided deviation of that mesh from the original, metres and levels. The sum is
+        valid by the triangle inequality.
     """
     return replace(
         hierarchy,
@@ -174,7 +183,7 @@ def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
 
 
 def _plain(mesh: Mesh) -> Mesh:
-    """Return a mesh with nothing but colours of vertices."""
+    """Return a mesh with vertex colours only, and warn about dropped attributes."""
     lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals, "normals": mesh.normals}
     names = [name for name, value in lost.items() if value is not None]
     if names:
@@ -185,7 +194,12 @@ def _plain(mesh: Mesh) -> Mesh:
 
 
 def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
-    """Return a mesh without the pieces that are smaller than a size, and how many were dropped."""
+    """Remove connected components smaller than `size`, metres.
+
+    Returns
+    -------
+    The mesh, and the number of removed components.
+    """
     if size == 0:
         return mesh, 0
     small, islands = find_small_components(mesh, size)
@@ -211,7 +225,7 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
 
 
 def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
-    """Return the mean colour (n, 3) of the corners of each vertex, black where there is none."""
+    """Average the corner colours of each vertex, (n, 3); black for unused vertices."""
     corner = mesh.triangles.reshape(-1)
     weights = np.tile(np.eye(3), (len(mesh.triangles), 1))
     found = color_at(mesh, np.repeat(np.arange(len(mesh.triangles)), 3), weights)
@@ -221,7 +235,12 @@ def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
 
 
 def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, float, float, Progress]:
-    """Return the finest level, what is proven of it, in metres and levels, and the progress of the rest."""
+    """Build the finest level.
+
+    Returns
+    -------
+    The mesh, its proven bounds in metres and colour levels, and the progress callback for the remaining work.
+    """
     if params.base_error == 0:
         return mesh, 0.0, 0.0, progress
     count = len(mesh.triangles)
@@ -235,7 +254,7 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
             threads=params.threads,
             progress=_part(progress, 0, half, count),
         )
-    # Levels have the bounds that are proven, whether or not those are within the one that was asked for.
+    # The proven bounds are used as they are, so an unmet request is no problem here.
     emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
     details = light.details
     bounds = float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
@@ -243,7 +262,7 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
 
 
 def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
-    """Return what tells of a part of the work as from `first` to `last` of all."""
+    """Return a callback that maps the progress of a step to `first`…`last` of `count`."""
 
     def tell(done: int, total: int) -> object:
         return progress(first + (last - first) * done // max(total, 1), count)
@@ -252,13 +271,13 @@ def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
 
 
 def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:
-    """Return the hierarchy of a mesh that may have copies of vertices, or be no manifold."""
+    """Build the hierarchy of a mesh that may be non-manifold or have duplicated vertices."""
     sheets = joined(mesh)
     if sheets is None:
         try:
             return _of_manifold(mesh, np.zeros(0, bool), params, base_error, progress)
         except _kernels.InvalidMeshError:
-            # Not a manifold: the sheets it is made of are.
+            # Non-manifold: cut the mesh into manifold sheets.
             sheets = sheets_of(mesh)
     whole = in_sheets(mesh, sheets)
     split = is_split(mesh, sheets)
@@ -322,10 +341,10 @@ def _of_manifold(
 
 
 def _estimate_first_error(mesh: Mesh) -> float:
-    """Estimate an error bound for the first level, in metres, from the heights of vertices over neighbours.
+    """Estimate the error bound of the first level from vertex heights, metres.
 
-    The height is measured along a vertex normal from the mean of the neighbours. Half of the vertices are
-    lower than the median height, and about as many can be removed within the bound.
+    The height is the distance of a vertex from the mean of its neighbours, along the vertex normal. Half of
+    the vertices are below the median height, and about as many can be removed within the bound.
     """
     corners, triangles = mesh.vertices[mesh.triangles], mesh.triangles
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -345,5 +364,5 @@ def _estimate_first_error(mesh: Mesh) -> float:
 
 
 def _sum_rows(at: NDArray[np.int32], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the sums (count, 3) of the rows (k, 3) with the same index `at`."""
+    """Sum the rows (k, 3) with the same index `at`, (count, 3)."""
     return np.stack([np.bincount(at, column, minlength=count) for column in values.T], axis=1)

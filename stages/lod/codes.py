@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of levels of detail, with explanations."""
+"""Diagnostic codes of levels of detail, with explanations."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ class Baked:
     padding : minimum number of texels around each chart that continue its colours.
     samples : samples along each side of a texel.
     turned : ratio of samples whose nearest point faced away and was replaced by a point that faces the same
-    way.
+        way.
     color : colour difference from the original, sampled on the original.
     vertex_color : the same for the vertex colours of the simplified mesh; None without vertex colours.
     image_bytes, source_image_bytes : file sizes of the new images, and of the images they replace; None if no

@@ -153,8 +153,7 @@ class PlacedTriangles:
     triangles : (k,) index of the triangle in the original.
     charts, pages : (k,) int32, chart and image of the simplified mesh.
     max_distances : (k,) maximum distance of a texel from its source point, metres; infinite for triangles
-    whose
-        normals agree with the chart.
+        whose normals agree with the chart.
     """
 
     corners: Floats

@@ -2,8 +2,7 @@
 
 photo-1.png      16 bits: number of the photo with the highest weight at a texel of image 1; 0 for none
 count-1.png      8 bits: number of photos that are blended
-obliquity-1.png  8 bits: angle between the surface normal and the direction to that photo, degrees; 255 for
-none
+obliquity-1.png  8 bits: angle between surface normal and direction to that photo, degrees; 255 for none
 texel-1.png      16 bits: width of the texel on the surface in micrometres, at most 65,535; 0 for none
 photos.json      frame names by photo number, and the median texel size in metres
 """

@@ -146,8 +146,7 @@ def fitted(
     max_side : maximum side of an image, texels.
     max_texels : maximum texels of surface in all images together.
     padding : minimum number of texels around each chart that continue its colours. By default 1/256 of the
-    side,
-        which is enough for a few mip levels, and 2 where that takes too much space.
+        side, which is enough for a few mip levels, and 2 where that takes too much space.
     progress : called by the layout kernel.
 
     Raises

@@ -44,7 +44,7 @@ class Survey:
     colors : (n, k, 3) uint8, levels of each sample.
     radii2 : (n, k) squared distance from the centre of the photo, 1 in its corners.
     pixels_per_m : (m,) float32, resolution of each triangle in its best photo, limited; low where no photo
-    shows it.
+        shows it.
     seen : ratio of the surface area that at least one photo shows.
     shown : for each photo, the parts of the mesh that it may show.
     """

@@ -155,18 +155,15 @@ class Textured:
     seen : ratio of the surface area that at least one photo shows; the rest keeps the vertex colours.
     views : mean number of photos blended per texel.
     difference_before, difference_after : median difference between photos and their mean, in levels, without
-    and
-        with exposure correction.
+        and with exposure correction.
     gains : minimum and maximum gain over photos and channels.
     vignette : ratio of the light lost in the corners.
     shift : median over the photos of their mean shift, as a ratio of the photo's width.
     uneven : median over the photos of their mean local exposure correction, levels.
     seams : mean colour difference (CIE 1976) across seams, relative to other neighbouring texels; None if
-    there are
-        too few pairs.
+        there are too few pairs.
     seams_over_photos : `seams` divided by the same ratio in single photos that show both texels. Photos often
-    end at
-        occlusion boundaries; this ratio compensates for that.
+        end at occlusion boundaries; this ratio compensates for that.
     labels : for each image, (h, w) int32, photo with the highest weight; -1 if no photo shows the surface.
     counts : for each image, (h, w) uint8, number of blended photos.
     diagnostics : warnings.
@@ -237,11 +234,10 @@ def texture(
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses; need not
-    be
-        manifold. Vertex colours are used where no photo shows the surface. An existing texture is replaced.
+        be manifold. Vertex colours are used where no photo shows the surface. An existing texture is
+        replaced.
     frames : scan or frames with colour images and poses. Depth is optional; photos that contradict the depth
-    of
-        their frame are not used there.
+        of their frame are not used there.
     params : see TextureParams; single parameters can be given by keyword.
     progress : called with the progress in thousandths.
 
