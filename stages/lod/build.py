@@ -35,18 +35,18 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import LodKeywords
 
-# Relative tolerance of proven bounds over measured errors. Tighter bounds take longer than building the
-# levels.
+# Increment when the levels of the same mesh change, to invalidate cache entries.
 RESULT_VERSION = 5
 
-# Maximum distance between two colours, levels.
+# Relative tolerance of proven bounds over measured errors: tighter bounds take longer than building the levels.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
-# Bound of the first level relative to the base error, if there is a base error.
+# Maximum distance between two colours, levels.
 _FARTHEST_COLOR = 255 * math.sqrt(3)
-# Bound of the first level relative to the median vertex height, if there is no base error.
+# Bound of the first level relative to the base error, if there is a base error.
 _FIRST_PER_BASE = 2.5
-# Minimum bound of the first level relative to the bounding box diagonal: flat meshes need levels, too.
+# Bound of the first level relative to the median vertex height, if there is no base error.
 _FIRST_PER_HEIGHT = 1.4
+# Minimum bound of the first level relative to the bounding box diagonal: flat meshes need levels, too.
 _MIN_FIRST_PER_DIAGONAL = 1e-5
 
 

@@ -23,7 +23,7 @@ _FILLED = 0.62
 _MIN_SIDE = 64
 # Heights are multiples of this number of rows, so that images can be halved a few times (mip levels).
 _ROWS = 64
-# Maximum fill ratio assumed for a square image: the first side tried is at least as large as this implies.
+# Fill ratio of a square image that the first attempted side must not exceed.
 _LEAST_FILLED = 0.5
 _LEAST_PADDING = 2
 # Default padding: one texel per this many texels of the image's side.
