@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of pictures, with explanations."""
+"""Diagnostic codes of rendering, with explanations."""
 
 from __future__ import annotations
 
