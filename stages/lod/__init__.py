@@ -1,4 +1,4 @@
-"""Level of detail: a tree of cells with progressive meshes and proven error bounds.
+"""Level of detail: progressive meshes in a tree of cells, with proven bounds.
 
 >>> from scanloom.stages import lod, read_mesh >>> hierarchy = lod.build(read_mesh("clean.ply")) >>> coarse =
 hierarchy.cut(triangles=20_000) >>> coarse.mesh, coarse.shape_bound_m

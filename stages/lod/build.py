@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # Increment when the levels of the same mesh change, to invalidate cache entries.
 RESULT_VERSION = 5
 
-# Relative tolerance of proven bounds over measured errors: tighter bounds take longer than building the levels.
+# Relative tolerance of proven bounds over measured errors: tighter bounds take longer than building levels.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
 # Maximum distance between two colours, levels.
 _FARTHEST_COLOR = 255 * math.sqrt(3)

@@ -1,4 +1,4 @@
-"""Evaluation of a hierarchy for a view and a region, and adjustment of its front."""
+"""View-dependent evaluation of a hierarchy, and adjustment of its front."""
 
 from __future__ import annotations
 

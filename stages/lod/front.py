@@ -1,4 +1,4 @@
-"""Active front of a hierarchy: the displayed nodes and their number of vertex splits."""
+"""Active front of a hierarchy: displayed nodes and their vertex splits."""
 
 from __future__ import annotations
 
@@ -238,7 +238,10 @@ class Front:
     def _wanted(
         self, view: View | None, error_px: float | None, max_shape: float | None, region: Region | None
     ) -> Floats:
-        """Compute the priority (n,) of each node: error relative to the request, refined above 1."""
+        """Compute the refinement priority (n,) of each node.
+
+        The priority is the error relative to the requested error; nodes above 1 are refined.
+        """
         h = self.hierarchy
         urgency = np.zeros(h.nodes)
         seen, length = np.ones(h.nodes, bool), h.shape_bound

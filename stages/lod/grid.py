@@ -118,9 +118,10 @@ def _finest_bound(h: Hierarchy) -> float:
 
 
 def _places(exact: Floats) -> Floats | None:
-    """Assign a grid point to each position in steps, (n, 3) integers; None if too dense.
+    """Assign a grid point (n, 3) to each position, both in steps.
 
-    Equal positions get the same grid point, different positions different ones.
+    Returns None if the positions are too dense. Equal positions get the same grid point, different positions
+    different ones.
     """
     places = np.rint(exact)
     same = same_rows(list(exact.T))

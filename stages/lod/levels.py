@@ -1,4 +1,4 @@
-"""Levels of a mesh in memory: a tree of cells with a common vertex forest."""
+"""Levels of a mesh in memory."""
 
 from __future__ import annotations
 
@@ -127,12 +127,15 @@ class Levels:
 
     @cached_property
     def full_shape_bound(self) -> Floats:
-        """Shape bound of each node (n,) with all splits done: maximum of its children, or the base bound."""
+        """Shape bound of each node (n,) with all splits done, metres.
+
+        It is the maximum of the children's bounds, or the base bound at a leaf.
+        """
         return self._below(self.shape_bound, self.base_shape_bound)
 
     @cached_property
     def full_color_bound(self) -> Floats:
-        """Colour bound of each node (n,) with all splits done."""
+        """Colour bound of each node (n,) with all splits done, levels."""
         return self._below(self.color_bound, self.base_color_bound)
 
     def _below(self, bound: Floats, base: float) -> Floats:

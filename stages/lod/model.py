@@ -1,6 +1,7 @@
-"""Textured source mesh of a hierarchy, embedded in its file for texturing of tiles and cuts.
+"""Textured source mesh of a hierarchy, embedded in its file.
 
-It is stored as a GLB file with the original images, so that it can be extracted and opened.
+Tiles and cuts get their texture from it. It is stored as a GLB file with the original images, so that it can
+be extracted and opened.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Images of tiles, with a resolution that follows the proven shape error of each tile.
+"""Texture images of tiles.
 
-The finest tiles sample their colours from the source model, at the nearest point that faces the same way.
-Coarser tiles sample the next finer tiles, once these show more detail than a few samples per texel can
-resolve. Each texel is thus the mean of the surface under it. Mip levels of the model's image would bleed
-between its charts instead. Sampling looks up all tiles around, so colours are continuous across tile borders.
+The resolution follows the proven shape error of each tile. The finest tiles sample their colours from the
+source model, at the nearest point that faces the same way. Coarser tiles sample the next finer tiles, once
+these show more detail than a few samples per texel can resolve. Each texel is thus the mean of the surface
+under it. Mip levels of the model's image would bleed between its charts instead. Sampling looks up all tiles
+around, so colours are continuous across tile borders.
 """
 
 from __future__ import annotations
@@ -278,7 +279,7 @@ _NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 @dataclass(frozen=True, eq=False)
 class _Painted:
-    """Tile with its image, uncompressed for coarser tiles (`plain`) and encoded for its file (`mesh`)."""
+    """Tile with its image, raw (`plain`) and encoded (`mesh`)."""
 
     plain: Mesh
     mesh: Mesh
@@ -367,7 +368,12 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
-    """Sample points uniformly on a mesh, reproducibly: triangles (k,) and barycentric weights (k, 3)."""
+    """Sample points uniformly and reproducibly on a mesh.
+
+    Returns
+    -------
+    Triangles (k,) and barycentric weights (k, 3).
+    """
     rng = np.random.default_rng(0)
     area = areas(mesh.vertices, mesh.triangles)
     triangles = np.sort(rng.choice(len(area), _POINTS, p=area / area.sum())).astype(np.int64)

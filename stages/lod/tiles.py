@@ -149,11 +149,12 @@ def write_tiles(
     progress: Progress = silent,
     **changes: Unpack[TilesKeywords],
 ) -> Tileset:
-    """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file per tile.
+    """Write a hierarchy as 3D Tiles 1.1.
 
-    A tile is the coarse mesh of a node; below each leaf, one more tile is the base mesh. The children of a
-    tile replace it together. A tile with a single child of hardly more triangles is skipped. Tiles of
-    different levels fit without cracks, because all positions are on one grid.
+    The output is `outdir/tileset.json` and one GLB file per tile. A tile is the coarse mesh of a node; below
+    each leaf, one more tile is the base mesh. The children of a tile replace it together. A tile with a
+    single child of hardly more triangles is skipped. Tiles of different levels fit without cracks, because
+    all positions are on one grid.
 
     The `geometricError` of a tile is its proven two-sided shape bound plus the displacement by the grid, in
     metres, rounded up, and at least the error of each child. The `extras` of its content contain the tile's
@@ -265,7 +266,7 @@ def _require_whole(h: Hierarchy) -> None:
 
 @dataclass(frozen=True)
 class _Tile:
-    """Tile: coarse mesh of a node, or the base mesh at a leaf, with its bounds."""
+    """Tile of a tileset: coarse mesh of a node, or base mesh."""
 
     node: int
     is_base: bool
@@ -320,7 +321,7 @@ def _leaves(h: Hierarchy) -> NDArray[np.int64]:
 
 
 def _below(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
-    """Return, for each tile, the tiles of the next finer level that cover the whole surface."""
+    """List the source tiles of each tile: the next finer level, covering the whole surface."""
     number_of = {(tile.node, tile.is_base): number for number, tile in enumerate(tiles)}
 
     def standing_for(node: int) -> int:
@@ -405,10 +406,10 @@ def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_on
 
 
 def _box(low: Floats, high: Floats, grid: Grid) -> list[float]:
-    """Return a bounding box as centre and half axes, enlarged by a step on all sides.
+    """Return a bounding box as centre and half axes.
 
-    The margin gives flat boxes a thickness. Nested boxes stay nested, because these sums are exact on the
-    grid.
+    It is enlarged by a grid step on all sides. The margin gives flat boxes a thickness. Nested boxes stay
+    nested, because these sums are exact on the grid.
     """
     half = 0.5 * (high - low) + grid.step
     return [*(0.5 * (low + high)).tolist(), *np.diag(half).reshape(-1).tolist()]

@@ -66,7 +66,7 @@ class View:
 
     @staticmethod
     def of(viewpoint: Viewpoint, *, near: float = 1e-3, far: float = math.inf) -> View:
-        """Return the view of a viewpoint, with its principal point moved to the image centre."""
+        """Return the view of a viewpoint, ignoring its principal point."""
         camera, pose = viewpoint.camera, np.asarray(viewpoint.world_from_camera, np.float64)
         eye, ahead, down = pose[:3, 3], pose[:3, 2], pose[:3, 1]
         field = 2 * math.degrees(math.atan2(0.5 * camera.height, camera.fy))

@@ -1,4 +1,4 @@
-"""Rendering of chunked meshes: chunks are drawn one by one into a depth buffer."""
+"""Rendering of chunked meshes into a common depth buffer."""
 
 from __future__ import annotations
 

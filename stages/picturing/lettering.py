@@ -67,7 +67,7 @@ def focus_of(model: Model, viewpoint: Viewpoint) -> float | None:
 
 
 def with_words(image: ColorImage, text: str) -> ColorImage:
-    """Draw a caption at the upper left of an image; text that is too long is truncated."""
+    """Draw a caption at the upper left of an image, truncated to its width."""
     drawing = _Drawing(image)
     drawing.panel(drawing.fitting(text), drawing.margin, drawing.margin)
     return drawing.finished()

@@ -1,4 +1,7 @@
-"""Software renderer for meshes: rays cast by Open3D, shading in NumPy. Requires no window, GPU or OpenGL."""
+"""Software renderer for meshes, without window, GPU or OpenGL.
+
+Rays are cast by Open3D and shaded in NumPy.
+"""
 
 from __future__ import annotations
 
@@ -139,7 +142,7 @@ class Model:
         return np.concatenate(seen)
 
     def draw_on(self, canvas: Canvas, places: NDArray[np.intp] | slice = slice(None)) -> None:
-        """Draw the surface on a canvas where it is nearer, optionally at some pixels only."""
+        """Draw the surface on a canvas with depth test, optionally at some pixels."""
         u, v = canvas.u[places], canvas.v[places]
         numbers = np.arange(len(canvas.u))[places]
         for rows in chunks(len(u)):
@@ -153,7 +156,7 @@ class Model:
                 canvas.depths[at] = hits.distances
 
     def _seen(self, viewpoint: Viewpoint, directions: _Floats) -> Iterator[Hits]:
-        """Yield the first hits of rays; with culling, only on triangles that face the camera."""
+        """Yield the first hits of rays, with or without back-face culling."""
         origin = viewpoint.world_from_camera[:3, 3]
         hits = self.surface.cast(origin, directions)
         if not viewpoint.cull:
@@ -276,7 +279,12 @@ def _within(canvas: Canvas, box: Floats) -> NDArray[np.intp]:
 
 
 def _rectangle(viewpoint: Viewpoint, box: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the image rectangle of a box (2, 3): minimum and maximum of u and of v, pixels."""
+    """Return the image rectangle of a box (2, 3), pixels.
+
+    Returns
+    -------
+    Minimum and maximum of u, and of v.
+    """
     corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
     pose, camera = viewpoint.world_from_camera, viewpoint.camera
     x, y, z = ((corners - pose[:3, 3]) @ pose[:3, :3]).T

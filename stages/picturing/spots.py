@@ -1,4 +1,4 @@
-"""Point splats: point clouds as small triangles, so that the mesh renderer can draw them."""
+"""Point splats: point clouds as small triangles for the mesh renderer."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ def looking_at(
     cull: bool = False,
     name: str = "free",
 ) -> Viewpoint:
-    """Create the viewpoint of an eye that looks at a target in the image centre.
+    """Create a viewpoint that looks at a target point.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def _looking(
     *,
     cull: bool = False,
 ) -> Viewpoint:
-    """Create a viewpoint along `forward`, at the distance where the points just fill the image."""
+    """Create a viewpoint along `forward` that is filled by the points."""
     height = height or round(width * 3 / 4)
     rotation = _rotation(forward, up)
     seen = framed(points @ rotation)

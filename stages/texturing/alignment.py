@@ -114,7 +114,7 @@ def no_larger(
 
 
 def shifted(photo: NDArray[np.uint8], shifts: Shifts) -> NDArray[np.uint8]:
-    """Warp a photo (h, w, 3) by its shifts, to align it with the texture."""
+    """Align a photo (h, w, 3) with the texture by its shifts."""
     import cv2
 
     height, width = photo.shape[:2]

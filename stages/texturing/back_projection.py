@@ -1,4 +1,4 @@
-"""Detail recovery: add the residual between photos and the rendered texture to the photos.
+"""Detail recovery by back-projection of the residual between photos and texture.
 
 A texel is a mean of photos, and each photo is a mean over its pixels, so pixel-sized details are blurred
 twice. The textured mesh is rendered from each camera, and the residual of the photo is added to the photo.
@@ -70,7 +70,7 @@ def with_lacking(
 def _agreeing(
     photo: NDArray[np.uint8], drawn: NDArray[np.uint8], shown: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Compute the agreement of a photo and a rendering, (h, w) uint8, 255 for full."""
+    """Compute the agreement of a photo and a rendering, (h, w) uint8."""
     import cv2
 
     height, width = shown.shape

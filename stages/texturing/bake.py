@@ -1,4 +1,4 @@
-"""Bake the colours of an original surface into a texture for its simplified mesh.
+"""Bake the colours of an original surface onto its simplified mesh.
 
 Each texel is mapped to its point on the simplified mesh. The texel takes the colour of the nearest point of
 the original that faces the same way (Cignoni, Montani, Rocchini and Scopigno 1998, "A general method for
@@ -210,7 +210,7 @@ def bake(
     progress: Progress = silent,
     **changes: Unpack[BakeKeywords],
 ) -> Baked:
-    """Bake the colours of an original mesh into a texture for its simplified mesh.
+    """Bake the colours of an original mesh onto its simplified mesh.
 
     The result is deterministic. Memory besides the meshes and the images is bounded.
 
@@ -321,7 +321,7 @@ def _stretch(light: Mesh, original: Mesh) -> float:
 
 
 def _most_samples(texels: float) -> int:
-    """Return the affordable number of samples along a texel's side, for a number of texels."""
+    """Return the affordable samples along a texel's side."""
     return max(min(int(math.sqrt(_ALL_SAMPLES / texels)), _MOST_SAMPLES), 1)
 
 

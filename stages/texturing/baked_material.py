@@ -60,7 +60,7 @@ def build_material(texture: Texture, material_class: MaterialClass, images: dict
 
 
 def _remove_maps(kept: MtlStatements) -> MtlStatements:
-    """Remove the maps of an MTL material that are not in the atlas, with a warning."""
+    """Remove the maps of an MTL material, with a warning."""
     lines, lost = [], []
     for line in kept.lines:
         key = line.split(None, 1)[0]

@@ -1,4 +1,4 @@
-"""Baker for the images of one material class, page by page of its atlas."""
+"""Baker for the images of one material class."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class AtlasStats:
 
 
 class ClassBaker:
-    """Baker for the images of one material class."""
+    """Baker for the images of one material class, page by page of its atlas."""
 
     def __init__(
         self, part: ClassMeshes, one: MaterialClass, budget: TexelBudget, pages: Pages, covered: float
@@ -160,7 +160,7 @@ class ClassBaker:
         )
 
     def _load_map(self, number: int, path: Path, channels: int) -> Pixels | None:
-        """Load a map, averaged to the resolution of the atlas if it is finer."""
+        """Load a map at no more than the resolution of the atlas."""
         image = image_at(self._texture.materials[number], path) if number >= 0 else None
         if image is None:
             return None
@@ -179,7 +179,7 @@ class ClassBaker:
         return self._reduced[key]
 
     def _count_atlas_texels(self, its: NDArray[np.bool_]) -> float:
-        """Estimate the number of atlas texels that show the given triangles of the original."""
+        """Estimate the number of atlas texels of some original triangles."""
         shown = float(self._budget.covered[its].sum())
         return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
 
@@ -207,7 +207,7 @@ class ClassBaker:
         return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
 
     def _find_points(self, is_shown: NDArray[np.bool_]) -> TexelPoints:
-        """Select the source points that are on the given triangles (m,) of the original."""
+        """Select the source points on the given original triangles (m,)."""
         points = self._sources.points
         return points if is_shown.all() else points[is_shown[points.triangles]]
 

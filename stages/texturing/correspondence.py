@@ -408,7 +408,7 @@ def _locate(
 
 
 def _sample_image(image: Pixels, uvs: Floats, wrap: tuple[str, str], channels: int) -> Pixels:
-    """Sample the first channels of an image (h, w, c) at texture coordinates (k, 2), v up.
+    """Sample an image (h, w, c) at texture coordinates (k, 2), v up.
 
     Returns
     -------

@@ -66,6 +66,9 @@ def _least(area: NDArray[np.float64]) -> float:
 
 
 def _texel_count(image: NDArray[np.uint8] | None) -> int:
-    """Count the texels of an image; 0 for a single texel, which has no detail even if it repeats."""
+    """Count the texels of an image.
+
+    A single texel counts as 0, because it has no detail even if it repeats.
+    """
     count = 0 if image is None else image.shape[0] * image.shape[1]
     return count if count > 1 else 0

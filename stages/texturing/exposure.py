@@ -1,4 +1,4 @@
-"""Exposure model of photos: gain and bias per channel and photo, and one vignette.
+"""Exposure model of photos: gain, bias and vignette.
 
 The level of photo i is modelled as (gain_i · a + bias_i) · v(r), where a is the level common to all photos.
 The vignette is v(r) = v₀ (1 + v₁ r² + v₂ r⁴), with r the distance from the photo's centre and mean 1 over a
@@ -211,9 +211,10 @@ def _solved(
 def _vignette(
     shown: Sequence[Floats], levels: Sequence[Floats], weights: Sequence[Floats], radius2: Floats
 ) -> tuple[float, float, float]:
-    """Fit the vignette: level = shown · (1 + v₁ r² + v₂ r⁴), by least squares.
+    """Fit the vignette by least squares.
 
-    A prior pulls v₁ and v₂ to 0. v₀ normalises the mean over a photo to 1.
+    The model is level = shown · (1 + v₁ r² + v₂ r⁴). A prior pulls v₁ and v₂ to 0. v₀ normalises the mean
+    over a photo to 1.
     """
     normal = _PRIOR_SAMPLES * _PRIOR_LEVELS**2 * np.eye(2)
     right = np.zeros(2)
@@ -237,7 +238,10 @@ def _mean(point: NDArray[np.int64], there: Floats, weight: Floats, gain: Floats,
 def _fitted(
     view: NDArray[np.int64], mean: Floats, level: Floats, weight: Floats, count: int
 ) -> tuple[Floats, Floats]:
-    """Fit level = gain · mean + bias for each photo by least squares, with a prior at 1 and 0."""
+    """Fit gain and bias of each photo by least squares.
+
+    The model is level = gain · mean + bias, with a prior at gain 1 and bias 0.
+    """
 
     def total(values: Floats) -> Floats:
         return np.asarray(np.bincount(view, values, minlength=count), np.float64)

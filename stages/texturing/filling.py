@@ -1,4 +1,4 @@
-"""Filling of the gaps between charts with the colours of the charts, against bleeding."""
+"""Filling of the gaps between charts, against colour bleeding."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
 
 
 def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_]) -> None:
-    """Fill the gaps of the images (h, w, c) of one atlas with block means, in place.
+    """Fill the gaps of atlas images (h, w, c) with block means, in place.
 
     A gap gets the mean of the smallest block of 2, 4, 8 … texels that contains a filled texel. Mip levels
     therefore mix a chart with its own colours only, until a block contains two charts.

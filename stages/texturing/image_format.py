@@ -1,4 +1,4 @@
-"""File formats of baked images, chosen from the source images, within a byte limit."""
+"""File formats of baked images, and encoding within a byte limit."""
 
 from __future__ import annotations
 

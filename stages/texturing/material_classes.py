@@ -93,7 +93,7 @@ def texture_paths(tree: Any, start: Path = ()) -> Iterator[Path]:
 
 
 def value_at(tree: Any, path: Path, default: Any = None) -> Any:
-    """Return the value at a path of nested objects, or `default` if it is missing."""
+    """Return the value at a path of nested objects, or `default`."""
     for key in path:
         if not isinstance(tree, dict) or key not in tree:
             return default

@@ -1,4 +1,4 @@
-"""Atlas pages: layout of a surface in images, and the surface points under their texels."""
+"""Atlas pages: layout of a surface in images."""
 
 from __future__ import annotations
 
@@ -135,9 +135,10 @@ def fitted(
     padding: int | None,
     progress: Progress,
 ) -> Pages:
-    """Lay a mesh out in the smallest square image that holds it, and fill the image.
+    """Lay a mesh out in the smallest possible square image.
 
-    If the largest image is too small, the layout uses several of the largest size. It is deterministic.
+    The density is increased until the image is full. If the largest image is too small, the layout uses
+    several of the largest size. It is deterministic.
 
     Parameters
     ----------
@@ -179,7 +180,9 @@ def fitted(
 
 
 def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
-    """Lay a mesh out in one tightly sized image; its sides need not be powers of two.
+    """Lay a mesh out in one tightly sized image.
+
+    The sides of the image need not be powers of two.
 
     Parameters
     ----------
@@ -219,7 +222,7 @@ def lay_out_within(
     max_texels: float | None,
     max_side: int,
 ) -> Pages:
-    """Lay a mesh out with a given number of surface texels and a limit of all texels.
+    """Lay a mesh out with a given number of texels.
 
     Parameters
     ----------
@@ -295,7 +298,10 @@ def _pages(
     progress: Progress,
     parts: NDArray[np.int32] | None = None,
 ) -> Pages:
-    """Lay a mesh out in square images, with separate images for each group (m,) of triangles."""
+    """Lay a mesh out in square images.
+
+    Each group of triangles, `parts` (m,), gets separate images.
+    """
     count = len(mesh.triangles)
     corners, pages, charts = (
         np.zeros((count, 3, 2)),

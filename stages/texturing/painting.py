@@ -85,9 +85,9 @@ class Painted:
 
 
 def levels_of(painted: Painted) -> NDArray[np.uint8]:
-    """Convert a painted image to 8 bits, (h, w, 3), with 0 where no photo shows the surface.
+    """Convert a painted image to 8 bits, (h, w, 3).
 
-    Painted texels are at least 1, so that 0 marks missing texels in renderings.
+    Texels that no photo shows are 0. Painted texels are at least 1, so that renderings can tell them apart.
     """
     levels = np.rint(painted.colors)
     np.clip(levels, 1, 255, out=levels)
@@ -103,14 +103,14 @@ class Shown(NamedTuple):
     parts: Sequence[NDArray[np.uint32]]
 
     def showing(self, parts: NDArray[np.uint32]) -> list[int]:
-        """Return the indices of the photos that may show any of the given mesh parts."""
+        """Return the indices of the photos that may show some mesh parts."""
         wanted = np.zeros(1 + max(int(some.max(initial=0)) for some in (parts, *self.parts)), np.bool_)
         wanted[parts] = True
         return [number for number, some in enumerate(self.parts) if wanted[some].any()]
 
 
 class Painter:
-    """Painter of all images of a texture; can repeat the painting with corrected photos."""
+    """Painter of all images of a texture, in one or more passes."""
 
     def __init__(
         self,
@@ -157,7 +157,7 @@ class Painter:
 
     @property
     def can_add_details(self) -> bool:
-        """True if `with_details` can be called: all texels were painted at once, with `again`."""
+        """True if all texels were painted at once, so that `with_details` can be called."""
         return self._remembered is not None
 
     def with_details(self, painted: Painted, progress: Callable[[], object]) -> Painted:
@@ -296,12 +296,12 @@ def level_borders(points: _kernels.SurfacePoints, colors: NDArray[np.float32], t
 
 
 def _texels(size: float, kept: int) -> int:
-    """Return the number of texels that fit into `size` bytes, with `kept` photos each."""
+    """Return the number of texels that fit into `size` bytes."""
     return int(size / (_BYTES + _BYTES_A_PHOTO * kept))
 
 
 def _room_beside(triangles: int) -> float:
-    """Return the memory for texels painted at a time, bytes, reduced for large meshes."""
+    """Return the memory for texels painted at a time, bytes."""
     return max(_AT_ONCE - _BYTES_A_TRIANGLE * max(triangles - _FEW_TRIANGLES, 0), _LEAST_AT_ONCE)
 
 
@@ -313,7 +313,10 @@ def _parts(pages: Pages, at_once: int) -> int:
 
 
 def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:
-    """Fill texels that no photo shows with vertex colours, adjusted to the brightness of the photos."""
+    """Fill texels that no photo shows with vertex colours.
+
+    The vertex colours are adjusted to the brightness of the photos.
+    """
     if mesh.colors is None or not unseen.any():
         return
 
@@ -329,7 +332,10 @@ def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels:
 
 
 def _line(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[float, float]:
-    """Fit b = gain · a + bias by least squares; (1, 0) for too few or uniform samples."""
+    """Fit gain and bias from levels `a` to levels `b` by least squares.
+
+    Returns (1, 0) for too few or uniform samples.
+    """
     if len(a) < _LEAST_TEXELS or float(a.var()) < 1:
         return 1.0, 0.0
     gain = float(np.mean((a - a.mean()) * (b - b.mean())) / a.var())

@@ -93,7 +93,7 @@ def _black_or_white(image: ColorImage) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Usable photos of a scan; `read` returns one from memory or from its file.
+    """Usable photos of a scan, in memory or read from their files.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Photos:
 
 
 def photos_of(frames: Sequence[Frame], progress: Progress) -> Photos:
-    """Read the photos of frames once, to collect the usable ones and their sharpness.
+    """Collect the usable photos of frames, with weights by sharpness.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Downscaling of source images that are finer than the baked image can show.
 
-A texture that repeats thousands of times would otherwise require the largest image and the most samples, and
-each texel would get the colour of a few random points in it.
+A texture that repeats thousands of times would otherwise require the largest image and many samples. Each
+texel would still get the colour of a few random points.
 """
 
 from __future__ import annotations

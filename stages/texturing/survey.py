@@ -1,4 +1,4 @@
-"""Survey of all photos: exposures, visibility and resolution on the surface, and rejection of bad photos."""
+"""Survey of all photos: visibility, resolution and exposure, and rejection of bad photos."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def _radii2(
     views: NDArray[np.int32],
     photos: Photos,
 ) -> NDArray[np.float32]:
-    """Compute the squared distance of samples (n, k) from their photo's centre; 1 in the corners."""
+    """Compute the squared photo radius of samples (n, k); 1 in the corners."""
     radii2 = np.empty(views.shape, np.float32)
     for start in range(0, len(of), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
@@ -191,7 +191,7 @@ def _radii2(
 
 
 def _radii2_at(places: Floats, views: NDArray[np.int32], photos: Photos) -> NDArray[np.float32]:
-    """Compute the squared photo radius of samples (n, k) at points (n, 3), metres."""
+    """Compute the squared photo radius of samples (n, k) of points (n, 3)."""
     radii2 = np.zeros(views.shape, np.float32)
     order = np.argsort(views, axis=None, kind="stable")
     bounds = np.searchsorted(views.ravel()[order], np.arange(len(photos) + 1))

@@ -73,7 +73,7 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
 
 
 def corner_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Return shading normals (m, 3, 3) of the corners; face normals where the mesh has none."""
+    """Return the shading normals (m, 3, 3) of the corners, or face normals."""
     flat = unit_normals(mesh)[:, None].repeat(3, axis=1)
     if mesh.corner_normals is not None:
         given = mesh.corner_normals

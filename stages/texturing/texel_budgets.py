@@ -41,7 +41,10 @@ class TexelBudget:
 def compute_budgets(
     mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[MaterialClass]
 ) -> list[TexelBudget]:
-    """Compute the texel budget of each class; shared images are divided by covered area."""
+    """Compute the texel budget of each class.
+
+    Images shared by several classes are divided in proportion to the covered area.
+    """
     texture = mesh.texture
     assert texture is not None
     spread = np.abs(signed_areas(texture.uvs))

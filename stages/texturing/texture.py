@@ -1,9 +1,9 @@
 """Texturing of a mesh from camera images.
 
 The surface is laid out in images with about the resolution of the photos. Each texel is projected into all
-photos, and photos where it is occluded, contradicts the frame's depth or is at the image border are rejected.
-The best few photos are corrected in exposure and blended in two frequency bands, weighted by viewing quality.
-Seams at the borders of photos are levelled.
+photos. A photo is rejected where the texel is occluded, contradicts the frame's depth or is at the image
+border. The best few photos are corrected in exposure and blended in two frequency bands, weighted by viewing
+quality. Seams at the borders of photos are levelled.
 
 Then each photo is aligned with the texture, by small shifts and a local exposure correction, and the texture
 is painted again. If the photos are aligned already, back-projection recovers the details lost in the mean.
@@ -498,7 +498,7 @@ def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -
 
 
 def _report(mesh: Mesh, found: _Found) -> None:
-    """Warn about surface without photos, and about photos that do not fit the mesh or each other."""
+    """Warn about surface without photos, and about inconsistent photos."""
     unseen = 1 - found.seen
     if unseen > _MUCH_UNSEEN:
         emit(

@@ -250,7 +250,7 @@ def _view(
 
 
 def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
-    """Blur a photo to remove its details; pixels outside the mask have no weight."""
+    """Blur a photo to remove its details, ignoring masked pixels."""
     import cv2
 
     height, width = image.shape[:2]
