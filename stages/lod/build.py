@@ -56,27 +56,27 @@ class LevelsParams:
 
     first_error: float | None = param(
         None,
-        "Bound of the first level above that; from the mesh itself if not given, so that it has a third to a "
-        "half of the triangles.",
+        "Error bound of the first level above the finest. Default: estimated from the mesh, so that the "
+        "level has a third to a half of the triangles.",
         unit="m",
         low=0,
         low_open=True,
     )
-    ratio: float = param(2.5, "What the bound grows with from level to level.", low=1.1, high=10)
+    ratio: float = param(2.5, "Ratio between the error bounds of consecutive levels.", low=1.1, high=10)
     cell_triangles: int = param(
-        10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
+        10_000, "Maximum triangles of a cell, which is loaded, refined and drawn as a unit.", low=64
     )
-    root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
+    root_triangles: int = param(1_000, "Stop when a level has no more triangles than this.", low=4)
     drop_islands: float = param(
         0.0,
-        "Loose pieces whose bounding box has a smaller diagonal are dropped first; what is proven then holds "
-        "from each level to the mesh, but back from the mesh without them alone. 0 keeps all.",
+        "Drop small connected components first: those with a smaller bounding box diagonal. Error bounds are "
+        "then one-sided, because dropped components are near no level. 0 keeps all.",
         unit="m",
         low=0,
     )
     threads: int | None = param(
         None,
-        "Processors to use, with the same result; all if not given.",
+        "Number of threads, with the same result. Default: all processors.",
         low=1,
         high=256,
         invalidates=False,
@@ -92,7 +92,7 @@ class LodParams(LevelsParams):
 
     base_error: float = param(
         0.0,
-        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
+        "Proven error bound of the finest level, a simplified mesh; 0 uses the mesh itself.",
         unit="m",
         low=0,
     )
@@ -148,7 +148,7 @@ def build(
 def _built(given: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
-        raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; there are no levels of it.")
+        raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; no levels can be built.")
     kept, islands = _without_islands(given, params.drop_islands)
     base, shape, color, progress = _base(_plain(kept), params, progress)
     hierarchy = _of_any(base, params, shape, progress)
@@ -184,10 +184,14 @@ def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
 
 def _plain(mesh: Mesh) -> Mesh:
     """Return a mesh with vertex colours only, and warn about dropped attributes."""
-    lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals, "normals": mesh.normals}
+    lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals, "normals": mesh.normals}
     names = [name for name, value in lost.items() if value is not None]
     if names:
-        emit(LEVELS_LEFT_OUT.warning("lod left out: {names}.", names=", ".join(names)))
+        emit(
+            LEVELS_LEFT_OUT.warning(
+                "lod drops these attributes of the mesh: {names}.", names=", ".join(names)
+            )
+        )
     if is_textured(mesh):
         mesh = mesh.with_(colors=_colors_of_vertices(mesh))
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, up=mesh.up)
@@ -206,15 +210,15 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
     if small.all():
         raise InputError(
             LEVELS_ISLANDS_DROPPED,
-            "every piece of the mesh is smaller than {size:g} m; nothing is left of it.",
+            "all connected components of the mesh are smaller than {size:g} m; nothing would be left.",
             size=size,
         )
     if not islands:
         return mesh, 0
     emit(
         LEVELS_ISLANDS_DROPPED.warning(
-            "{islands:,} loose pieces smaller than {size:g} m, of {triangles:,} triangles, were dropped: of "
-            "what the mesh has there, nothing is proven.",
+            "{islands:,} connected components smaller than {size:g} m, with {triangles:,} triangles, were "
+            "dropped; error bounds do not cover them.",
             islands=islands,
             size=size,
             triangles=np.count_nonzero(small),
@@ -314,8 +318,8 @@ def _of_manifold(
     if levels.unproven:
         emit(
             LEVELS_BOUND_NOT_PROVEN.warning(
-                "{count:,} triangles have no proof of their level's bound; what is proven of their nodes is "
-                "told as it is.",
+                "{count:,} triangles are not proven to be within the bound of their level; their nodes state "
+                "the larger bound that is proven.",
                 count=levels.unproven,
             )
         )

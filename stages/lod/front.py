@@ -175,7 +175,7 @@ class Front:
         if node not in self._splits:
             raise UsageError(USAGE_ARGUMENT_INVALID, "node {node} is not in the front.", node=node)
         if count < 1:
-            raise UsageError(USAGE_ARGUMENT_INVALID, "count is 1 or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "count must be 1 or more.")
 
     def _is_below(self, node: int, above: int) -> bool:
         while node > above:
@@ -216,19 +216,22 @@ class Front:
         if error_px is not None and view is None:
             raise UsageError(
                 USAGE_ARGUMENT_INVALID,
-                "error_px is told in pixels of a view",
-                remedy="give one, or max_shape in metres.",
+                "error_px is measured in pixels of a view, and no view is given",
+                remedy="pass a view, or use max_shape in metres.",
             )
         if triangles is None and error_px is None and max_shape is None and region is None:
             raise UsageError(
-                USAGE_ARGUMENT_INVALID, "say how far to refine: triangles, error_px, max_shape or region."
+                USAGE_ARGUMENT_INVALID,
+                "no target for the refinement is given: triangles, error_px, max_shape or region.",
             )
         asked = (("triangles", triangles, 1), ("error_px", error_px, 0), ("max_shape", max_shape, 0))
         for name, value, least in asked:
             if value is not None and not value >= least:
-                raise UsageError(USAGE_ARGUMENT_INVALID, "{name} is {least} or more.", name=name, least=least)
+                raise UsageError(
+                    USAGE_ARGUMENT_INVALID, "{name} must be {least} or more.", name=name, least=least
+                )
         if not keep >= 1:
-            raise UsageError(USAGE_ARGUMENT_INVALID, "keep is 1 or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "keep must be 1 or more.")
         wanted = self._wanted(view, error_px, max_shape, region)
         open_before = self._above_front() if keep > 1 else set()
         self._splits = {0: 0} if self.hierarchy.nodes else {}

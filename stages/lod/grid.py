@@ -81,7 +81,7 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
         if step > _LARGEST:
             raise InputError(
                 LEVELS_TILES_TOO_FINE,
-                "the model is too large for tiles, whose positions have single precision.",
+                "the model is too large for tiles, which store positions in single precision.",
             )
         if in_16_bits and step > wanted:
             continue
@@ -99,7 +99,7 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
     raise InputError(
         LEVELS_TILES_TOO_FINE,
         (
-            "vertices crowd too close for tiles, whose positions have single precision; "
+            "vertices are too close to each other for tiles, which store positions in single precision; "
             "build the levels with a larger base_error."
         ),
     )

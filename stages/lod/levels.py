@@ -234,7 +234,7 @@ class Levels:
         """Assemble the mesh as `mesh` does, and return the node of each triangle (m,) as well."""
         chosen, done = np.asarray(nodes, np.int64), np.asarray(splits, np.int64)
         if ((done < 0) | (done > self.splits[chosen])).any():
-            raise ValueError("a node has no so many splits")
+            raise ValueError("a node has fewer splits than requested")
         first = self.first_split[chosen]
         count = self.coarse[chosen] + self.born_before[first + done] - self.born_before[first]
         front = _kernels.assemble_front(

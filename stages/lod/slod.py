@@ -122,7 +122,7 @@ def read_slod(path: Path | str) -> Hierarchy:
     except OSError as error:
         raise InputError(FILE_UNREADABLE, said_of(error), path) from None
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise InputError(LEVELS_FILE_DAMAGED, "this is no .slod file.", where=path)
+        raise InputError(LEVELS_FILE_DAMAGED, "this is not a .slod file.", where=path)
     _, version, size, checksum = _HEADER.unpack_from(data)
     if version != _FORMAT_VERSION:
         raise InputError(
@@ -135,7 +135,7 @@ def read_slod(path: Path | str) -> Hierarchy:
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
         raise InputError(
-            LEVELS_FILE_DAMAGED, "the file is damaged or cut off before its first level.", where=path
+            LEVELS_FILE_DAMAGED, "the file is damaged or truncated before its first level.", where=path
         )
     try:
         with collecting() as diagnostics:
@@ -146,7 +146,7 @@ def read_slod(path: Path | str) -> Hierarchy:
             LEVELS_FILE_DAMAGED,
             "the .slod file is damaged: {detail}.",
             where=path,
-            detail=error or "it contradicts itself",
+            detail=error or "its content is inconsistent",
         ) from None
 
 
@@ -154,7 +154,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     columns = {name: tree["nodes"][name] for name in _NODE}
     count = len(columns["parent"])
     if count == 0 or any(len(column) != count for column in columns.values()):
-        raise ValueError("its tree is not whole")
+        raise ValueError("the tree is incomplete")
     roots = _natural(tree["roots"])
     coordinates: np.dtype[Any] = np.dtype({"float32": "<f4", "float64": "<f8"}[tree["coordinates"]])
     sizes = {
@@ -187,7 +187,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     while 0 < len(parts) < count and parents[len(parts)] == parents[len(parts) - 1]:
         parts.pop()
     if not parts:
-        raise ValueError("its root is not whole")
+        raise ValueError("the root is incomplete")
     hierarchy = _joined(tree, columns, sizes, roots, parts)
     _require_sound(hierarchy)
     if len(parts) < count:
@@ -206,7 +206,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     if model is None:
         emit(
             LEVELS_CUT_OFF.warning(
-                "the file is damaged or cut off in the mesh with its image; colours of vertices are left.",
+                "the textured mesh at the end of the file is damaged or truncated; vertex colours are used.",
                 path,
             )
         )
@@ -267,26 +267,26 @@ def _joined(
 
 def _diagnostic(value: object) -> Diagnostic:
     if not isinstance(value, dict) or not isinstance(value.get("values", {}), dict):
-        raise ValueError(f"{value!r} is no diagnostic")
+        raise ValueError(f"{value!r} is not a diagnostic")
     diagnostic = Diagnostic.from_figures(value)
     texts = (diagnostic.code, diagnostic.message, diagnostic.remedy or "")
     if not all(isinstance(text, str) for text in texts):
-        raise ValueError(f"{value!r} is no diagnostic")
+        raise ValueError(f"{value!r} is not a diagnostic")
     return diagnostic
 
 
 def _direction(value: object) -> tuple[float, float, float]:
     if not isinstance(value, list) or [type(x) for x in value] != [float] * 3:
-        raise ValueError(f"{value!r} is no direction")
+        raise ValueError(f"{value!r} is not a direction")
     x, y, z = value
     if not abs(x * x + y * y + z * z - 1) < _UNIT:
-        raise ValueError(f"{value!r} is no direction of length 1")
+        raise ValueError(f"{value!r} is not a direction of length 1")
     return x, y, z
 
 
 def _natural(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _MOST:
-        raise ValueError(f"{value!r} is no number of elements")
+        raise ValueError(f"{value!r} is not a valid count")
     return value
 
 
@@ -294,24 +294,24 @@ def _require_sound(h: Hierarchy) -> None:
     """Raise ValueError if indices are out of range, cyclic or inconsistent."""
     numbers = np.arange(h.nodes)
     if h.parent[0] != -1 or (h.parent[1:] < 0).any() or (h.parent[1:] >= numbers[1:]).any():
-        raise ValueError("its tree is none")
+        raise ValueError("invalid tree: a node precedes its parent")
     if not np.isfinite(h.vertices).all():
         raise ValueError("a coordinate is not finite")
     if not (np.isfinite(h.shape_bound).all() and (h.shape_bound >= 0).all() and (h.color_bound >= 0).all()):
-        raise ValueError("a bound is none")
+        raise ValueError("invalid bound: negative or not finite")
     if (h.made < 1).any() or (h.made > 2).any() or (h.born > 2).any():
-        raise ValueError("a split brings what none can")
+        raise ValueError("invalid split: it must add 1 or 2 vertices and at most 2 triangles")
     if (np.diff(h.vertices_after[h.first_split]) != _own_vertices(h)).any():
-        raise ValueError("splits bring other vertices than there are")
+        raise ValueError("the number of vertices contradicts the splits")
     own = np.arange(h.roots, len(h.vertices))
     if (h.origin >= own).any():
-        raise ValueError("a vertex comes from a later one")
+        raise ValueError("invalid origin: a vertex merges into a later one")
     below = np.repeat(h.vertices_after[h.first_split[1:]], h.full)
     if (h.triangles >= below[:, None]).any():
-        raise ValueError("a triangle has a vertex that is not there")
+        raise ValueError("a triangle refers to a missing vertex")
     born = np.diff(h.born_before[h.first_split])
     if (h.coarse + born != h.full).any():
-        raise ValueError("splits bring other triangles than there are")
+        raise ValueError("the number of triangles contradicts the splits")
 
 
 def _own_vertices(h: Hierarchy) -> NDArray[np.int64]:

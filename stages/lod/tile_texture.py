@@ -66,8 +66,8 @@ class TileImageParams:
 
     texels_per_error: float = param(
         4.0,
-        "Texels along a length of the tile's proven error; never finer than the model's own. Viewers show a "
-        "tile until its error is some 16 pixels wide.",
+        "Texels per length of the tile's proven error, never finer than the model's images. Viewers show a "
+        "tile until its error is about 16 pixels.",
         group=_IMAGES,
         low=0.1,
         high=100,
@@ -77,11 +77,11 @@ class TileImageParams:
     )
     image_format: str = param(
         "jpeg",
-        "How images are kept; webp is smaller, and asks viewers for EXT_texture_webp.",
+        "File format of the images; webp is smaller, but viewers must support EXT_texture_webp.",
         group=_IMAGES,
         choices=("jpeg", "webp", "png"),
     )
-    image_quality: int = param(90, "Of JPEG and WebP images.", group=_IMAGES, low=1, high=100)
+    image_quality: int = param(90, "Quality of JPEG and WebP images.", group=_IMAGES, low=1, high=100)
 
     def __post_init__(self) -> None:
         check(self)
@@ -208,7 +208,7 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
     require_area(mesh, "model")
     if not has_color(mesh):
         raise MeshError(
-            LEVELS_MODEL_MISMATCH, "has neither an image nor vertex colours that tiles could get.", "model"
+            LEVELS_MODEL_MISMATCH, "has neither an image nor vertex colours for the tiles.", "model"
         )
     if origin.any():
         mesh = mesh.with_(vertices=mesh.vertices - origin)
@@ -221,8 +221,8 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
         raise MeshError(
             LEVELS_MODEL_MISMATCH,
             (
-                "is of another surface than the levels, or in another place: half of them "
-                "lie more than {away:.3g} m from it, and they are {size:.3g} m large."
+                "does not match the levels, which are {size:.3g} m large: half of their vertices are more "
+                "than {away:.3g} m away from it. It is another surface, or has other coordinates."
             ),
             "model",
             away=away,

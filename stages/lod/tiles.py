@@ -77,14 +77,14 @@ class TilesParams:
 
     up: str | None = param(
         None,
-        "The axis of the mesh that is up (+x, -x, +y, -y, +z, -z), or a direction, as three numbers; the "
-        "tileset turns it along z, and `none` leaves it as it is. By default what the file says, or that of "
-        "the texture; where neither says it -y, which is up in the frame of a camera.",
+        "Up axis of the mesh (+x, -x, +y, -y, +z, -z), or a direction as three numbers. The tileset rotates "
+        "it to z; `none` keeps the orientation. Default: the up direction stored in the file or with the "
+        "texture, else -y, which is up in camera coordinates.",
     )
     compress: str = param(
         "none",
-        "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
-        "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
+        "Lossless compression of the geometry. With meshopt, viewers must support EXT_meshopt_compression; "
+        "tiles that it does not make smaller stay uncompressed.",
         choices=COMPRESSIONS,
     )
 
@@ -227,7 +227,7 @@ def _write_tiles(
         tree = _tileset(placed, tiles, of_tiles, grid, up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), encoding="utf-8", newline="\n")
     if model is not None and is_transparent(model):
-        emit(LEVELS_LEFT_OUT.warning("tiles left out: the transparency of the model's images."))
+        emit(LEVELS_LEFT_OUT.warning("tiles drop the transparency of the model's images."))
     told = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
     return Tileset(grid, sizes, triangles, tree, told, of_tiles)
 
@@ -259,7 +259,7 @@ def _require_whole(h: Hierarchy) -> None:
         if below != h.full[node] if len(children) else h.level[node] > 0:
             raise InputError(
                 LEVELS_CUT_OFF,
-                "the finest levels are missing; tiles need them all.",
+                "the finest levels are missing; tiles require all levels.",
                 remedy="Build the file again.",
             )
 

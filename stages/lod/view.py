@@ -48,21 +48,19 @@ class View:
     def __post_init__(self) -> None:
         points = (self.eye, self.look, self.up)
         if any(len(p) != 3 or not all(math.isfinite(x) for x in p) for p in points):
-            raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up are three finite numbers each.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up must be three finite numbers each.")
         if math.dist(self.eye, self.look) == 0:
             raise UsageError(
                 USAGE_ARGUMENT_INVALID,
-                "the eye looks at where it is",
-                remedy="give it another point to look at.",
+                "eye and look are the same point",
+                remedy="choose another point to look at.",
             )
         if not (self.width >= 1 and self.height >= 1):
-            raise UsageError(USAGE_ARGUMENT_INVALID, "a view has a width and a height of 1 pixel or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "width and height of a view must be 1 pixel or more.")
         if not 0 < self.field < 180:
-            raise UsageError(USAGE_ARGUMENT_INVALID, "the field of a view is above 0° and below 180°.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "the field of view must be above 0° and below 180°.")
         if not 0 < self.near < self.far:
-            raise UsageError(
-                USAGE_ARGUMENT_INVALID, "the near end of a view is above 0 and nearer than its far end."
-            )
+            raise UsageError(USAGE_ARGUMENT_INVALID, "near must be above 0 and less than far.")
 
     @staticmethod
     def of(viewpoint: Viewpoint, *, near: float = 1e-3, far: float = math.inf) -> View:

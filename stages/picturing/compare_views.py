@@ -53,9 +53,12 @@ class ViewsParams:
     """Parameters of the image-based comparison."""
 
     views: int = param(
-        0, "Viewpoints around both that they are drawn from. 0: none, or 6 from Python.", low=0, high=360
+        0,
+        "Viewpoints around both meshes. 0 means none on the command line, and 6 in Python.",
+        low=0,
+        high=360,
     )
-    view_width: int = param(800, "Width of the pictures; they are 4:3.", unit="px", low=64, high=4096)
+    view_width: int = param(800, "Width of the images, which are 4:3.", unit="px", low=64, high=4096)
 
     def __post_init__(self) -> None:
         check(self)

@@ -38,7 +38,7 @@ def require_plots() -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         raise UsageError(
-            MACHINE_EXTRA_MISSING, "plots are drawn by matplotlib", remedy="install scanloom[plot]."
+            MACHINE_EXTRA_MISSING, "plots require matplotlib", remedy="install scanloom[plot]."
         ) from None
 
 
@@ -103,9 +103,7 @@ def plot_seconds(path: Path, seconds: Mapping[str, float], cached: Collection[st
     figure, (part,) = _figure(0.9 + 0.36 * len(seconds), 1)
     colors = [_GREY if stage in cached else _BLUE for stage in seconds]
     bars = part.barh(np.arange(len(seconds)), list(seconds.values()), color=colors)
-    words = [
-        f"{one:.1f} s{', when it was made' if stage in cached else ''}" for stage, one in seconds.items()
-    ]
+    words = [f"{one:.1f} s{' (from the cache)' if stage in cached else ''}" for stage, one in seconds.items()]
     part.bar_label(bars, words, padding=4)
     part.set_yticks(np.arange(len(seconds)), list(seconds))
     part.invert_yaxis()

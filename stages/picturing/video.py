@@ -44,8 +44,8 @@ def write_video(path: Path, images: Iterable[ColorImage], fps: float, codec: str
             if not writer.isOpened() and not writer.open(str(draft), cv2.CAP_FFMPEG, tag, fps, size):
                 raise StageError(
                     RENDER_ENCODER_MISSING,
-                    "OpenCV has no encoder for {codec} here",
-                    remedy="write pictures (.png).",
+                    "this build of OpenCV has no encoder for {codec}",
+                    remedy="choose another codec, or write images (.png).",
                     where=path,
                     codec=codec,
                 )

@@ -92,7 +92,7 @@ def viewpoints(
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
-        raise InputError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles; there is nothing to look at.")
+        raise InputError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles; there is nothing to show.")
     points = mesh.vertices[is_used(mesh)]
     points = points[:: 1 + len(points) // ENOUGH]
     upward = up_or_own(mesh, up)
@@ -194,14 +194,16 @@ def looking_at(
     """
     places = np.array([eye, look, up], np.float64)
     if places.shape != (3, 3) or not np.isfinite(places).all():
-        raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up are three finite numbers each.")
+        raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up must be three finite numbers each.")
     way = places[1] - places[0]
     if not way.any():
         raise UsageError(
-            USAGE_ARGUMENT_INVALID, "the eye looks at where it is", remedy="give it another point to look at."
+            USAGE_ARGUMENT_INVALID,
+            "eye and look are the same point",
+            remedy="choose another point to look at.",
         )
     if not 0 < field < 180:
-        raise UsageError(USAGE_ARGUMENT_INVALID, "the field of a view is above 0° and below 180°.")
+        raise UsageError(USAGE_ARGUMENT_INVALID, "the field of view must be above 0° and below 180°.")
     focal = 0.5 * height / math.tan(math.radians(0.5 * field))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = _rotation(way / np.linalg.norm(way), places[2]), places[0]

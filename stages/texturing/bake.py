@@ -68,39 +68,39 @@ class BakeParams:
 
     texel_size: float | None = param(
         None,
-        "Size of a texel on the surface, at most; the image is the smallest that has room for it, and is "
-        "filled. Default: 0.4 of the original's mean edge, or the size of its own texels.",
+        "Maximum size of a texel on the surface; the smallest sufficient image is used and filled. Default: "
+        "0.4 of the original's mean edge length, or the size of its own texels.",
         unit="m",
         low=0,
         low_open=True,
     )
     max_size: int = param(
         4096,
-        "Largest side of an image: a power of two. There are as many images as are needed.",
+        "Longest side of an image; a power of two. Several images are written if one is not enough.",
         unit="texels",
         low=_MIN_SIZE,
         high=8192,
     )
     max_texels: float = param(
         16.0,
-        "Texels of all images together, about; where more were needed, texels are larger.",
+        "Approximate limit of all images together; texels get larger if more would be needed.",
         unit="million texels",
         low=0.01,
         high=1000,
     )
     padding: int | None = param(
         None,
-        "Texels around each chart that show its colours; between two charts there are twice as many. With 8 "
-        "the image can be halved twice and no colour gets from one chart into another; at most a quarter of "
-        "max_size. Default: 1/256 of the side, or 2 where that leaves no room.",
+        "Texels around each chart that continue its colours; the gap between two charts is twice as wide. "
+        "8 texels keep two mip levels free of colour bleeding. At most a quarter of max_size. Default: 1/256 "
+        "of the side, or 2 if that takes too much space.",
         unit="texels",
         low=1,
         high=128,
     )
     samples: int | None = param(
         None,
-        "Samples along each side of a texel, whose mean it gets. Default: enough to meet all detail of the "
-        "original, 1 to 4.",
+        "Samples along each side of a texel, which are averaged. Default: 1 to 4, enough to capture all "
+        "detail of the original.",
         low=1,
         high=8,
     )
@@ -117,7 +117,7 @@ class BakeParams:
         if _SIDES_OF_PADDING * (self.padding or 0) > self.max_size:
             raise UsageError(
                 TEXTURE_ATLAS_TOO_SMALL,
-                "is {padding} texels; an image of {max_size} has no room beside it.",
+                "is {padding} texels; it must be at most a quarter of max_size ({max_size} texels).",
                 Where(parameter="padding"),
                 padding=self.padding,
                 max_size=self.max_size,
@@ -239,8 +239,8 @@ def bake(
 
 
 def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Progress) -> Baked:
-    given, reference = as_mesh(light, "light mesh"), as_mesh(original, "original")
-    require_area(given, "light mesh")
+    given, reference = as_mesh(light, "simplified mesh"), as_mesh(original, "original")
+    require_area(given, "simplified mesh")
     require_area(reference, "original")
     if not has_color(reference):
         raise MeshError(
@@ -271,12 +271,15 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
     painted = painted_pages(given, pages, samples, colors_of, progress=progress)
     mesh = _textured(given, pages, painted.images, reference)
     if is_transparent(reference):
-        emit(TEXTURE_BAKE_LEFT_OUT.warning("bake left out: the transparency of the original's images."))
+        emit(TEXTURE_BAKE_LEFT_OUT.warning("bake drops the transparency of the original's images."))
     if shown is not reference:
         sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
         emit(
             TEXTURE_BAKE_LEFT_OUT.warning(
-                "bake left out: detail of the original's images that {sizes} texels cannot show.", sizes=sizes
+                "images of {sizes} texels cannot show all detail of the original's images; finer detail is "
+                "averaged.",
+                remedy="Larger values of max_texels and max_size keep more.",
+                sizes=sizes,
             )
         )
     error, before = (_color_error(surface, one, box) for one in (mesh, given))

@@ -125,8 +125,8 @@ def _bake_all(
     if scale < 1:
         emit(
             SIMPLIFY_IMAGES_SMALLER.warning(
-                "baked images have {scale:.0%} of the resolution of the old ones along each side, so that "
-                "the file is no larger than the input.",
+                "baked images have {scale:.0%} of the resolution of the original images along each side, so "
+                "that the file is no larger than the input.",
                 scale=scale,
             )
         )

@@ -73,7 +73,7 @@ def _remove_maps(kept: MtlStatements) -> MtlStatements:
     if lost:
         emit(
             TEXTURE_BAKE_LEFT_OUT.warning(
-                "bake left out: {maps} of the original's materials.", maps=", ".join(lost)
+                "bake drops these maps of the original's materials: {maps}.", maps=", ".join(lost)
             )
         )
     return MtlStatements(tuple(lines), {}, kept.color, None)

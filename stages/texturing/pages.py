@@ -208,7 +208,7 @@ def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
             side = _whole(side * _GROWTH_OF_ONE, max_side)
     raise MeshError(
         TEXTURE_ATLAS_TOO_SMALL,
-        "falls into too many pieces for an image of {max_side} × {max_side} texels.",
+        "has too many charts for an image of {max_side} × {max_side} texels.",
         "mesh",
         max_side=max_side,
     )
@@ -256,7 +256,9 @@ def lay_out_within(
             # The last of several images is only as high as needed, so the total may be far below the limit.
             scale *= min(math.sqrt(min(most, side**2) / total), 0.97) if total > most else 1 / _GROWTH_OF_ONE
     raise MeshError(
-        TEXTURE_ATLAS_TOO_SMALL, "falls into too many charts for an image of so few texels.", "mesh"
+        TEXTURE_ATLAS_TOO_SMALL,
+        "has too many charts for images with as few texels as the original's.",
+        "mesh",
     )
 
 
@@ -326,7 +328,7 @@ def _pages(
     if not sizes:
         raise MeshError(
             TEXTURE_ATLAS_TOO_SMALL,
-            "all its triangles are needles; none can be laid out in an image.",
+            "all triangles are needles without a measurable area; they cannot be laid out in an image.",
             "mesh",
         )
     images = pages.copy()

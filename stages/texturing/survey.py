@@ -90,7 +90,7 @@ def survey(
     if (views < 0).all():
         raise InputError(
             TEXTURE_PHOTOS_MISMATCH,
-            "none of the {photos_count} photos shows the mesh: do poses and mesh belong together?",
+            "none of the {photos_count} photos shows the mesh: poses and mesh have different coordinates.",
             photos_count=len(photos),
         )
     flat = points.flat()
@@ -135,14 +135,14 @@ def judged(
     found = exposures(compared, colors, radii2, len(photos))
     unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
     wrong = {
-        int(i): TEXTURE_PHOTOS_MISMATCH.warning("its photo does not show the mesh.")
+        int(i): TEXTURE_PHOTOS_MISMATCH.warning("the photo does not show the mesh.")
         for i in np.flatnonzero(unseen)
     }
     usual = max(float(np.median(found.differences[~unseen])), 1.0)
     off = (found.differences > max(_WRONG_TIMES * usual, _WRONG_LEVELS)) & (found.samples >= _WRONG_POINTS)
     wrong |= {
         int(i): TEXTURE_PHOTOS_INCONSISTENT.warning(
-            "its photo shows something else than the others: {levels:.0f} levels difference in the median.",
+            "the photo contradicts the others: the median difference is {levels:.0f} levels.",
             levels=float(found.differences[i]),
         )
         for i in np.flatnonzero(off & ~unseen)

@@ -70,8 +70,8 @@ _MUCH_DIFFERENCE = 20.0
 # Shift as a ratio of a photo's width, above which photos are misaligned enough for a warning.
 _MUCH_OFF = 2.0 / 640
 
-_FILE = "What the file keeps"
-_HOW = "How"
+_FILE = "Output images"
+_HOW = "Blending"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,14 +80,14 @@ class TextureParams:
 
     texels_per_pixel: float = param(
         1.15,
-        "Texels for a pixel of the photo that shows a place best, along each side.",
+        "Texels per pixel along each side, relative to the photo that shows the surface best.",
         group=_FILE,
         low=0.1,
         high=4,
     )
     max_size: int = param(
         4096,
-        "Largest side of an image: a power of two. There are as many images as are needed.",
+        "Longest side of an image; a power of two. Several images are written if one is not enough.",
         group=_FILE,
         unit="texels",
         low=_MIN_SIZE,
@@ -95,33 +95,33 @@ class TextureParams:
     )
     max_texels: float = param(
         64.0,
-        "Texels of all images together; where more were needed, all get coarser.",
+        "Limit of all images together; all texels get larger if more would be needed.",
         group=_FILE,
         unit="million texels",
         low=0.01,
         high=1000,
     )
-    format: str = param("jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"))
-    quality: int = param(95, "Of JPEG and WebP images.", group=_FILE, low=1, high=100)
+    format: str = param("jpeg", "File format of the images.", group=_FILE, choices=("jpeg", "webp", "png"))
+    quality: int = param(95, "Quality of JPEG and WebP images.", group=_FILE, low=1, high=100)
     padding: int = param(
         4,
-        "Texels around each piece of the surface that show its colours; between two there are twice as many.",
+        "Texels around each chart that continue its colours; the gap between two charts is twice as wide.",
         group=_FILE,
         unit="texels",
         low=2,
         high=128,
     )
-    views: int = param(12, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
+    views: int = param(12, "Maximum number of photos blended at a texel.", group=_HOW, low=1, high=16)
     exposure: bool = param(
         True,
-        "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all, and "
-        "with `rounds` what is left of differences, here and there.",
+        "Correct exposure differences between photos: gain and bias per photo and channel, one vignette, "
+        "and local corrections in each of the `rounds`.",
         group=_HOW,
     )
     rounds: int = param(
         1,
-        "How often photos are brought to what the others say, here and there: shifted by a few pixels, and "
-        "made as bright; not where they agree already.",
+        "Passes that align photos with the texture, by shifts of a few pixels and local exposure "
+        "corrections. Skipped if the photos are aligned already.",
         group=_HOW,
         low=0,
         high=10,
@@ -503,25 +503,25 @@ def _report(mesh: Mesh, found: _Found) -> None:
     if unseen > _MUCH_UNSEEN:
         emit(
             TEXTURE_SURFACE_UNSEEN.warning(
-                "{share:.0%} of the surface is in no photo and has {colors}",
+                "no photo shows {share:.0%} of the surface, which {colors}",
                 share=unseen,
-                colors="the mesh's own colours" if mesh.colors is not None else "no colours of its own",
+                colors="keeps its vertex colours" if mesh.colors is not None else "has no vertex colours",
             )
         )
     if found.shift > _MUCH_OFF:
         emit(
             TEXTURE_PHOTOS_INCONSISTENT.warning(
-                "photos are off the mesh by {share:.1%} of their width in the mean: poses or calibration are "
-                "wrong, and details are blurred",
-                remedy="see `scanloom adjust`",
+                "photos are misaligned with the mesh by {share:.1%} of their width on average, which blurs "
+                "details; poses or calibration are inaccurate",
+                remedy="`scanloom adjust` corrects them.",
                 share=found.shift,
             )
         )
     if found.exposures.after > _MUCH_DIFFERENCE:
         emit(
             TEXTURE_PHOTOS_INCONSISTENT.warning(
-                "photos differ by {levels:.0f} levels in the median where they show the same: poses or "
-                "calibration are wrong, or things moved",
+                "photos of the same surface differ by {levels:.0f} levels in the median: poses or "
+                "calibration are wrong, or objects have moved",
                 levels=found.exposures.after,
             )
         )
