@@ -37,7 +37,12 @@ from scanloom.stages.texturing.material_factors import (
     shares_factors,
 )
 from scanloom.stages.texturing.pages import Pages
-from scanloom.stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
+from scanloom.stages.texturing.tangent_frames import (
+    TangentFrames,
+    decode_normals,
+    encode_normals,
+    tangent_frames,
+)
 from scanloom.stages.texturing.texel_budgets import TexelBudget
 
 Pixels = NDArray[np.uint8]
@@ -116,7 +121,7 @@ class ClassBaker:
         self._laid = float(np.abs(signed_areas(pages.corners)).sum())
         self._covered = covered
         self._reduced: dict[tuple[int, int], Pixels] = {}
-        self._frames: Any = None
+        self._frames: tuple[TangentFrames, TangentFrames] | None = None
 
     def bake_page(
         self, correspondence: Correspondence, page: int, name: str, stats: AtlasStats

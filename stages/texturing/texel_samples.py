@@ -69,7 +69,7 @@ def _weights(corners: Floats, points: Floats) -> Floats:
 
 
 def borders(mesh: Mesh, pages: Pages) -> NDArray[np.uint8]:
-    """Classify the side opposite each corner, (m, 3) uint8: WITHIN, BORDER or END."""
+    """Classify the side opposite each corner, (m, 3) uint8: `WITHIN`, `BORDER` or `END`."""
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])
     ends = np.stack([mesh.triangles[:, first], mesh.triangles[:, second]], axis=-1).astype(np.int64)
     places = np.stack([pages.corners[:, first], pages.corners[:, second]], axis=2)
