@@ -1,9 +1,7 @@
-"""Level of detail: a tree of cells, each with a progressive mesh, every level proven against the input.
+"""Level of detail: progressive meshes in a tree of cells, with proven bounds.
 
->>> from scanloom.stages import lod, read_mesh
->>> hierarchy = lod.build(read_mesh("clean.ply"))
->>> light = hierarchy.cut(triangles=20_000)
->>> light.mesh, light.shape_bound_m
+>>> from scanloom.stages import lod, read_mesh >>> hierarchy = lod.build(read_mesh("clean.ply")) >>> coarse =
+hierarchy.cut(triangles=20_000) >>> coarse.mesh, coarse.shape_bound_m
 """
 
 from scanloom.stages.lod.build import LodParams, build

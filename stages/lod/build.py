@@ -1,4 +1,4 @@
-"""Building a hierarchy of levels from a mesh."""
+"""Construction of a level-of-detail hierarchy from a mesh."""
 
 from __future__ import annotations
 
@@ -35,48 +35,48 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import LodKeywords
 
-# Raised by hand when levels of the same mesh become others.
+# Increment when the levels of the same mesh change, to invalidate cache entries.
 RESULT_VERSION = 5
 
-# How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
+# Relative tolerance of proven bounds over measured errors: tighter bounds take longer than building levels.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
-# Levels between the farthest two colours there are.
+# Maximum distance between two colours, levels.
 _FARTHEST_COLOR = 255 * math.sqrt(3)
-# The first bound over the base's error, where the base has one.
+# Bound of the first level relative to the base error, if there is a base error.
 _FIRST_PER_BASE = 2.5
-# The first bound over the median height of vertices, where the base has no error.
+# Bound of the first level relative to the median vertex height, if there is no base error.
 _FIRST_PER_HEIGHT = 1.4
-# Minimum first bound as a share of the diagonal: flat meshes have levels, too.
+# Minimum bound of the first level relative to the bounding box diagonal: flat meshes need levels, too.
 _MIN_FIRST_PER_DIAGONAL = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelsParams:
-    """How levels are made above the finest."""
+    """Parameters of the levels above the finest."""
 
     first_error: float | None = param(
         None,
-        "Bound of the first level above that; from the mesh itself if not given, so that it has a third to a "
-        "half of the triangles.",
+        "Error bound of the first level above the finest. Default: estimated from the mesh, so that the "
+        "level has a third to a half of the triangles.",
         unit="m",
         low=0,
         low_open=True,
     )
-    ratio: float = param(2.5, "What the bound grows with from level to level.", low=1.1, high=10)
+    ratio: float = param(2.5, "Ratio between the error bounds of consecutive levels.", low=1.1, high=10)
     cell_triangles: int = param(
-        10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
+        10_000, "Maximum triangles of a cell, which is loaded, refined and drawn as a unit.", low=64
     )
-    root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
+    root_triangles: int = param(1_000, "Stop when a level has no more triangles than this.", low=4)
     drop_islands: float = param(
         0.0,
-        "Loose pieces whose bounding box has a smaller diagonal are dropped first; what is proven then holds "
-        "from each level to the mesh, but back from the mesh without them alone. 0 keeps all.",
+        "Drop small connected components first: those with a smaller bounding box diagonal. Error bounds are "
+        "then one-sided, because dropped components are near no level. 0 keeps all.",
         unit="m",
         low=0,
     )
     threads: int | None = param(
         None,
-        "Processors to use, with the same result; all if not given.",
+        "Number of threads, with the same result. Default: all processors.",
         low=1,
         high=256,
         invalidates=False,
@@ -88,11 +88,11 @@ class LevelsParams:
 
 @dataclass(frozen=True, kw_only=True)
 class LodParams(LevelsParams):
-    """How levels of detail are made."""
+    """Parameters of level-of-detail hierarchies."""
 
     base_error: float = param(
         0.0,
-        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
+        "Proven error bound of the finest level, a simplified mesh; 0 uses the mesh itself.",
         unit="m",
         low=0,
     )
@@ -107,29 +107,36 @@ def build(
 ) -> Hierarchy:
     """Build the levels of detail of a mesh.
 
-    The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound,
-    the cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on
-    each level against its part of the mesh that was given (or simplified within `base_error`, which is
-    added): at every point, both ways, in shape and colour. With `drop_islands` it is the mesh without these.
-    Bounds of levels are never added up.
+    The surface is divided into cells along edges of the mesh. Each level is simplified within a larger bound,
+    with locked cell borders. Then neighbouring cells are merged, until one is left.
 
-    After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012),
-    with clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
+    The bound of each cell is proven on each level against the cell's part of the input mesh, in shape and
+    colour, at every point and in both directions. Bounds of levels do not accumulate. If `base_error` is set,
+    the reference is the mesh simplified within it, and its bound is added. With `drop_islands`, the reference
+    is the mesh without the dropped components.
+
+    The method follows Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
+    hierarchies" (2012), with clusters of Garland, Willmott and Heckbert (2001) and fitted instead of
+    half-edge collapses.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Of a texture, levels
-        have the colours at the vertices; the mesh itself is kept as `Hierarchy.model`, for images of tiles
-        and cuts.
-    params : LodParams; single fields can be given by name instead.
-    progress : called with (triangles gone, all).
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Levels of a textured
+        mesh get vertex colours. The textured mesh itself is kept as `Hierarchy.model`, to texture tiles and
+        cuts.
+    params : LodParams; single parameters can be given by keyword instead.
+    progress : called with the number of removed triangles and their total.
+
+    Returns
+    -------
+    Hierarchy
 
     Raises
     ------
     InputError
-        If the mesh has no triangles, or no piece that is not dropped.
+        If the mesh has no triangles, or all its components would be dropped.
     MeshError
-        If it is no valid mesh, or its coordinates are too large.
+        If the mesh is invalid, or its coordinates are too large.
     UsageError
         If a parameter is out of range.
     """
@@ -141,7 +148,7 @@ def build(
 def _built(given: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
-        raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; there are no levels of it.")
+        raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; no levels can be built.")
     kept, islands = _without_islands(given, params.drop_islands)
     base, shape, color, progress = _base(_plain(kept), params, progress)
     hierarchy = _of_any(base, params, shape, progress)
@@ -158,11 +165,13 @@ def _built(given: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
 
 
 def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
-    """Return levels as those of a mesh that the one they were built of is proven to be near, both ways.
+    """Widen all bounds of a hierarchy by the deviation of its base mesh.
 
     Parameters
     ----------
-    shape, color : metres, and levels of colour; they count in all bounds, by the triangle inequality.
+    hierarchy : levels built from a simplified mesh.
+    shape, color : proven two-sided deviation of that mesh from the original, metres and levels. The sum is
+        valid by the triangle inequality.
     """
     return replace(
         hierarchy,
@@ -174,33 +183,42 @@ def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
 
 
 def _plain(mesh: Mesh) -> Mesh:
-    """Return a mesh with nothing but colours of vertices."""
-    lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals, "normals": mesh.normals}
+    """Return a mesh with vertex colours only, and warn about dropped attributes."""
+    lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals, "normals": mesh.normals}
     names = [name for name, value in lost.items() if value is not None]
     if names:
-        emit(LEVELS_LEFT_OUT.warning("lod left out: {names}.", names=", ".join(names)))
+        emit(
+            LEVELS_LEFT_OUT.warning(
+                "lod drops these attributes of the mesh: {names}.", names=", ".join(names)
+            )
+        )
     if is_textured(mesh):
         mesh = mesh.with_(colors=_colors_of_vertices(mesh))
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, up=mesh.up)
 
 
 def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
-    """Return a mesh without the pieces that are smaller than a size, and how many were dropped."""
+    """Remove connected components smaller than `size`, metres.
+
+    Returns
+    -------
+    The mesh, and the number of removed components.
+    """
     if size == 0:
         return mesh, 0
     small, islands = find_small_components(mesh, size)
     if small.all():
         raise InputError(
             LEVELS_ISLANDS_DROPPED,
-            "every piece of the mesh is smaller than {size:g} m; nothing is left of it.",
+            "all connected components of the mesh are smaller than {size:g} m; nothing would be left.",
             size=size,
         )
     if not islands:
         return mesh, 0
     emit(
         LEVELS_ISLANDS_DROPPED.warning(
-            "{islands:,} loose pieces smaller than {size:g} m, of {triangles:,} triangles, were dropped: of "
-            "what the mesh has there, nothing is proven.",
+            "{islands:,} connected components smaller than {size:g} m, with {triangles:,} triangles, were "
+            "dropped; error bounds do not cover them.",
             islands=islands,
             size=size,
             triangles=np.count_nonzero(small),
@@ -211,7 +229,7 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
 
 
 def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
-    """Return the mean colour (n, 3) of the corners of each vertex, black where there is none."""
+    """Average the corner colours of each vertex, (n, 3); black for unused vertices."""
     corner = mesh.triangles.reshape(-1)
     weights = np.tile(np.eye(3), (len(mesh.triangles), 1))
     found = color_at(mesh, np.repeat(np.arange(len(mesh.triangles)), 3), weights)
@@ -221,7 +239,12 @@ def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
 
 
 def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, float, float, Progress]:
-    """Return the finest level, what is proven of it, in metres and levels, and the progress of the rest."""
+    """Build the finest level.
+
+    Returns
+    -------
+    The mesh, its proven bounds in metres and colour levels, and the progress callback for the remaining work.
+    """
     if params.base_error == 0:
         return mesh, 0.0, 0.0, progress
     count = len(mesh.triangles)
@@ -235,7 +258,7 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
             threads=params.threads,
             progress=_part(progress, 0, half, count),
         )
-    # Levels have the bounds that are proven, whether or not those are within the one that was asked for.
+    # The proven bounds are used as they are, so an unmet request is no problem here.
     emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
     details = light.details
     bounds = float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
@@ -243,7 +266,7 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
 
 
 def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
-    """Return what tells of a part of the work as from `first` to `last` of all."""
+    """Return a callback that maps the progress of a step to `first`…`last` of `count`."""
 
     def tell(done: int, total: int) -> object:
         return progress(first + (last - first) * done // max(total, 1), count)
@@ -252,13 +275,13 @@ def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
 
 
 def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:
-    """Return the hierarchy of a mesh that may have copies of vertices, or be no manifold."""
+    """Build the hierarchy of a mesh that may be non-manifold or have duplicated vertices."""
     sheets = joined(mesh)
     if sheets is None:
         try:
             return _of_manifold(mesh, np.zeros(0, bool), params, base_error, progress)
         except _kernels.InvalidMeshError:
-            # Not a manifold: the sheets it is made of are.
+            # Non-manifold: cut the mesh into manifold sheets.
             sheets = sheets_of(mesh)
     whole = in_sheets(mesh, sheets)
     split = is_split(mesh, sheets)
@@ -295,8 +318,8 @@ def _of_manifold(
     if levels.unproven:
         emit(
             LEVELS_BOUND_NOT_PROVEN.warning(
-                "{count:,} triangles have no proof of their level's bound; what is proven of their nodes is "
-                "told as it is.",
+                "{count:,} triangles are not proven to be within the bound of their level; their nodes state "
+                "the larger bound that is proven.",
                 count=levels.unproven,
             )
         )
@@ -322,10 +345,10 @@ def _of_manifold(
 
 
 def _estimate_first_error(mesh: Mesh) -> float:
-    """Estimate an error bound for the first level, in metres, from the heights of vertices over neighbours.
+    """Estimate the error bound of the first level from vertex heights, metres.
 
-    The height is measured along a vertex normal from the mean of the neighbours. Half of the vertices are
-    lower than the median height, and about as many can be removed within the bound.
+    The height is the distance of a vertex from the mean of its neighbours, along the vertex normal. Half of
+    the vertices are below the median height, and about as many can be removed within the bound.
     """
     corners, triangles = mesh.vertices[mesh.triangles], mesh.triangles
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -345,5 +368,5 @@ def _estimate_first_error(mesh: Mesh) -> float:
 
 
 def _sum_rows(at: NDArray[np.int32], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the sums (count, 3) of the rows (k, 3) with the same index `at`."""
+    """Sum the rows (k, 3) with the same index `at`, (count, 3)."""
     return np.stack([np.bincount(at, column, minlength=count) for column in values.T], axis=1)

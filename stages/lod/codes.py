@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of levels of detail, with explanations."""
+"""Diagnostic codes of levels of detail, with explanations."""
 
 from __future__ import annotations
 
@@ -6,68 +6,71 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 LEVELS_FILE_DAMAGED = Code(
     "levels.file-damaged",
-    "Files of levels that are damaged",
+    "Damaged files of levels",
     """
-The file is no `.slod` or `.snm` file, or is damaged before its first level. Make it again from its mesh.
+The file is not a `.slod` or `.snm` file, or is damaged before its first level. Build it again from its mesh.
 """,
-    "clean.slod: the file is damaged or cut off before its first level.",
+    "clean.slod: the file is damaged or truncated before its first level.",
 )
 LEVELS_CUT_OFF = Code(
     "levels.cut-off",
-    "Files of levels that end early",
+    "Truncated files of levels",
     """
-A `.slod` file that ends early is a coarser mesh: levels before the damage are read, with a warning. Tiles
-need all levels, and are an error. Copy the file again, or make it again from its mesh.
+A truncated `.slod` file is still a coarser mesh: levels before the damage are read, with a warning. Tiles
+require all levels, so writing them is an error. Copy the file again, or build it again from its mesh.
 """,
     "clean.slod: the file ends after 12 of 85 nodes; finer levels are missing.",
 )
 LEVELS_BOUND_NOT_PROVEN = Code(
     "levels.bound-not-proven",
-    "Triangles that are not proven to be within the bound of their level",
+    "Triangles without a proof for the bound of their level",
     """
-A warning. Each node states the bound that is proven for it, which is larger than that of its level here.
-Views and cuts take the proven bound.
+A warning. Each node states its proven bound, which is larger than the bound of its level here. Views and cuts
+use the proven bound.
 """,
-    ("14 triangles have no proof of their level's bound; what is proven of their nodes is told as it is."),
+    (
+        "14 triangles are not proven to be within the bound of their level; their nodes state the larger "
+        "bound that is proven."
+    ),
 )
 LEVELS_MODEL_MISMATCH = Code(
     "levels.model-mismatch",
-    "A model that tiles cannot get images from",
+    "Model that does not match the levels",
     """
-The model for `--texture` has to lie where the levels lie, and needs an image or vertex colours.
+The model for `--texture` must have the same coordinates as the levels, and an image or vertex colours.
 """,
-    "model: has neither an image nor vertex colours that tiles could get.",
+    "model: has neither an image nor vertex colours for the tiles.",
 )
 LEVELS_TILES_TOO_FINE = Code(
     "levels.tiles-too-fine",
-    "Levels that are too fine for tiles",
+    "Levels too fine for tiles",
     """
-Positions of tiles have single precision. A model that is large and finely detailed at once needs coarser
-finest levels (`lod.base_error`).
+Tiles store positions in single precision. A large and finely detailed model needs a coarser finest level
+(`lod.base_error`).
 """,
     (
-        "vertices crowd too close for tiles, whose positions have single precision; build the levels with a "
-        "larger base_error."
+        "vertices are too close to each other for tiles, which store positions in single precision; build "
+        "the levels with a larger base_error."
     ),
 )
 LEVELS_LEFT_OUT = Code(
     "levels.left-out",
-    "Attributes that levels leave out",
+    "Attributes that levels drop",
     """
-Warnings. Normals and parts are left out; the image of a mesh is at the end of its file, and comes back
-with `--texture` if that is lost. Images of tiles are opaque.
+Warnings. Levels have no normals and parts. The textured mesh is stored at the end of the `.slod` file; if
+that is lost, `--texture` restores the images of tiles. Images of tiles are opaque.
 """,
-    "lod left out: parts, normals of corners.",
+    "lod drops these attributes of the mesh: parts, corner normals.",
 )
 LEVELS_ISLANDS_DROPPED = Code(
     "levels.islands-dropped",
-    "Small components that are dropped",
+    "Dropped small components",
     """
-Small components are dropped only with `lod.drop_islands`, and then nothing is proven of them. A length
-that would drop all of the mesh is refused.
+Small connected components are dropped only with `lod.drop_islands`. Error bounds then do not cover them. A
+length that would drop the whole mesh is an error.
 """,
     (
-        "20 loose pieces smaller than 0.1 m, of 1,600 triangles, were dropped: of what the mesh has there, "
-        "nothing is proven."
+        "20 connected components smaller than 0.1 m, with 1,600 triangles, were dropped; error bounds do not "
+        "cover them."
     ),
 )

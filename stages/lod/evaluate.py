@@ -1,4 +1,4 @@
-"""Evaluating a hierarchy for a view and a marked region, and adjusting its front to that."""
+"""View-dependent evaluation of a hierarchy, and adjustment of its front."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from scanloom.stages.lod.view import View
 def evaluate(
     hierarchy: Levels, view: View, region: Region | None = None, *, rule: Rule = "corrected"
 ) -> Weights:
-    """Return how urgent it is to refine each node, after Wang, Lu and Pan (2012, section 2.2).
+    """Compute the refinement priority of each node (Wang, Lu and Pan 2012, section 2.2).
 
-    The error is the proven one of the coarse mesh, in pixels of the view.
+    The error is the proven error of the node's coarse mesh, in pixels of the view.
 
     Parameters
     ----------
-    region : whose vertices are marked, as those someone works on are.
-    rule : "paper" for the paper's letter in all measures; see `scanloom.stages.lod.measures`.
+    hierarchy : levels to evaluate.
+    view : view that determines visibility and pixel size.
+    region : vertices inside count as marked by the user, for example for editing.
+    rule : "paper" for all measures exactly as in the paper; see `scanloom.stages.lod.measures`.
     """
     h = hierarchy
     middle, radius = h.spheres
@@ -40,7 +42,7 @@ def evaluate(
             of_node[h.parent[node]] = max(of_node[h.parent[node]], of_node[node])
         marked = measures.marked_share(of_node, vertices, rule=rule)
     local = measures.local_measure(frustum, silhouette, error, marked, rule=rule)
-    # What is below a node can be refined only once the node is.
+    # Descendants can be refined only after their ancestors, so an ancestor inherits their priority.
     for node in range(h.nodes - 1, 0, -1):
         local[h.parent[node]] = max(local[h.parent[node]], local[node])
     return Weights(frustum, silhouette, error, marked, local)
@@ -54,11 +56,22 @@ def adjust(
     split_above: float = measures.SPLIT_ABOVE,
     merge_below: float = 0.8 * measures.SPLIT_ABOVE,
 ) -> Front:
-    """Bring a front to where the weights want it, with at most `limit` triangles (lambda_G), and return it.
+    """Adjust a front to the weights, with at most `limit` triangles (lambda_G).
 
-    A node is refined whose local measure is above `split_above`; one that is refined already stays so down to
-    `merge_below`, since with one threshold a node at it would go to and fro. Those of the largest error come
-    first, and where the triangles do not last, the next one is refined in part.
+    Nodes are refined if their local measure exceeds `split_above`. Refined nodes stay refined until it falls
+    to `merge_below`; this hysteresis prevents oscillation. Nodes with the largest error come first. The node
+    that exceeds the limit is refined partially.
+
+    Parameters
+    ----------
+    front : changed in place.
+    weights : from `evaluate`.
+    limit : maximum number of triangles.
+    split_above, merge_below : thresholds of the local measure.
+
+    Returns
+    -------
+    The front itself.
     """
     h = front.hierarchy
     were_open = {int(p) for n in front.nodes for p in _above(h, n)}

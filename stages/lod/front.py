@@ -1,4 +1,4 @@
-"""The active front: which nodes of a hierarchy are drawn, and how far each one's vertices are split."""
+"""Active front of a hierarchy: displayed nodes and their vertex splits."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ Floats = NDArray[np.float64]
 
 
 class Region(Protocol):
-    """A part of space, such as `scanloom.Sphere` and `scanloom.Box`."""
+    """Region of space, such as `scanloom.Sphere` and `scanloom.Box`."""
 
     def holds(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which of the points (n, 3) lie within it."""
+        """Return a mask of the points (n, 3) that are inside."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A mesh of a hierarchy, and what is known of it.
+    """Mesh extracted from a hierarchy, with its proven bounds.
 
     Attributes
     ----------
-    mesh : its triangles, node by node.
-    node : (m,) int32, the node of each triangle.
-    nodes, splits : (k,) int64, the front, and how many vertices of each node are split.
-    shape_bound, color_bound : (k,) float64, metres and levels: what is proven of each node's mesh both ways
-        against its part of the input; between two levels that of the coarser one, which then is expected.
-    is_proven : (k,) bool, whether the node is on a level, and its bound so proven.
-    is_one_sided : whether islands were dropped, which then are near nothing here; the bounds are of the rest.
+    mesh : triangles, ordered by node.
+    node : (m,) int32, node of each triangle.
+    nodes, splits : (k,) int64, nodes of the front, and number of split vertices of each.
+    shape_bound, color_bound : (k,) float64, metres and levels: two-sided bound of each node's mesh against
+        its part of the input. Between two levels it is the bound of the coarser level, which is expected but
+        not proven.
+    is_proven : (k,) bool, the node is exactly on a level, so its bound is proven.
+    is_one_sided : small components were dropped, and the bounds do not cover them.
     """
 
     mesh: Mesh
@@ -57,16 +58,16 @@ class Cut:
 
     @property
     def shape_bound_m(self) -> float:
-        """The largest distance, metres."""
+        """Maximum bound on the distance, metres."""
         return float(self.shape_bound.max(initial=0.0))
 
     @property
     def color_bound_levels(self) -> float | None:
-        """The largest difference of colour, levels; None without colours."""
+        """Maximum bound on the colour difference, levels; None without colours."""
         return None if self.mesh.colors is None else float(self.color_bound.max(initial=0.0))
 
     def figures(self) -> dict[str, Any]:
-        """Return how large it is, and what is proven."""
+        """Return size and bounds for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),
             "vertices": len(self.mesh.vertices),
@@ -80,9 +81,10 @@ class Cut:
 
 
 class Front:
-    """The nodes that are drawn, each after some of its splits; all of the surface, at any time.
+    """Set of displayed nodes, each with some of its vertex splits done.
 
-    What is done to it leaves the hierarchy as it is. Each change returns the front itself.
+    A front always covers the whole surface. Methods that change it return the front itself and leave the
+    hierarchy unchanged.
     """
 
     def __init__(self, hierarchy: Levels) -> None:
@@ -91,27 +93,27 @@ class Front:
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """The nodes, in order."""
+        """Nodes of the front, ascending."""
         return tuple(sorted(self._splits))
 
     @property
     def splits(self) -> tuple[int, ...]:
-        """How many vertices of each are split, in the order of `nodes`."""
+        """Number of split vertices of each node, in the order of `nodes`."""
         return tuple(self._splits[n] for n in self.nodes)
 
     @property
     def state(self) -> dict[int, int]:
-        """Nodes and their splits, to go back to with `restore`."""
+        """Number of splits by node, for `restore`."""
         return dict(self._splits)
 
     def restore(self, state: dict[int, int]) -> Front:
-        """Go back to an earlier `state` of the same hierarchy."""
+        """Restore an earlier `state` of the same hierarchy."""
         self._splits = dict(state)
         return self
 
     @property
     def triangles(self) -> int:
-        """Triangles there are."""
+        """Number of triangles of the front."""
         return sum(self._triangles(n, s) for n, s in self._splits.items())
 
     def _triangles(self, node: int, splits: int) -> int:
@@ -120,9 +122,14 @@ class Front:
         return int(h.coarse[node] + h.born_before[first + splits] - h.born_before[first])
 
     def split(self, node: int, count: int = 1) -> Front:
-        """Split `count` vertices of a node of the front, or as many as there are.
+        """Split up to `count` vertices of a node of the front.
 
-        Where none is left to split, its children take its place.
+        If all vertices are already split, the node is replaced by its children.
+
+        Parameters
+        ----------
+        node : index of a node of the front.
+        count : maximum number of splits, at least 1.
 
         Raises
         ------
@@ -139,10 +146,15 @@ class Front:
         return self
 
     def merge(self, node: int, count: int = 1) -> Front:
-        """Undo `count` splits of a node of the front, or as many as there are.
+        """Undo up to `count` splits of a node of the front.
 
-        Where none is left to undo, its parent takes the place of all that is below it: whatever of its
-        siblings is still split is merged first.
+        If the node has no splits, its parent replaces all its descendants in the front, whatever their
+        splits.
+
+        Parameters
+        ----------
+        node : index of a node of the front.
+        count : maximum number of undone splits, at least 1.
 
         Raises
         ------
@@ -163,7 +175,7 @@ class Front:
         if node not in self._splits:
             raise UsageError(USAGE_ARGUMENT_INVALID, "node {node} is not in the front.", node=node)
         if count < 1:
-            raise UsageError(USAGE_ARGUMENT_INVALID, "count is 1 or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "count must be 1 or more.")
 
     def _is_below(self, node: int, above: int) -> bool:
         while node > above:
@@ -180,43 +192,46 @@ class Front:
         region: Region | None = None,
         keep: float = 1.0,
     ) -> Front:
-        """Go to the front that a view, a number of triangles or an error asks for.
+        """Refine to a view, a number of triangles or an error.
 
-        What is outside the view, or away from the region, stays as coarse as can be.
+        Nodes outside the view or the region stay as coarse as possible.
 
         Parameters
         ----------
-        view : errors are told in its pixels; without one, in metres everywhere.
-        triangles : at most so many; those there are go where the proven error is largest. The last node may
+        view : view in whose pixels errors are measured; without a view, errors are in metres everywhere.
+        triangles : maximum number of triangles, spent where the proven error is largest. The last node may
             end between two levels.
-        error_px : no more than so many pixels of proven error in what is seen; asks for a view.
-        max_shape : no more than so many metres of proven error.
-        region : something with `holds(points)`, as Sphere and Box; only nodes with a vertex there are
-            refined, without another limit to the last.
-        keep : 1 or more; where the front is finer than asked already, nodes stay until their error is this
-            many times below what is asked for: with 2, small steps of the view there and back change nothing.
+        error_px : maximum proven error of visible nodes, pixels; requires a view.
+        max_shape : maximum proven error, metres.
+        region : object with `holds(points)`, such as Sphere and Box. Only nodes with a vertex inside are
+            refined, and completely if there is no other limit.
+        keep : hysteresis factor, at least 1. Nodes that are already refined stay refined until their error is
+            below the requested error divided by this factor. With 2, small camera movements change nothing.
 
         Raises
         ------
         UsageError
-            If nothing is asked for, an error comes without a view, or a number is out of range.
+            If no target is given, `error_px` has no view, or a value is out of range.
         """
         if error_px is not None and view is None:
             raise UsageError(
                 USAGE_ARGUMENT_INVALID,
-                "error_px is told in pixels of a view",
-                remedy="give one, or max_shape in metres.",
+                "error_px is measured in pixels of a view, and no view is given",
+                remedy="pass a view, or use max_shape in metres.",
             )
         if triangles is None and error_px is None and max_shape is None and region is None:
             raise UsageError(
-                USAGE_ARGUMENT_INVALID, "say how far to refine: triangles, error_px, max_shape or region."
+                USAGE_ARGUMENT_INVALID,
+                "no target for the refinement is given: triangles, error_px, max_shape or region.",
             )
         asked = (("triangles", triangles, 1), ("error_px", error_px, 0), ("max_shape", max_shape, 0))
         for name, value, least in asked:
             if value is not None and not value >= least:
-                raise UsageError(USAGE_ARGUMENT_INVALID, "{name} is {least} or more.", name=name, least=least)
+                raise UsageError(
+                    USAGE_ARGUMENT_INVALID, "{name} must be {least} or more.", name=name, least=least
+                )
         if not keep >= 1:
-            raise UsageError(USAGE_ARGUMENT_INVALID, "keep is 1 or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "keep must be 1 or more.")
         wanted = self._wanted(view, error_px, max_shape, region)
         open_before = self._above_front() if keep > 1 else set()
         self._splits = {0: 0} if self.hierarchy.nodes else {}
@@ -226,7 +241,10 @@ class Front:
     def _wanted(
         self, view: View | None, error_px: float | None, max_shape: float | None, region: Region | None
     ) -> Floats:
-        """Return how urgent each node (n,) is: its error over that asked for. It is refined above 1."""
+        """Compute the refinement priority (n,) of each node.
+
+        The priority is the error relative to the requested error; nodes above 1 are refined.
+        """
         h = self.hierarchy
         urgency = np.zeros(h.nodes)
         seen, length = np.ones(h.nodes, bool), h.shape_bound
@@ -238,14 +256,14 @@ class Front:
         if error_px is not None:
             urgency = np.maximum(urgency, _over(length, error_px))
         if error_px is None and max_shape is None:
-            # Whatever helps most: the order alone counts.
+            # Without a requested error only the order of priorities matters.
             urgency = np.where(length > 0, 1 + length / max(float(length.max(initial=0.0)), 1e-300), 0.0)
         if region is not None:
             urgency = np.where(self._in_region(region), urgency, 0.0)
         return np.asarray(urgency)
 
     def _in_region(self, region: Region) -> NDArray[np.bool_]:
-        """Return which nodes (n,) have a vertex in a region, on any level."""
+        """Return a mask (n,) of nodes with a vertex in a region, on any level."""
         h = self.hierarchy
         inside = region.holds(h.vertices)
         found = np.array([bool(inside[h.vertices_of(n)].any()) for n in range(h.nodes)], bool)
@@ -263,7 +281,7 @@ class Front:
         return above
 
     def _descend(self, urgency: Floats, triangles: int | None, open_before: set[int], keep: float) -> None:
-        """Refine the most urgent node again and again, as long as there are triangles for it."""
+        """Refine nodes in the order of priority while the number of triangles allows."""
         h = self.hierarchy
         if not h.nodes:
             return
@@ -289,11 +307,11 @@ class Front:
                 heapq.heappush(heap, (-float(urgency[child]), int(child)))
 
     def rebuild(self, triangles: int) -> Front:
-        """Go to at most so many triangles, with the error as small as can be."""
+        """Refine to at most `triangles`, with the smallest possible error."""
         return self.refine(triangles=triangles)
 
     def cut(self) -> Cut:
-        """Return the mesh there is now, and what is proven of it."""
+        """Extract the current mesh with its bounds."""
         h = self.hierarchy
         nodes = np.array(self.nodes, np.int64)
         splits = np.array(self.splits, np.int64)

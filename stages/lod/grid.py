@@ -1,7 +1,7 @@
-"""One grid for the positions of all tiles, with a step that is a power of two.
+"""Common position grid of all tiles, with a power-of-two step.
 
-A grid for each tile would tear tiles apart along their borders. On one grid, a vertex that two tiles share
-has the same numbers in both, and a power of two loses none of them in single precision.
+Separate grids would open cracks between tiles. On a common grid, a vertex shared by two tiles has identical
+coordinates in both. With a power of two, no digits are lost in single precision.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from scanloom.stages.surface.welding import same_rows
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-# Where a place of the grid is taken, one so many steps away along each axis is looked for.
+# Search radii for a free grid point if the nearest one is occupied, in steps along each axis.
 _REACHES = (1, 2, 4)
 _FARTHEST = _REACHES[-1]
-# Steps that the whole model may span, with room around it: in 16 bits, and in single precision.
+# Maximum extent of the model in steps, without the search margin, for 16 bits and for single precision.
 _IN_16_BITS = 2**16 - 1 - 2 * _FARTHEST
 _IN_SINGLE = 2**21 - 1 - 2 * _FARTHEST
-# A step is at most this share of the finest level's bound.
+# Maximum step relative to the bound of the finest level.
 _STEP_PER_BOUND = 0.25
-# A model this many times its size away from the origin is moved there, which keeps its digits.
+# A model farther from the origin than this multiple of its size is moved there, to keep its precision.
 _FAR = 4.0
-# Steps beyond these have no exact multiples in single precision.
+# Range of steps whose multiples are exact in single precision.
 _LEAST, _LARGEST = 2.0**-100, 2.0**100
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where positions may lie: at whole multiples of the step from the origin.
+    """Grid of positions: integer multiples of a step from an origin.
 
     Attributes
     ----------
     step : metres, a power of two.
-    origin : (3,) float64, metres; 0 unless the model is far from it.
-    in_16_bits : whether positions are written as steps in 16 bits; else in single precision.
-    share_m : no position, and so no point of a surface, was moved farther than this, metres.
+    origin : (3,) float64, metres; 0 unless the model is far from the origin.
+    in_16_bits : positions are stored as 16-bit steps; otherwise in single precision.
+    share_m : maximum displacement of positions, and so of surface points, metres.
     """
 
     step: float
@@ -55,19 +55,23 @@ class Grid:
 
 
 def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
-    """Return a hierarchy with all positions on one grid, told from its origin, and the grid.
+    """Snap all positions of a hierarchy to a common grid.
 
-    Steps are as fine as 16 bits allow for the whole model. Where that is coarser than a quarter of the finest
-    level's bound, or too coarse for the vertices, positions take single precision, and steps are 32 times
-    finer.
+    The step is as fine as 16 bits allow for the whole model. If it is coarser than a quarter of the finest
+    level's bound, or too coarse to separate the vertices, single precision is used, with 32 times finer
+    steps.
 
-    Vertices of different places stay apart: where two are nearest to the same place of the grid, the second
-    takes one beside it that is free. So no triangle loses a corner, and what fits together before does after.
+    Distinct vertices stay distinct: if two have the same nearest grid point, the second takes a free one
+    nearby. Therefore no triangle degenerates, and adjacent meshes stay adjacent.
+
+    Returns
+    -------
+    The hierarchy with positions relative to the grid's origin, and the grid.
 
     Raises
     ------
     InputError
-        If the model is too large for single precision, or vertices crowd so close that no place is free.
+        If the model is too large for single precision, or vertices are too dense for the grid.
     """
     low, high = hierarchy.vertices.min(axis=0), hierarchy.vertices.max(axis=0)
     size, middle = float((high - low).max()), 0.5 * (low + high)
@@ -77,7 +81,7 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
         if step > _LARGEST:
             raise InputError(
                 LEVELS_TILES_TOO_FINE,
-                "the model is too large for tiles, whose positions have single precision.",
+                "the model is too large for tiles, which store positions in single precision.",
             )
         if in_16_bits and step > wanted:
             continue
@@ -88,35 +92,36 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
         if places is None:
             continue
         moved = float(np.sqrt(((places - exact) ** 2).sum(axis=1)).max())
-        # Rounded up beyond what the lines above may have lost.
+        # Rounded up by more than the floating-point error of the lines above.
         lost = 4 * float(np.spacing(np.abs(middle).max() + size))
         share = max(math.sqrt(3) / 2, moved) * step * (1 + 1e-9) + lost
         return replace(hierarchy, vertices=places * step), Grid(step, origin, in_16_bits, share)
     raise InputError(
         LEVELS_TILES_TOO_FINE,
         (
-            "vertices crowd too close for tiles, whose positions have single precision; "
+            "vertices are too close to each other for tiles, which store positions in single precision; "
             "build the levels with a larger base_error."
         ),
     )
 
 
 def _step_for(size: float, steps: int) -> float:
-    """Return the least power of two of which a length has no more than so many."""
+    """Return the smallest power of two of which at most `steps` cover a length."""
     step = 2.0 ** (math.frexp(max(size, _LEAST) / steps)[1] - 1)
     return max(step if step * steps >= size else 2 * step, _LEAST)
 
 
 def _finest_bound(h: Hierarchy) -> float:
-    """Return the largest bound of the finest level that has one; infinite if none has."""
+    """Return the largest bound of the finest level with a positive bound, else infinity."""
     of_levels = [float(h.shape_bound[h.level == level].max()) for level in np.unique(h.level)]
     return min((bound for bound in [h.base_shape_bound, *of_levels] if bound > 0), default=math.inf)
 
 
 def _places(exact: Floats) -> Floats | None:
-    """Return a place of the grid, whole numbers (n, 3), for each position in steps; None if they crowd.
+    """Assign a grid point (n, 3) to each position, both in steps.
 
-    The same place for the same position, and another for any other.
+    Returns None if the positions are too dense. Equal positions get the same grid point, different positions
+    different ones.
     """
     places = np.rint(exact)
     same = same_rows(list(exact.T))
@@ -141,16 +146,16 @@ def _places(exact: Floats) -> Floats | None:
         best = free[int(np.argmin(away))]
         places[vertex] = near[best]
         taken.add(int(near_keys[best]))
-    return np.asarray(places[same] + 0.0)  # no zero has a sign
+    return np.asarray(places[same] + 0.0)  # turn -0.0 into 0.0
 
 
 @cache
 def _around(reach: int) -> Floats:
-    """Return the steps (k, 3) to all places no farther than this along each axis."""
+    """Return the offsets (k, 3) of all grid points within `reach` steps along each axis."""
     return np.array(list(itertools.product(range(-reach, reach + 1), repeat=3)), np.float64)
 
 
 def _keys(places: Floats) -> Ids:
-    """Return one number for each place, which has three of 21 bits."""
+    """Pack grid coordinates, 21 bits each, into one integer key."""
     x, y, z = places.astype(np.int64).T
     return np.asarray((z << 42) | (y << 21) | x)

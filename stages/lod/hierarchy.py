@@ -1,4 +1,4 @@
-"""A hierarchy of levels, and the meshes one takes out of it."""
+"""Level-of-detail hierarchy, and extraction of meshes from it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scanloom.stages.lod.view import View
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Hierarchy(Levels):
-    """The levels of a mesh, and what to do with them."""
+    """Levels of a mesh with methods to extract meshes."""
 
     def front(self) -> Front:
-        """Return the root alone, no vertex split: from there it is refined and coarsened."""
+        """Return a new front with the unsplit root only, to be refined."""
         return Front(self)
 
     def cut(
@@ -26,7 +26,7 @@ class Hierarchy(Levels):
         max_shape: float | None = None,
         region: Region | None = None,
     ) -> Cut:
-        """Return the mesh for a view, a number of triangles or an error; see `Front.refine`."""
+        """Extract the mesh for a view, a number of triangles or an error; see `Front.refine`."""
         front = self.front()
         front.refine(view, triangles=triangles, error_px=error_px, max_shape=max_shape, region=region)
         return front.cut()

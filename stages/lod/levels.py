@@ -1,4 +1,4 @@
-"""The levels of a mesh in memory: a tree of cells, and one forest of vertices for all of them."""
+"""Levels of a mesh in memory."""
 
 from __future__ import annotations
 
@@ -23,39 +23,42 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """The levels of a mesh.
+    """Levels of a mesh.
 
-    Those of Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012,
-    section 2.1), with fitted collapses.
+    The structure follows Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
+    hierarchies" (2012, section 2.1), with fitted collapses.
 
-    Nodes are numbered from the root, 0, down: no child comes before its parent. A node's mesh is coarse while
-    none of its vertices is split; with all of its splits done it is what its children's coarse meshes are
-    together, and at a leaf the mesh the hierarchy was built on. Splits are numbered over all nodes, in this
-    order; so are vertices by the split that brings them, and those that are there before any come first.
+    Nodes are numbered from the root, 0, downwards: a parent has a smaller index than its children. A node's
+    mesh is coarse while none of its vertices is split. With all splits done, it equals the union of its
+    children's coarse meshes; at a leaf, it equals the base mesh. Splits are numbered over all nodes in this
+    order. Vertices are numbered by the split that creates them, after the `roots` vertices that exist before
+    any split.
 
     Attributes
     ----------
     vertices : (v, 3) float64, metres, of all levels.
     colors : (v, 3) uint8 RGB, or None.
-    roots : vertices that are there before any split.
-    origin : (v - roots,) uint32, by vertex from `roots` on: the vertex it becomes when its split is undone.
-    made, born : (s,) uint8, vertices (1 or 2) and triangles (0 to 2) that each split brings.
-    triangles : (t, 3) uint32, of each node with all splits done: those of its coarse mesh first, then those
-        that its splits bring, in their order. Corners are vertices of `vertices`; with fewer splits, what
-        they have become by then.
-    parent : (n,) int32 by node; -1 for the root.
+    roots : number of vertices that exist before any split.
+    origin : (v - roots,) uint32, by vertex from `roots` on: the vertex it merges into when its split is
+        undone.
+    made, born : (s,) uint8, vertices (1 or 2) and triangles (0 to 2) that each split adds.
+    triangles : (t, 3) uint32, triangles of each node with all splits done: first the triangles of its coarse
+        mesh, then the triangles added by its splits, in order. Corners index `vertices`; with fewer splits, a
+        corner is replaced by the vertex it has merged into.
+    parent : (n,) int32, parent of each node; -1 for the root.
     level : (n,) int32, 0 for the first level of simplification.
-    coarse : (n,) int32, triangles of the coarse mesh.
-    first_split, first_triangle : (n + 1,) int64, where each node's splits and triangles begin.
-    shape_bound, color_bound : (n,) float64, metres and levels, proven at every point both ways between the
-        coarse mesh and the node's part of the input; never less than a child's.
-    base_shape_bound, base_color_bound : the same of the mesh the hierarchy was built on.
-    input_triangles : of the mesh that was given.
-    diagnostics : of the mesh that the levels were built of, and of the file that they were read from.
-    dropped_islands, dropped_triangles : loose pieces of the mesh that was given and their triangles, which no
-        level has, so that bounds are one-sided: all of a level is near the mesh, but not these near a level.
-    up : (3,) of length 1, what is up in the mesh, where that is known.
-    model_glb : the mesh that was given, as a GLB file, where it has a texture; see `model`.
+    coarse : (n,) int32, number of triangles of the coarse mesh.
+    first_split, first_triangle : (n + 1,) int64, start of each node's splits and triangles.
+    shape_bound, color_bound : (n,) float64, metres and levels, proven two-sided bound at every point between
+        the coarse mesh and the node's part of the input; at least the bound of each child.
+    base_shape_bound, base_color_bound : the bounds of the base mesh, from which the hierarchy was built.
+    input_triangles : number of triangles of the input mesh.
+    diagnostics : warnings about the input mesh, and about the file that the levels were read from.
+    dropped_islands, dropped_triangles : number of dropped small components and their triangles. They are on
+        no level, so bounds are one-sided: each level is near the input, but dropped components are near no
+        level.
+    up : (3,) unit up direction of the mesh, or None if unknown.
+    model_glb : the textured input mesh as a GLB file, or None; see `model`.
     """
 
     vertices: Floats
@@ -86,50 +89,53 @@ class Levels:
 
     @property
     def nodes(self) -> int:
-        """How many nodes there are."""
+        """Number of nodes."""
         return len(self.parent)
 
     @cached_property
     def model(self) -> Mesh | None:
-        """The textured mesh that was given, of which tiles get their images, and cuts with `scanloom.bake`.
+        """Textured input mesh, source of the images of tiles, and of cuts with `scanloom.bake`.
 
         Raises
         ------
         InputError, MeshError
-            If `model_glb` is no mesh.
+            If `model_glb` is not a valid mesh.
         """
         return None if self.model_glb is None else unpacked(self.model_glb)
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether something of the mesh that was given is near no level."""
+        """True if dropped components of the input mesh are on no level."""
         return self.dropped_islands > 0
 
     @cached_property
     def children(self) -> tuple[Ids, ...]:
-        """The children of each node, in order."""
+        """Children of each node, ascending."""
         order = np.argsort(self.parent, kind="stable")
         starts = np.searchsorted(self.parent[order], np.arange(self.nodes + 1))
         return tuple(order[a:b] for a, b in pairwise(starts))
 
     @cached_property
     def splits(self) -> Ids:
-        """Splits of each node (n,)."""
+        """Number of splits of each node (n,)."""
         return np.diff(self.first_split)
 
     @cached_property
     def full(self) -> Ids:
-        """Triangles of each node (n,) with all splits done."""
+        """Number of triangles of each node (n,) with all splits done."""
         return np.diff(self.first_triangle)
 
     @cached_property
     def full_shape_bound(self) -> Floats:
-        """What is proven of each node (n,) with all splits done: the most of its children, or of the base."""
+        """Shape bound of each node (n,) with all splits done, metres.
+
+        It is the maximum of the children's bounds, or the base bound at a leaf.
+        """
         return self._below(self.shape_bound, self.base_shape_bound)
 
     @cached_property
     def full_color_bound(self) -> Floats:
-        """The same of colours."""
+        """Colour bound of each node (n,) with all splits done, levels."""
         return self._below(self.color_bound, self.base_color_bound)
 
     def _below(self, bound: Floats, base: float) -> Floats:
@@ -139,17 +145,17 @@ class Levels:
 
     @cached_property
     def vertices_after(self) -> Ids:
-        """Vertices (s + 1,) that are there after so many splits of all."""
+        """Number of vertices (s + 1,) after the first 0, 1, … splits of all nodes."""
         return self.roots + np.concatenate([[0], np.cumsum(self.made, dtype=np.int64)])
 
     @cached_property
     def born_before(self) -> Ids:
-        """Triangles (s + 1,) that so many splits of all bring."""
+        """Number of triangles (s + 1,) added by the first 0, 1, … splits of all nodes."""
         return np.concatenate([[0], np.cumsum(self.born, dtype=np.int64)])
 
     @cached_property
     def spheres(self) -> tuple[Floats, Floats]:
-        """A ball around all meshes of each node: middle (n, 3) and radius (n,), metres."""
+        """Bounding spheres of each node and its descendants: centre (n, 3) and radius (n,), metres."""
         low, high = self.boxes
         middle, radius = 0.5 * (low + high), np.zeros(self.nodes)
         for node in range(self.nodes):
@@ -163,7 +169,7 @@ class Levels:
 
     @cached_property
     def boxes(self) -> tuple[Floats, Floats]:
-        """The lowest and the highest corners (n, 3) of all that is of each node or below it, metres."""
+        """Bounding boxes of each node and its descendants: minimum and maximum corners (n, 3), metres."""
         low, high = np.full((self.nodes, 3), np.inf), np.full((self.nodes, 3), -np.inf)
         for node in range(self.nodes - 1, -1, -1):
             points = self.vertices[self.vertices_of(node)]
@@ -177,9 +183,10 @@ class Levels:
 
     @cached_property
     def cones(self) -> tuple[Floats, Floats]:
-        """The cone of each node's normals: axis (n, 3) of length 1, and half its angle (n,) in radians.
+        """Normal cones of each node: unit axis (n, 3) and half angle (n,), radians.
 
-        It holds the normals of the mesh with all splits done; π where they are not within a half-space.
+        A cone contains the normals of the mesh with all splits done. The half angle is π if the axis is
+        undefined.
         """
         axis, angle = np.zeros((self.nodes, 3)), np.full(self.nodes, np.pi)
         for node in range(self.nodes):
@@ -196,7 +203,7 @@ class Levels:
         return axis, angle
 
     def vertices_of(self, node: int) -> NDArray[np.uint32]:
-        """Return the vertices of all meshes of a node, whatever its splits, in order."""
+        """Return all vertices that a node uses at any number of splits, ascending."""
         a, b = self.vertices_after[self.first_split[node : node + 2]]
         corners = self.triangles[self.first_triangle[node] : self.first_triangle[node + 1]]
         there = coarse = _distinct(corners.reshape(-1))
@@ -207,15 +214,16 @@ class Levels:
         return _distinct(np.concatenate([there, coarse, np.arange(a, b, dtype=np.uint32)]))
 
     def splits_for(self, node: int, more: int) -> int:
-        """Return how many splits of a node, from its coarse mesh on, bring no more than so many triangles."""
+        """Return the maximum number of a node's splits that add at most `more` triangles."""
         a, b = self.first_split[node : node + 2]
         born = self.born_before[a : b + 1] - self.born_before[a]
         return int(np.searchsorted(born, max(more, 0), side="right")) - 1
 
     def mesh(self, nodes: Sequence[int] | Ids, splits: Sequence[int] | Ids) -> Mesh:
-        """Return the mesh of some nodes, none above another, each after so many of its splits.
+        """Assemble the mesh of some nodes, each with a number of splits done.
 
-        Nodes that are together all of the surface fit without cracks, whatever their splits.
+        No node may be an ancestor of another. Nodes that cover the whole surface fit without cracks, whatever
+        their splits.
         """
         mesh, _ = self.mesh_and_nodes(nodes, splits)
         return mesh
@@ -223,10 +231,10 @@ class Levels:
     def mesh_and_nodes(
         self, nodes: Sequence[int] | Ids, splits: Sequence[int] | Ids
     ) -> tuple[Mesh, NDArray[np.int32]]:
-        """Return the same, and the node of each triangle (m,)."""
+        """Assemble the mesh as `mesh` does, and return the node of each triangle (m,) as well."""
         chosen, done = np.asarray(nodes, np.int64), np.asarray(splits, np.int64)
         if ((done < 0) | (done > self.splits[chosen])).any():
-            raise ValueError("a node has no so many splits")
+            raise ValueError("a node has fewer splits than requested")
         first = self.first_split[chosen]
         count = self.coarse[chosen] + self.born_before[first + done] - self.born_before[first]
         front = _kernels.assemble_front(
@@ -242,7 +250,7 @@ class Levels:
         return mesh, np.repeat(chosen, count).astype(np.int32)
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is, by level from the coarsest, and what is proven of it."""
+        """Return statistics and bounds by level, coarsest first, for JSON."""
         levels = []
         for level in range(int(self.level.max(initial=-1)), -1, -1):
             nodes = np.flatnonzero(self.level == level)
@@ -278,6 +286,6 @@ class Levels:
 
 
 def _distinct(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return the ids (k,) there are, in order; np.unique, by hashing, takes ten times as long."""
+    """Return the sorted unique ids (k,); ten times faster than np.unique, which hashes."""
     ids = np.sort(ids)
     return ids[np.flatnonzero(np.diff(ids, prepend=ids[:1] + 1))]

@@ -1,7 +1,7 @@
-"""How urgent it is to refine a node: the measures of Wang, Lu and Pan (2012, section 2.2).
+"""Refinement measures of nodes after Wang, Lu and Pan (2012, section 2.2).
 
-Where the paper's text and formulas disagree, or a formula does the opposite of what it is for, the corrected
-one is the default and the paper's letter an option.
+In some places the paper's text and formulas disagree, or a formula does the opposite of its purpose. The
+corrected formula is the default there, and the paper's formula is an option.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scanloom.stages.lod.view import View
 Floats = NDArray[np.float64]
 Rule = Literal["corrected", "paper"]
 
-# The paper's thresholds: of the error, in pixels, of the share of marked vertices, and of the local measure.
+# Thresholds of the paper: error in pixels, ratio of marked vertices, and local measure.
 ERROR_PX = 0.82
 MARKED_SHARE = 0.5
 SPLIT_ABOVE = 0.75
@@ -25,12 +25,12 @@ SPLIT_ABOVE = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """The measures of each node, and what follows from them.
+    """Measures of each node, and the resulting refinement priority.
 
     Attributes
     ----------
-    frustum : (n,) gamma_v, the share that is seen, 0 to 1.
-    silhouette : (n,) gamma_s, how close it is to the outline, 0 to 1.
+    frustum : (n,) gamma_v, visible ratio, 0 to 1.
+    silhouette : (n,) gamma_s, proximity to the silhouette, 0 to 1.
     error_px : (n,) gamma_g, pixels.
     marked : (n,) lambda_d, 0 to 1.
     local : (n,) lambda_L; a node is split above a threshold.
@@ -44,18 +44,24 @@ class Weights:
 
 
 def global_limit(triangles: int, floor: int, distance: float, *, near: float, far: float) -> float:
-    """Return lambda_G, the triangles that a model may have at a distance: all at `near`, `floor` at `far`.
+    """Compute lambda_G, the triangle limit of a model at a distance.
 
-    Between the two it falls linearly, beyond them it stays.
+    The limit is `triangles` up to `near`, `floor` from `far` on, and linear in between. Distances are in
+    metres.
     """
     share = float(np.clip((far - distance) / (far - near), 0.0, 1.0)) if far > near else 0.0
     return floor + share * (triangles - floor)
 
 
 def frustum_share(view: View, middle: Floats, radius: Floats, points: tuple[Floats, ...] = ()) -> Floats:
-    """Return gamma_v (1), (2): 0 for balls (n, 3), (n,) wholly outside the view, else the share within.
+    """Compute gamma_v, equations (1) and (2): the ratio of each node inside the view frustum.
 
-    Without `points` (of each node, (k, 3)), a ball that is not wholly outside counts as within.
+    Parameters
+    ----------
+    view : view to test against.
+    middle, radius : (n, 3) and (n,) bounding spheres, metres. The ratio is 0 for spheres outside.
+    points : (k, 3) points of each node for the ratio. Without points, a sphere that is not outside counts as
+        1.
     """
     seen = view.sees(middle, radius).astype(np.float64)
     if not points:
@@ -76,15 +82,22 @@ def silhouette_weight(
     *,
     rule: Rule = "corrected",
 ) -> Floats:
-    """Return gamma_s (3) of nodes with balls (n, 3), (n,) and cones of normals (n, 3), (n,) in radians.
+    """Compute gamma_s, equation (3), from bounding spheres and normal cones.
 
-    theta is the angle between the direction of view and the cone's axis, alpha the cone, beta what the ball
-    spans as seen from the eye. Where theta + alpha + beta < 90°, everything looks away: 0. Where
-    theta - alpha - beta > 90°, everything faces the eye: 1 in the paper's letter.
+    theta is the angle between the viewing direction and the cone's axis, alpha the half angle of the cone,
+    and beta the angle the sphere spans at the eye. If theta + alpha + beta < 90°, the node is back-facing: 0.
+    If theta - alpha - beta > 90°, the node is front-facing: 1 in the paper.
 
-    Between, the paper's -cos(theta) is negative as long as theta < 90°: nodes at the outline weigh less than
-    those seen from behind. The corrected rule gives what the paper says it wants: 1 where the outline may be,
-    and what faces the eye sin(theta), at least 0.5, the more the closer it is to it.
+    In between, the paper's -cos(theta) is negative for theta < 90°, so nodes at the silhouette weigh less
+    than back-facing ones. The corrected rule follows the paper's intention: 1 where the silhouette may be.
+    Front-facing nodes get sin(theta), at least 0.5, which increases towards the silhouette.
+
+    Parameters
+    ----------
+    view : view with the eye position.
+    middle, radius : (n, 3) and (n,) bounding spheres, metres.
+    axis, half_angle : (n, 3) and (n,) normal cones, radians.
+    rule : "corrected" or "paper".
     """
     towards = middle - np.asarray(view.eye)
     distance = np.linalg.norm(towards, axis=1)
@@ -103,11 +116,11 @@ def silhouette_weight(
 
 
 def marked_share(marked: Floats, vertices: Floats, *, rule: Rule = "corrected") -> Floats:
-    """Return lambda_d (4) = d1 d2 of nodes with so many marked (n,) of so many vertices (n,).
+    """Compute lambda_d = d1 d2, equation (4), from numbers of marked vertices (n,).
 
-    d1 is 1 where a vertex is marked. In the paper d2 is the share of all marked vertices (those of the
-    root, the first) that the node has, so that no leaf passes 0.5 once the region is split between three; by
-    default d2 is the share of the node's own vertices that are marked.
+    d1 is 1 if any vertex is marked. In the paper, d2 is the node's ratio of all marked vertices (the count at
+    the root, the first node). No leaf then exceeds 0.5 once three nodes share the region. The corrected d2 is
+    the ratio of the node's own `vertices` (n,) that are marked.
     """
     of = np.full(len(marked), marked.max(initial=0.0)) if rule == "paper" else vertices
     return np.asarray(np.divide(marked, of, out=np.zeros(len(marked)), where=(of > 0) & (marked > 0)))
@@ -123,9 +136,10 @@ def local_measure(
     most_marked: float = MARKED_SHARE,
     rule: Rule = "corrected",
 ) -> Floats:
-    """Return lambda_L (5): 1 above either threshold, else the larger of gamma_v gamma_s and lambda_d.
+    """Compute lambda_L, equation (5), from the other measures.
 
-    What is not seen at all has no error in pixels: by the paper's letter its error counts all the same.
+    It is 1 above either threshold, else the maximum of gamma_v gamma_s and lambda_d. By the corrected rule,
+    invisible nodes have no error in pixels; in the paper their error counts, too.
     """
     too_far = error_px > most_error_px
     if rule == "corrected":

@@ -1,6 +1,7 @@
-"""The textured mesh that levels were built of, as their file keeps it: tiles and cuts get images from it.
+"""Textured source mesh of a hierarchy, embedded in its file.
 
-It is a GLB file within the file, with its images as they were, so that it can be taken out and opened.
+Tiles and cuts get their texture from it. It is stored as a GLB file with the original images, so that it can
+be extracted and opened.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def packed(mesh: Mesh) -> bytes:
-    """Return a textured mesh as a GLB file: shape, texture coordinates, images and colours of vertices.
+    """Encode a textured mesh as a GLB file.
+
+    Vertices, triangles, texture coordinates, images and vertex colours are kept.
 
     Raises
     ------
     MeshError
-        If a vertex lies beyond what single precision holds.
+        If a coordinate exceeds single precision.
     StageError
-        If it is larger than a GLB file can be (4 GiB), or there is no room for it on the disk.
+        If the file would exceed the GLB limit of 4 GiB, or the disk is full.
     """
     plain = Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, texture=mesh.texture, up=mesh.up)
     with tempfile.TemporaryDirectory() as folder:
@@ -32,7 +35,13 @@ def packed(mesh: Mesh) -> bytes:
 
 
 def unpacked(data: bytes) -> Mesh:
-    """Return the mesh of such bytes; raises InputError or MeshError where they are none."""
+    """Decode a mesh from the bytes of a GLB file.
+
+    Raises
+    ------
+    InputError, MeshError
+        If the bytes are not a valid GLB file.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.glb"
         path.write_bytes(data)

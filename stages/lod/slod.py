@@ -1,9 +1,9 @@
-"""The file of a hierarchy, `.slod`: the coarsest level first, so that any beginning of it is a mesh.
+"""Reader and writer of `.slod` files: a hierarchy, coarsest level first.
 
-All numbers are little-endian. A header of lengths and a checksum, the tree as JSON, then node by node from
-the root: the vertices it brings, what they become, its splits, its triangles, and a checksum. The root's
-block begins with the vertices that are there before any split. Last comes the mesh that the levels were built
-of, if it had a texture, as a GLB file, and its checksum. A file that ends early has fewer nodes.
+All numbers are little-endian. The file starts with a header (lengths and a checksum) and the tree as JSON.
+Then each node follows, from the root: new vertices, their origins, splits, triangles, and a checksum. The
+root's block begins with the vertices that exist before any split. The last block is the textured source mesh
+as a GLB file with its checksum, if there is one. A truncated file has fewer nodes, and is still a mesh.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from scanloom.stages.surface.finite import require_finite
 from scanloom.stages.surface.mesh import NOT_WRITTEN
 
 _MAGIC = b"SLOD"
-# 2 tells what was dropped; where nothing was, 1 says the same.
+# Version 2 adds the dropped components; without them, it equals version 1.
 _FORMAT_VERSION = 2
-# Magic, version, bytes of the tree, their checksum.
+# Magic, version, size of the tree in bytes, and checksum of the tree.
 _HEADER = struct.Struct("<4sIQI")
 _CHECKSUM = struct.Struct("<I")
 _NODE = ("parent", "level", "coarse", "splits", "vertices", "triangles", "shape_bound", "color_bound")
-# Beyond this, numbers of vertices are not those of a file that was written here.
+# Maximum count of elements: larger values come from damaged or foreign files.
 _MOST = 2**31 - 1
-# How far the length of a direction may be from 1.
+# Tolerance of the length of a unit direction.
 _UNIT = 1e-9
 
 
 def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
-    """Write a hierarchy; a reader finds the file whole or not at all.
+    """Write a hierarchy to a `.slod` file, atomically.
 
-    Coordinates are written in single precision where that changes none of them, else in double.
+    Coordinates are stored in single precision if that is lossless, else in double precision.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         "dropped_islands": h.dropped_islands,
         "dropped_triangles": h.dropped_triangles,
         "diagnostics": [diagnostic.figures() for diagnostic in h.diagnostics],
-        # Only where it is known; whoever does not look for it loses nothing else.
+        # Optional keys; older readers ignore them.
         **({} if h.up is None else {"up": list(h.up)}),
         **({} if h.model_glb is None else {"model_bytes": len(h.model_glb)}),
         "nodes": {
@@ -105,15 +105,16 @@ def _block(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
 
 
 def read_slod(path: Path | str) -> Hierarchy:
-    """Read a hierarchy. Of a file that ends early, or is damaged on the way, the nodes before that are read.
+    """Read a hierarchy from a `.slod` file.
 
-    `Hierarchy.diagnostics` also has those of the mesh that the levels were built of, which the file holds.
-    Only those of the file itself are emitted.
+    Of a truncated or damaged file, the nodes before the damage are read, with a warning.
+    `Hierarchy.diagnostics` also contains the stored diagnostics of the mesh the levels were built from. Only
+    diagnostics of the file itself are emitted.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no `.slod` file or of another version, or if the root is not whole.
+        If the file cannot be read, is not a `.slod` file, has another version, or its root is incomplete.
     """
     path = Path(path)
     try:
@@ -121,7 +122,7 @@ def read_slod(path: Path | str) -> Hierarchy:
     except OSError as error:
         raise InputError(FILE_UNREADABLE, said_of(error), path) from None
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise InputError(LEVELS_FILE_DAMAGED, "this is no .slod file.", where=path)
+        raise InputError(LEVELS_FILE_DAMAGED, "this is not a .slod file.", where=path)
     _, version, size, checksum = _HEADER.unpack_from(data)
     if version != _FORMAT_VERSION:
         raise InputError(
@@ -134,7 +135,7 @@ def read_slod(path: Path | str) -> Hierarchy:
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
         raise InputError(
-            LEVELS_FILE_DAMAGED, "the file is damaged or cut off before its first level.", where=path
+            LEVELS_FILE_DAMAGED, "the file is damaged or truncated before its first level.", where=path
         )
     try:
         with collecting() as diagnostics:
@@ -145,7 +146,7 @@ def read_slod(path: Path | str) -> Hierarchy:
             LEVELS_FILE_DAMAGED,
             "the .slod file is damaged: {detail}.",
             where=path,
-            detail=error or "it contradicts itself",
+            detail=error or "its content is inconsistent",
         ) from None
 
 
@@ -153,7 +154,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     columns = {name: tree["nodes"][name] for name in _NODE}
     count = len(columns["parent"])
     if count == 0 or any(len(column) != count for column in columns.values()):
-        raise ValueError("its tree is not whole")
+        raise ValueError("the tree is incomplete")
     roots = _natural(tree["roots"])
     coordinates: np.dtype[Any] = np.dtype({"float32": "<f4", "float64": "<f8"}[tree["coordinates"]])
     sizes = {
@@ -180,12 +181,13 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
             here.append(np.frombuffer(block, kind, number, offset))
             offset += kind.itemsize * number
         parts.append(here)
-    # Children replace their parent together; those of one parent follow on each other.
+    # Children replace their parent together, so drop an incomplete group of siblings; siblings are
+    # consecutive.
     parents = columns["parent"]
     while 0 < len(parts) < count and parents[len(parts)] == parents[len(parts) - 1]:
         parts.pop()
     if not parts:
-        raise ValueError("its root is not whole")
+        raise ValueError("the root is incomplete")
     hierarchy = _joined(tree, columns, sizes, roots, parts)
     _require_sound(hierarchy)
     if len(parts) < count:
@@ -204,7 +206,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     if model is None:
         emit(
             LEVELS_CUT_OFF.warning(
-                "the file is damaged or cut off in the mesh with its image; colours of vertices are left.",
+                "the textured mesh at the end of the file is damaged or truncated; vertex colours are used.",
                 path,
             )
         )
@@ -213,7 +215,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
 
 
 def _whole(data: bytes, at: int, size: int) -> bytes | None:
-    """Return the bytes of a block whose checksum follows on it; None where it is cut off or damaged."""
+    """Return the block of `size` bytes, or None if it is truncated or fails its checksum."""
     block = data[at : at + size]
     if len(data) < at + size + _CHECKSUM.size:
         return None
@@ -265,51 +267,51 @@ def _joined(
 
 def _diagnostic(value: object) -> Diagnostic:
     if not isinstance(value, dict) or not isinstance(value.get("values", {}), dict):
-        raise ValueError(f"{value!r} is no diagnostic")
+        raise ValueError(f"{value!r} is not a diagnostic")
     diagnostic = Diagnostic.from_figures(value)
     texts = (diagnostic.code, diagnostic.message, diagnostic.remedy or "")
     if not all(isinstance(text, str) for text in texts):
-        raise ValueError(f"{value!r} is no diagnostic")
+        raise ValueError(f"{value!r} is not a diagnostic")
     return diagnostic
 
 
 def _direction(value: object) -> tuple[float, float, float]:
     if not isinstance(value, list) or [type(x) for x in value] != [float] * 3:
-        raise ValueError(f"{value!r} is no direction")
+        raise ValueError(f"{value!r} is not a direction")
     x, y, z = value
     if not abs(x * x + y * y + z * z - 1) < _UNIT:
-        raise ValueError(f"{value!r} is no direction of length 1")
+        raise ValueError(f"{value!r} is not a direction of length 1")
     return x, y, z
 
 
 def _natural(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _MOST:
-        raise ValueError(f"{value!r} is no number of elements")
+        raise ValueError(f"{value!r} is not a valid count")
     return value
 
 
 def _require_sound(h: Hierarchy) -> None:
-    """Raise ValueError where numbers lead out of the file, or in circles."""
+    """Raise ValueError if indices are out of range, cyclic or inconsistent."""
     numbers = np.arange(h.nodes)
     if h.parent[0] != -1 or (h.parent[1:] < 0).any() or (h.parent[1:] >= numbers[1:]).any():
-        raise ValueError("its tree is none")
+        raise ValueError("invalid tree: a node precedes its parent")
     if not np.isfinite(h.vertices).all():
         raise ValueError("a coordinate is not finite")
     if not (np.isfinite(h.shape_bound).all() and (h.shape_bound >= 0).all() and (h.color_bound >= 0).all()):
-        raise ValueError("a bound is none")
+        raise ValueError("invalid bound: negative or not finite")
     if (h.made < 1).any() or (h.made > 2).any() or (h.born > 2).any():
-        raise ValueError("a split brings what none can")
+        raise ValueError("invalid split: it must add 1 or 2 vertices and at most 2 triangles")
     if (np.diff(h.vertices_after[h.first_split]) != _own_vertices(h)).any():
-        raise ValueError("splits bring other vertices than there are")
+        raise ValueError("the number of vertices contradicts the splits")
     own = np.arange(h.roots, len(h.vertices))
     if (h.origin >= own).any():
-        raise ValueError("a vertex comes from a later one")
+        raise ValueError("invalid origin: a vertex merges into a later one")
     below = np.repeat(h.vertices_after[h.first_split[1:]], h.full)
     if (h.triangles >= below[:, None]).any():
-        raise ValueError("a triangle has a vertex that is not there")
+        raise ValueError("a triangle refers to a missing vertex")
     born = np.diff(h.born_before[h.first_split])
     if (h.coarse + born != h.full).any():
-        raise ValueError("splits bring other triangles than there are")
+        raise ValueError("the number of triangles contradicts the splits")
 
 
 def _own_vertices(h: Hierarchy) -> NDArray[np.int64]:

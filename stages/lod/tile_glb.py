@@ -1,8 +1,8 @@
-"""The GLB file of one tile.
+"""GLB file of a single tile.
 
-Khronos Group, "glTF 2.0 specification", 2021, section 4.4 (the container); KHR_mesh_quantization;
-KHR_materials_unlit; EXT_texture_webp; EXT_meshopt_compression. glTF is y-up, and viewers of 3D Tiles turn
-it to z-up: what is (x, y, z) in a tileset is (x, z, -y) here.
+Sources: Khronos Group, "glTF 2.0 specification", 2021, section 4.4 (the container); KHR_mesh_quantization;
+KHR_materials_unlit; EXT_texture_webp; EXT_meshopt_compression. glTF is y-up, and viewers of 3D Tiles rotate
+it to z-up: (x, y, z) in the tileset is (x, z, -y) in the file.
 """
 
 from __future__ import annotations
@@ -23,31 +23,30 @@ from scanloom.stages.surface.texture import Image
 
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-_NONE = np.iinfo(np.uint16).max  # stands for no vertex in some programs
-# The amount of light of each displayed value.
+_NONE = np.iinfo(np.uint16).max  # reserved: marks a missing vertex in some programs
+# Linear light of each sRGB level, 16 bits.
 _LIGHT = np.rint(linear_from_srgb(np.arange(256) / 255) * 65535).astype(np.uint16)
-_FULL = 0xFFFF  # the far end of an image in texture coordinates of 16 bits
+_FULL = 0xFFFF  # 1.0 in 16-bit texture coordinates
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 _WEBP, _WEBP_TYPE = "EXT_texture_webp", "image/webp"
 
 
 def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
-    """Return a tile as the bytes of a GLB file.
+    """Encode a tile as a GLB file.
 
-    Positions are steps from the tile's own place on the grid, in 16 bits, which its node moves and scales
-    back without loss; or places on the grid in single precision. Colours are amounts of light in 16 bits,
-    from which the 8 bits that are displayed come back exactly. They are shown without further light: a scan
-    has its own.
+    Positions are 16-bit steps from the tile's own offset on the grid, which the node's translation and scale
+    restore without loss, or grid positions in single precision. Colours are linear light in 16 bits, from
+    which the 8-bit sRGB levels are recovered exactly. The material is unlit, because a scan contains its own
+    lighting.
 
     Parameters
     ----------
-    mesh : with at least one triangle, its positions on the grid, told from the grid's origin. If it has a
-        texture, that is of one image, whose bytes are kept as they are; coordinates, in 16 bits, are within
-        1/131070 of the image's side. Vertices are then there once for each place in the image: their
-        positions stay what they are.
-    grid : of all tiles.
-    pack : the buffers, by EXT_meshopt_compression. The same triangles, vertices and values come out of them,
-        in another order; the image is kept as it is.
+    mesh : at least one triangle, with positions on the grid, relative to its origin. A texture must have a
+        single image, whose bytes are embedded unchanged. Texture coordinates are rounded to 16 bits, an error
+        of at most 1/131070 of the side. Vertices are duplicated along texture seams.
+    grid : common grid of all tiles.
+    pack : compress the buffers with EXT_meshopt_compression. Triangles, vertices and values are kept in
+        another order; the image is not compressed.
     """
     image = None if mesh.texture is None else mesh.texture.images[0]
     mesh, uvs = _split_along_seams(mesh)
@@ -72,7 +71,7 @@ def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
     if grid.in_16_bits:
         low = steps.min(axis=0)
         node |= {"translation": (low * grid.step).tolist(), "scale": [grid.step] * 3}
-        # A row has to begin at a multiple of four bytes.
+        # Rows must be aligned to four bytes.
         positions = np.pad((steps - low).astype(np.uint16), ((0, 0), (0, 1)))
         code = _SHORT
     else:
@@ -118,7 +117,13 @@ def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
 
 
 def _split_along_seams(mesh: Mesh) -> tuple[Mesh, NDArray[np.uint16] | None]:
-    """Return a mesh with a vertex for each place in the image, and these, from its upper left corner."""
+    """Duplicate vertices along texture seams.
+
+    Returns
+    -------
+    The mesh, and 16-bit texture coordinates of its vertices from the upper left corner; None without a
+    texture.
+    """
     if mesh.texture is None:
         return mesh, None
     places = np.rint((mesh.texture.uvs.reshape(-1, 2) * (1, -1) + (0, 1)) * _FULL)
@@ -131,14 +136,19 @@ def _split_along_seams(mesh: Mesh) -> tuple[Mesh, NDArray[np.uint16] | None]:
 
 
 def _in_strips(mesh: Mesh, uvs: NDArray[np.uint16] | None) -> tuple[Mesh, NDArray[np.uint16] | None]:
-    """Return a mesh with triangles, and vertices as these name them first, in an order that packs well."""
+    """Reorder triangles, and vertices by first use, for better compression."""
     triangles, order = strips(mesh.triangles, len(mesh.vertices))
     colors = None if mesh.colors is None else mesh.colors[order]
     return Mesh(mesh.vertices[order], triangles, colors), None if uvs is None else uvs[order]
 
 
 def _add_image(tree: Tree, image: Image, view: int) -> list[str]:
-    """Describe the image of the only material, in a view of the buffer; return what a reader has to know."""
+    """Add the image of the only material to the glTF tree, in buffer view `view`.
+
+    Returns
+    -------
+    Names of the extensions that a reader must support.
+    """
     texture: Tree = {"source": 0}
     is_webp = image.mime == _WEBP_TYPE
     tree["images"] = [{"bufferView": view, "mimeType": image.mime}]
@@ -149,9 +159,10 @@ def _add_image(tree: Tree, image: Image, view: int) -> list[str]:
 
 
 def _container(tree: Tree, views: list[tuple[NDArray[Any], int]], pack: bool) -> bytes:
-    """Return a description and its buffer as one file.
+    """Encode a glTF tree and its buffers as a GLB file.
 
-    What is packed says of itself where it would be in a second buffer, which is not there.
+    Packed views also state their place in a second buffer, as the extension requires; that buffer is not
+    stored.
     """
     tree["bufferViews"], pieces, size, plain_size = [], [], 0, 0
     for values, target in views:

@@ -1,10 +1,10 @@
-"""Images of tiles: each tile has its own, as fine as what is proven of its shape asks for.
+"""Texture images of tiles.
 
-The finest tiles get their colours from the model itself, texel by texel, at the nearest point that faces the
-same way. Coarser tiles get theirs from the next finer ones, once these show more detail than a few samples
-of a texel meet: so each texel is the mean of what is under it, and no colour comes from a neighbour in the
-model's image, which its smaller copies would mix in. Across the borders of tiles the colours go on, for what
-is under a texel is looked up in all tiles around.
+The resolution follows the proven shape error of each tile. The finest tiles sample their colours from the
+source model, at the nearest point that faces the same way. Coarser tiles sample the next finer tiles, once
+these show more detail than a few samples per texel can resolve. Each texel is thus the mean of the surface
+under it. Mip levels of the model's image would bleed between its charts instead. Sampling looks up all tiles
+around, so colours are continuous across tile borders.
 """
 
 from __future__ import annotations
@@ -34,37 +34,40 @@ from scanloom.stages.texturing.pages import Pages, in_one
 from scanloom.stages.texturing.painted_pages import painted_pages
 from scanloom.stages.texturing.reducing import reduced
 
-# The heading in help.
+# Group of these parameters in the help.
 _IMAGES = "Images"
-# Samples in a length of one detail. More of them, as a single image gets that is baked, change the RMS error
-# of colours by less than 0.1 levels, and take four times as long where texels are as large as the model's.
+# Samples per detail length. The larger value of single baked images changes the RMS colour error by less than
+# 0.1 levels, and takes four times as long for texels as large as the model's.
 _SAMPLES_PER_DETAIL = 1.3
-# Samples along a texel's side; what is finer than these meet is looked up in finer tiles, or averaged before.
+# Maximum samples along a texel's side; finer detail is sampled from finer tiles or averaged before.
 _MOST_SAMPLES = 4
 _FINER = _MOST_SAMPLES / _SAMPLES_PER_DETAIL
-# Charts are squeezed a little; texels larger by more than this factor had no room.
+# Texels larger than requested by more than this factor mean that the image was too small. The factor allows
+# for the compression of charts.
 _COARSER = 1.15
-# Copies of the model's images, each half as large as the one before.
+# Number of precomputed copies of the model's images, each at half the resolution of the previous one.
 _HALVINGS = 3
-# Texture coordinates are whole numbers up to this.
+# Maximum of 16-bit texture coordinates.
 _UV_STEPS = 65535
-# Of the levels' size: a model is of another surface if half of the levels lie farther from it.
+# Maximum median distance between levels and model, relative to the levels' size; beyond, the model is
+# rejected as another surface. Number of vertices sampled for it.
 _FAR = 0.02
 _PROBES = 20_000
-# Points of a tile where the model's detail is looked up, and colours are compared with the model's.
+# Points of a tile at which the model's detail and the colour error are sampled.
 _POINTS = 4000
-# Of a texel, and of the errors of two tiles: how far beyond its box colours of a tile are looked up.
+# Margin around a tile's bounding box from which colours are sampled, in texels and in multiples of both
+# tiles' errors.
 _REACH_TEXELS, _REACH_ERRORS = 8.0, 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class TileImageParams:
-    """How the images of tiles are."""
+    """Parameters of the images of tiles."""
 
     texels_per_error: float = param(
         4.0,
-        "Texels along a length of the tile's proven error; never finer than the model's own. Viewers show a "
-        "tile until its error is some 16 pixels wide.",
+        "Texels per length of the tile's proven error, never finer than the model's images. Viewers show a "
+        "tile until its error is about 16 pixels.",
         group=_IMAGES,
         low=0.1,
         high=100,
@@ -74,11 +77,11 @@ class TileImageParams:
     )
     image_format: str = param(
         "jpeg",
-        "How images are kept; webp is smaller, and asks viewers for EXT_texture_webp.",
+        "File format of the images; webp is smaller, but viewers must support EXT_texture_webp.",
         group=_IMAGES,
         choices=("jpeg", "webp", "png"),
     )
-    image_quality: int = param(90, "Of JPEG and WebP images.", group=_IMAGES, low=1, high=100)
+    image_quality: int = param(90, "Quality of JPEG and WebP images.", group=_IMAGES, low=1, high=100)
 
     def __post_init__(self) -> None:
         check(self)
@@ -86,19 +89,18 @@ class TileImageParams:
 
 @dataclass(frozen=True, eq=False)
 class TileImage:
-    """The image of a tile, and how its colours differ from the model's.
+    """Size of a tile's image, and its colour error against the model.
 
     Attributes
     ----------
-    bytes : of its file.
+    bytes : size of its file.
     size : width and height, texels.
-    texel_size : metres, of a texel on the tile, in the mean.
-    coverage : share of it that shows the surface.
-    is_full : whether it had no room for texels as small as were asked for.
-    color_rms, color_95, color_most : levels, at points spread over the tile, against the model's colours at
-        the nearest points that face the same way; sampled, and so not proven. RMS is over points and
-        channels, the others are of the largest difference of a channel: 95 % of the points have less, and
-        all.
+    texel_size : mean size of a texel on the tile, metres.
+    coverage : ratio of the image that shows the surface.
+    is_full : the image was too small for the requested texel size.
+    color_rms, color_95, color_most : colour error in levels, at points sampled on the tile, against the
+        model's colours at the nearest points that face the same way. Sampled, so not proven. RMS is over
+        points and channels; 95th percentile and maximum are of the largest channel difference of each point.
     """
 
     bytes: int
@@ -111,7 +113,7 @@ class TileImage:
     color_most: float
 
     def figures(self) -> dict[str, Any]:
-        """Return what tileset.json says of it."""
+        """Return the metrics written to tileset.json."""
         return {
             "texel_size_m": _three_digits(self.texel_size),
             "color_rms_levels_sampled": _three_digits(self.color_rms),
@@ -121,7 +123,7 @@ class TileImage:
 
 
 def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
-    """Return how large images of tiles are, the root's first, and how their colours differ from the model."""
+    """Summarise sizes and colour errors of the images of tiles, root first."""
     return {
         "total_bytes": sum(image.bytes for image in images),
         "root_bytes": images[0].bytes,
@@ -141,13 +143,13 @@ def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What tiles get their colours from.
+    """Colour source of the images of tiles.
 
     Attributes
     ----------
-    surface : in the place of the tiles.
-    coarser : the same with its images halved, once and more often; none if it has no images.
-    details : (m,) metres, by triangle: of its own texels, or of what its vertex colours show.
+    surface : model in the coordinates of the tiles.
+    coarser : the same surface with images halved one or more times; empty without images.
+    details : (m,) detail size of each triangle, from its texels or vertex colours, metres.
     """
 
     surface: Surface
@@ -155,14 +157,19 @@ class Model:
     details: Floats
 
     def detail_on(self, mesh: Mesh) -> float:
-        """Return the detail it has where another mesh is, metres, in the mean over texels."""
+        """Return the mean detail size of the model near a mesh, metres, averaged over texels."""
         triangles, weights = _spread(mesh)
         points = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
         details = self.details[self.surface.closest(points).triangles]
         return float(1 / np.sqrt((1 / details**2).mean()))
 
     def for_texels(self, texel_size: float, detail: float) -> tuple[Surface, float]:
-        """Return it with images that a few samples of such a texel meet all of, and the detail left."""
+        """Select the copy of the model that a few samples per texel can resolve.
+
+        Returns
+        -------
+        The surface, and its detail size in metres.
+        """
         halvings = max(math.ceil(math.log2(texel_size / (_FINER * detail))), 0)
         halvings = min(halvings, len(self.coarser))
         return self.coarser[halvings - 1] if halvings else self.surface, detail * 2**halvings
@@ -170,13 +177,13 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """The mesh of a tile, and where its image comes from.
+    """Mesh of a tile and the tiles its image is sampled from.
 
     Attributes
     ----------
     mesh : without colours.
-    error : metres, proven of its shape.
-    below : other pieces, finer, that are together all of the surface; none for the finest.
+    error : proven shape error, metres.
+    below : indices of finer tiles that together cover the whole surface; empty for the finest.
     """
 
     mesh: Mesh
@@ -185,22 +192,23 @@ class Piece:
 
 
 def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
-    """Return a model that the levels can get their colours from.
+    """Prepare a mesh as colour source for the levels.
 
     Parameters
     ----------
-    mesh : with a texture or vertex colours, in the frame of the levels.
-    levels : the finest mesh of the levels, told from `origin`, metres.
+    mesh : with a texture or vertex colours, in the coordinates of the levels.
+    levels : finest mesh of the levels, relative to `origin`.
+    origin : (3,) metres.
 
     Raises
     ------
     MeshError
-        If it has neither, has no area, or is not of the same surface.
+        If the mesh has no colours or no area, or is another surface than the levels.
     """
     require_area(mesh, "model")
     if not has_color(mesh):
         raise MeshError(
-            LEVELS_MODEL_MISMATCH, "has neither an image nor vertex colours that tiles could get.", "model"
+            LEVELS_MODEL_MISMATCH, "has neither an image nor vertex colours for the tiles.", "model"
         )
     if origin.any():
         mesh = mesh.with_(vertices=mesh.vertices - origin)
@@ -213,8 +221,8 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
         raise MeshError(
             LEVELS_MODEL_MISMATCH,
             (
-                "is of another surface than the levels, or in another place: half of them "
-                "lie more than {away:.3g} m from it, and they are {size:.3g} m large."
+                "does not match the levels, which are {size:.3g} m large: half of their vertices are more "
+                "than {away:.3g} m away from it. It is another surface, or has other coordinates."
             ),
             "model",
             away=away,
@@ -232,15 +240,19 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
 def with_images(
     pieces: Sequence[Piece], model: Model, params: TileImageParams
 ) -> Iterator[tuple[int, Mesh, TileImage]]:
-    """Give each piece its image: its number, its mesh with texture, and what is known of it.
+    """Paint the images of all tiles.
 
-    Pieces come in an order in which all that are below one come before it. The same on any number of threads.
+    Tiles are painted after all tiles in their `below`. The result does not depend on the number of threads.
+
+    Yields
+    ------
+    Index of the tile, its textured mesh, and the metrics of its image.
 
     Raises
     ------
     MeshError
-        If a piece has no area, is of needles alone, or falls into so many charts that no image of
-        `image_side` has room.
+        If a tile has no area or only degenerate triangles, or has too many charts for an image of
+        `image_side`.
     """
     waiting = set(range(len(pieces)))
     painted: dict[int, tuple[Mesh, float]] = {}
@@ -258,7 +270,7 @@ def with_images(
         painted |= done
         needed = {other for number in waiting for other in pieces[number].below}
         for number in painted.keys() - needed:
-            # Only that there was one is still of use.
+            # Release the mesh; the texel size and the fact that the tile is painted are still needed.
             painted[number] = _NOTHING, painted[number][1]
 
 
@@ -267,7 +279,7 @@ _NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 @dataclass(frozen=True, eq=False)
 class _Painted:
-    """A piece with its image as it was painted, for coarser ones, and as its file has it."""
+    """Tile with its image, raw (`plain`) and encoded (`mesh`)."""
 
     plain: Mesh
     mesh: Mesh
@@ -294,7 +306,7 @@ def _painted(
         surface, detail = model.for_texels(texel_size, detail)
     samples = min(max(round(_SAMPLES_PER_DETAIL * texel_size / detail), 1), _MOST_SAMPLES)
     colors_of = FacingColors(surface, mesh, texel_size)
-    # Pieces are painted beside one another, each in a thread of its own.
+    # One thread: tiles are already painted in parallel.
     found = painted_pages(mesh, pages, samples, colors_of, goes_on=True, threads=1)
     (pixels,) = found.images
     encoded = encoded_image(pixels, params.image_format, params.image_quality)
@@ -304,7 +316,7 @@ def _painted(
         material = Material(image=image, wrap=("clamp", "clamp"))
         return mesh.with_(texture=Texture(uvs, pages.images, (material,)))
 
-    # Not the image that is handed on, with which the decoded pixels would be kept.
+    # A separate Image object: decoding caches the pixels, which must not be kept with the result.
     rms, most_of_95, most = _differences(with_image(Image(encoded=encoded)), model.surface, texel_size)
     is_full = texel_size > _COARSER * wanted
     height, width = pixels.shape[:2]
@@ -315,14 +327,19 @@ def _painted(
 
 
 def _rounded(pages: Pages) -> Floats:
-    """Return texture coordinates as files have them."""
+    """Round texture coordinates to 16 bits, as in the file."""
     return np.asarray(np.rint(pages.uvs * _UV_STEPS).clip(0, _UV_STEPS) / _UV_STEPS)
 
 
 def _around(
     piece: Piece, texel_size: float, pieces: Sequence[Piece], finer: Mapping[int, tuple[Mesh, float]]
 ) -> tuple[Surface, float]:
-    """Return finer pieces where a piece is and a little beyond, as one, and their least texel, metres."""
+    """Merge the finer tiles around a tile into one surface.
+
+    Returns
+    -------
+    The surface, and the minimum texel size of the tiles, metres.
+    """
     low, high = bounding_box(piece.mesh)
     chosen = []
     for number in piece.below:
@@ -336,7 +353,7 @@ def _around(
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Return textured meshes as one, each with a material of its own."""
+    """Merge textured meshes into one, with one material per mesh."""
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     textures = [mesh.texture for mesh in meshes if mesh.texture is not None]
     return Mesh(
@@ -351,7 +368,12 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
-    """Return points spread evenly over a mesh, always the same: their triangles, and weights of corners."""
+    """Sample points uniformly and reproducibly on a mesh.
+
+    Returns
+    -------
+    Triangles (k,) and barycentric weights (k, 3).
+    """
     rng = np.random.default_rng(0)
     area = areas(mesh.vertices, mesh.triangles)
     triangles = np.sort(rng.choice(len(area), _POINTS, p=area / area.sum())).astype(np.int64)
@@ -359,7 +381,12 @@ def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
 
 
 def _differences(mesh: Mesh, model: Surface, texel_size: float) -> tuple[float, float, float]:
-    """Return how the colours of a textured mesh differ from a model's, levels: RMS, of 95 %, and the most."""
+    """Compute the colour error of a textured mesh against a model, levels.
+
+    Returns
+    -------
+    RMS over points and channels, 95th percentile and maximum over points.
+    """
     triangles, weights = _spread(mesh)
     was, _ = FacingColors(model, mesh, texel_size)(triangles, weights)
     apart = np.abs(color_at(mesh, triangles, weights) - was)

@@ -1,6 +1,6 @@
-"""A hierarchy of levels as 3D Tiles, which viewers load by what they show.
+"""Export of a hierarchy as 3D Tiles, which viewers stream by view.
 
-Open Geospatial Consortium, "3D Tiles specification 1.1", 22-025r4, 2023.
+Source: Open Geospatial Consortium, "3D Tiles specification 1.1", 22-025r4, 2023.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import TilesKeywords
 
-# Raised by hand when tiles of the same levels become others.
+# Increment when the tiles of the same levels change, to invalidate cache entries.
 RESULT_VERSION = 1
 
 Tree = dict[str, Any]
@@ -58,33 +58,33 @@ Floats = NDArray[np.float64]
 
 TILESET = "tileset.json"
 _FOLDER = "tiles"
-# What a page that draws the tiles adds to their folder.
+# Files of the viewer page, which the command may add to the tileset folder.
 PAGE_INDEX, PAGE_FOLDER = "index.html", "page"
 COMPRESSIONS = ("none", "meshopt")
-# What refuses a folder that is something else.
+# Description of the expected content, for the error if the output folder contains something else.
 WHAT = "a tileset of scanloom"
-# A tile with one tile below it has at most this share of its triangles; else that one stands for both.
+# Maximum triangles of a tile relative to its only child; a larger tile is skipped, and the child replaces it.
 _MOST_OF_CHILD = 0.8
-# Up in the frame of a camera, and so in a scan whose poses were not given.
+# Up axis in camera coordinates, which are the world coordinates of scans without given poses.
 _OF_CAMERAS = "-y"
-# Digits of a bound, rounded up.
+# Significant digits of a bound, rounded up.
 _DIGITS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class TilesParams:
-    """How tiles are written."""
+    """Parameters of writing tiles."""
 
     up: str | None = param(
         None,
-        "The axis of the mesh that is up (+x, -x, +y, -y, +z, -z), or a direction, as three numbers; the "
-        "tileset turns it along z, and `none` leaves it as it is. By default what the file says, or that of "
-        "the texture; where neither says it -y, which is up in the frame of a camera.",
+        "Up axis of the mesh (+x, -x, +y, -y, +z, -z), or a direction as three numbers. The tileset rotates "
+        "it to z; `none` keeps the orientation. Default: the up direction stored in the file or with the "
+        "texture, else -y, which is up in camera coordinates.",
     )
     compress: str = param(
         "none",
-        "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
-        "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
+        "Lossless compression of the geometry. With meshopt, viewers must support EXT_meshopt_compression; "
+        "tiles that it does not make smaller stay uncompressed.",
         choices=COMPRESSIONS,
     )
 
@@ -96,17 +96,17 @@ class TilesParams:
 
 @dataclass(frozen=True, eq=False)
 class Tileset:
-    """Tiles that were written.
+    """Written tileset.
 
     Attributes
     ----------
-    grid : of the positions of all tiles.
-    sizes : (k,) int64, bytes of each tile's file, the root's first.
-    triangles : (k,) int64, of each tile.
-    tree : what tileset.json says.
-    up : (3,) what is up in the levels, and is turned along z; None where they stay as they are.
-    images : of each tile; none where tiles have vertex colours.
-    diagnostics : what was left out.
+    grid : position grid of all tiles.
+    sizes : (k,) int64, file size of each tile in bytes, root first.
+    triangles : (k,) int64, number of triangles of each tile.
+    tree : content of tileset.json.
+    up : (3,) up direction of the levels, which the tileset rotates to z; None if nothing is rotated.
+    images : image metrics of each tile; empty if tiles have vertex colours.
+    diagnostics : warnings, such as dropped attributes.
     """
 
     grid: Grid
@@ -121,7 +121,7 @@ class Tileset:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return how many and how large they are."""
+        """Return counts and sizes for JSON, with units in the keys."""
         return {
             "tiles": len(self.sizes),
             "triangles": int(self.triangles.sum()),
@@ -149,40 +149,44 @@ def write_tiles(
     progress: Progress = silent,
     **changes: Unpack[TilesKeywords],
 ) -> Tileset:
-    """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file for each tile.
+    """Write a hierarchy as 3D Tiles 1.1.
 
-    A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built
-    on. A tile's children take its place as one; where it has one child, with hardly more triangles, it is
-    left out. Tiles of any levels fit without cracks, as nodes do: all positions lie on one grid.
+    The output is `outdir/tileset.json` and one GLB file per tile. A tile is the coarse mesh of a node; below
+    each leaf, one more tile is the base mesh. The children of a tile replace it together. A tile with a
+    single child of hardly more triangles is skipped. Tiles of different levels fit without cracks, because
+    all positions are on one grid.
 
-    The `geometricError` of a tile is what is proven of its shape, both ways and at every point, and how far
-    the grid moves it, in metres, rounded up; never less than a child's. The `extras` of its content say the
-    same of itself, `shape_bound_m`, and what is proven of its colours, `color_bound_levels`, as displayed
-    values that change evenly over each triangle. Where islands were dropped, all this is one-sided, and the
-    `extras` of each content and of the tileset say so.
+    The `geometricError` of a tile is its proven two-sided shape bound plus the displacement by the grid, in
+    metres, rounded up, and at least the error of each child. The `extras` of its content contain the tile's
+    own bounds: `shape_bound_m`, and `color_bound_levels` for colours interpolated as displayed values. If
+    small components were dropped, the bounds are one-sided, and the `extras` of each content and of the
+    tileset say so.
 
     Parameters
     ----------
-    hierarchy : with all of its levels.
-    outdir : a folder that is made; a tileset of scanloom that is there is replaced, whole or not at all.
-    params : TilesParams; single fields can be given by name instead.
-    texture : a mesh of the same surface, with an image or vertex colours, in the same place: the one the
-        levels were built from, or what was textured since; if not given `hierarchy.model`, where there is
-        one. Each tile gets an image of its own with its colours, in place of vertex colours; its positions
-        and triangles are the same as without. In the `extras` of its content, what is sampled of its colours
-        takes the place of `color_bound_levels`.
-    images : how these are.
-    progress : called with (tiles written, all).
+    hierarchy : complete hierarchy.
+    outdir : output folder; an existing scanloom tileset is replaced atomically.
+    params : TilesParams; single parameters can be given by keyword instead.
+    texture : mesh of the same surface in the same coordinates, with an image or vertex colours: the source of
+        the levels, or a mesh textured later. The default is `hierarchy.model`, if there is one. Each tile
+        gets an image instead of vertex colours; positions and triangles stay the same. In the `extras` of its
+        content, sampled colour errors replace `color_bound_levels`.
+    images : parameters of these images.
+    progress : called with the number of written tiles and their total.
+
+    Returns
+    -------
+    Tileset
 
     Raises
     ------
     InputError
-        If levels are missing, there is something else at `outdir`, or positions cannot be told.
+        If levels are missing, `outdir` contains something else, or positions do not fit the grid.
     MeshError
-        If `texture` is no valid mesh, has no colours or is of another surface, or a tile is in too many
-        pieces for an image.
+        If `texture` is invalid, has no colours or is another surface, or a tile has too many charts for an
+        image.
     StageError
-        If the system refuses to write.
+        If the files cannot be written.
     UsageError
         If a parameter is out of range.
     """
@@ -210,7 +214,7 @@ def _write_tiles(
         sizes, triangles = np.zeros((2, len(tiles)), np.int64)
         found: dict[int, TileImage] = {}
         for done, (number, mesh, image) in enumerate(_meshes(placed, tiles, grid, model, images)):
-            # A tiny tile is smaller as it is: how its buffers are packed takes words.
+            # Compression metadata makes tiny tiles larger, so keep the smaller file.
             ways = (False, True) if params.compress == "meshopt" else (False,)
             content = min((tile_glb(mesh, grid, pack=pack) for pack in ways), key=len)
             (draft / tiles[number].uri).write_bytes(content)
@@ -223,13 +227,13 @@ def _write_tiles(
         tree = _tileset(placed, tiles, of_tiles, grid, up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), encoding="utf-8", newline="\n")
     if model is not None and is_transparent(model):
-        emit(LEVELS_LEFT_OUT.warning("tiles left out: the transparency of the model's images."))
+        emit(LEVELS_LEFT_OUT.warning("tiles drop the transparency of the model's images."))
     told = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
     return Tileset(grid, sizes, triangles, tree, told, of_tiles)
 
 
 def _up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats | None:
-    """Return what is up, (3,) of length 1; None to turn nothing."""
+    """Return the up direction (3,), unit length; None to rotate nothing."""
     if params.up is not None:
         return direction_of(params.up)
     known = hierarchy.up if model is None or hierarchy.up is not None else model.up
@@ -237,9 +241,9 @@ def _up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats
 
 
 def is_tileset(folder: Path) -> bool:
-    """Return whether a folder holds a tileset of scanloom, with or without its page, and nothing else."""
+    """Return True if a folder contains only a scanloom tileset, with or without its page."""
     found, own = {entry.name for entry in folder.iterdir()}, {TILESET, _FOLDER}
-    # An interrupted command leaves a part of the page.
+    # An interrupted command may leave an incomplete page.
     if not own <= found <= own | {PAGE_INDEX, PAGE_FOLDER}:
         return False
     try:
@@ -255,14 +259,14 @@ def _require_whole(h: Hierarchy) -> None:
         if below != h.full[node] if len(children) else h.level[node] > 0:
             raise InputError(
                 LEVELS_CUT_OFF,
-                "the finest levels are missing; tiles need them all.",
+                "the finest levels are missing; tiles require all levels.",
                 remedy="Build the file again.",
             )
 
 
 @dataclass(frozen=True)
 class _Tile:
-    """A tile: a node's coarse mesh, or at a leaf the base, and what is proven of that."""
+    """Tile of a tileset: coarse mesh of a node, or base mesh."""
 
     node: int
     is_base: bool
@@ -272,7 +276,7 @@ class _Tile:
 
 
 def _tiles(h: Hierarchy, grid: Grid) -> list[_Tile]:
-    """Return all tiles: those of nodes, by their numbers, then those below leaves."""
+    """List all tiles: nodes by index, then the base tiles below leaves."""
 
     def tile(node: int, is_base: bool, shape: float, color: float) -> _Tile:
         bound = rounded_up(math.nextafter(shape + grid.share_m, math.inf), _DIGITS)
@@ -295,7 +299,7 @@ def _meshes(
     textured: Mesh | None,
     params: TileImageParams | None,
 ) -> Iterator[tuple[int, Mesh, TileImage | None]]:
-    """Give the number of each tile, its mesh, and its image if it is to have one."""
+    """Yield index, mesh and image metrics of each tile; None without an image."""
 
     def mesh_of(tile: _Tile) -> Mesh:
         return placed.mesh([tile.node], [int(placed.splits[tile.node]) if tile.is_base else 0])
@@ -317,7 +321,7 @@ def _leaves(h: Hierarchy) -> NDArray[np.int64]:
 
 
 def _below(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
-    """Return for each tile those of the levels below its own that are together all of the surface."""
+    """List the source tiles of each tile: the next finer level, covering the whole surface."""
     number_of = {(tile.node, tile.is_base): number for number, tile in enumerate(tiles)}
 
     def standing_for(node: int) -> int:
@@ -344,12 +348,12 @@ def _below(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
 def _tileset(
     placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: Grid, up: Floats | None
 ) -> Tree:
-    """Return what tileset.json says."""
+    """Build the content of tileset.json."""
     low, high = placed.boxes
     described: dict[int, Tree] = {}
     own = {(tile.node, tile.is_base): tile for tile in tiles}
     shown = {tile.uri: image for tile, image in zip(tiles, images, strict=False)}
-    # From the last node to the root, so that children are there before their parent.
+    # From the last node to the root: children are described before their parent.
     for node in range(placed.nodes - 1, -1, -1):
         box = {"box": _box(low[node], high[node], grid)}
         below = [described[int(child)] for child in placed.children[node]]
@@ -365,7 +369,7 @@ def _tileset(
     transform[:3, :3] = turn_along_z(up)
     transform[:3, 3] = transform[:3, :3] @ grid.origin
     moves = not np.array_equal(transform, np.eye(4))
-    # Where nothing is shown, all of the model is missing.
+    # The tileset's error applies if no tile is shown: then the whole model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     about: Tree = {"scanloom": installed_version()}
     look = estimate_mean_normal(placed.mesh([0], [0]), turn_along_z(up))
@@ -389,7 +393,7 @@ def _tileset(
 
 
 def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_one_sided: bool) -> Tree:
-    """Return what tileset.json says of a tile, of its colours, and of those below it."""
+    """Build the tileset.json entry of a tile with its bounds and children."""
     extras: Tree = {"shape_bound_m": tile.shape_bound, **colors}
     if is_one_sided:
         extras["one_sided"] = True
@@ -402,9 +406,10 @@ def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_on
 
 
 def _box(low: Floats, high: Floats, grid: Grid) -> list[float]:
-    """Return a box, a step wider on all sides, as its middle and its half axes.
+    """Return a bounding box as centre and half axes.
 
-    So a flat one has a thickness, and all stay one in the other: on the grid these sums are exact.
+    It is enlarged by a grid step on all sides. The margin gives flat boxes a thickness. Nested boxes stay
+    nested, because these sums are exact on the grid.
     """
     half = 0.5 * (high - low) + grid.step
     return [*(0.5 * (low + high)).tolist(), *np.diag(half).reshape(-1).tolist()]

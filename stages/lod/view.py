@@ -1,4 +1,4 @@
-"""What a viewer sees of a hierarchy: where the eye is, and how large a metre is in pixels."""
+"""Perspective view of a hierarchy: frustum tests and projected sizes in pixels."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from scanloom.stages.printing import by_fields
 
 Floats = NDArray[np.float64]
 
-# Nearer than this share of a node's radius its surface may be anywhere: the eye is in it.
+# Minimum distance from the eye relative to a node's radius, for nodes that contain the eye.
 _NEAREST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A perspective view.
+    """Perspective view.
 
     Attributes
     ----------
-    eye : (3,) metres.
-    look : (3,) a point straight ahead, metres.
-    up : (3,) the direction that is up in the picture, as far as the view allows.
-    width, height : of the picture, pixels.
-    field : the angle the picture's height spans, degrees, above 0 and below 180.
-    near : nothing closer to the eye is seen, metres, above 0.
-    far : nothing farther is seen, metres; infinite for no end.
+    eye : (3,) camera centre, metres.
+    look : (3,) target point in the viewing direction, metres.
+    up : (3,) direction that is up in the image, as far as the viewing direction allows.
+    width, height : image size, pixels.
+    field : vertical field of view, degrees, above 0 and below 180.
+    near : distance of the near plane, metres, above 0.
+    far : distance of the far plane, metres; infinite for none.
     """
 
     eye: tuple[float, float, float]
@@ -48,25 +48,23 @@ class View:
     def __post_init__(self) -> None:
         points = (self.eye, self.look, self.up)
         if any(len(p) != 3 or not all(math.isfinite(x) for x in p) for p in points):
-            raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up are three finite numbers each.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up must be three finite numbers each.")
         if math.dist(self.eye, self.look) == 0:
             raise UsageError(
                 USAGE_ARGUMENT_INVALID,
-                "the eye looks at where it is",
-                remedy="give it another point to look at.",
+                "eye and look are the same point",
+                remedy="choose another point to look at.",
             )
         if not (self.width >= 1 and self.height >= 1):
-            raise UsageError(USAGE_ARGUMENT_INVALID, "a view has a width and a height of 1 pixel or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "width and height of a view must be 1 pixel or more.")
         if not 0 < self.field < 180:
-            raise UsageError(USAGE_ARGUMENT_INVALID, "the field of a view is above 0° and below 180°.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "the field of view must be above 0° and below 180°.")
         if not 0 < self.near < self.far:
-            raise UsageError(
-                USAGE_ARGUMENT_INVALID, "the near end of a view is above 0 and nearer than its far end."
-            )
+            raise UsageError(USAGE_ARGUMENT_INVALID, "near must be above 0 and less than far.")
 
     @staticmethod
     def of(viewpoint: Viewpoint, *, near: float = 1e-3, far: float = math.inf) -> View:
-        """Return the view of a camera, whose principal point is taken for the middle."""
+        """Return the view of a viewpoint, ignoring its principal point."""
         camera, pose = viewpoint.camera, np.asarray(viewpoint.world_from_camera, np.float64)
         eye, ahead, down = pose[:3, 3], pose[:3, 2], pose[:3, 1]
         field = 2 * math.degrees(math.atan2(0.5 * camera.height, camera.fy))
@@ -80,25 +78,25 @@ class View:
 
     @property
     def ahead(self) -> Floats:
-        """The direction of view (3,), of length 1."""
+        """Viewing direction (3,), unit length."""
         way = np.subtract(self.look, self.eye)
         return np.asarray(way / np.linalg.norm(way))
 
     @property
     def focal_px(self) -> float:
-        """How many pixels something of 1 m spans at a distance of 1 m."""
+        """Focal length in pixels."""
         return 0.5 * self.height / math.tan(math.radians(0.5 * self.field))
 
     def planes(self) -> tuple[Floats, Floats]:
-        """Return the sides of the frustum: outward normals (k, 3), and offsets (k,).
+        """Compute the planes of the frustum: outward normals (k, 3) and offsets (k,).
 
-        A point x is within where normals @ x <= offsets. There are five, or six with a far end.
+        A point x is inside if normals @ x <= offsets. There are five planes, or six with a finite far plane.
         """
         ahead = self.ahead
         right = np.cross(ahead, self.up)
         length = float(np.linalg.norm(right))
         if length < 1e-9 * float(np.linalg.norm(self.up)):
-            # It looks straight up or down: any direction is the right.
+            # Viewing along the up direction: any horizontal axis will do.
             right = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
             length = float(np.linalg.norm(right))
         right = right / length
@@ -115,15 +113,15 @@ class View:
         return np.stack(normals), np.asarray(offsets)
 
     def sees(self, middle: Floats, radius: Floats) -> NDArray[np.bool_]:
-        """Return which balls (n, 3), (n,) are not wholly outside one side of the frustum (n,)."""
+        """Return a mask (n,) of the spheres (n, 3), (n,) that may intersect the frustum."""
         normals, offsets = self.planes()
         return np.asarray((middle @ normals.T - offsets <= radius[:, None]).all(axis=1))
 
     def pixels(self, length: Floats, middle: Floats, radius: Floats) -> Floats:
-        """Return how many pixels lengths (n,) span at most anywhere in balls (n, 3), (n,)."""
+        """Compute the maximum projected size of lengths (n,) in spheres (n, 3), (n,), pixels."""
         distance = np.linalg.norm(middle - np.asarray(self.eye), axis=1) - radius
         least = np.maximum(self.near, _NEAREST * radius)
-        # At the picture's rim a length is drawn longer than at its middle, by the square of the secant.
+        # At the image border, perspective enlarges a length by the squared secant of the viewing angle.
         half = math.tan(math.radians(0.5 * self.field))
         secant2 = 1 + half**2 * (1 + (self.width / self.height) ** 2)
         depth = np.maximum(distance, least) / math.sqrt(secant2)

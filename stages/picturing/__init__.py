@@ -1,1 +1,1 @@
-"""Pictures of meshes, and where they are taken from."""
+"""Rendering of meshes to images, and choice of viewpoints."""

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of pictures, with explanations."""
+"""Diagnostic codes of rendering, with explanations."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ RENDER_NOTHING_TO_DRAW = Code(
     "render.nothing-to-draw",
     "Nothing to draw",
     """
-The mesh has no triangles. `render` takes the meshes first and the picture last.
+The mesh has no triangles. `render` expects the meshes first and the image last.
 """,
     "the mesh has no triangles; there is nothing to draw.",
 )
 RENDER_ENCODER_MISSING = Code(
     "render.encoder-missing",
-    "Encoders of videos that are missing",
+    "Missing video encoder",
     """
-Not every build of OpenCV has every encoder: `--codec mpeg4` is in nearly all, and pictures always work.
+Builds of OpenCV differ in their video encoders. Almost all have `--codec mpeg4`, and images always work.
 """,
-    "turn.mp4: OpenCV has no encoder for vp9 here; write pictures (.png).",
+    "turn.mp4: this build of OpenCV has no encoder for vp9; choose another codec, or write images (.png).",
 )

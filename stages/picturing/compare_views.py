@@ -1,7 +1,8 @@
-"""How alike two meshes look: both drawn from the same viewpoints, and the pictures compared.
+"""Image-based comparison of two meshes, rendered from the same viewpoints.
 
-PSNR is of the pixels that both cover. SSIM is that of Wang, Bovik, Sheikh and Simoncelli, "Image quality
-assessment: from error visibility to structural similarity", 2004, over the windows that both cover whole.
+PSNR is computed over the pixels that both meshes cover. SSIM follows Wang, Bovik, Sheikh and Simoncelli,
+"Image quality assessment: from error visibility to structural similarity", 2004, over the windows that both
+meshes cover completely.
 """
 
 from __future__ import annotations
@@ -34,27 +35,30 @@ if TYPE_CHECKING:
 Levels = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Where no number of viewpoints is given.
+# Number of viewpoints if none is given.
 _USUAL = 6
-# Rays a pixel along each side: what is compared are means over pixels, as a camera sees them.
+# Rays per pixel along each side: antialiased, as a camera averages over pixels.
 _FINER = 2
-# Window of SSIM: its standard deviation, and how far it reaches, pixels.
+# Window of SSIM: standard deviation and radius, pixels.
 _SIGMA, _REACH = 1.5, 5
-# Equal to rounding, levels².
+# Mean squared difference up to which images are equal except for rounding, levels².
 _EQUAL = 1e-8
-# Of a difference, in its picture.
+# Amplification of differences in the difference image.
 _TIMES = 4
 _ONLY_A, _ONLY_B, _NEITHER = (200, 60, 40), (45, 160, 70), (255, 255, 255)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewsParams:
-    """From where two meshes are drawn to be compared."""
+    """Parameters of the image-based comparison."""
 
     views: int = param(
-        0, "Viewpoints around both that they are drawn from. 0: none, or 6 from Python.", low=0, high=360
+        0,
+        "Viewpoints around both meshes. 0 means none on the command line, and 6 in Python.",
+        low=0,
+        high=360,
     )
-    view_width: int = param(800, "Width of the pictures; they are 4:3.", unit="px", low=64, high=4096)
+    view_width: int = param(800, "Width of the images, which are 4:3.", unit="px", low=64, high=4096)
 
     def __post_init__(self) -> None:
         check(self)
@@ -62,16 +66,16 @@ class ViewsParams:
 
 @dataclass(frozen=True, eq=False)
 class ViewScore:
-    """How alike two meshes look from one viewpoint.
+    """Image similarity of two meshes from one viewpoint.
 
     Attributes
     ----------
     name : of the viewpoint.
-    pixels, squared : that both cover, and the mean of their squared differences, levels².
-    windows, similar : that both cover whole, and the sum of their SSIM.
-    both, either : pixels that both cover, and that any does.
-    picture : A | B | their difference, four times as large, from white for none; what A alone covers is red
-        in it, and B alone green.
+    pixels, squared : number of pixels that both cover, and the mean of their squared differences, levels².
+    windows, similar : number of SSIM windows that both cover completely, and the sum of their SSIM.
+    both, either : number of pixels that both cover, and that at least one covers.
+    picture : A | B | difference, side by side. The difference is white for 0 and amplified 4 times; pixels
+        that only A covers are red, pixels that only B covers green.
     """
 
     name: str
@@ -86,18 +90,17 @@ class ViewScore:
     __repr__ = by_figures
 
     def figures(self) -> dict[str, Any]:
-        """Return PSNR in dB (None for equal pictures), SSIM, and how the silhouettes agree."""
+        """Return PSNR in dB (None for equal images), SSIM and silhouette agreement."""
         return {"viewpoint": self.name, **_figures([self])}
 
 
 @dataclass(frozen=True, eq=False)
 class ViewComparison:
-    """How alike two meshes look.
+    """Image similarity of two meshes over several viewpoints.
 
     Attributes
     ----------
-    colored : whether their own colours were compared, without any light; else clay under a light was, which
-        shows shape alone.
+    colored : unlit colours were compared. If False, shaded clay was compared, which shows the shape only.
     scores : of each viewpoint.
     """
 
@@ -109,11 +112,11 @@ class ViewComparison:
 
     @property
     def worst(self) -> ViewScore:
-        """The view of the lowest PSNR."""
+        """Score of the view with the lowest PSNR."""
         return max(self.scores, key=lambda one: one.squared)
 
     def figures(self) -> dict[str, Any]:
-        """Return PSNR and SSIM over the pixels and windows of all views together, and of each."""
+        """Return PSNR and SSIM over all views together, and of each view."""
         return {
             "compared": "colors" if self.colored else "shape",
             **_figures(self.scores),
@@ -125,14 +128,18 @@ class ViewComparison:
 def compare_views(
     a: MeshLike, b: MeshLike, params: ViewsParams | None = None, **changes: Unpack[ViewsKeywords]
 ) -> ViewComparison:
-    """Draw two meshes from the same viewpoints, and tell how alike the pictures are.
+    """Render two meshes from the same viewpoints and compare the images.
 
-    Where both have colours, these are compared as they are, whatever the light; else how they are shaded.
+    If both meshes have colours, unlit colours are compared, otherwise shaded clay.
 
     Parameters
     ----------
-    a, b : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one place.
-    params : ViewsParams; single fields can be given by name instead.
+    a, b : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in the same coordinates.
+    params : ViewsParams; single parameters can be given by keyword instead.
+
+    Returns
+    -------
+    ViewComparison
 
     Raises
     ------
@@ -152,7 +159,7 @@ def compare_views(
 
 
 def _joined(a: Mesh, b: Mesh) -> Mesh:
-    """Return both as one, to choose viewpoints that show both."""
+    """Concatenate two meshes, to choose viewpoints that show both."""
     triangles = np.concatenate([a.triangles, b.triangles + len(a.vertices)]).astype(np.int32)
     return Mesh(np.concatenate([a.vertices, b.vertices]), triangles, up=a.up or b.up)
 
@@ -168,10 +175,10 @@ def _score(viewpoint: Viewpoint, surfaces: Sequence[Surface], models: Sequence[M
     hit_a, hit_b = (_coarser(one.hit.astype(np.float32)) for one in seen)
     a = _coarser(levels[0] * seen[0].hit[..., None], hit_a)
     b = _coarser(levels[1] * seen[1].hit[..., None], hit_b)
-    # Where it is covered in part, a pixel is no mean over the same places.
+    # Partially covered pixels are means over different areas, so they are excluded.
     both = (hit_a == 1) & (hit_b == 1)
     squared = np.asarray((a - b) ** 2, np.float64).mean(axis=2)[both]
-    # Beyond the picture nothing is covered.
+    # Pixels outside the image count as uncovered.
     window, border = np.ones((2 * _REACH + 1,) * 2, np.uint8), cv2.BORDER_CONSTANT
     whole = cv2.erode(both.astype(np.uint8), window, borderType=border, borderValue=0)
     similar = _similarity(a, b)[whole > 0]
@@ -188,7 +195,7 @@ def _score(viewpoint: Viewpoint, surfaces: Sequence[Surface], models: Sequence[M
 
 
 def _finer(camera: Camera) -> Camera:
-    """Return a camera of more pixels that sees the same."""
+    """Return the camera with a higher resolution and the same field of view."""
     return Camera(
         camera.width * _FINER,
         camera.height * _FINER,
@@ -200,7 +207,7 @@ def _finer(camera: Camera) -> Camera:
 
 
 def _coarser(image: Levels, covered: Levels | None = None) -> Levels:
-    """Return the means of the pixels that `_finer` made of each, over the share (h, w) that is covered."""
+    """Average blocks of pixels to the original resolution, over the covered ratio (h, w)."""
     height, width = image.shape[:2]
     parts = image.reshape(height // _FINER, _FINER, width // _FINER, _FINER, *image.shape[2:])
     means = parts.mean(axis=(1, 3))
@@ -210,7 +217,7 @@ def _coarser(image: Levels, covered: Levels | None = None) -> Levels:
 
 
 def _similarity(a: Levels, b: Levels) -> Levels:
-    """Return SSIM (h, w) of the window around each pixel, the mean over the channels."""
+    """Compute the SSIM map (h, w), averaged over channels."""
     from skimage.metrics import structural_similarity
 
     _, similar = structural_similarity(  # type: ignore[no-untyped-call]
@@ -237,7 +244,7 @@ def _picture(a: Levels, b: Levels, covers_a: Mask, covers_b: Mask) -> ColorImage
 
 
 def _figures(scores: Sequence[ViewScore]) -> dict[str, Any]:
-    """Return the figures of views together: each pixel, and each window, counts as much as any other."""
+    """Combine the metrics of views, weighted by pixels and windows."""
     pixels, windows = sum(one.pixels for one in scores), sum(one.windows for one in scores)
     squared = sum(one.pixels * one.squared for one in scores) / max(pixels, 1)
     return {

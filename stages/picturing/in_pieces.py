@@ -1,4 +1,4 @@
-"""Pictures of a mesh in pieces: each is drawn by itself, and of all of them what is nearest is seen."""
+"""Rendering of chunked meshes into a common depth buffer."""
 
 from __future__ import annotations
 
@@ -10,23 +10,30 @@ from scanloom.stages.scans.model.scan import ColorImage
 from scanloom.stages.surface.piecewise import Piecewise
 from scanloom.stages.surface.raycasting import Floats, Surface
 
-# Pixels of all pictures that are drawn at a time; they take some 50 bytes each.
+# Maximum pixels of all images rendered at a time, at about 50 bytes each: bounds memory.
 _AT_ONCE = 6_000_000
 
 
 def draw_in_pieces(
     large: Piecewise, viewpoints: Sequence[Viewpoint], box: Floats, *, shading: Shading = "color"
 ) -> Iterator[ColorImage]:
-    """Draw a mesh in pieces from viewpoints, one picture after the other, as `Model.draw` does a whole one.
+    """Render a chunked mesh from several viewpoints, as `Model.draw` does for whole meshes.
 
     Parameters
     ----------
-    box : (2, 3) around all meshes that are drawn.
+    large : the chunked mesh.
+    viewpoints : one for each image.
+    box : (2, 3) bounding box of all meshes to be drawn, metres.
+    shading : see `render`.
+
+    Yields
+    ------
+    (h, w, 3) uint8, one image per viewpoint.
 
     Raises
     ------
     InputError
-        If the file of the pieces is damaged.
+        If the file of the chunks is damaged.
     """
     for some in _together(viewpoints):
         pictures = [Picture(viewpoint, shading) for viewpoint in some]
@@ -48,7 +55,7 @@ def _add(large: Piecewise, pictures: Sequence[Picture], box: Floats) -> None:
 
 
 def _together(viewpoints: Sequence[Viewpoint]) -> Iterator[list[Viewpoint]]:
-    """Yield viewpoints, as many at a time as there is memory for, one at least."""
+    """Group viewpoints into batches that fit into memory, at least one in each."""
     some: list[Viewpoint] = []
     pixels = 0
     for viewpoint in viewpoints:

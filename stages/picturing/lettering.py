@@ -1,4 +1,4 @@
-"""Words and a scale bar on pictures."""
+"""Annotations on images: captions and scale bars."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from scanloom.stages.picturing.render import Model
 from scanloom.stages.picturing.viewpoints import Viewpoint
 from scanloom.stages.scans.model.scan import ColorImage
 
-# Of a picture's height: letters, at least so many pixels, and what is left free around them.
+# Font size as a ratio of the image's height and its minimum in pixels, and margin as a ratio of the height.
 _LETTERS, _LEAST_LETTERS = 1 / 32, 11
 _MARGIN = 1 / 40
-# Of a picture's width, the longest bar.
+# Maximum length of the bar as a ratio of the image's width.
 _LONGEST = 0.25
 _INK, _PAPER = (29, 37, 48, 255), (255, 255, 255, 205)
-# Rays along each side of a picture that look for the surface, where there is none in its middle.
+# Rays along each side of an image that search for the surface if its centre shows none.
 _LOOKS = 24
 
 
 class ScaleBar(NamedTuple):
-    """A bar of a round length.
+    """Scale bar with a round length.
 
     Attributes
     ----------
-    length, depth : metres; of a length across the view, so far ahead.
-    pixels : how long it is drawn.
+    length, depth : length of the bar and depth at which it is valid, metres.
+    pixels : length in the image.
     """
 
     length: float
@@ -35,12 +35,15 @@ class ScaleBar(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Its length, and where it holds: in perspective what is farther away is smaller."""
+        """Label with the length and the depth, because perspective scales with depth."""
         return f"{metres_in_words(self.length)} at {self.depth:.3g} m"
 
 
 def scale_bar(viewpoint: Viewpoint, depth: float) -> ScaleBar:
-    """Return the longest bar of 1, 2 or 5 times a power of ten that there is room for, at a depth in m."""
+    """Choose the longest scale bar that fits, at a depth in metres.
+
+    Its length is 1, 2 or 5 times a power of ten.
+    """
     per_metre = viewpoint.camera.fx / depth
     most = _LONGEST * viewpoint.camera.width / per_metre
     power = 10.0 ** np.floor(np.log10(most))
@@ -49,9 +52,10 @@ def scale_bar(viewpoint: Viewpoint, depth: float) -> ScaleBar:
 
 
 def focus_of(model: Model, viewpoint: Viewpoint) -> float | None:
-    """Return the depth of what is seen in the middle of a picture, metres ahead.
+    """Return the depth of the surface at the centre of an image, metres.
 
-    Where there is nothing, it is the median depth of all that is seen; None where nothing is.
+    If the centre shows no surface, return the median depth of the visible surface, or None if nothing is
+    visible.
     """
     camera = viewpoint.camera
     middle = np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]])
@@ -63,34 +67,34 @@ def focus_of(model: Model, viewpoint: Viewpoint) -> float | None:
 
 
 def with_words(image: ColorImage, text: str) -> ColorImage:
-    """Return a picture with words at its upper left; what is too long for it is cut."""
+    """Draw a caption at the upper left of an image, truncated to its width."""
     drawing = _Drawing(image)
     drawing.panel(drawing.fitting(text), drawing.margin, drawing.margin)
     return drawing.finished()
 
 
 def with_scale_bar(image: ColorImage, bar: ScaleBar) -> ColorImage:
-    """Return a picture with a scale bar at its lower left."""
+    """Draw a scale bar at the lower left of an image."""
     drawing = _Drawing(image)
     drawing.bar(bar)
     return drawing.finished()
 
 
 def metres_in_words(length: float) -> str:
-    """Return a length in mm, cm or m."""
+    """Format a length in mm, cm or m."""
     if length < 0.00999:
         return f"{1000 * length:.4g} mm"
     return f"{100 * length:.4g} cm" if length < 0.999 else f"{length:.4g} m"
 
 
 class _Drawing:
-    """A picture that is drawn upon by Pillow."""
+    """Drawing context for annotations on an image, based on Pillow."""
 
     def __init__(self, image: ColorImage) -> None:
         from PIL import Image, ImageDraw, ImageFont
 
         self._picture = Image.fromarray(image)
-        # In this mode what is drawn is mixed with what is there.
+        # RGBA mode blends translucent colours with the image.
         self._draw: Any = ImageDraw.Draw(self._picture, "RGBA")
         height = image.shape[0]
         self._size = max(round(_LETTERS * height), _LEAST_LETTERS)
@@ -107,14 +111,14 @@ class _Drawing:
         return text + "…"
 
     def panel(self, text: str, left: float, top: float) -> None:
-        """Write words onto a light panel, whose corner is given."""
+        """Draw text on a light panel with its upper left corner at (left, top)."""
         wide = self._draw.textlength(text, self._font) + 2 * self._pad
         high = self._size + 2 * self._pad
         self._draw.rounded_rectangle((left, top, left + wide, top + high), self._pad, fill=_PAPER)
         self._draw.text((left + self._pad, top + high / 2), text, fill=_INK, font=self._font, anchor="lm")
 
     def bar(self, bar: ScaleBar) -> None:
-        """Draw a bar, and what it stands for above it."""
+        """Draw a scale bar with its label above."""
         text = self.fitting(bar.words)
         thick = max(self._size // 5, 2)
         wide = max(bar.pixels, self._draw.textlength(text, self._font)) + 2 * self._pad
@@ -124,7 +128,7 @@ class _Drawing:
         at = (left + self._pad, top + self._pad + self._size / 2)
         self._draw.text(at, text, fill=_INK, font=self._font, anchor="lm")
         low = top + high - self._pad
-        # As many pixels as it stands for, the first and the last among them.
+        # −1 because Pillow includes the last pixel of a rectangle.
         right = left + self._pad + round(bar.pixels) - 1
         self._draw.rectangle((left + self._pad, low - thick, right, low - 1), fill=_INK)
 

@@ -1,4 +1,4 @@
-"""Pictures of several meshes beside one another, from one viewpoint."""
+"""Side-by-side renderings of several meshes from one viewpoint."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from scanloom.stages.scans.model.scan import ColorImage
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Surface
 
-# Between two pictures, pixels; even, as videos are.
+# Gap between panels, pixels (even, as video encoders require), and its grey level.
 _GAP, _PAPER = 8, 255
 
 
 class Panels:
-    """Meshes made ready to be drawn beside one another from any number of viewpoints.
+    """Meshes prepared for side-by-side rendering from any number of viewpoints.
 
     Parameters
     ----------
-    meshes : one or more, each with a triangle.
-    texts : a few words for each; none where they are empty.
+    meshes : one or more, each with at least one triangle.
+    texts : caption of each mesh; empty for no caption.
     """
 
     def __init__(self, meshes: Sequence[Mesh], texts: Sequence[str]) -> None:
@@ -33,7 +33,7 @@ class Panels:
     def draw(
         self, viewpoint: Viewpoint, shading: Shading = "color", bar: ScaleBar | None = None
     ) -> ColorImage:
-        """Draw all meshes, from left to right, each with its words and the scale bar."""
+        """Render all meshes from left to right, with captions and scale bar."""
         images: list[ColorImage] = []
         for model, text in zip(self._models, self._texts, strict=True):
             image = model.draw(viewpoint, shading)
@@ -44,9 +44,9 @@ class Panels:
         return np.ascontiguousarray(np.hstack(images))
 
     def scale_bar(self, viewpoint: Viewpoint) -> ScaleBar | None:
-        """Return a scale bar for what a viewpoint is about; None where nothing is seen.
+        """Choose a scale bar for a viewpoint; None if nothing is visible.
 
-        That is its focus, or else what the first mesh has in the middle of the picture.
+        The bar is valid at the viewpoint's focus, or else at the first mesh in the image centre.
         """
         depth = viewpoint.focus or focus_of(self._models[0], viewpoint)
         return None if depth is None else scale_bar(viewpoint, depth)

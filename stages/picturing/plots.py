@@ -1,6 +1,6 @@
-"""Plots of figures, as PNG or SVG: of a tradeoff, and of the seconds of stages.
+"""Plots of trade-offs and stage durations, as PNG or SVG.
 
-By `matplotlib`, which is an extra.
+Requires the optional package `matplotlib`.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING
 
 SUFFIXES = (".png", ".svg")
 
-_WIDTH, _DPI = 7.0, 150  # inches, and pixels for each
-# Told apart also by eyes that mix up red and green: Okabe and Ito, "Color universal design", 2008.
+_WIDTH, _DPI = 7.0, 150  # inches, and dots per inch
+# Distinguishable with colour-vision deficiency: Okabe and Ito, "Color universal design", 2008.
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "#999999"
-# What is off by less than this share of the worst is not off: it would take most of a logarithmic axis.
+# Errors below this ratio of the maximum count as 0 and are not plotted: they would take up most of a
+# logarithmic axis.
 _NOTHING = 1e-4
 
 
 def require_plots() -> None:
-    """Say what to install where the library is not there.
+    """Raise an error with the package to install if `matplotlib` is missing.
 
     Raises
     ------
@@ -37,12 +38,12 @@ def require_plots() -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         raise UsageError(
-            MACHINE_EXTRA_MISSING, "plots are drawn by matplotlib", remedy="install scanloom[plot]."
+            MACHINE_EXTRA_MISSING, "plots require matplotlib", remedy="install scanloom[plot]."
         ) from None
 
 
 def plot_tradeoff(path: Path, found: Tradeoff) -> None:
-    """Draw distances and colour differences over the number of triangles, and what is suggested.
+    """Plot distances and colour differences over triangle counts, with the suggested count.
 
     Raises
     ------
@@ -84,7 +85,13 @@ def plot_tradeoff(path: Path, found: Tradeoff) -> None:
 
 
 def plot_seconds(path: Path, seconds: Mapping[str, float], cached: Collection[str] = ()) -> None:
-    """Draw a bar for the seconds of each stage, in order from above; those that were cached in grey.
+    """Plot the duration of each stage as a bar chart.
+
+    Parameters
+    ----------
+    path : PNG or SVG file.
+    seconds : duration of each stage, in order from the top.
+    cached : stages loaded from the cache, drawn in grey.
 
     Raises
     ------
@@ -96,9 +103,7 @@ def plot_seconds(path: Path, seconds: Mapping[str, float], cached: Collection[st
     figure, (part,) = _figure(0.9 + 0.36 * len(seconds), 1)
     colors = [_GREY if stage in cached else _BLUE for stage in seconds]
     bars = part.barh(np.arange(len(seconds)), list(seconds.values()), color=colors)
-    words = [
-        f"{one:.1f} s{', when it was made' if stage in cached else ''}" for stage, one in seconds.items()
-    ]
+    words = [f"{one:.1f} s{' (from the cache)' if stage in cached else ''}" for stage, one in seconds.items()]
     part.bar_label(bars, words, padding=4)
     part.set_yticks(np.arange(len(seconds)), list(seconds))
     part.invert_yaxis()
@@ -122,7 +127,7 @@ def _figure(height: float, parts: int) -> tuple[Any, Any]:
     require_plots()
     from matplotlib.figure import Figure
 
-    # Not pyplot's, which keeps every figure, and may ask for a window.
+    # Not pyplot, which keeps all figures and may require a display.
     figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, layout="constrained")
     return figure, figure.subplots(parts, 1, sharex=True, squeeze=False)[:, 0]
 
@@ -131,7 +136,7 @@ def _write(path: Path, figure: Any) -> None:
     import matplotlib
 
     kind = path.suffix.lower().removeprefix(".")
-    # Equal figures give equal files.
+    # Without dates and random ids, equal figures give identical files.
     still = {"svg": {"Date": None}, "png": {}}[kind]
     with matplotlib.rc_context({"svg.hashsalt": "scanloom"}), replacing(path) as part:
         figure.savefig(part, format=kind, metadata=still)

@@ -1,4 +1,7 @@
-"""Pictures of a mesh without a window, a GPU or OpenGL: rays cast by Open3D, shaded in numpy."""
+"""Software renderer for meshes, without window, GPU or OpenGL.
+
+Rays are cast by Open3D and shaded in NumPy.
+"""
 
 from __future__ import annotations
 
@@ -27,39 +30,39 @@ from scanloom.stages.surface.vertex_normals import vertex_normals
 __all__ = ["Model", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 
 Shading = Literal["color", "unlit", "plain", "edges"]
-# Pictures of 8 bits need no more, and half the memory is half the time.
+# float32 suffices for 8-bit images, and halves memory and time.
 _Floats = NDArray[np.float32]
 
-# A pixel that differs from a neighbour by more than _CONTRAST levels becomes the mean of its centre and of
-# four rays, right and down by these shares of a pixel: a rotated grid, which no edge runs along.
+# Antialiasing: a pixel that differs from a neighbour by more than _CONTRAST levels becomes the mean of its
+# centre ray and four more rays at these offsets, in pixels. The grid is rotated, so that no edge is aligned
+# with it.
 _CONTRAST = 20
 _OFFSETS = np.array(((-3, -1), (-1, 3), (1, -3), (3, 1)), np.float32) / 8
 _CLAY = np.array((214, 212, 207), np.float32)
 _CLAY_BEHIND = np.array((150, 165, 190), np.float32)
 _EDGE = np.array((38, 52, 74), np.float32)
-# A cool grey: scans are full of white paper and walls, which must not melt into it.
+# Cool grey: scans contain much white paper and many white walls, which must contrast with the background.
 _BACKGROUND_TOP, _BACKGROUND_BOTTOM = np.array(((242, 244, 247), (212, 217, 224)), np.float32)
-# Towards the light, in camera axes: from behind the viewer's left shoulder.
+# Direction towards the light in camera axes: behind the viewer's left shoulder.
 _LIGHT = np.array((-0.35, -0.55, -0.75)) / np.linalg.norm((-0.35, -0.55, -0.75))
-# A ray that goes on behind a culled surface starts this share of its length later.
+# Relative offset at which a ray restarts behind a culled surface, and maximum number of culled surfaces.
 _STEP = 1e-5
 _MAX_CULLED = 16
-# A box that begins nearer than this share of where it ends is taken to be all around.
+# Minimum near-to-far depth ratio of a box for its projection. Closer boxes are treated as filling the image.
 _AHEAD = 1e-3
 _TINY = np.finfo(np.float32).tiny
 
 
 def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") -> ColorImage:
-    """Draw a mesh from one viewpoint.
+    """Render a mesh from one viewpoint.
 
     Parameters
     ----------
-    mesh : in metres.
+    mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles), in metres.
     viewpoint : see Viewpoint and `viewpoints`.
-    shading : "color" for the texture or vertex colours under a soft light (clay where there is neither),
-        "unlit" for these as they are, "plain" for clay alone, which shows the shape, "edges" for flat clay
-        with the triangles' edges drawn.
-        Triangles seen from behind are bluish in "plain" and "edges".
+    shading : "color" for texture or vertex colours under soft light (clay without colours), "unlit" for
+        colours without light, "plain" for clay, which shows the shape, "edges" for flat-shaded clay with
+        triangle edges. In "plain" and "edges", back faces are bluish.
 
     Returns
     -------
@@ -78,7 +81,7 @@ def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") 
 
 
 def write_png(path: Path, image: ColorImage) -> None:
-    """Write an RGB picture as PNG; a reader finds it whole or not at all.
+    """Write an RGB image as PNG, atomically.
 
     Raises
     ------
@@ -94,12 +97,13 @@ def write_png(path: Path, image: ColorImage) -> None:
 
 
 class Model:
-    """A surface made ready to be drawn from any number of viewpoints.
+    """Surface prepared for rendering from any number of viewpoints.
 
     Parameters
     ----------
     surface : of a mesh with at least one triangle.
-    normals : (n, 3) float32 of its vertices, where it is a piece of another surface; else they are its own.
+    normals : (n, 3) float32 vertex normals, for a chunk of a larger surface; computed from the mesh by
+        default.
     """
 
     def __init__(self, surface: Surface, normals: _Floats | None = None) -> None:
@@ -108,14 +112,14 @@ class Model:
         self._is_colored = has_color(surface.mesh)
 
     def showing(self, mesh: Mesh) -> Model:
-        """Return the same model with other colours: of a mesh of the same vertices and triangles."""
+        """Return the model with the colours of another mesh with the same vertices and triangles."""
         other = copy.copy(self)
         other.surface = self.surface.showing(mesh)
         other._is_colored = has_color(mesh)
         return other
 
     def draw(self, viewpoint: Viewpoint, shading: Shading = "color") -> ColorImage:
-        """Cast one ray a pixel, and more where the picture is not smooth; see `render`."""
+        """Render with one ray per pixel, and antialias where contrast is high; see `render`."""
         picture = Picture(viewpoint, shading)
         picture.add(self)
         picture.refine()
@@ -123,13 +127,22 @@ class Model:
         return picture.image()
 
     def depths(self, viewpoint: Viewpoint, places: NDArray[np.floating]) -> _Floats:
-        """Return how far ahead the surface is, metres, of places (k, 2) in a picture that show it (j,)."""
+        """Return the surface depths at image positions.
+
+        Parameters
+        ----------
+        places : (k, 2) pixel coordinates.
+
+        Returns
+        -------
+        (j,) depths in metres, only of positions that show the surface.
+        """
         u, v = np.asarray(places, np.float32).T
         seen = [hits.distances for hits in self._seen(viewpoint, _directions(viewpoint, u, v))]
         return np.concatenate(seen)
 
     def draw_on(self, canvas: Canvas, places: NDArray[np.intp] | slice = slice(None)) -> None:
-        """Draw what is nearer than what a canvas has, at some of its places."""
+        """Draw the surface on a canvas with depth test, optionally at some pixels."""
         u, v = canvas.u[places], canvas.v[places]
         numbers = np.arange(len(canvas.u))[places]
         for rows in chunks(len(u)):
@@ -143,13 +156,13 @@ class Model:
                 canvas.depths[at] = hits.distances
 
     def _seen(self, viewpoint: Viewpoint, directions: _Floats) -> Iterator[Hits]:
-        """Yield first hits; with culling, those on triangles that face the camera, as into a doll's house."""
+        """Yield the first hits of rays, with or without back-face culling."""
         origin = viewpoint.world_from_camera[:3, 3]
         hits = self.surface.cast(origin, directions)
         if not viewpoint.cull:
             yield hits
             return
-        # To go on behind what is culled takes less time than a second surface without it.
+        # Continuing the rays is faster than building a second surface without the culled triangles.
         for _ in range(_MAX_CULLED):
             behind = _dot(hits.normals, directions[hits.rays]) > 0
             yield hits[~behind]
@@ -175,12 +188,12 @@ class Model:
             colors = color_at(mesh, hits.triangles, hits.weights)
             if shading == "unlit":
                 return np.asarray(colors, np.float32)
-            # Scanned colours hold the room's light already; more than a hint of our own would count it twice.
+            # Scanned colours already contain the room's light, so only a little shading is added.
             return np.asarray(colors * (0.84 + 0.12 * light + 0.12 * head)[:, None], np.float32)
         tint = np.where(behind[:, None], _CLAY_BEHIND, _CLAY)
         clay = np.asarray(tint * (0.44 + 0.48 * light + 0.26 * head)[:, None], np.float32)
         if shading == "edges":
-            # From the viewer, so that float32 resolves them.
+            # Relative to the camera, so that float32 is precise enough.
             origin = viewpoint.world_from_camera[:3, 3]
             around = [np.asarray(mesh.vertices[i] - origin, np.float32) for i in corners.T]
             line = _line(around, hits, viewpoint)[:, None]
@@ -189,13 +202,14 @@ class Model:
 
 
 class Canvas:
-    """What is seen at places of a picture; of all that is drawn on it, the nearest stays.
+    """Colour and depth buffer for a set of image positions.
 
     Attributes
     ----------
-    u, v : (k,) float32, pixels.
+    viewpoint, shading : parameters of the image.
+    u, v : (k,) float32, pixel coordinates.
     levels : (k, 3) float32, 0 to 255.
-    depths : (k,) float32, metres ahead; infinite where there is the background.
+    depths : (k,) float32, metres; infinite for the background.
     """
 
     def __init__(self, viewpoint: Viewpoint, shading: Shading, u: _Floats, v: _Floats) -> None:
@@ -206,7 +220,10 @@ class Canvas:
 
 
 class Picture:
-    """A picture of one model, or of several together: all are added, and once more after `refine`."""
+    """Image of one or more models.
+
+    All models are added once, then once more after `refine`, which adds rays for antialiasing.
+    """
 
     def __init__(self, viewpoint: Viewpoint, shading: Shading = "color") -> None:
         self.viewpoint = viewpoint
@@ -216,7 +233,7 @@ class Picture:
         self._finer: list[Canvas] = []
 
     def add(self, model: Model, box: Floats | None = None) -> None:
-        """Draw a model that is within a box (2, 3), metres, if that is known."""
+        """Draw a model, optionally limited to its bounding box (2, 3), metres."""
         for canvas in self._finer or [self._pixels]:
             if box is None:
                 model.draw_on(canvas)
@@ -224,18 +241,18 @@ class Picture:
                 model.draw_on(canvas, _within(canvas, box))
 
     def refine(self) -> None:
-        """Go on to more rays where the picture is not smooth."""
+        """Start the antialiasing pass at pixels with high contrast."""
         import cv2
 
         contrast = cv2.morphologyEx(self._image(), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
         is_rough = np.logical_or.reduce([channel > _CONTRAST for channel in cv2.split(contrast)])
-        self._rough = np.flatnonzero(is_rough)  # outlines and fine patterns
+        self._rough = np.flatnonzero(is_rough)  # silhouettes and fine patterns
         of = self._pixels
         u, v = of.u[self._rough], of.v[self._rough]
         self._finer = [Canvas(of.viewpoint, of.shading, u + du, v + dv) for du, dv in _OFFSETS]
 
     def image(self) -> ColorImage:
-        """Return the picture (h, w, 3)."""
+        """Return the image (h, w, 3) uint8, averaged over all rays."""
         levels = self._pixels.levels
         finer = levels[self._rough]
         for canvas in self._finer:
@@ -248,21 +265,26 @@ class Picture:
 
 
 def sees(viewpoint: Viewpoint, box: Floats) -> bool:
-    """Return whether any of a box (2, 3) may be in a picture."""
+    """Return True if a box (2, 3) may be visible from a viewpoint."""
     u, v = _rectangle(viewpoint, box)
     camera = viewpoint.camera
     return u[0] <= camera.width and u[1] >= -1 and v[0] <= camera.height and v[1] >= -1
 
 
 def _within(canvas: Canvas, box: Floats) -> NDArray[np.intp]:
-    """Return the places of a canvas (j,) that may show something of a box (2, 3)."""
+    """Return the canvas positions (j,) that may show a box (2, 3)."""
     u, v = _rectangle(canvas.viewpoint, box)
     inside = (canvas.u >= u[0]) & (canvas.u <= u[1]) & (canvas.v >= v[0]) & (canvas.v <= v[1])
     return np.flatnonzero(inside)
 
 
 def _rectangle(viewpoint: Viewpoint, box: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return where in a picture a box (2, 3) is, from and to along u and v."""
+    """Return the image rectangle of a box (2, 3), pixels.
+
+    Returns
+    -------
+    Minimum and maximum of u, and of v.
+    """
     corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
     pose, camera = viewpoint.world_from_camera, viewpoint.camera
     x, y, z = ((corners - pose[:3, 3]) @ pose[:3, :3]).T
@@ -272,12 +294,12 @@ def _rectangle(viewpoint: Viewpoint, box: Floats) -> tuple[tuple[float, float], 
     if z.min() <= _AHEAD * z.max():
         return everywhere, everywhere
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    # For rounding.
+    # One pixel of margin for rounding errors.
     return (float(u.min()) - 1, float(u.max()) + 1), (float(v.min()) - 1, float(v.max()) + 1)
 
 
 def _directions(viewpoint: Viewpoint, u: _Floats, v: _Floats) -> _Floats:
-    """Return rays through image positions, in the world, as long as 1 m of depth."""
+    """Return ray directions in the world through image positions, with unit depth."""
     camera = viewpoint.camera
     x_axis, y_axis, z_axis = viewpoint.world_from_camera[:3, :3].T.astype(np.float32)
     x = ((u - np.float32(camera.cx)) / np.float32(camera.fx))[:, None]
@@ -286,21 +308,26 @@ def _directions(viewpoint: Viewpoint, u: _Floats, v: _Floats) -> _Floats:
 
 
 def _line(corners: list[_Floats], hits: Hits, viewpoint: Viewpoint) -> _Floats:
-    """Return how much of an edge's colour is seen, 0 to 1, at points in triangles of three (k, 3) corners."""
+    """Compute the opacity of triangle edges at hits, 0 to 1.
+
+    Parameters
+    ----------
+    corners : three arrays (k, 3), corners of the hit triangles.
+    """
     a, b, c = corners
     ab, bc, ca = b - a, c - b, a - c
     pixel = hits.distances / np.float32(viewpoint.camera.fx)
     doubled_area = _dot(hits.normals, np.cross(ca, ab)) / pixel
-    # Height over the edge opposite each corner: a weight times it is the distance from that edge.
+    # Triangle heights in pixels; times a barycentric weight, they are distances from the opposite edge.
     heights = [doubled_area / np.maximum(np.sqrt(_dot(side, side)), _TINY) for side in (bc, ca, ab)]
     distances = [hits.weights[:, i] * heights[i] for i in range(3)]
     line = (np.float32(1.2) - np.minimum.reduce(distances)).clip(0, 1)
-    # Triangles of few pixels would drown in their own edges.
+    # Fade edges of triangles that are only a few pixels high, which would otherwise become dark.
     return np.asarray(line * 0.75 * ((np.minimum.reduce(heights) - 1) / 6).clip(0.08, 1), np.float32)
 
 
 def _blended(values: _Floats, corners: NDArray[np.int32], weights: _Floats) -> _Floats:
-    """Return vertex values (n, d) interpolated at points in triangles with vertices (k, 3)."""
+    """Interpolate vertex values (n, d) at points in triangles with vertices (k, 3)."""
     blended: _Floats = values.take(corners[:, 0], axis=0) * weights[:, :1]
     for i in (1, 2):
         blended += values.take(corners[:, i], axis=0) * weights[:, i : i + 1]

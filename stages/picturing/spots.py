@@ -1,4 +1,4 @@
-"""Clouds of points as small triangles, so that they are drawn as surfaces are."""
+"""Point splats: point clouds as small triangles for the mesh renderer."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import numpy as np
 from scanloom.stages.surface.cloud import some_of
 from scanloom.stages.surface.mesh import Mesh
 
-# From a spot's centre to its corners, in distances to the nearest neighbour: large enough to close the gaps
-# between points that are spread at random.
+# Circumradius of a splat in distances to the nearest neighbour: closes the gaps between random points.
 _REACH = 2.0
-# Corners around a centre.
+# Angles of the corners around the centre, radians.
 _CORNERS = np.radians((90.0, 210.0, 330.0))
 _SPACING_AT = 20_000
 
 
 def spots(cloud: Mesh, most: int) -> Mesh:
-    """Return a triangle for each of at most so many points of a cloud, of its colour, facing as it does."""
+    """Convert a point cloud to one triangle per point, for at most `most` points.
+
+    Each triangle has the colour of its point and faces along its normal.
+    """
     from scipy.spatial import cKDTree
 
     chosen = some_of(cloud, most)
@@ -24,7 +26,7 @@ def spots(cloud: Mesh, most: int) -> Mesh:
     assert normals is not None
     near = cKDTree(points, balanced_tree=False).query(points[:: 1 + len(points) // _SPACING_AT], 2)[0][:, 1]
     reach = _REACH * float(np.median(near[near > 0])) if near.any() else 0.0
-    # Two directions square to each normal, from the axis that it is farthest from.
+    # Two tangents of each normal, starting from the axis that is most perpendicular to it.
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
     across = np.cross(normals, axis)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(np.float64).tiny)

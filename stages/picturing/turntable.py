@@ -1,4 +1,4 @@
-"""Viewpoints around a mesh, as if it stood on a turntable."""
+"""Viewpoints on a circle around a mesh, as on a turntable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.raycasting import is_used
 from scanloom.stages.surface.topology import require_area
 
-# As many points tell how far away the eye has to be.
+# Maximum vertices used to determine the distance of the eye.
 _ENOUGH = 5_000
 _FIELD = 40.0
 
@@ -27,15 +27,22 @@ def turntable(
     elevation: float = 25.0,
     cull: bool = False,
 ) -> tuple[Viewpoint, ...]:
-    """Return viewpoints once around a mesh, all as far away as it takes to see it from everywhere.
+    """Choose viewpoints in one circle around a mesh, all at the same distance.
+
+    The distance is the smallest at which the mesh fits into every image.
 
     Parameters
     ----------
-    count : of viewpoints, 1 or more, in even steps; the last comes just before the first.
-    width, height : of the pictures, pixels; 4:3 by default.
-    up : (3,) what it turns around; by default what the mesh says is up, else y, as in glTF.
+    mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles), in metres.
+    count : number of viewpoints, 1 or more, at equal angles.
+    width, height : image size, pixels; 4:3 by default.
+    up : (3,) rotation axis; by default the mesh's up direction, else y, as in glTF.
     elevation : of the eye, degrees above -90 and below 90.
-    cull : leave out triangles seen from behind.
+    cull : hide back faces.
+
+    Returns
+    -------
+    Viewpoints in the order of rotation.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Videos of pictures, by the encoders that OpenCV brings."""
+"""Video files of rendered images, encoded by OpenCV."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from scanloom.stages.files.replacing import replacing
 from scanloom.stages.picturing.codes import RENDER_ENCODER_MISSING
 from scanloom.stages.scans.model.scan import ColorImage
 
-# How a file says what it is encoded by. MPEG-4 is known to players and presentations, VP9 to browsers.
+# FourCC of each codec. Media players and presentations support MPEG-4, browsers support VP9.
 CODECS = {"mpeg4": "mp4v", "vp9": "vp09"}
 
 
 def write_video(path: Path, images: Iterable[ColorImage], fps: float, codec: str = "mpeg4") -> None:
-    """Write pictures as a video, whole or not at all.
+    """Write images as a video, atomically.
 
     Parameters
     ----------
     path : an .mp4 file.
-    images : (h, w, 3) uint8 RGB, all of one size, of even width and height.
-    fps : pictures a second.
-    codec : of CODECS.
+    images : (h, w, 3) uint8 RGB, all of the same size, with even width and height.
+    fps : frames per second.
+    codec : key of CODECS.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def write_video(path: Path, images: Iterable[ColorImage], fps: float, codec: str
 
     tag = cv2.VideoWriter.fourcc(*CODECS[codec])
     writer = cv2.VideoWriter()
-    # The writer knows the kind of a file by its name, which a draft has not.
+    # OpenCV derives the container from the file name, so the draft needs the suffix .mp4.
     with replacing(path) as part, tempfile.TemporaryDirectory(prefix=".scanloom-", dir=part.parent) as folder:
         draft = Path(folder) / "video.mp4"
         for image in images:
@@ -44,8 +44,8 @@ def write_video(path: Path, images: Iterable[ColorImage], fps: float, codec: str
             if not writer.isOpened() and not writer.open(str(draft), cv2.CAP_FFMPEG, tag, fps, size):
                 raise StageError(
                     RENDER_ENCODER_MISSING,
-                    "OpenCV has no encoder for {codec} here",
-                    remedy="write pictures (.png).",
+                    "this build of OpenCV has no encoder for {codec}",
+                    remedy="choose another codec, or write images (.png).",
                     where=path,
                     codec=codec,
                 )

@@ -1,4 +1,4 @@
-"""From where to look at a mesh, so that the same viewpoints serve every stage of a scan."""
+"""Viewpoints for rendering a mesh, comparable over all stages of a scan."""
 
 from __future__ import annotations
 
@@ -19,33 +19,34 @@ from scanloom.stages.surface.raycasting import Floats, is_used
 from scanloom.stages.surface.topology import require_measurable
 from scanloom.stages.surface.upright import turn_along_y, up_of_held
 
-# Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
+# Quantile of the points on each side of each axis that framing ignores: stray components must not shrink the
+# rest.
 _STRAY = 0.001
-# Framing thins out more vertices than this.
+# Maximum points used for framing; more are subsampled.
 ENOUGH = 100_000
 _ELEVATION = math.radians(30)
 _FIRST_AZIMUTH = math.radians(-35)
-# Of the picture's width, if it is 4:3 or wider.
+# Horizontal field of view, for images with an aspect ratio of 4:3 or more.
 _FIELD_OF_VIEW = math.radians(40)
-# Of the picture, what is framed fills this share.
+# Ratio of the image's width or height that framed points fill.
 FILLED = 0.92
-# Up in glTF.
+# Up axis of glTF.
 _Y = np.array((0.0, 1.0, 0.0))
-# The sine of an angle below which two directions are one.
+# Sine of the angle below which two directions count as parallel.
 _PARALLEL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """A camera that draws.
+    """Camera for rendering.
 
     Attributes
     ----------
     name : for file names and captions.
-    camera : size of the picture and pinhole intrinsics; distortion is not drawn.
+    camera : image size and pinhole intrinsics; distortion is not rendered.
     world_from_camera : (4, 4) float64, metres, OpenCV axes.
-    cull : leave out triangles seen from behind, so that one looks into a room from outside.
-    focus : how far ahead what it is about is, metres; None if that is not known.
+    cull : hide back faces, so that the interior of a room is visible from outside.
+    focus : depth of the point of interest, metres; None if unknown.
     """
 
     name: str
@@ -68,19 +69,20 @@ def viewpoints(
 ) -> tuple[Viewpoint, ...]:
     """Choose viewpoints that show a mesh well.
 
-    With the frames of a scan: an overview from behind and above the cameras, without the triangles that
-    face away, and `count` - 1 camera poses spread evenly over the scan, which show the scene as the sensor
-    saw it, from inside a room too. The frames' own x and y axes tell what is up.
-    Without frames: `count` viewpoints around the mesh from 30° above.
+    With the frames of a scan, the first viewpoint is an overview from behind and above the cameras, without
+    back faces. The other `count` - 1 viewpoints are camera poses at regular intervals of the scan, which show
+    the scene as the sensor saw it. The up direction is estimated from the frames' x and y axes.
+
+    Without frames, `count` viewpoints are placed around the mesh at 30° elevation.
 
     Parameters
     ----------
-    mesh : what the viewpoints are fitted to; use one mesh for all stages to make pictures comparable.
+    mesh : mesh to frame; use the same mesh for all stages to make images comparable.
     count : number of viewpoints, 1 or more.
-    frames : of the scan; those without a pose are ignored.
-    width : of the pictures, pixels.
-    height : of the pictures; by default they are 4:3. Those of frames have the shape of their camera.
-    up : (3,) what is up without frames; by default what the mesh says, else y, as in glTF.
+    frames : frames of the scan; frames without a pose are ignored.
+    width : image width, pixels.
+    height : image height, pixels; 4:3 by default. Viewpoints of frames keep the aspect ratio of their camera.
+    up : (3,) up direction without frames; by default the mesh's up direction, else y, as in glTF.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def viewpoints(
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
-        raise InputError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles; there is nothing to look at.")
+        raise InputError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles; there is nothing to show.")
     points = mesh.vertices[is_used(mesh)]
     points = points[:: 1 + len(points) // ENOUGH]
     upward = up_or_own(mesh, up)
@@ -106,7 +108,7 @@ def viewpoints_around(
     height: int | None = None,
     upward: Floats = _Y,
 ) -> tuple[Viewpoint, ...]:
-    """Choose viewpoints that show some points (k, 3), metres, as `viewpoints` does."""
+    """Choose viewpoints that show given points (k, 3), metres, as `viewpoints` does."""
     posed = [frame for frame in frames if frame.world_from_camera is not None]
     if not posed:
         headings = [
@@ -138,10 +140,13 @@ def _as_seen(frame: Frame, width: int) -> Viewpoint:
 
 
 def _downward(poses: Floats, up: Floats) -> Floats:
-    """Return the overview's direction: the cameras' mean heading, tilted down by at least the elevation."""
+    """Return the viewing direction of the overview.
+
+    It is the cameras' mean heading, tilted down by at least `_ELEVATION`.
+    """
     forward = poses[:, :3, 2].mean(axis=0)
     heading = forward - (forward @ up) * up
-    if np.linalg.norm(heading) < 0.2:  # they look all around, or straight down: any heading is as good
+    if np.linalg.norm(heading) < 0.2:  # cameras look in all directions or straight down: use the first camera
         heading = poses[0, :3, 1] - (poses[0, :3, 1] @ up) * up
         heading = heading if np.linalg.norm(heading) > 0.2 else poses[0, :3, 2]
     heading = heading / np.linalg.norm(heading)
@@ -150,14 +155,14 @@ def _downward(poses: Floats, up: Floats) -> Floats:
 
 
 def up_or_own(mesh: Mesh, up: Sequence[float] | None) -> Floats:
-    """Return a direction (3,) of length 1: what is up by a person's word, by the mesh's, else y."""
+    """Return the unit up direction (3,): `up` if given, else the mesh's, else y."""
     known = up if up is not None else mesh.up if mesh.up is not None else _Y
     direction = np.asarray(known, np.float64)
     return np.asarray(direction / np.linalg.norm(direction))
 
 
 def around(up: Floats, azimuth: float, elevation: float) -> Floats:
-    """Return a direction that looks down at the scene, by its azimuth around what is up and from how high."""
+    """Return the viewing direction (3,) for an azimuth and elevation around the up axis, radians."""
     level = turn_along_y(up).T @ np.array((math.sin(azimuth), 0.0, -math.cos(azimuth)))
     return np.asarray(math.cos(elevation) * level - math.sin(elevation) * up)
 
@@ -173,30 +178,32 @@ def looking_at(
     cull: bool = False,
     name: str = "free",
 ) -> Viewpoint:
-    """Return the viewpoint of an eye that looks at a point in the middle of the picture.
+    """Create a viewpoint that looks at a target point.
 
     Parameters
     ----------
-    eye, look, up : (3,) metres, metres, and what is up in the picture, as far as the view allows.
-    width, height : of the picture, pixels.
-    field : the angle the picture's height spans, degrees, above 0 and below 180.
-    cull, name : of the viewpoint.
+    eye, look, up : (3,) camera centre and target, metres, and direction that is up in the image.
+    width, height : image size, pixels.
+    field : vertical field of view, degrees, above 0 and below 180.
+    cull, name : see Viewpoint.
 
     Raises
     ------
     UsageError
-        If these make no view.
+        If the values do not define a view.
     """
     places = np.array([eye, look, up], np.float64)
     if places.shape != (3, 3) or not np.isfinite(places).all():
-        raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up are three finite numbers each.")
+        raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up must be three finite numbers each.")
     way = places[1] - places[0]
     if not way.any():
         raise UsageError(
-            USAGE_ARGUMENT_INVALID, "the eye looks at where it is", remedy="give it another point to look at."
+            USAGE_ARGUMENT_INVALID,
+            "eye and look are the same point",
+            remedy="choose another point to look at.",
         )
     if not 0 < field < 180:
-        raise UsageError(USAGE_ARGUMENT_INVALID, "the field of a view is above 0° and below 180°.")
+        raise UsageError(USAGE_ARGUMENT_INVALID, "the field of view must be above 0° and below 180°.")
     focal = 0.5 * height / math.tan(math.radians(0.5 * field))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = _rotation(way / np.linalg.norm(way), places[2]), places[0]
@@ -205,14 +212,17 @@ def looking_at(
 
 
 def framed(points: Floats) -> Floats:
-    """Return the points that a picture has to hold: all but a few strays on each side of each axis."""
+    """Return the points that an image must contain: all but the outermost on each axis."""
     low, high = np.quantile(points, [_STRAY, 1 - _STRAY], axis=0)
     kept = points[((points >= low) & (points <= high)).all(axis=1)]
     return kept if len(kept) else points
 
 
 def _rotation(forward: Floats, up: Floats) -> Floats:
-    """Return OpenCV axes (3, 3) of a camera as columns; where it looks up or down, any way is the right."""
+    """Compute the axes (3, 3) of an OpenCV camera as columns.
+
+    The right axis is arbitrary if the camera looks along the up direction.
+    """
     right = np.cross(forward, up)
     if np.linalg.norm(right) < _PARALLEL * np.linalg.norm(up):
         right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
@@ -230,7 +240,7 @@ def _looking(
     *,
     cull: bool = False,
 ) -> Viewpoint:
-    """Look along `forward` from so far back that the points just fill the picture."""
+    """Create a viewpoint along `forward` that is filled by the points."""
     height = height or round(width * 3 / 4)
     rotation = _rotation(forward, up)
     seen = framed(points @ rotation)

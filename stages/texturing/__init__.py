@@ -1,1 +1,1 @@
-"""A texture for a mesh: baked from the colours of another one, and the atlas it is laid out in."""
+"""Texturing of meshes: baking from another mesh, texturing from photos, and atlas layout."""

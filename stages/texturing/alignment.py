@@ -1,11 +1,12 @@
-"""Small shifts of photos that bring them where the others say they are.
+"""Small image-space shifts that align photos with the current texture.
 
-Poses, shape and lens are never quite right, so a point is seen a pixel or two beside where it should be, in
-every photo elsewhere, and their mean is blurred. The mesh with the texture so far is drawn from each camera;
-optical flow (Kroeger, Timofte, Dai and Van Gool 2016, "Fast optical flow using dense inverse search") from it
-to the photo, smoothed where there is little to see, says by how much. This is the idea of Zhou and Koltun
-2014, "Color map optimization for 3D reconstruction with consumer depth cameras", section 5, with the grid of
-shifts found directly.
+Errors of poses, shape and lens displace a point by a pixel or two, differently in every photo. The mean of
+such photos is blurred. The textured mesh is therefore rendered from each camera. Optical flow from the
+rendering to the photo gives the shift of each pixel (Kroeger, Timofte, Dai and Van Gool 2016, "Fast optical
+flow using dense inverse search"). The flow is smoothed and pulled to 0 where the image has little detail.
+
+The idea is from Zhou and Koltun 2014, "Color map optimization for 3D reconstruction with consumer depth
+cameras", section 5. Here the grid of shifts is measured directly instead of optimised.
 """
 
 from __future__ import annotations
@@ -16,39 +17,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Of thousands of photos they take hundreds of megabytes; a hundredth of a pixel is enough.
+# float16, with a resolution of 1/100 pixel: the grids of thousands of photos take hundreds of megabytes.
 Shifts = NDArray[np.float16]
 
-# Of a photo's width: largest shift, spread of the smoothing, and of a cell of the grid.
+# Ratios of a photo's width: maximum shift (`_MOST`), standard deviation of the smoothing (`_SMOOTH`). Number
+# of grid cells along the width (`_CELLS`).
 _MOST = 6 / 640
 _SMOOTH = 10 / 640
 _CELLS = 80
-# It is smoothed in images that are smaller by this.
+# Downscaling factor of the images in which the flow is smoothed: saves time, and smooth fields lose nothing.
 _SHARE = 4
-# How often the flow of each patch is bettered. Twice as often takes half as long again, and smoothed as it is
-# here, photos that were left out are met no better; other savings find shifts where there are none.
+# Gradient descent iterations of the flow per patch. Twice as many take 1.5 times as long and do not reduce
+# the error on held-out photos after smoothing. Other ways to save time produce spurious shifts.
 _STEPS = 12
-# What holds shifts to 0 where there is little to see: squared levels a pixel.
+# Weight of the prior that pulls shifts to 0 where the image has little detail, in squared levels per pixel.
 _PRIOR = 20.0
-# Differences of levels, after the shift, beyond which a pixel shows something else.
+# Maximum difference after the shift, in levels. Pixels that differ by more show another surface.
 _ELSE = 25.0
 
 
 def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8]) -> Shifts:
-    """Return by how much a photo is off what is drawn, (rows, columns, 2) pixels at the corners of a grid.
+    """Estimate the shifts from a rendering to a photo on a grid.
 
     Parameters
     ----------
-    drawn : (h, w, 3) uint8, the textured mesh from the photo's camera.
-    shown : (h, w), where it shows the mesh.
+    drawn : (h, w, 3) uint8, the textured mesh rendered from the photo's camera.
+    shown : (h, w) bool, pixels of `drawn` that the mesh covers.
     photo : (h, w, 3) uint8.
+
+    Returns
+    -------
+    (rows, columns, 2) float16, x and y in pixels from the rendering to the photo, at the corners of grid
+    cells.
     """
     import cv2
 
     height, width = shown.shape
     there, after = (np.asarray(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY), np.uint8) for one in (drawn, photo))
     before = np.where(shown, there, after)
-    # A plane for each axis: NumPy is slow over a last axis of two.
+    # One plane per axis: NumPy is slow over a last axis of length two.
     flow = cv2.split(_flow(before, after))
     rest = cv2.absdiff(_moved(after, flow), before)
     smooth = cv2.GaussianBlur(before.astype(np.float32), (0, 0), 1.0)
@@ -66,7 +73,7 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
     mean = cv2.merge([smoothed(weight * one) / total for one in flow])
     columns = _CELLS + 1
     rows = max(round(_CELLS * height / width), 1) + 1
-    # The corners of the grid lie in the corners of the photo, in the middle of its pixels.
+    # The outermost grid corners are at the centres of the photo's corner pixels.
     across, down = (
         ((np.linspace(0, of - 1, cells) + 0.5) * (smaller / of) - 0.5).astype(np.float32)
         for of, smaller, cells in ((width, size[0], columns), (height, size[1], rows))
@@ -79,9 +86,19 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
 def no_larger(
     drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8], most: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.uint8]]:
-    """Return what is drawn, where it shows the mesh, and the photo, of no more than so many pixels.
+    """Downscale a rendering, its mask and a photo to at most `most` pixels.
 
-    A pixel shows the mesh where all that it is a mean of does.
+    A pixel of the new mask is set only if the mesh covers all pixels averaged into it.
+
+    Parameters
+    ----------
+    drawn, photo : (h, w, 3) uint8.
+    shown : (h, w) bool, pixels of `drawn` that the mesh covers.
+    most : maximum number of pixels, width × height.
+
+    Returns
+    -------
+    The rendering, the mask and the photo; the inputs themselves if they are small enough.
     """
     import cv2
 
@@ -97,19 +114,19 @@ def no_larger(
 
 
 def shifted(photo: NDArray[np.uint8], shifts: Shifts) -> NDArray[np.uint8]:
-    """Return a photo (h, w, 3) as it is where the texture says that it is."""
+    """Align a photo (h, w, 3) with the texture by its shifts."""
     import cv2
 
     height, width = photo.shape[:2]
     rows, columns = shifts.shape[:2]
-    # The corners of the grid are in the corners of the photo.
+    # The outermost grid corners are at the centres of the photo's corner pixels.
     x = np.broadcast_to(np.linspace(0, columns - 1, width, dtype=np.float32), (height, width))
     y = np.broadcast_to(np.linspace(0, rows - 1, height, dtype=np.float32)[:, None], (height, width))
     return _moved(photo, cv2.split(cv2.remap(shifts.astype(np.float32), x, y, cv2.INTER_LINEAR)))
 
 
 def _moved(image: NDArray[np.uint8], by: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
-    """Return an image (h, w[, 3]) of what lies so many pixels to the right and down of each pixel."""
+    """Resample an image (h, w[, 3]) at positions displaced by (x, y) offsets in pixels."""
     import cv2
 
     height, width = image.shape[:2]

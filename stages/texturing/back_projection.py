@@ -1,11 +1,12 @@
-"""What photos show that the texture lacks: details that a mean of many photos loses.
+"""Detail recovery by back-projection of the residual between photos and texture.
 
-A texel is a mean of photos, each of which is a mean over its pixels: what is as small as a pixel gets blurred
-twice. The mesh with the texture is drawn from each camera, what the photo shows beyond that is added to the
-photo, and the texture is painted again from these: the iterative back-projection of Irani and Peleg 1991,
-"Improving resolution by image registration", here with a surface between the images as of Goldlücke and
-Cremers 2009, "Superresolution texture maps for multiview reconstruction". It helps where photos are where
-they should be to a fraction of a pixel. Where they are not, what they show beyond it says nothing.
+A texel is a mean of photos, and each photo is a mean over its pixels, so pixel-sized details are blurred
+twice. The textured mesh is rendered from each camera, and the residual of the photo is added to the photo.
+The texture is then painted again from these sharpened photos.
+
+This is iterative back-projection (Irani and Peleg 1991, "Improving resolution by image registration") with a
+surface between the images (Goldlücke and Cremers 2009, "Superresolution texture maps for multiview
+reconstruction"). It needs photos that are aligned to a fraction of a pixel; otherwise the residual is noise.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Of a photo's width: how near to where the mesh ends nothing is believed, and the spread of what is smoothed.
+# Ratios of a photo's width: margin along the mesh's silhouette where residuals are ignored (`_MARGIN`), and
+# standard deviation of the smoothing (`_SMOOTH`).
 _MARGIN, _SMOOTH = 0.01, 0.01
-# Levels that photo and texture differ by when smoothed, beyond which the photo shows something else. Details
-# differ by more, but to both sides.
+# Smoothed difference between photo and texture, in levels, beyond which the photo shows another surface.
+# Details may differ by more, but they cancel in the smoothed image.
 _ELSE = 15.0
-# Smoothed differences are worked out in images that are smaller by this.
+# Downscaling factor of the images in which differences are smoothed: saves time.
 _SHARE = 4
 
 
@@ -30,19 +32,25 @@ def with_lacking(
     drawn: NDArray[np.uint8],
     shown: NDArray[np.bool_],
 ) -> NDArray[np.uint8]:
-    """Return an image with the levels that a texture lacks of a photo, where both show the same.
+    """Add the residual between a photo and a rendering to an image.
+
+    The residual is faded out where photo and texture show different surfaces.
 
     Parameters
     ----------
-    image : (h, w, 3) uint8, the photo, or the photo with what other textures lack.
+    image : (h, w, 3) uint8, the photo, or the photo with the residuals of earlier passes.
     photo : (h, w, 3) uint8.
-    drawn : (h, w, 3) uint8, the textured mesh from the photo's camera.
-    shown : (h, w), where it shows the mesh.
+    drawn : (h, w, 3) uint8, the textured mesh rendered from the photo's camera.
+    shown : (h, w) bool, pixels of `drawn` that the mesh covers.
+
+    Returns
+    -------
+    (h, w, 3) uint8.
     """
     import cv2
 
     weight = _agreeing(photo, drawn, shown)
-    # A channel at a time, for large photos.
+    # One channel at a time: a large photo in 16 bits would take much memory.
     planes = [
         cv2.add(
             cv2.extractChannel(image, k),
@@ -62,7 +70,7 @@ def with_lacking(
 def _agreeing(
     photo: NDArray[np.uint8], drawn: NDArray[np.uint8], shown: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Return how far a photo shows what the texture shows, (h, w) 0 to 255."""
+    """Compute the agreement of a photo and a rendering, (h, w) uint8."""
     import cv2
 
     height, width = shown.shape

@@ -1,9 +1,9 @@
-"""Baking: a light mesh gets a texture that holds the colours of the original surface.
+"""Bake the colours of an original surface onto its simplified mesh.
 
-Every texel is taken to its place on the light mesh, from there to the nearest point of the original that
-faces the same way, and gets the colour there (Cignoni, Montani, Rocchini and Scopigno 1998, "A general method
-for preserving attribute values on simplified meshes"). What is between the charts is filled from them, so
-that neither bilinear sampling nor smaller copies of the image (mip levels) bring in a colour from elsewhere.
+Each texel is mapped to its point on the simplified mesh. The texel takes the colour of the nearest point of
+the original that faces the same way (Cignoni, Montani, Rocchini and Scopigno 1998, "A general method for
+preserving attribute values on simplified meshes"). Gaps between charts are filled with colours of the charts
+around them, so bilinear sampling and mip levels do not bleed foreign colours.
 """
 
 from __future__ import annotations
@@ -46,61 +46,61 @@ if TYPE_CHECKING:
 RESULT_VERSION = 7
 
 _MIN_SIZE = 64
-# Of the images, that charts fill.
+# Typical ratio of an image that charts fill; converts `max_texels` to texels of surface.
 _FILLED = 0.5
-# An image has room for charts beside so many times the padding.
+# Minimum side of an image in multiples of the padding; smaller images have no space for a chart.
 _SIDES_OF_PADDING = 4
 _MOST_SAMPLES = 4
-# Of all texels, by default: an image whose details are too fine for a few samples is averaged before, which
-# takes far less time and shows the same.
+# Default limit of samples in all texels together. Finer source images are averaged before sampling instead,
+# which is much faster and gives the same result.
 _ALL_SAMPLES = 16e6
-# An image that is finer by no more than this factor is shown as it is.
+# Source images up to this factor finer than the target are sampled as they are.
 _ALIKE = 1.25
-# A light mesh of more than this many times the original's area shows something else: it gets no more texels
-# for being large.
+# Maximum area of the simplified mesh relative to the original. A larger mesh is of another surface, and its
+# area does not increase the number of texels.
 _MOST_AREA = 4
 _COMPARED = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class BakeParams:
-    """How finely the colours of the original are kept, and in how large an image."""
+    """Parameters of baking: texel size, image size and sampling."""
 
     texel_size: float | None = param(
         None,
-        "Size of a texel on the surface, at most; the image is the smallest that has room for it, and is "
-        "filled. Default: 0.4 of the original's mean edge, or the size of its own texels.",
+        "Maximum size of a texel on the surface; the smallest sufficient image is used and filled. Default: "
+        "0.4 of the original's mean edge length, or the size of its own texels.",
         unit="m",
         low=0,
         low_open=True,
     )
     max_size: int = param(
         4096,
-        "Largest side of an image: a power of two. There are as many images as are needed.",
+        "Longest side of an image; a power of two. Several images are written if one is not enough.",
         unit="texels",
         low=_MIN_SIZE,
         high=8192,
     )
     max_texels: float = param(
         16.0,
-        "Texels of all images together, about; where more were needed, texels are larger.",
+        "Approximate limit of all images together; texels get larger if more would be needed.",
         unit="million texels",
         low=0.01,
         high=1000,
     )
     padding: int | None = param(
         None,
-        "Texels around each chart that show its colours; between two charts there are twice as many. With 8 "
-        "the image can be halved twice and no colour gets from one chart into another; at most a quarter of "
-        "max_size. Default: 1/256 of the side, or 2 where that leaves no room.",
+        "Texels around each chart that continue its colours; the gap between two charts is twice as wide. "
+        "8 texels keep two mip levels free of colour bleeding. At most a quarter of max_size. Default: 1/256 "
+        "of the side, or 2 if that takes too much space.",
         unit="texels",
         low=1,
         high=128,
     )
     samples: int | None = param(
         None,
-        "Samples along each side of a texel, whose mean it gets. Default: enough to meet all detail of the "
-        "original, 1 to 4.",
+        "Samples along each side of a texel, which are averaged. Default: 1 to 4, enough to capture all "
+        "detail of the original.",
         low=1,
         high=8,
     )
@@ -117,7 +117,7 @@ class BakeParams:
         if _SIDES_OF_PADDING * (self.padding or 0) > self.max_size:
             raise UsageError(
                 TEXTURE_ATLAS_TOO_SMALL,
-                "is {padding} texels; an image of {max_size} has no room beside it.",
+                "is {padding} texels; it must be at most a quarter of max_size ({max_size} texels).",
                 Where(parameter="padding"),
                 padding=self.padding,
                 max_size=self.max_size,
@@ -126,25 +126,26 @@ class BakeParams:
 
 @dataclass(frozen=True, eq=False)
 class Baked:
-    """A textured mesh and how well it shows its original.
+    """Textured mesh and its deviation from the original.
 
     Attributes
     ----------
-    mesh : the light mesh with texture images, without vertex colours.
+    mesh : the simplified mesh with texture images, without vertex colours.
     sizes : (width, height) of each image, texels.
-    texel_size : metres, of a texel on the surface, in the mean.
-    coverage : share of the images that shows the surface.
-    charts : pieces the surface is cut into.
-    padding : texels around each chart that show its colours, at least.
-    samples : along each side of a texel.
-    turned : share of the samples whose nearest point faced away, and that took another one.
-    color : difference from the original's colours, sampled on the original.
-    vertex_color : the same for the light mesh's vertex colours; None if it has none.
-    image_bytes, source_image_bytes : of all new images, and of those they replace, as files; None where there
-        were none.
-    resolution_scale : of a side of an image, below 1 where it was made smaller to have no more bytes.
-    quality : of JPEG or WebP, the lowest of all images; None for PNG.
-    diagnostics : what baking left out.
+    texel_size : mean size of a texel on the surface, metres.
+    coverage : ratio of the images that shows the surface.
+    charts : number of charts.
+    padding : minimum number of texels around each chart that continue its colours.
+    samples : samples along each side of a texel.
+    turned : ratio of samples whose nearest point faced away and was replaced by a point that faces the same
+        way.
+    color : colour difference from the original, sampled on the original.
+    vertex_color : the same for the vertex colours of the simplified mesh; None without vertex colours.
+    image_bytes, source_image_bytes : file sizes of the new images, and of the images they replace; None if no
+        image was replaced.
+    resolution_scale : scale of an image side; below 1 if images were reduced to fit into the byte limit.
+    quality : lowest JPEG or WebP quality of all images; None for PNG.
+    diagnostics : warnings, such as attributes that baking drops.
     """
 
     mesh: Mesh
@@ -168,12 +169,12 @@ class Baked:
 
     @property
     def halvings(self) -> int:
-        """Return how often an image can be halved (mip levels) with no colour crossing to another chart."""
-        # A bilinear sample of a halved image reaches twice as far as a texel of it is wide.
+        """Number of mip levels without colour bleeding between charts."""
+        # A bilinear sample reaches two texels of the halved image across.
         return max(int(math.log2(self.padding)) - 1, 0)
 
     def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON, units in the names."""
+        """Return all metrics for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),
             "images": [list(size) for size in self.sizes],
@@ -209,23 +210,27 @@ def bake(
     progress: Progress = silent,
     **changes: Unpack[BakeKeywords],
 ) -> Baked:
-    """Give a light mesh a texture that holds the colours of its original.
+    """Bake the colours of an original mesh onto its simplified mesh.
 
-    The same meshes give the same image. Memory beside the meshes and the image is bounded.
+    The result is deterministic. Memory besides the meshes and the images is bounded.
 
     Parameters
     ----------
-    light : Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be a manifold. Its own colours and
-        texture are replaced.
-    original : in the same place, with vertex colours or a texture.
-    params : see BakeParams; single ones can be given by name.
-    progress : told of rows of the images.
+    light : the simplified mesh: Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be manifold. Its
+        colours and texture are replaced.
+    original : mesh in the same coordinates, with vertex colours or a texture.
+    params : see BakeParams; single parameters can be given by keyword.
+    progress : called with the number of finished rows of the images and their total.
+
+    Returns
+    -------
+    Baked : the textured mesh, and its colour difference from the original.
 
     Raises
     ------
     MeshError
-        If a mesh is not valid or has no area, the light mesh is of needles alone, or the original has no
-        colours.
+        If a mesh is invalid or has no area, the simplified mesh consists of degenerate triangles only, or the
+        original has no colours.
     """
     params = resolve(BakeParams, params, changes)
     with collecting() as diagnostics:
@@ -234,8 +239,8 @@ def bake(
 
 
 def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Progress) -> Baked:
-    given, reference = as_mesh(light, "light mesh"), as_mesh(original, "original")
-    require_area(given, "light mesh")
+    given, reference = as_mesh(light, "simplified mesh"), as_mesh(original, "original")
+    require_area(given, "simplified mesh")
     require_area(reference, "original")
     if not has_color(reference):
         raise MeshError(
@@ -266,12 +271,15 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
     painted = painted_pages(given, pages, samples, colors_of, progress=progress)
     mesh = _textured(given, pages, painted.images, reference)
     if is_transparent(reference):
-        emit(TEXTURE_BAKE_LEFT_OUT.warning("bake left out: the transparency of the original's images."))
+        emit(TEXTURE_BAKE_LEFT_OUT.warning("bake drops the transparency of the original's images."))
     if shown is not reference:
         sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
         emit(
             TEXTURE_BAKE_LEFT_OUT.warning(
-                "bake left out: detail of the original's images that {sizes} texels cannot show.", sizes=sizes
+                "images of {sizes} texels cannot show all detail of the original's images; finer detail is "
+                "averaged.",
+                remedy="Larger values of max_texels and max_size keep more.",
+                sizes=sizes,
             )
         )
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
@@ -291,9 +299,10 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
 
 
 def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], original: Mesh) -> Mesh:
-    """Return the mesh with the images, and without vertex colours: a viewer would multiply the two.
+    """Attach the images to a mesh and remove its vertex colours.
 
-    It takes no light where the original takes none.
+    Vertex colours are removed because viewers multiply them with the texture. The material is unlit if all
+    materials of the original are.
     """
     names = [f"baked-{number}" for number in range(1, len(images) + 1)] if len(images) > 1 else ["baked"]
     theirs = () if original.texture is None else original.texture.materials
@@ -306,13 +315,16 @@ def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], ori
 
 
 def _stretch(light: Mesh, original: Mesh) -> float:
-    """Return how much larger the original's details are on the light mesh: 1 where both show one surface."""
+    """Return the scale of details on the simplified mesh relative to the original.
+
+    The scale is 1 unless the simplified mesh has more than `_MOST_AREA` times the area.
+    """
     light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
     return math.sqrt(light_area / area) if light_area > _MOST_AREA * area else 1.0
 
 
 def _most_samples(texels: float) -> int:
-    """Return how many samples along its side each of so many texels may have."""
+    """Return the affordable samples along a texel's side."""
     return max(min(int(math.sqrt(_ALL_SAMPLES / texels)), _MOST_SAMPLES), 1)
 
 

@@ -1,8 +1,8 @@
-"""Bake all images of a textured model anew for its simplified mesh.
+"""Bake all images of a textured model for its simplified mesh.
 
-Each class of materials gets an atlas of its own, of no more texels than the images that it replaces. The
-point of the original that a texel shows is looked up once, and all maps of the class are sampled there: base
-colour and alpha, normals in tangent space, and whatever else the materials name.
+Each material class gets an atlas with at most as many texels as the images it replaces. The source point of
+each texel is looked up once. All maps of the class are sampled there: base colour and alpha, tangent-space
+normals, and all other maps of the materials.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from scanloom.stages.texturing.material_classes import MaterialClass, list_all_i
 from scanloom.stages.texturing.pages import Pages, lay_out_within
 from scanloom.stages.texturing.texel_budgets import TexelBudget, compute_budgets, compute_densities
 
-# Points of the original at which the colour error is measured.
+# Points of the original at which the colour error is sampled.
 _COMPARED = 30_000
-# Bytes that a triangle takes at least in a file of any format: what is removed leaves as many for images, and
-# the file is no larger than before.
+# Minimum bytes per triangle in any mesh format. The bytes of removed triangles may be spent on images without
+# enlarging the file.
 _BYTES_PER_TRIANGLE = 12
-# Texels of an atlas for each visible texel of the old images, as far as these have so many: an image that is
-# sampled again loses detail. On four scans a quarter more is worth 0.2 to 1.7 dB.
+# Texels of an atlas per visible texel of the old images, because resampling loses detail. The extra quarter
+# improves four scans by 0.2 to 1.7 dB. The budget of a class limits it.
 _OVERSAMPLING = 1.25
-# Least texels of an atlas: charts need some room.
+# Minimum texels of an atlas: padding between charts needs space.
 _MIN_TEXELS = 64 * 64
 
 
@@ -52,14 +52,20 @@ def bake_materials(
     *,
     progress: Progress = silent,
 ) -> Baked:
-    """Bake the images of a model anew for its simplified mesh.
+    """Bake the images of a model for its simplified mesh.
 
     Parameters
     ----------
-    simplified : its texture and colours are replaced.
-    class_ids : (q,) of the triangles of the simplified mesh, into `classes`.
-    original_class_ids : (m,) of those of the original.
-    classes : of `material_classes`.
+    simplified : mesh whose texture and colours are replaced.
+    original : textured mesh.
+    class_ids : (q,) class of each triangle of the simplified mesh, index into `classes`.
+    original_class_ids : (m,) class of each triangle of the original.
+    classes : from `material_classes`.
+    progress : called with the number of finished classes and their total.
+
+    Returns
+    -------
+    Baked : the textured mesh, image sizes and colour error.
 
     Raises
     ------
@@ -119,8 +125,8 @@ def _bake_all(
     if scale < 1:
         emit(
             SIMPLIFY_IMAGES_SMALLER.warning(
-                "baked images have {scale:.0%} of the resolution of the old ones along each side, so that "
-                "the file is no larger than the input.",
+                "baked images have {scale:.0%} of the resolution of the original images along each side, so "
+                "that the file is no larger than the input.",
                 scale=scale,
             )
         )
@@ -155,7 +161,7 @@ def _bake_all(
 def _attach_images(
     drafts: Sequence[MaterialDraft | Material], encoded: Sequence[EncodedImage]
 ) -> list[Material]:
-    """Create the materials from drafts and their encoded images, in the same order."""
+    """Create materials from drafts and their encoded images, in the same order."""
     rest = iter(encoded)
     materials = []
     for draft in drafts:

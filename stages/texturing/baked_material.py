@@ -1,4 +1,4 @@
-"""Material of a class, made from its baked images."""
+"""Material of a class, built from its baked images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ _CLAMP = {"wrapS": 33071, "wrapT": 33071}
 
 
 def build_material(texture: Texture, material_class: MaterialClass, images: dict[Path, Image]) -> Material:
-    """Build the material of a class from its baked images."""
+    """Build the material of a class from its baked images.
+
+    Parameters
+    ----------
+    texture : texture of the original mesh.
+    material_class : class whose first material is the template.
+    images : baked image of each texture path.
+    """
     number = material_class.numbers[0]
     first = texture.materials[number] if number >= 0 else Material()
     base = images.get(BASE_COLOR)
@@ -53,7 +60,7 @@ def build_material(texture: Texture, material_class: MaterialClass, images: dict
 
 
 def _remove_maps(kept: MtlStatements) -> MtlStatements:
-    """Remove the maps of an MTL material, which the atlas does not hold."""
+    """Remove the maps of an MTL material, with a warning."""
     lines, lost = [], []
     for line in kept.lines:
         key = line.split(None, 1)[0]
@@ -66,7 +73,7 @@ def _remove_maps(kept: MtlStatements) -> MtlStatements:
     if lost:
         emit(
             TEXTURE_BAKE_LEFT_OUT.warning(
-                "bake left out: {maps} of the original's materials.", maps=", ".join(lost)
+                "bake drops these maps of the original's materials: {maps}.", maps=", ".join(lost)
             )
         )
     return MtlStatements(tuple(lines), {}, kept.color, None)

@@ -1,4 +1,4 @@
-"""Baking of the images of one class of materials, page by page of its atlas."""
+"""Baker for the images of one material class."""
 
 from __future__ import annotations
 
@@ -37,16 +37,21 @@ from scanloom.stages.texturing.material_factors import (
     shares_factors,
 )
 from scanloom.stages.texturing.pages import Pages
-from scanloom.stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
+from scanloom.stages.texturing.tangent_frames import (
+    TangentFrames,
+    decode_normals,
+    encode_normals,
+    tangent_frames,
+)
 from scanloom.stages.texturing.texel_budgets import TexelBudget
 
 Pixels = NDArray[np.uint8]
 
-# An image that is finer than its atlas by more than this factor is averaged first.
+# Source images finer than the atlas by more than this factor are averaged before sampling, to avoid aliasing.
 _SIMILAR = 1.25
 _WHITE = 255
 _FLAT_NORMAL = (128, 128, 255)
-# Normals transformed at a time: bounds the memory.
+# Normals transformed per batch: bounds memory.
 _AT_ONCE = 1 << 18
 _SRGB_LEVELS = np.arange(256) / 255
 
@@ -73,8 +78,8 @@ class MaterialDraft:
     Attributes
     ----------
     canvases : name, pixels and format of each image.
-    image_indices : index of the image of each texture.
-    build : builds the material from the image of each texture.
+    image_indices : index into `canvases` for each texture path.
+    build : function that builds the material from the image of each texture path.
     """
 
     canvases: list[tuple[str, Pixels, ImageFormat]]
@@ -84,7 +89,15 @@ class MaterialDraft:
 
 @dataclass(eq=False)
 class AtlasStats:
-    """Statistics of the atlases of all classes."""
+    """Statistics of the atlases of all classes.
+
+    Attributes
+    ----------
+    texels, shown : texels of all images, and texels that show the surface.
+    turned : texels whose nearest source point faced away and was replaced.
+    charts : number of charts.
+    padding : minimum padding of all atlases, texels.
+    """
 
     texels: int = 0
     shown: int = 0
@@ -94,7 +107,7 @@ class AtlasStats:
 
 
 class ClassBaker:
-    """Baker of the images of one class of materials."""
+    """Baker for the images of one material class, page by page of its atlas."""
 
     def __init__(
         self, part: ClassMeshes, one: MaterialClass, budget: TexelBudget, pages: Pages, covered: float
@@ -108,12 +121,12 @@ class ClassBaker:
         self._laid = float(np.abs(signed_areas(pages.corners)).sum())
         self._covered = covered
         self._reduced: dict[tuple[int, int], Pixels] = {}
-        self._frames: Any = None
+        self._frames: tuple[TangentFrames, TangentFrames] | None = None
 
     def bake_page(
         self, correspondence: Correspondence, page: int, name: str, stats: AtlasStats
     ) -> MaterialDraft:
-        """Bake the images of one page of the atlas."""
+        """Bake the images of one page of the atlas, and update the statistics."""
         sources = correspondence.find_sources(page)
         self._correspondence, self._page = correspondence, page
         width, height = self._pages.sizes[page]
@@ -152,7 +165,7 @@ class ClassBaker:
         )
 
     def _load_map(self, number: int, path: Path, channels: int) -> Pixels | None:
-        """Load a map, averaged to the resolution of the atlas if it is finer."""
+        """Load a map at no more than the resolution of the atlas."""
         image = image_at(self._texture.materials[number], path) if number >= 0 else None
         if image is None:
             return None
@@ -171,7 +184,7 @@ class ClassBaker:
         return self._reduced[key]
 
     def _count_atlas_texels(self, its: NDArray[np.bool_]) -> float:
-        """Estimate how many texels of the atlas show some triangles of the original."""
+        """Estimate the number of atlas texels of some original triangles."""
         shown = float(self._budget.covered[its].sum())
         return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
 
@@ -183,7 +196,7 @@ class ClassBaker:
     def _create_canvas(self, color: Sequence[int]) -> Pixels:
         width, height = self._pages.sizes[self._page]
         if len(set(color)) == 1:
-            # Much faster than a pattern.
+            # `np.full` with a scalar is much faster than broadcasting a colour.
             return np.full((height, width, len(color)), color[0], np.uint8)
         canvas = np.empty((height, width, len(color)), np.uint8)
         canvas[:] = color
@@ -199,7 +212,7 @@ class ClassBaker:
         return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
 
     def _find_points(self, is_shown: NDArray[np.bool_]) -> TexelPoints:
-        """Find the points of some triangles (m,) of the original at texels."""
+        """Select the source points on the given original triangles (m,)."""
         points = self._sources.points
         return points if is_shown.all() else points[is_shown[points.triangles]]
 
@@ -233,7 +246,7 @@ class ClassBaker:
         return canvas
 
     def has_alpha(self) -> bool:
-        """Return whether any image of the class has visible transparency."""
+        """Check for visible transparency in the images of the class."""
         for number in self._class.numbers:
             image = image_at(self._texture.materials[number], BASE_COLOR) if number >= 0 else None
             if image is None or image.pixels.shape[2] < 4 or is_opaque(self._texture.materials[number]):
@@ -277,7 +290,7 @@ class ClassBaker:
                 tangent_frames(self._part.simplified, self._pages.uvs),
             )
         old, new = self._frames
-        # One more for triangles without a material.
+        # The last entry is for triangles without a material (index −1).
         scales = np.ones(len(self._texture.materials) + 1, np.float32)
         for number in self._class.numbers:
             if number >= 0:
@@ -318,7 +331,7 @@ class ClassBaker:
         return f"{name}{suffix}.{form.extension}", canvas, form
 
     def _limit_size(self, canvas: Pixels, path: Path) -> Pixels:
-        """Halve an image until it is about as coarse as those it replaces."""
+        """Halve an image until it is about as coarse as the images it replaces."""
         covered = 0.0
         for number in self._class.numbers:
             image = image_at(self._texture.materials[number], path) if number >= 0 else None

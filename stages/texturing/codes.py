@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of texturing and baking, with explanations."""
+"""Diagnostic codes of texturing and baking, with explanations."""
 
 from __future__ import annotations
 
@@ -8,72 +8,75 @@ SIMPLIFY_IMAGES_NOT_BAKED = Code(
     "simplify.images-not-baked",
     "Images that are not baked",
     """
-A warning. An atlas has as many texels as the images that it replaces: one brick that repeats over a wall,
-or a palette of colours, has too few. Seams then stay, and hold the shape in place; `--bake` bakes
-regardless. A larger image comes from `scanloom bake LIGHT ORIGINAL OUT.glb`, which has no limit of bytes.
+A warning. The simplified mesh is written without the image of the original, because baking failed for the
+stated reason. `scanloom bake LIGHT ORIGINAL OUT.glb` may succeed with other parameters, such as a larger
+`--max-size`.
 """,
     (
-        "the images repeat on the surface: texture coordinates and images are kept, "
-        "since an atlas of as few texels would lose detail; bake=True makes one all "
-        "the same."
+        "light.glb: the image is left out; it could not be baked anew: mesh: has too many charts for an "
+        "image of 4096 × 4096 texels."
     ),
 )
 SIMPLIFY_IMAGES_SMALLER = Code(
     "simplify.images-smaller",
-    "Images that are baked smaller",
+    "Baked images with a reduced resolution",
     """
-A warning. An atlas that shows all detail would make the file larger than the input. `scanloom bake LIGHT
-ORIGINAL OUT.glb` has no limit of bytes.
+A warning. An atlas with all detail would make the file larger than the input. `scanloom bake LIGHT ORIGINAL
+OUT.glb` has no such limit.
 """,
     (
-        "baked images have 71% of the resolution of the old ones along each side, so that the file is no "
-        "larger than the input."
+        "baked images have 71% of the resolution of the original images along each side, so that the file is "
+        "no larger than the input."
     ),
 )
 TEXTURE_ATLAS_TOO_SMALL = Code(
     "texture.atlas-too-small",
-    "Images that are too small, or too many charts",
+    "Image too small for the charts",
     """
-Every chart needs some texels beside it. Give a larger `max_size`, a larger texel, or a mesh in fewer
-connected components (`clean.keep_largest`). A mesh of needles alone cannot be laid out: clean it first.
+Every chart (a part of the surface that is flattened separately) needs some texels of padding. Use a larger
+`max_size`, a larger `texel_size`, or a mesh with fewer connected components (`clean.keep_largest`). A mesh
+that consists of needles cannot be laid out; clean it first.
 """,
-    "mesh: falls into too many pieces for an image of 4096 × 4096 texels.",
+    "mesh: has too many charts for an image of 4096 × 4096 texels.",
 )
 TEXTURE_BAKE_LEFT_OUT = Code(
     "texture.bake-left-out",
-    "Nothing to bake, or something that baking leaves out",
+    "Nothing to bake, or attributes that baking drops",
     """
-`bake` brings the colours of one mesh to another one: the original needs vertex colours or a texture.
-Baked images are opaque; detail finer than a texel is averaged (`--texel-size`, `--max-size`). Maps of MTL
-files other than `map_Kd` have no place in the atlas.
+`bake` transfers the colours of one mesh to another, so the original needs vertex colours or a texture. Baked
+images are opaque. Detail finer than a texel is averaged (see `--texel-size`, `--max-size` and
+`--max-texels`). Of MTL files, only `map_Kd` is baked.
 """,
-    "bake left out: detail of the original's images that 4096 × 4096 texels cannot show.",
+    (
+        "images of 4096 × 4096 texels cannot show all detail of the original's images; finer detail is "
+        "averaged. Larger values of max_texels and max_size keep more."
+    ),
 )
 TEXTURE_PHOTOS_UNUSABLE = Code(
     "texture.photos-unusable",
-    "Photos that cannot be used",
+    "Unusable photos",
     """
-Black or burnt-out images, frames without colour or pose. `texture.images=FOLDER` takes photos of another
-camera.
+Photos that are almost completely black or overexposed, or frames without a colour image or pose. Such photos
+are not used. `texture.images=FOLDER` uses photos of another camera instead.
 """,
     "97% of the photo is black or white.",
 )
 TEXTURE_PHOTOS_INCONSISTENT = Code(
     "texture.photos-inconsistent",
-    "Photos that contradict the others, or the mesh",
+    "Photos that contradict each other or the mesh",
     """
-Somebody stood in the picture, a light was switched, or the pose is wrong. Single photos that differ are
-left out. If many are, or a warning says that all photos are off the mesh, look at the poses; `scanloom
-adjust` corrects them.
+A person may have walked through the scene, the light may have changed, or a pose may be wrong. Single photos
+that contradict the others are not used. If there are many, or if photos are misaligned with the mesh, check
+the poses; `scanloom adjust` corrects them.
 """,
-    "its photo shows something else than the others: 41 levels difference in the median.",
+    "the photo contradicts the others: the median difference is 41 levels.",
 )
 TEXTURE_SURFACE_UNSEEN = Code(
     "texture.surface-unseen",
     "Surface that no photo shows",
     """
-A warning. Such surface keeps the mesh's own colours where there are some. Record it too, or leave it out
-with a crop.
+A warning. Such parts of the surface keep their vertex colours, if the mesh has any. Record them as well, or
+remove them with a crop.
 """,
-    "64% of the surface is in no photo and has the mesh's own colours",
+    "no photo shows 64% of the surface, which keeps its vertex colours",
 )

@@ -1,8 +1,9 @@
 """Correspondence between texels of a simplified mesh and the original surface.
 
-Every vertex of the original is taken to the nearest point of the simplified mesh. With its vertices each
-triangle comes into the atlas, where it is rasterised, at the cost of one query for each vertex. Triangles
-that fold over or tear there are left out. Texels that stay empty get a query of their own.
+Each vertex of the original is projected to the nearest point of the simplified mesh, and so to a position in
+the atlas. The triangles of the original are rasterised there. This costs one nearest-point query per vertex
+instead of one per texel. Triangles that fold over or tear in the atlas are skipped. Texels that stay empty
+get separate queries.
 """
 
 from __future__ import annotations
@@ -24,17 +25,18 @@ from scanloom.stages.texturing.pages import Pages
 
 Pixels = NDArray[np.uint8]
 
-# Largest stretch of an edge of the original in the atlas, relative to its length on the surface, and texels
-# that are always allowed, as rounding weighs most where triangles are small.
+# Maximum stretch of an edge of the original in the atlas, relative to its length on the surface. The
+# additional texels are always allowed because rounding dominates in small triangles.
 _MAX_STRETCH = 2.0
 _FREE_TEXELS = 2.0
-# Cosine between a triangle and the plane of a chart that it extends, below which its texels are checked.
+# Minimum cosine between a triangle and the chart plane it is extended onto. Texels of less aligned triangles
+# are checked for their distance.
 _MIN_ALIGNED = 0.8
-# The same for triangles within a chart.
+# The same minimum cosine for triangles that are inside one chart.
 _MIN_ALIGNED_WITHIN = 0.6
-# Largest distance of such a texel from its source, in distances of the vertices plus as many texels.
+# Maximum distance of a checked texel from its source point, relative to the vertex distance plus a texel.
 _MAX_DETOUR = 1.5
-# Texels looked up at a time: bounds the memory.
+# Texels looked up per batch: bounds memory.
 _AT_ONCE = 1 << 18
 
 
@@ -44,8 +46,8 @@ class VertexLocations:
 
     Attributes
     ----------
-    located : of each vertex.
-    is_facing : (n,) whether the surface at the vertex faces the way of the simplified mesh.
+    located : nearest point of each vertex (n,).
+    is_facing : (n,) bool, normals of the vertex and of the nearest triangle agree (angle below 90°).
     """
 
     located: Located
@@ -54,7 +56,7 @@ class VertexLocations:
 
 @dataclass(frozen=True, eq=False)
 class TexelPoints:
-    """Points of a surface at texels.
+    """Surface points at texels.
 
     Attributes
     ----------
@@ -68,21 +70,21 @@ class TexelPoints:
     weights: NDArray[np.float32]
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> TexelPoints:
-        """Return the points that a mask (n,) chooses."""
+        """Return the points selected by a mask (n,)."""
         return TexelPoints(self.texels[chosen], self.triangles[chosen], self.weights[chosen])
 
 
 @dataclass(frozen=True, eq=False)
 class TexelSources:
-    """Points of the original surface that the texels of one image show.
+    """Source points on the original for the texels of one image.
 
     Attributes
     ----------
-    is_filled : (h, w) bool, texels of charts, with one around each.
+    is_filled : (h, w) bool, texels of charts and a border of one texel around each.
     placed : triangles of the original in the atlas.
-    drawn : (h, w) int32, index into `placed` for each texel; −1 for gaps and for texels that were looked up.
-    looked_up : points for the other texels.
-    turned_count : texels whose nearest point faced away, so that another one was taken.
+    drawn : (h, w) int32, index into `placed` for each texel; −1 for gaps and for texels in `looked_up`.
+    looked_up : source points of the texels that no triangle in `placed` covers.
+    turned_count : texels whose nearest point faced away and was replaced by a point that faces the same way.
     """
 
     is_filled: NDArray[np.bool_]
@@ -93,7 +95,7 @@ class TexelSources:
 
     @cached_property
     def points(self) -> TexelPoints:
-        """Points of the original for all texels of charts."""
+        """Source points of all texels of charts."""
         texels = np.flatnonzero(self.drawn >= 0)
         entries = self.drawn.reshape(-1)[texels]
         weights = _locate(self.placed.corners, entries, texels, self.drawn.shape[1])
@@ -113,12 +115,15 @@ class TexelSources:
         is_shown: NDArray[np.bool_],
         wrap: tuple[str, str],
     ) -> None:
-        """Sample an image into the texels of a canvas (h, w, c) in place.
+        """Sample an image into the texels of a canvas, in place.
 
         Parameters
         ----------
-        uvs : (m, 3, 2) of the triangles of the original.
-        is_shown : (m,) triangles that show the image; texels of others stay.
+        canvas : (h, w, c) uint8.
+        image : (h', w', c) uint8, image of the original.
+        uvs : (m, 3, 2) texture coordinates of the triangles of the original.
+        is_shown : (m,) bool, triangles that show the image; texels of other triangles stay unchanged.
+        wrap : wrap mode along u and v.
         """
         placed = self.placed
         _kernels.sample_texels(
@@ -145,10 +150,10 @@ class PlacedTriangles:
     Attributes
     ----------
     corners : (k, 3, 2) float64, texels.
-    triangles : (k,) triangle of the original.
-    charts, pages : (k,) int32 of the simplified mesh.
-    max_distances : (k,) largest distance, in metres, of a texel from the point it shows; infinite for those
-        that are not extended around a sharp edge.
+    triangles : (k,) index of the triangle in the original.
+    charts, pages : (k,) int32, chart and image of the simplified mesh.
+    max_distances : (k,) maximum distance of a texel from its source point, metres; infinite for triangles
+        whose normals agree with the chart.
     """
 
     corners: Floats
@@ -158,7 +163,7 @@ class PlacedTriangles:
     max_distances: Floats
 
     def select(self, rows: NDArray[np.intp]) -> PlacedTriangles:
-        """Return some of the triangles."""
+        """Return the triangles with the given indices."""
         return PlacedTriangles(
             self.corners[rows],
             self.triangles[rows],
@@ -169,13 +174,13 @@ class PlacedTriangles:
 
 
 class Correspondence:
-    """Lookup of the original surface under the texels of a simplified mesh.
+    """Lookup of original surface points for the texels of a simplified mesh.
 
     Parameters
     ----------
     simplified, original : meshes.
     pages : atlas of the simplified mesh.
-    vertices : of `locate_vertices`.
+    vertices : result of `locate_vertices`.
     """
 
     def __init__(self, simplified: Mesh, original: Mesh, pages: Pages, vertices: VertexLocations) -> None:
@@ -186,7 +191,7 @@ class Correspondence:
         self._images: dict[int, NDArray[np.int32]] = {}
 
     def find_sources(self, page: int) -> TexelSources:
-        """Find the point of the original for each texel of an image."""
+        """Find the source point on the original for each texel of an image."""
         width, height = self._pages.sizes[page]
         mesh, original, pages = self._simplified, self._original, self._pages
         placed = self._placed.select(np.flatnonzero(self._placed.pages == page))
@@ -213,9 +218,9 @@ class Correspondence:
         return TexelSources(is_filled, placed, drawn, looked_up, turned_count)
 
     def locate_texels(self, page: int, texels: NDArray[np.int64]) -> TexelPoints:
-        """Locate texels of `find_sources` on the simplified mesh.
+        """Locate texels on the simplified mesh; requires `find_sources` for the same page.
 
-        A texel beside a chart gets the nearest point of its border.
+        A texel outside all charts gets the nearest point on the border of its chart.
         """
         rows = np.flatnonzero(self._pages.pages == page).astype(np.int32)
         triangles = rows[self._images[page].reshape(-1)[texels]]
@@ -223,11 +228,12 @@ class Correspondence:
         return TexelPoints(texels, triangles, weights)
 
     def _look_up(self, own: TexelPoints) -> tuple[NDArray[np.int32], Floats, NDArray[np.bool_]]:
-        """Find the points of the original nearest to points of the simplified mesh, facing the same way.
+        """Find the nearest points of the original that face the same way.
 
         Returns
         -------
-        Triangles (k,) of the original, weights (k, 3), and where a nearer point faced away.
+        Triangles (k,) of the original, barycentric weights (k, 3), and a mask (k,) of points for which a
+        nearer point was rejected because it faced away.
         """
         mesh = self._simplified
         a, b, c = (
@@ -242,10 +248,10 @@ class Correspondence:
 
     @cached_property
     def _original_surface(self) -> tuple[_kernels.NearestSurface, float]:
-        """The original, and how far, in metres, a surface that faces the right way is looked for.
+        """Query structure of the original, and the search radius in metres.
 
-        Twice the largest distance found between both meshes: where a thin sheet has come out on the wrong
-        side of itself, its right side is not much farther than that.
+        The radius is twice the maximum distance sampled between both meshes. A thin sheet may be displaced to
+        the wrong side of itself by simplification; its right side is not much farther away than that.
         """
         surface = _create_surface(self._original)
         step = math.ceil(len(self._simplified.triangles) / PROBES)
@@ -268,7 +274,7 @@ class Correspondence:
         whole = np.flatnonzero(is_whole)
         corners = mesh.triangles[whole]
         distances = _max_of_corners(located.distances, corners)
-        # The nearest triangles are drawn last, over what may be another layer of the original.
+        # Draw the nearest triangles last, so that they overwrite other layers of the original.
         order = np.argsort(-distances, kind="stable")
         whole, corners, distances = whole[order], corners[order], distances[order]
         first = located.triangles[corners[:, 0]]
@@ -311,7 +317,7 @@ class Correspondence:
         distances = _max_of_corners(located.distances, corners_of)
         found = []
         for k in range(3):
-            # Each chart once: where it is that of an earlier corner too, it was handled there.
+            # Handle each chart once: skip charts of earlier corners.
             is_new = np.ones(len(triangles), bool)
             for j in range(k):
                 is_new &= charts[:, j] != charts[:, k]
@@ -341,7 +347,7 @@ class Correspondence:
         """Remove triangles that fold over or tear in the atlas."""
         mesh = self._original
         spread = signed_areas(placed.corners)
-        # Charts may be mirrored: their own triangles say which way round is right.
+        # Charts may be mirrored, so the sign comes from the chart's own triangles.
         own = signed_areas(self._pages.corners)
         is_laid = self._pages.charts >= 0
         sign = np.sign(np.bincount(self._pages.charts[is_laid], own[is_laid]))
@@ -354,13 +360,13 @@ class Correspondence:
             )
             laid = placed.corners[:, end] - placed.corners[:, start]
             allowed = _MAX_STRETCH * np.sqrt(_dot(along, along)) / self._texel_size + _FREE_TEXELS + away
-            # Comparing as it does with what is not finite, it removes that, too.
+            # Written as <= so that non-finite lengths are removed as well.
             is_sound &= np.sqrt(_dot(laid, laid)) <= allowed
         return placed.select(np.flatnonzero(is_sound))
 
 
 def locate_vertices(simplified: Mesh, original: Mesh) -> VertexLocations:
-    """Find the nearest simplified point of each vertex, and compare normals."""
+    """Project original vertices to the simplified mesh, and compare normals."""
     sets, first = equal_positions(original.vertices)
     triangles, weights, distances = _create_surface(simplified).closest(
         original.vertices[first], wanted_threads=0
@@ -376,7 +382,7 @@ def _create_surface(mesh: Mesh) -> _kernels.NearestSurface:
 
 
 def _sum_normals(mesh: Mesh, sets: NDArray[np.int32]) -> Floats:
-    """Sum the triangle normals, weighted by area, of each set of vertices."""
+    """Sum the area-weighted triangle normals of each set of coincident vertices."""
     a, b, c = (mesh.vertices.take(corner, axis=0) for corner in mesh.triangles.T)
     across = np.cross(b - a, c - a)
     at = sets[mesh.triangles].T.reshape(-1)
@@ -390,12 +396,19 @@ def _sum_normals(mesh: Mesh, sets: NDArray[np.int32]) -> Floats:
 def _locate(
     corners: Floats, triangles: NDArray[np.int32], texels: NDArray[np.int64], width: int
 ) -> NDArray[np.float32]:
-    """Find the points of triangles (m, 3, 2) nearest to texels (n,): weights (n, 3)."""
+    """Return barycentric weights (n, 3) of the triangle points nearest to texels (n,).
+
+    Parameters
+    ----------
+    corners : (m, 3, 2) triangles of the atlas, texels.
+    triangles : (n,) triangle of each texel.
+    texels : (n,) row × width + column.
+    """
     return _kernels.locate_texels(corners, triangles, texels, width=width, wanted_threads=0)
 
 
 def _sample_image(image: Pixels, uvs: Floats, wrap: tuple[str, str], channels: int) -> Pixels:
-    """Sample the first channels of an image (h, w, c) at texture coordinates (k, 2), v up.
+    """Sample an image (h, w, c) at texture coordinates (k, 2), v up.
 
     Returns
     -------
@@ -411,7 +424,7 @@ def _sample_image(image: Pixels, uvs: Floats, wrap: tuple[str, str], channels: i
 
 
 def _max_of_corners(values: Floats, triangles: NDArray[np.int32]) -> Floats:
-    """Return the largest value of the corners of each triangle."""
+    """Return the maximum of the corner values of each triangle."""
     a, b, c = (values.take(corner) for corner in triangles.T)
     return np.asarray(np.maximum(np.maximum(a, b), c))
 

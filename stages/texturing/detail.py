@@ -1,4 +1,4 @@
-"""How fine the colours of an original are."""
+"""Estimation of the finest colour detail of a mesh."""
 
 from __future__ import annotations
 
@@ -12,29 +12,32 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.texture import signed_areas
 from scanloom.stages.surface.topology import areas
 
-# Samples in a length of one detail of the original, at least. On a scanned banana and a fused room more of
-# them change the error by less than 0.1 dB.
+# Minimum samples per detail length of the original. More samples change the error by less than 0.1 dB on a
+# scanned banana and a fused room.
 SAMPLES_PER_DETAIL = 1.6
-# Of the mean edge: what is interpolated between vertices has kinks along edges, many of them shorter.
+# Detail size relative to the mean edge length: colours interpolated between vertices have kinks along edges,
+# and many edges are shorter than the mean.
 _DETAIL_OF_EDGE = 0.4
-# An original has no more details than this in a triangle, by its vertex colours: where a few triangles are
-# large among tiny ones, an image that shows these everywhere would take minutes for a handful of colours.
+# Limit of vertex-colour details, on average per triangle. A mesh of tiny triangles with a few large ones
+# would otherwise need a huge image for a handful of colours, and minutes to bake it.
 _DETAILS_OF_TRIANGLE = 2000
 
 
 def detail_of(original: Mesh) -> float:
-    """Return the size, in metres, of the smallest thing the original's colours can show."""
+    """Estimate the size of the smallest colour detail of a mesh, metres.
+
+    The size is the mean texel size if most of the area is textured, otherwise a fraction of the edge length.
+    """
     area = areas(original.vertices, original.triangles)
     texels = _texels(original)
     on_image = texels > 0
-    # Where most of the surface has a texture, that is what there is to keep.
     if area[on_image].sum() > area.sum() / 2:
         return math.sqrt(area[on_image].sum() / texels.sum())
     return max(_DETAIL_OF_EDGE * float(_lengths(original).mean()), _least(area))
 
 
 def details_of(original: Mesh) -> NDArray[np.float64]:
-    """Return the same of each triangle (m,); infinite for those without area."""
+    """Estimate the colour detail size of each triangle (m,), metres; infinite without area."""
     area = areas(original.vertices, original.triangles)
     texels = _texels(original)
     of_edges = np.maximum(_DETAIL_OF_EDGE * _lengths(original).mean(axis=1), _least(area))
@@ -43,12 +46,12 @@ def details_of(original: Mesh) -> NDArray[np.float64]:
 
 
 def _texels(original: Mesh) -> NDArray[np.float64]:
-    """Return how many texels each triangle (m,) has in its image; 0 for those without one."""
+    """Return the number of texels of each triangle (m,); 0 without an image."""
     texture = original.texture
     if texture is None:
         return np.zeros(len(original.triangles))
     images = [pixels_of(material) for material in texture.materials]
-    # The last one stands for triangles without a material.
+    # The last entry is for triangles without a material (index −1).
     texels_of = np.array([*(_texel_count(image) for image in images), 0])
     return np.asarray(np.abs(signed_areas(texture.uvs)) * texels_of[texture.material_ids])
 
@@ -63,6 +66,9 @@ def _least(area: NDArray[np.float64]) -> float:
 
 
 def _texel_count(image: NDArray[np.uint8] | None) -> int:
-    """Return how many texels show a detail: a single one has none, however often it is repeated."""
+    """Count the texels of an image.
+
+    A single texel counts as 0, because it has no detail even if it repeats.
+    """
     count = 0 if image is None else image.shape[0] * image.shape[1]
     return count if count > 1 else 0

@@ -1,9 +1,9 @@
-"""How bright each photo is: a gain and a bias for each channel, and one vignette for all.
+"""Exposure model of photos: gain, bias and vignette.
 
-A level of photo i is taken for (gain_i · a + bias_i) · v(r), with a what all photos have in common and
-v(r) = v₀ (1 + v₁ r² + v₂ r⁴) of the distance from the photo's middle, 1 in the mean over a photo (Goldman
-2010, "Vignette and exposure calibration and compensation", equation 1 without the response curve). White
-balance is part of it, since channels are apart.
+The level of photo i is modelled as (gain_i · a + bias_i) · v(r), where a is the level common to all photos.
+The vignette is v(r) = v₀ (1 + v₁ r² + v₂ r⁴), with r the distance from the photo's centre and mean 1 over a
+photo (Goldman 2010, "Vignette and exposure calibration and compensation", equation 1 without the response
+curve). White balance is included, because channels are independent.
 """
 
 from __future__ import annotations
@@ -18,34 +18,35 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _ROUNDS = 6
-# Points are enough for all photos of a scan, and to tell whether there is a vignette.
+# Sampled surface points for the fit of all photos, and for the preceding decision about the vignette.
 _MOST_POINTS, _FEW_POINTS = 40_000, 10_000
-# Levels beyond which a difference counts less and less (Huber), and levels that are cut off.
+# Huber threshold, in levels; and range of levels that are not clipped.
 _HUBER = 8.0
 _USABLE = (4.0, 250.0)
-# What holds a photo to gain 1 and bias 0: as so many samples would, of this spread in levels.
+# Prior that pulls a photo to gain 1 and bias 0: equivalent number of samples, and their spread in levels.
 _PRIOR_SAMPLES, _PRIOR_LEVELS = 30.0, 40.0
 _MOST_GAIN = 4.0
-# Of the light in the corners: a weaker vignette averages out, and photos look as people know them.
+# Minimum relative change of light in the corners. A weaker vignette averages out, and uncorrected photos look
+# natural.
 _LEAST_VIGNETTE = 0.1
-# Light in the corners beside that in the middle: less or more is no lens's, but of a thing in the middle of
-# all photos, which says nothing of their corners.
+# Plausible range of light in the corners relative to the centre. Values outside come from an object in the
+# centre of all photos, not from a lens, and say nothing about the corners.
 _LEAST_LIGHT, _MOST_LIGHT = 0.2, 1.5
 _NO_VIGNETTE = (1.0, 0.0, 0.0)
-# Fewer samples in other photos than this tell nothing.
+# Minimum samples shared with other photos; photos with fewer keep gain 1 and bias 0.
 _LEAST_SAMPLES = 50
-# Of a photo, that are corrected at a time.
+# Rows of a photo corrected per batch: the working set stays in the cache.
 _ROWS = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """What a photo's levels are of those of the scene.
+    """Exposure of one photo: mapping from scene levels to its levels.
 
     Attributes
     ----------
-    gain, bias : (3,) of red, green and blue; bias in levels.
-    vignette : v₀, v₁ and v₂, for r = 1 in the corners.
+    gain, bias : (3,) for red, green and blue; bias in levels.
+    vignette : v₀, v₁ and v₂, with r = 1 in the corners.
     """
 
     gain: Floats
@@ -53,17 +54,17 @@ class Exposure:
     vignette: tuple[float, float, float] = _NO_VIGNETTE
 
     def corrected(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the image (h, w, 3) as it would be at gain 1, bias 0 and without vignette."""
+        """Correct an image (h, w, 3) to gain 1 and bias 0, without vignette."""
         import cv2
 
         if self.is_none:
             return image
         height, width = image.shape[:2]
         if self.vignette == _NO_VIGNETTE:
-            # The same for every pixel: looked up.
+            # Without a vignette the mapping is the same for all pixels: use a lookup table.
             levels = (np.arange(256)[None, :, None] - self.bias) / self.gain
             return np.asarray(cv2.LUT(image, np.rint(levels).clip(0, 255).astype(np.uint8)), np.uint8)
-        # All channels of a row beside each other, a few rows at a time: the memory stays where it is quick.
+        # Interleaved channels, a few rows at a time: the working set stays in the cache.
         gain, bias = (np.tile(one, width) for one in (self.gain, self.bias))
         corrected = np.empty_like(image)
         for start in range(0, height, _ROWS):
@@ -78,25 +79,26 @@ class Exposure:
 
     @property
     def is_none(self) -> bool:
-        """Return whether nothing is to be corrected."""
+        """True if the exposure changes nothing."""
         return bool((self.gain == 1).all() and (self.bias == 0).all() and self.vignette == _NO_VIGNETTE)
 
 
 def no_exposure() -> Exposure:
-    """Return that of a photo nothing is known of."""
+    """Return the identity: gain 1, bias 0, no vignette."""
     return Exposure(np.ones(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
 class Exposures:
-    """How bright photos are.
+    """Exposures of all photos, and the differences before and after the fit.
 
     Attributes
     ----------
-    photos : each one's exposure, of mean log gain 0.
-    before, after : median difference of a sample from its point's mean, in levels, without and with them.
-    differences : (n,) the same of each photo with them.
-    samples : (n,) points of each photo that another one shows, too.
+    photos : exposure of each photo; the mean log gain is 0.
+    before, after : median difference of a sample from the mean of its point, in levels, without and with
+        exposure correction.
+    differences : (n,) the median difference of each photo, after correction.
+    samples : (n,) number of points of each photo that another photo also shows.
     """
 
     photos: tuple[Exposure, ...]
@@ -106,11 +108,11 @@ class Exposures:
     samples: NDArray[np.int64]
 
     def none(self) -> Exposures:
-        """Return the same with all photos equally bright."""
+        """Return a copy without exposure correction."""
         return replace(self, photos=tuple(no_exposure() for _ in self.photos), after=self.before)
 
     def without(self, wrong: Container[int]) -> Exposures:
-        """Return those of all photos but some, by their numbers."""
+        """Return a copy without the photos of the given indices."""
         rest = [i for i in range(len(self.photos)) if i not in wrong]
         return replace(
             self,
@@ -123,14 +125,14 @@ class Exposures:
 def exposures(
     views: NDArray[np.int32], colors: NDArray[np.uint8], radii2: NDArray[np.float32], count: int
 ) -> Exposures:
-    """Find how bright photos are from points that several of them show.
+    """Estimate the exposures of photos from surface points seen by several of them.
 
     Parameters
     ----------
-    views : (n, k) the photo of each sample of a point, -1 for none.
-    colors : (n, k, 3) its levels.
-    radii2 : (n, k) squared distance from the photo's middle, 1 in its corners.
-    count : photos.
+    views : (n, k) int32, photo of each sample of a point; -1 for none.
+    colors : (n, k, 3) uint8, levels of each sample.
+    radii2 : (n, k) float32, squared distance from the photo's centre; 1 in the corners.
+    count : number of photos.
     """
     step = max(len(views) // _FEW_POINTS, 1)
     found = _solved(views[::step], colors[::step], radii2[::step], count, vignetted=True)
@@ -158,13 +160,13 @@ def _solved(
         return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64))
     view = views[point, place].astype(np.int64)
     radius2 = radii2[point, place].astype(np.float64)
-    # An array for each channel: rows of three are slow.
+    # One array per channel: NumPy is slow over rows of three.
     levels = [colors[point, place, k].astype(np.float64) for k in range(3)]
-    # They are in order.
+    # Renumber the points that are left; `np.nonzero` returns them in order.
     point = np.cumsum(np.diff(point, prepend=point[0]) > 0)
     samples = np.bincount(view, minlength=count)
     known = samples >= _LEAST_SAMPLES
-    # Of each channel.
+    # First axis: channels.
     gain, bias = np.ones((3, count)), np.zeros((3, count))
     vignette = _NO_VIGNETTE
     weights = [np.ones_like(radius2)] * 3
@@ -189,8 +191,8 @@ def _solved(
             gain[k], bias[k] = _fitted(view, means[k], there[k], weights[k], count)
         gain[:, ~known], bias[:, ~known] = 1.0, 0.0
         if known.any():
-            # Only ratios are seen: the mean stays as it is. What all have in common is scaled and shifted for
-            # that, so that each photo's bias moves by its own gain.
+            # Only ratios of gains are observable, so the mean log gain is fixed at 0. The common offset is
+            # removed in scene levels; each photo's bias therefore changes in proportion to its gain.
             gain[:, known] /= np.exp(np.log(gain[:, known]).mean(axis=1, keepdims=True))
             middle = bias[:, known].mean(axis=1, keepdims=True) / gain[:, known].mean(axis=1, keepdims=True)
             bias[:, known] -= gain[:, known] * middle
@@ -209,7 +211,11 @@ def _solved(
 def _vignette(
     shown: Sequence[Floats], levels: Sequence[Floats], weights: Sequence[Floats], radius2: Floats
 ) -> tuple[float, float, float]:
-    """Fit level = shown · (1 + v₁ r² + v₂ r⁴) by least squares, held to 0; then make the mean 1."""
+    """Fit the vignette by least squares.
+
+    The model is level = shown · (1 + v₁ r² + v₂ r⁴). A prior pulls v₁ and v₂ to 0. v₀ normalises the mean
+    over a photo to 1.
+    """
     normal = _PRIOR_SAMPLES * _PRIOR_LEVELS**2 * np.eye(2)
     right = np.zeros(2)
     for bright, level, weight in zip(shown, levels, weights, strict=True):
@@ -218,12 +224,12 @@ def _vignette(
         normal += [[float((a * b).sum()) for a in rows] for b in weighted]
         right += [float((a * (level - bright)).sum()) for a in weighted]
     found = np.linalg.solve(normal, right)
-    # Over a photo r² is 1/3 in the mean, and r⁴ some 1/6: the mean of the light is 1 there.
+    # The means over a photo are 1/3 for r², and about 1/6 for r⁴.
     return (1 / float(1 + found[0] / 3 + found[1] / 6), float(found[0]), float(found[1]))
 
 
 def _mean(point: NDArray[np.int64], there: Floats, weight: Floats, gain: Floats, bias: Floats) -> Floats:
-    """Return what the samples of each point have in common."""
+    """Return the weighted mean of the corrected samples of each point."""
     weight = weight * gain**2
     total = np.bincount(point, weight)
     return np.asarray(np.bincount(point, weight * ((there - bias) / gain)) / np.maximum(total, 1e-12))
@@ -232,7 +238,10 @@ def _mean(point: NDArray[np.int64], there: Floats, weight: Floats, gain: Floats,
 def _fitted(
     view: NDArray[np.int64], mean: Floats, level: Floats, weight: Floats, count: int
 ) -> tuple[Floats, Floats]:
-    """Fit level = gain · mean + bias for each photo by least squares, held to 1 and 0."""
+    """Fit gain and bias of each photo by least squares.
+
+    The model is level = gain · mean + bias, with a prior at gain 1 and bias 0.
+    """
 
     def total(values: Floats) -> Floats:
         return np.asarray(np.bincount(view, values, minlength=count), np.float64)
@@ -253,5 +262,5 @@ def _radii2(width: int, height: int, rows: slice) -> Floats:
 
 
 def _light_at(radii2: Floats, vignette: tuple[float, float, float]) -> Floats:
-    """Return the vignette at squared distances from the middle, 1 in the corners."""
+    """Evaluate the vignette at squared distances from the centre; 1 in the corners."""
     return np.asarray(vignette[0] * (1 + vignette[1] * radii2 + vignette[2] * radii2**2))

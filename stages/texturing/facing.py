@@ -1,7 +1,8 @@
-"""The colours of an original at places on a light mesh: where it is nearest and faces the same way.
+"""Colours of an original surface at points of its simplified mesh.
 
-A thin sheet with other colours on its back, such as a wall or the lid of a box, comes out of simplification
-up to the error of that on the wrong side of itself; the nearest point alone would then show the back.
+The source is the nearest point of the original that faces the same way. Simplification can move a thin sheet
+(a wall, the lid of a box) past its own back side, within the error. The nearest point alone would then be on
+the back and may have another colour.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ from scanloom.stages.surface.color import color_at
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats, Surface, unit_normals
 
-# Surfaces that are passed on the way to one that faces the right way, to each side.
+# Maximum number of surfaces a ray passes on each side in search of one that faces the right way.
 _PASSED = 4
-# A ray goes on behind what it met this share of its reach later.
+# Offset at which a ray restarts behind a hit, relative to the search radius.
 _STEP = 1e-4
-# Of a texel, that places are moved away from the edges of their triangles.
+# Distance that points are moved inwards from the edges of their triangles, in texels.
 INWARDS = 0.02
-# Triangles whose middles tell how far the light mesh is from the original.
+# Triangles whose centres are sampled to estimate the distance between both meshes.
 PROBES = 100_000
 
 
 class FacingColors:
-    """The colours of an original at places on a light mesh; several threads may ask at once."""
+    """Colour lookup of an original surface at points of its simplified mesh; thread-safe."""
 
     def __init__(self, original: Surface, light: Mesh, texel_size: float) -> None:
         self._inwards = INWARDS * texel_size
@@ -37,20 +38,27 @@ class FacingColors:
         self._reach = self._farthest()
 
     def __call__(self, triangles: NDArray[np.int64], weights: Floats) -> tuple[NDArray[np.floating], int]:
-        """Return the colours (k, 3) at points of the light mesh.
+        """Look up the colours (k, 3) at points of the simplified mesh.
 
-        Beside them, at how many points the nearest one of the original faced away and another did not.
+        Parameters
+        ----------
+        triangles : (k,) triangles of the simplified mesh.
+        weights : (k, 3) barycentric weights.
+
+        Returns
+        -------
+        Colours (k, 3) in levels, and the number of points whose nearest point faced away and was replaced.
         """
         found, shares, turned = self.locate(triangles, weights)
         return color_at(self._original.mesh, found, shares), turned
 
     def locate(self, triangles: NDArray[np.int64], weights: Floats) -> tuple[NDArray[np.int64], Floats, int]:
-        """Find the points of the original nearest to points of the simplified mesh, facing the same way.
+        """Find the nearest points of the original that face the same way.
 
         Returns
         -------
-        Triangles (k,) of the original, barycentric weights (k, 3), and how many nearest points faced away
-        while another did not.
+        Triangles (k,) of the original, barycentric weights (k, 3), and the number of points whose nearest
+        point faced away and was replaced.
         """
         corners = self._light.vertices[self._light.triangles[triangles]]
         points = np.einsum("kc,kcx->kx", weights, corners)
@@ -67,21 +75,22 @@ class FacingColors:
         return found, shares, turned
 
     def _farthest(self) -> float:
-        """Return how far, in metres, the original is looked for along a normal.
+        """Return the search radius along a normal, metres.
 
-        Twice the largest distance found between the two: where a thin sheet has come out on the wrong side of
-        itself, its right side is not much farther than that.
+        The radius is twice the maximum distance sampled between both meshes. A thin sheet may be displaced to
+        the wrong side of itself by simplification; its right side is not much farther away than that.
         """
         step = math.ceil(len(self._light.triangles) / PROBES)
         corners = self._light.vertices[self._light.triangles[::step]]
         return 2 * float(self._original.closest(corners.mean(axis=1)).distances.max())
 
     def _facing(self, points: Floats, normals: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-        """Return, for which points there is a surface within reach along the normal that faces its way.
+        """Find surfaces of the original along the normals that face the same way.
 
         Returns
         -------
-        The points' numbers, and the triangles and weights of the nearest such surface, to either side.
+        Indices of the points for which one is within reach, and triangles and weights of the nearest one on
+        either side.
         """
         best = np.full(len(points), self._reach)
         triangles = np.full(len(points), -1, np.int64)
@@ -104,10 +113,10 @@ class FacingColors:
 
 
 def move_inwards(points: Floats, middles: Floats, distance: float) -> Floats:
-    """Move points a little towards the middles of their triangles.
+    """Move points slightly towards the centres of their triangles.
 
-    Charts often end at texel centres: on a sharp edge rounding alone would choose the side it is taken
-    from, line by line, and what fills the gaps continues that.
+    Charts often end at texel centres. On a sharp edge, rounding alone would choose the side a texel is
+    sampled from, row by row, and gap filling would spread such stripes.
     """
     towards = middles - points
     lengths = np.sqrt(_dot(towards, towards))

@@ -1,4 +1,4 @@
-"""What a texture shows between its charts: their own colours, so that nothing foreign is ever mixed in."""
+"""Filling of the gaps between charts, against colour bleeding."""
 
 from __future__ import annotations
 
@@ -12,11 +12,24 @@ from scanloom.stages._opencv import require_opencv
 
 
 def filled_up(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: int) -> NDArray[np.uint8]:
-    """Fill the gaps: near charts with the colour of the nearest texel, beyond with means that grow softer."""
+    """Fill the gaps of an image around its charts.
+
+    Gaps within the padding copy the nearest texel. Gaps beyond are filled with increasingly smooth means.
+
+    Parameters
+    ----------
+    image : (h, w, 3) float32, levels; changed in place.
+    filled : (h, w) bool, texels that have a colour.
+    padding : texels around each chart that copy the nearest texel.
+
+    Returns
+    -------
+    (h, w, 3) uint8.
+    """
     require_opencv()
     import cv2
 
-    # Labels number the filled texels; each texel gets that of the nearest.
+    # With DIST_LABEL_PIXEL, each texel gets the label of the nearest filled texel.
     distance, labels = cv2.distanceTransformWithLabels(
         (~filled).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -30,7 +43,7 @@ def filled_up(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: in
 
 
 def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
-    """Fill what is not known from coarser and coarser means (Gortler et al. 1996, "The Lumigraph", 4.3)."""
+    """Fill unknown texels by pull-push (Gortler et al. 1996, "The Lumigraph", section 4.3)."""
     if known.all():
         return
     height, width = known.shape
@@ -38,7 +51,7 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
         image[~known] = image[known].mean(axis=0) if known.any() else 0
         return
     shown = np.where(known[:, :, None], image, np.float32(0))
-    # Of each pixel of half the size: sums over its four.
+    # Sums over the four texels of each texel at half the resolution.
     quarters = [(slice(i, None, 2), slice(k, None, 2)) for i in (0, 1) for k in (0, 1)]
     coarse = functools.reduce(np.add, [shown[quarter] for quarter in quarters])
     weight = functools.reduce(np.add, [known[quarter].astype(np.float32) for quarter in quarters])
@@ -49,10 +62,10 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
 
 
 def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_]) -> None:
-    """Fill the gaps of images (h, w, c) of one atlas in place with the means of blocks.
+    """Fill the gaps of atlas images (h, w, c) with block means, in place.
 
-    A gap gets the mean of the smallest block of 2, 4, 8 … texels that shows anything. Halved images (mip
-    levels) thus mix a chart with its own colours alone, as long as no block reaches from one to another.
+    A gap gets the mean of the smallest block of 2, 4, 8 … texels that contains a filled texel. Mip levels
+    therefore mix a chart with its own colours only, until a block contains two charts.
     """
     if filled.all() or not filled.any():
         return
@@ -66,7 +79,7 @@ def _fill_from_blocks(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> Non
 
     height, width, channels = image.shape
     if height % 2 or width % 2:
-        # As halving goes on to the end.
+        # Pad to an even size: the recursion halves until nothing is empty.
         grown = np.zeros((height + height % 2, width + width % 2, channels), np.uint8)
         is_known = np.zeros(grown.shape[:2], bool)
         grown[:height, :width], is_known[:height, :width] = image, known
@@ -75,7 +88,7 @@ def _fill_from_blocks(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> Non
         return
     mask = known.view(np.uint8)
     size = (width // 2, height // 2)
-    # The mean of 0 or 4 of four texels counts them.
+    # The mean of four texels that are 0 or 4 is the number of filled texels.
     count: NDArray[np.uint8] = np.asarray(cv2.resize(4 * mask, size, interpolation=cv2.INTER_AREA), np.uint8)
     coarse: NDArray[np.uint8] = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     coarse, count = coarse.reshape(*size[::-1], channels), count.reshape(size[::-1])

@@ -1,4 +1,4 @@
-"""File formats of baked images, chosen after their sources, within a byte limit."""
+"""File formats of baked images, and encoding within a byte limit."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from scanloom.stages.surface.texture import Image
 
 Pixels = NDArray[np.uint8]
 
-# The luminance table of JPEG at quality 50 (ITU-T T.81, table K.1), which the IJG's library scales.
+# Luminance table of JPEG at quality 50 (ITU-T T.81, table K.1), which the IJG library scales.
 _LUMINANCE = (
     *(16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55),
     *(14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51, 87, 80, 62),
     *(18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92),
     *(49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99),
 )
-# Where a source does not tell its quality.
+# JPEG quality if a source does not reveal its own.
 _DEFAULT_QUALITY = 90
-# Quality is lowered by no more than this, in such steps, before the resolution is.
+# Maximum reduction of the quality before the resolution is reduced, its step, and the minimum quality.
 _MAX_QUALITY_LOSS, _QUALITY_STEP, _MIN_QUALITY = 9, 3, 40
-# Share of the allowed bytes aimed at when the resolution is lowered, as bytes follow it only roughly.
+# Target as a ratio of the byte limit when the resolution is reduced: the file size follows it only roughly.
 _AIM = 0.95
 _MAX_TRIES = 12
 _MIN_SIDE = 4
-# Of all bytes: images that are less keep their resolution.
+# Images below this ratio of all bytes keep their resolution, because reducing them saves almost nothing.
 _SMALL_PART = 0.05
 
 
 @dataclass(frozen=True)
 class ImageFormat:
-    """Format of an image file.
+    """Image file format.
 
     Attributes
     ----------
     kind : "jpeg", "webp" or "png".
-    quality : 1 to 100; of no effect for PNG.
-    is_subsampled : colour at half the resolution, as in most JPEG files.
-    is_lossless : WebP without loss.
+    quality : 1 to 100; ignored for PNG.
+    is_subsampled : chroma at half the resolution, as in most JPEG files.
+    is_lossless : lossless WebP.
     """
 
     kind: str
@@ -53,19 +53,19 @@ class ImageFormat:
 
     @property
     def extension(self) -> str:
-        """Return the extension of its files, such as "jpg"."""
+        """File name extension, such as "jpg"."""
         return {"jpeg": "jpg"}.get(self.kind, self.kind)
 
 
 @dataclass(frozen=True)
 class EncodedImage:
-    """An encoded image.
+    """Encoded image.
 
     Attributes
     ----------
     data : bytes of the file.
     size : (width, height), texels.
-    quality : that was used; None for PNG.
+    quality : JPEG or WebP quality; None for PNG.
     """
 
     data: bytes
@@ -79,8 +79,8 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
     Parameters
     ----------
     sources : images that are replaced.
-    has_alpha : JPEG cannot hold that.
-    is_color : whether the pixels are colours; normals and the like are not subsampled unless the source is.
+    has_alpha : the image has an alpha channel, which JPEG cannot store.
+    is_color : pixels are colours. Other maps, such as normals, are subsampled only if all sources are.
     """
     kinds = [kind_of(image.file_bytes, image.name)[0] for image in sources]
     lossy = [image for image, kind in zip(sources, kinds, strict=True) if kind == ".jpg"]
@@ -100,11 +100,11 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
 
 
 def jpeg_quality(data: bytes) -> tuple[int, bool]:
-    """Estimate the quality of a JPEG file (1 to 100) and its chroma subsampling."""
+    """Estimate the quality (1 to 100) and chroma subsampling of a JPEG file."""
     from PIL import JpegImagePlugin
 
     try:
-        # By its class: the content must not choose another decoder. Only the header is read.
+        # Opened by class, so that the content cannot choose another decoder. Only the header is read.
         with JpegImagePlugin.JpegImageFile(io.BytesIO(data)) as image:
             tables = getattr(image, "quantization", {})
             layers = getattr(image, "layer", [])
@@ -113,7 +113,7 @@ def jpeg_quality(data: bytes) -> tuple[int, bool]:
     is_subsampled = len(layers) > 1 and tuple(layers[0][1:3]) != tuple(layers[1][1:3])
     if not tables:
         return _DEFAULT_QUALITY, is_subsampled
-    # Sums are alike however the table is ordered.
+    # The sum does not depend on the order of the table (zigzag or rows).
     total = sum(tables[min(tables)])
     return min(range(1, 101), key=lambda quality: abs(_table_sum(quality) - total)), is_subsampled
 
@@ -125,7 +125,7 @@ def _table_sum(quality: int) -> int:
 
 
 def encode(pixels: Pixels, form: ImageFormat, *, is_thorough: bool = False) -> bytes:
-    """Encode an RGB or RGBA image; thorough PNG compression is smaller but slower."""
+    """Encode an RGB or RGBA image; `is_thorough` makes PNG files smaller but slower."""
     if form.kind == "png":
         return _compressed_png(pixels) if is_thorough else encoded_png(pixels)
     if form.kind == "jpeg" and not form.is_subsampled:
@@ -155,13 +155,18 @@ def encode_within(
 ) -> tuple[list[EncodedImage], float]:
     """Encode images within a common byte limit.
 
-    PNG files are compressed better first, then the quality is lowered a little, then the resolution of all
-    images that are a good part of the whole.
+    PNG files are compressed better first. Then the quality of lossy images is reduced a little. Then the
+    resolution of all images that are a considerable part of the bytes is reduced.
+
+    Parameters
+    ----------
+    images : pixels and format of each image.
+    max_bytes : limit of all files together.
 
     Returns
     -------
-    images : EncodedImage, in the same order.
-    scale : size of a side relative to the pixels that were given.
+    images : list of EncodedImage, in the same order.
+    scale : side length relative to the input pixels, at most 1.
     """
     shown = [pixels for pixels, _ in images]
     forms = [form for _, form in images]
@@ -206,7 +211,7 @@ def _is_lossy(form: ImageFormat) -> bool:
 
 
 def resize_image(pixels: Pixels, size: tuple[int, int]) -> Pixels:
-    """Resize an image to (width, height) by averaging texels."""
+    """Resize an image to (width, height) by area averaging."""
     require_opencv()
     import cv2
 

@@ -1,10 +1,10 @@
-"""How bright a photo is here and there, beside what the others say.
+"""Local exposure: smooth brightness corrections of each photo towards the texture.
 
-Gloss, shadows of whoever holds the camera and what cameras make of a picture beyond one gain and bias differ
-from photo to photo. Where one more of them counts, or one fewer, a border would be seen. The mesh with the
-texture so far is drawn from each camera; what the photo differs by, smoothed, is added to it. So borders
-fade over what photos show together, and never across what no photo shows. Where a photo differs by much, it
-shows something else, which says nothing of its brightness.
+Specular reflection, shadows of the operator and image processing in the camera differ between photos. One
+gain and bias per photo cannot model them, and seams appear where the number of blended photos changes. The
+textured mesh is rendered from each camera, and the smoothed difference is added to the photo. Seams fade
+within the area that photos share, and never across areas that no photo shows. Pixels with a large difference
+show another surface and are ignored.
 """
 
 from __future__ import annotations
@@ -14,36 +14,40 @@ from numpy.typing import NDArray
 
 from scanloom.stages.texturing.alignment import Shifts, no_larger, shifted
 
-# Thirds of levels to add in the cells of a grid: of ten thousand photos they take 13 megabytes.
+# Levels to add in the cells of a grid, in units of 1/3 level (`_PARTS`): 13 megabytes for 10,000 photos.
 LocalExposure = NDArray[np.int8]
 _PARTS = 3
 
-# Of a photo's width: spread of the smoothing. With half of it what is out of place is taken for brightness,
-# and photos that are shifted get as blurred as the texture was.
+# Standard deviation of the smoothing as a ratio of the photo's width. Half of it takes misalignment for
+# brightness, and shifted photos become as blurred as the texture was.
 _SMOOTH = 0.06
 _COLUMNS = 24
-# Levels beyond which a pixel shows something else.
+# Maximum difference in levels; pixels that differ by more show another surface.
 _ELSE = 40.0
-# What holds the levels to 0 where hardly anything is known: a share of the pixels around.
+# Weight of the prior that pulls the correction to 0, as a ratio of the pixels in the neighbourhood.
 _PRIOR = 0.05
-# Levels of photos that are cut off say little.
+# Clipped levels (below `_DARK`, above `_BRIGHT`) get the low weight `_CUT_OFF`.
 _DARK, _BRIGHT, _CUT_OFF = 4, 250, 0.1
-# Differences are looked at in images of no more pixels, since larger ones tell no more and take hundreds of
-# megabytes, and smoothed in ones that are smaller by this.
+# Maximum pixels of the compared images: larger ones take hundreds of megabytes and give the same result.
+# `_SHARE` is the further downscaling factor for smoothing.
 _MOST_PIXELS, _SHARE = 640 * 480, 4
 
 
 def local_exposure_of(
     drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8], shifts: Shifts
 ) -> LocalExposure:
-    """Return what is to be added to a photo, (rows, columns, 3) in the cells of a grid.
+    """Estimate the levels to add to a photo on a grid.
 
     Parameters
     ----------
-    drawn : (h, w, 3) uint8, the textured mesh from the photo's camera.
-    shown : (h, w), where it shows the mesh.
+    drawn : (h, w, 3) uint8, the textured mesh rendered from the photo's camera.
+    shown : (h, w) bool, pixels of `drawn` that the mesh covers.
     photo : (h, w, 3) uint8.
     shifts : of the photo; see `scanloom.stages.texturing.alignment`.
+
+    Returns
+    -------
+    (rows, columns, 3) int8, in units of 1/3 level.
     """
     import cv2
 
@@ -52,7 +56,7 @@ def local_exposure_of(
     height, width = shown.shape
     shifts = shifts * np.float16(width / given)
     moved = shifted(photo, shifts)
-    # OpenCV's functions: NumPy is slow over a last axis of three.
+    # OpenCV instead of NumPy, which is slow over a last axis of length three.
     red, green, blue = cv2.split(cv2.absdiff(drawn, moved))
     apart = cv2.max(cv2.max(red, green), blue)
     sound = np.maximum(1 - (np.arange(256, dtype=np.float32) / _ELSE) ** 2, 0) ** 2
@@ -72,16 +76,16 @@ def local_exposure_of(
 
 
 def in_levels(exposure: LocalExposure) -> NDArray[np.float32]:
-    """Return the levels to add, (rows, columns, 3)."""
+    """Convert a correction to levels, (rows, columns, 3) float32."""
     return np.asarray(exposure / np.float32(_PARTS), np.float32)
 
 
 def made_even(photo: NDArray[np.uint8], exposure: LocalExposure) -> NDArray[np.uint8]:
-    """Return a photo (h, w, 3) with what is to be added."""
+    """Add a local exposure correction to a photo (h, w, 3)."""
     import cv2
 
     size = photo.shape[1::-1]
-    # A channel at a time: all of a large photo's levels would take four times as much as itself.
+    # One channel at a time: the float levels of a large photo would take four times its memory.
     planes = [
         cv2.add(plane, cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR), dtype=cv2.CV_8U)
         for plane, levels in zip(cv2.split(photo), cv2.split(in_levels(exposure)), strict=True)

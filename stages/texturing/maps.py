@@ -1,10 +1,10 @@
-"""What is known of a texture's texels, as images beside it.
+"""Per-texel provenance maps of a texture, as image files.
 
-photo-1.png      16 bits: the number of the photo that counts most at a texel of image 1; 0 for none
-count-1.png      8 bits: how many photos count there
-obliquity-1.png  8 bits: degrees between the surface's normal and the way to where that photo was taken; 255
-texel-1.png      16 bits: micrometres that a texel is wide on the surface, at most 65,535; 0 for none
-photos.json      the frames' names by number, and the median texel's size in metres
+photo-1.png      16 bits: number of the photo with the highest weight at a texel of image 1; 0 for none
+count-1.png      8 bits: number of photos that are blended
+obliquity-1.png  8 bits: angle between surface normal and direction to that photo, degrees; 255 for none
+texel-1.png      16 bits: width of the texel on the surface in micrometres, at most 65,535; 0 for none
+photos.json      frame names by photo number, and the median texel size in metres
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from scanloom.stages.surface.topology import areas
 from scanloom.stages.texturing.texture import Textured
 
 _NO_PHOTO = 255
-# Texels that are measured at a time, by all threads: each takes some hundred bytes.
+# Texels measured at a time by all threads, at some hundred bytes each: bounds memory.
 _AT_ONCE = 1_000_000
 
 
 def write_maps(folder: Path, textured: Textured) -> None:
-    """Write the maps into a folder."""
+    """Write the provenance maps and `photos.json` into a folder."""
     mesh, texture = textured.mesh, textured.mesh.texture
     assert texture is not None
     for number, (labels, counts) in enumerate(zip(textured.labels, textured.counts, strict=True)):
-        # What was painted, or measured last, has left holes.
+        # Painting and the previous image have left fragmented free memory.
         give_back()
         obliquity, width = _measured(mesh, texture, number, labels, textured.places)
         maps: dict[str, NDArray[np.uint8] | NDArray[np.uint16]] = {
@@ -57,7 +57,13 @@ def write_maps(folder: Path, textured: Textured) -> None:
 def _measured(
     mesh: Mesh, texture: Texture, number: int, labels: NDArray[np.int32], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Return at each texel of an image how obliquely its photo was taken, and how wide it is."""
+    """Measure the viewing angle and the width of each texel of an image.
+
+    Returns
+    -------
+    Angles (h, w) uint8 in degrees, 255 without a photo; widths (h, w) uint16 in micrometres, 0 without
+    surface.
+    """
     height, width = labels.shape
     corners = (texture.uvs - (0, 1)) * (width, -height)
     pages = np.where(texture.material_ids == number, 0, -1).astype(np.int32)
@@ -70,7 +76,7 @@ def _measured(
         label = labels.reshape(-1)[pixels[part]]
         shown = label >= 0
         of, label, weights = triangles[part][shown], label[shown], shares[part][shown]
-        # Axis by axis: NumPy is slow over a last axis of three.
+        # One axis at a time: NumPy is slow over a last axis of length three.
         towards, far2 = np.zeros(len(of)), np.zeros(len(of))
         for axis, corner in enumerate(of_triangles):
             way = places[label, axis] - sum(weights[:, k] * corner[of, k] for k in range(3))

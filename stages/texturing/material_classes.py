@@ -1,4 +1,4 @@
-"""Classes of materials whose images can share one atlas."""
+"""Material classes: groups of materials whose images can share an atlas."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from scanloom.stages.surface.formats.gltf_materials import GltfStatements, multi
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.texture import Image, Material, Texture
 
-# The place of a texture in a material: the keys of the tree that lead to it.
+# Path of a texture in the glTF material: the keys of nested objects.
 Path = tuple[str, ...]
 
 BASE_COLOR: Path = ("pbrMetallicRoughness", "baseColorTexture")
 _METALLIC_ROUGHNESS: Path = ("pbrMetallicRoughness", "metallicRoughnessTexture")
-# Factors of a texture that are baked into it where materials of a class differ in them, with their defaults.
+# Texture factors that are baked into the image if the materials of a class differ in them, with their
+# defaults.
 FACTORS: dict[Path, tuple[tuple[Path, Any], ...]] = {
     _METALLIC_ROUGHNESS: (
         (("pbrMetallicRoughness", "roughnessFactor"), 1.0),
@@ -39,9 +40,9 @@ class MaterialClass:
 
     Attributes
     ----------
-    numbers : into the materials of the mesh; −1 for triangles without one.
-    is_baked : whether it gets new images.
-    maps : places of its textures beside that of the base colour.
+    numbers : indices of the materials of the mesh; −1 for triangles without a material.
+    is_baked : the class gets new images.
+    maps : paths of its textures other than the base colour.
     """
 
     numbers: tuple[int, ...]
@@ -50,7 +51,12 @@ class MaterialClass:
 
 
 def material_classes(mesh: Mesh) -> tuple[NDArray[np.int32], tuple[MaterialClass, ...]]:
-    """Group the materials of a mesh; return class indices (m,) and classes."""
+    """Group the materials of a mesh into classes.
+
+    Returns
+    -------
+    Class of each triangle (m,), and the classes.
+    """
     texture = mesh.texture
     if texture is None:
         return np.zeros(len(mesh.triangles), np.int32), (MaterialClass((-1,), mesh.colors is not None),)
@@ -87,7 +93,7 @@ def texture_paths(tree: Any, start: Path = ()) -> Iterator[Path]:
 
 
 def value_at(tree: Any, path: Path, default: Any = None) -> Any:
-    """Return the value at a path of a tree."""
+    """Return the value at a path of nested objects, or `default`."""
     for key in path:
         if not isinstance(tree, dict) or key not in tree:
             return default
@@ -96,7 +102,7 @@ def value_at(tree: Any, path: Path, default: Any = None) -> Any:
 
 
 def image_at(material: Material, path: Path) -> Image | None:
-    """Return the image of a texture, or None if none can be decoded."""
+    """Return the image of a texture, or None if no image can be decoded."""
     if path == BASE_COLOR:
         return material.image if pixels_of(material) is not None else None
     if not isinstance(material.kept, GltfStatements):
@@ -107,13 +113,13 @@ def image_at(material: Material, path: Path) -> Image | None:
 
 
 def list_images(texture: Texture, material_class: MaterialClass, path: Path) -> list[Image]:
-    """List the images of a class for one texture, without repeats."""
+    """List the images of a class for one texture path, without duplicates."""
     found = [image_at(texture.materials[number], path) for number in material_class.numbers if number >= 0]
     return list({id(image): image for image in found if image is not None}.values())
 
 
 def list_all_images(mesh: Mesh, classes: Sequence[MaterialClass]) -> list[Image]:
-    """List the images that baking replaces, without repeats."""
+    """List the images that baking replaces, without duplicates."""
     assert mesh.texture is not None
     found: dict[int, Image] = {}
     for one in classes:
@@ -124,7 +130,7 @@ def list_all_images(mesh: Mesh, classes: Sequence[MaterialClass]) -> list[Image]
 
 
 def is_opaque(material: Material) -> bool:
-    """Return whether a glTF material ignores alpha."""
+    """Return True if a glTF material ignores alpha."""
     if not isinstance(material.kept, GltfStatements):
         return False
     return bool(material.kept.tree.get("alphaMode", "OPAQUE") == "OPAQUE")
@@ -139,7 +145,7 @@ def _key(mesh: Mesh, number: int) -> str:
     has_image = pixels_of(material) is not None
     paths = [path for path in map_paths(material) if image_at(material, path) is not None]
     if not (has_image or paths or mesh.colors is not None):
-        # Without an image its colour is all there is.
+        # Nothing to bake: the material keeps its constant colour in a separate class.
         return f"material {number}"
     parts: list[Any] = [has_image, multiplies_colors(material), sorted(paths)]
     if not has_image:

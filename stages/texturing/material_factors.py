@@ -1,4 +1,4 @@
-"""Factors of materials: which ones a class shares, and their product with texels."""
+"""Factors of materials: comparison within a class, and multiplication into texels."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _SRGB_LEVELS = np.arange(256) / 255
 
 
 def shares_base_color(texture: Texture, material_class: MaterialClass) -> bool:
-    """Return whether the materials of a class have images and the same base colour.
+    """Return True if all materials of a class have images and the same base colour.
 
-    Such a base colour stays a factor of the material.
+    A shared base colour stays a factor of the material instead of being baked.
     """
     colors = {texture.materials[number].base_color for number in material_class.numbers if number >= 0}
     return len(colors) == 1 and bool(list_images(texture, material_class, BASE_COLOR))
 
 
 def shares_factors(texture: Texture, material_class: MaterialClass, path: Path) -> bool:
-    """Return whether the materials of a class have the same factors of a map."""
+    """Return True if all materials of a class have the same factors for a map."""
     found = {
         repr(
             [

@@ -1,4 +1,4 @@
-"""The images of a texture: the surface laid out in them, and what lies under their texels."""
+"""Atlas pages: layout of a surface in images."""
 
 from __future__ import annotations
 
@@ -18,47 +18,48 @@ from scanloom.stages.surface.texture import signed_areas
 from scanloom.stages.surface.topology import areas
 from scanloom.stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL
 
-# Of an image, that charts fill in the mean; used to choose its size.
+# Typical ratio of an image that charts fill; used to choose the image size.
 _FILLED = 0.62
 _MIN_SIDE = 64
-# Rows of an image are a multiple of this, so that it can be halved a few times.
+# Heights are multiples of this number of rows, so that images can be halved a few times (mip levels).
 _ROWS = 64
-# Of a square image, what is to be filled at least: no smaller one is tried.
+# Fill ratio of a square image that the first attempted side must not exceed.
 _LEAST_FILLED = 0.5
 _LEAST_PADDING = 2
-# So many texels of an image's side have one texel of padding by default.
+# Default padding: one texel per this many texels of the image's side.
 _SIDE_PER_PADDING = 256
-# An image is full if its charts are as large as this, at least, of the size that does not fit; so often is it
-# tried to fill it.
+# An image counts as full if its density is at least this ratio of a density that did not fit (`_FULL`).
+# Maximum number of attempts (`_FILLINGS`).
 _FULL = 0.985
 _FILLINGS = 6
-# Of the density, at least, from one try to the next.
+# Growth of the density per attempt, on top of the growth that the free rows suggest.
 _GROWTH = 1.04
-# A side has room for a chart if it is longer than so many times the padding.
+# Minimum side of an image in multiples of the padding; smaller images have no space for a chart.
 _SIDES_OF_PADDING = 4
-# Where one image is to hold all: texels of its side to one of padding, and the most of that. Viewers show a
-# tile's image hardly ever halved more than once or twice.
+# For single-image layouts: texels of the side per texel of padding, and maximum padding. Viewers rarely use
+# more than two mip levels of a tile's image.
 _SIDE_PER_PADDING_OF_ONE = 128
 _MOST_PADDING_OF_ONE = 8
-# From one try to the next, of its side; and of its density, so little that pieces are mere points.
+# Growth of the side per attempt. Minimum density relative to the requested density: below, charts are mere
+# points.
 _GROWTH_OF_ONE = 1.12
 _LEAST_DENSITY = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Pages:
-    """Where each triangle lies in which image.
+    """Atlas layout: position of each triangle in the images.
 
     Attributes
     ----------
     corners : (m, 3, 2) float64, x and y in texels from the upper left corner of the image.
-    pages : (m,) int32, the image of each triangle; -1 for those without area, which have none.
-    charts : (m,) int32, likewise the chart.
-    images : (m,) int32, the image that `corners` lie in: those of a triangle without area are where another
-        triangle has its first corner, in the first image if none has.
+    pages : (m,) int32, image of each triangle; -1 for triangles without area.
+    charts : (m,) int32, chart of each triangle; -1 for triangles without area.
+    images : (m,) int32, image that `corners` refer to. A triangle without area is put at a corner of another
+        triangle that shares its first vertex, or else into the first image.
     sizes : (width, height) of each image, texels.
-    padding : texels around each chart that are its own, at least.
-    texels_per_m : of each triangle.
+    padding : minimum number of texels around each chart that continue its colours.
+    texels_per_m : (m,) linear texel density of each triangle.
     """
 
     corners: NDArray[np.float64]
@@ -71,17 +72,17 @@ class Pages:
 
     @property
     def uvs(self) -> NDArray[np.float64]:
-        """Return texture coordinates (m, 3, 2); (0, 0) is the lower left corner of the image."""
+        """Texture coordinates (m, 3, 2); (0, 0) is the lower left corner of the image."""
         sizes = np.array(self.sizes, np.float64)[self.images]
         return np.asarray(self.corners * (1, -1) / sizes[:, None] + (0, 1))
 
     def texel_size(self, mesh: Mesh) -> float:
-        """Return how large a texel is on the mesh, metres, in the mean."""
+        """Return the mean size of a texel on the mesh, metres."""
         area = float(areas(mesh.vertices, mesh.triangles).sum())
         return math.sqrt(area / float(np.abs(signed_areas(self.corners)).sum()))
 
     def usual_texel_size(self) -> float:
-        """Return how large a texel is on the mesh, metres, the median of all."""
+        """Return the median size of a texel on the mesh, metres."""
         texels = np.abs(signed_areas(self.corners))
         order = np.argsort(self.texels_per_m, kind="stable")
         before = np.cumsum(texels[order])
@@ -99,16 +100,18 @@ def laid_out(
     padding: int,
     progress: Progress,
 ) -> Pages:
-    """Lay a mesh out in as many images as it needs; the same mesh gives the same images.
+    """Lay a mesh out in as many images as needed.
 
-    Of several images each shows a part of space, so that few photos show it.
+    The layout is deterministic. Each of several images shows one region of space, so that few photos show it.
 
     Parameters
     ----------
-    texels_per_m : (m,) wanted for each triangle; less where all images had more than `max_texels`.
-    places : (m,) of the triangles along a curve through space.
-    max_side : texels, of an image.
-    padding : texels around each chart that are its own, at least.
+    texels_per_m : (m,) requested density of each triangle; reduced if the images would exceed `max_texels`.
+    places : (m,) uint32, position of each triangle along a space-filling curve.
+    max_side : maximum side of an image, texels.
+    max_texels : maximum texels of all images together.
+    padding : minimum number of texels around each chart that continue its colours.
+    progress : called by the layout kernel.
     """
     texels = areas(mesh.vertices, mesh.triangles) * texels_per_m.astype(np.float64) ** 2
     wanted = float(texels.sum()) / _FILLED
@@ -132,22 +135,25 @@ def fitted(
     padding: int | None,
     progress: Progress,
 ) -> Pages:
-    """Lay a mesh out in the smallest square image that has room for it, and fill that.
+    """Lay a mesh out in the smallest possible square image.
 
-    Where none has, there are several images, of the largest side. The same mesh gives the same images.
+    The density is increased until the image is full. If the largest image is too small, the layout uses
+    several of the largest size. It is deterministic.
 
     Parameters
     ----------
-    texel_size : metres, of a texel on the surface, at most; more where the surface had more than
-        `max_texels`: the image is no larger than these need then.
-    max_side : texels, of an image.
-    padding : texels around each chart that are its own, at least; by default as many as images of this size
-        need for a few halvings, or as few as are needed at all where there is no room for more.
+    texel_size : maximum size of a texel on the surface, metres. Texels are larger if the surface would exceed
+        `max_texels`; the image is then not filled up.
+    max_side : maximum side of an image, texels.
+    max_texels : maximum texels of surface in all images together.
+    padding : minimum number of texels around each chart that continue its colours. By default 1/256 of the
+        side, which is enough for a few mip levels, and 2 where that takes too much space.
+    progress : called by the layout kernel.
 
     Raises
     ------
     MeshError
-        If all triangles are needles.
+        If all triangles are degenerate.
     """
     area = float(areas(mesh.vertices, mesh.triangles).sum())
     density = min(1 / texel_size, math.sqrt(max_texels / area))
@@ -174,17 +180,19 @@ def fitted(
 
 
 def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
-    """Lay a mesh out in one image, hardly larger than needed, whose sides are no powers of two.
+    """Lay a mesh out in one tightly sized image.
+
+    The sides of the image need not be powers of two.
 
     Parameters
     ----------
-    texel_size : metres, of a texel on the surface; more where the image had no room for that.
-    max_side : texels.
+    texel_size : size of a texel on the surface, metres; larger if the image would exceed `max_side`.
+    max_side : maximum side of the image, texels.
 
     Raises
     ------
     MeshError
-        If all triangles are needles, or the mesh is in so many pieces that no image has room for them.
+        If all triangles are degenerate, or the mesh has too many connected components for one image.
     """
     area = float(areas(mesh.vertices, mesh.triangles).sum())
     density = 1 / texel_size
@@ -200,7 +208,7 @@ def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
             side = _whole(side * _GROWTH_OF_ONE, max_side)
     raise MeshError(
         TEXTURE_ATLAS_TOO_SMALL,
-        "falls into too many pieces for an image of {max_side} × {max_side} texels.",
+        "has too many charts for an image of {max_side} × {max_side} texels.",
         "mesh",
         max_side=max_side,
     )
@@ -214,19 +222,19 @@ def lay_out_within(
     max_texels: float | None,
     max_side: int,
 ) -> Pages:
-    """Lay a mesh out in images that hold so many texels of surface, and no more than so many in all.
+    """Lay a mesh out with a given number of texels.
 
     Parameters
     ----------
-    densities : (m,) of the texels of each triangle along a length, relative to each other.
-    texels : that charts cover, less where `max_texels` leaves no room for them.
-    max_texels : of all images, gaps included; None for no limit.
-    max_side : texels, of an image.
+    densities : (m,) linear texel density of each triangle, relative to each other.
+    texels : number of texels that charts shall cover; fewer if `max_texels` requires it.
+    max_texels : maximum texels of all images, gaps included; None for no limit.
+    max_side : maximum side of an image, texels.
 
     Raises
     ------
     MeshError
-        If all triangles are needles, or the mesh falls into too many charts for so few texels.
+        If all triangles are degenerate, or the mesh has too many charts for the texel limit.
     """
     weighted = areas(mesh.vertices, mesh.triangles) * densities**2
     most = math.inf if max_texels is None else max_texels
@@ -235,7 +243,7 @@ def lay_out_within(
     side = _whole(math.sqrt(min(texels / _FILLED, most)), max_side)
     while scale > smallest:
         padding = max(_LEAST_PADDING, side // _SIDE_PER_PADDING)
-        # In texels: of any unit of length, single precision has room for one a texel.
+        # Scaled to texels: single precision then resolves a texel whatever the unit of length.
         scaled = mesh.with_(vertices=(mesh.vertices - mesh.vertices[mesh.triangles[0, 0]]) * scale)
         pages = _pages(scaled, densities.astype(np.float32), side, padding, silent)
         total = sum(width * height for width, height in pages.sizes)
@@ -245,10 +253,12 @@ def lay_out_within(
         if len(pages.sizes) > 1 and side < larger and larger**2 <= most:
             side = larger
         else:
-            # Of several images, the last one is only as high as it has to be.
+            # The last of several images is only as high as needed, so the total may be far below the limit.
             scale *= min(math.sqrt(min(most, side**2) / total), 0.97) if total > most else 1 / _GROWTH_OF_ONE
     raise MeshError(
-        TEXTURE_ATLAS_TOO_SMALL, "falls into too many charts for an image of so few texels.", "mesh"
+        TEXTURE_ATLAS_TOO_SMALL,
+        "has too many charts for images with as few texels as the original's.",
+        "mesh",
     )
 
 
@@ -259,10 +269,10 @@ def _whole(side: float, max_side: int) -> int:
 def _filled(
     tried: Callable[[float, int, int], Pages], pages: Pages, density: float, side: int, padding: int
 ) -> Pages:
-    """Return the pages of about the largest density at which one square image has room for all."""
+    """Increase the density until the charts almost fill one square image."""
     too_much = math.inf
     for _ in range(_FILLINGS):
-        # As if all rows were filled alike.
+        # Extrapolate as if all rows were filled alike.
         used = float(pages.corners[:, :, 1].max()) + padding
         following = min(density * math.sqrt(side / used) * _GROWTH, math.sqrt(density * too_much))
         more = tried(following, side, padding)
@@ -276,7 +286,7 @@ def _filled(
 
 
 def _even(mesh: Mesh, progress: Progress, density: float, side: int, padding: int) -> Pages:
-    # In texels: of any unit of length, single precision has room for one a texel.
+    # Scaled to texels: single precision then resolves a texel whatever the unit of length.
     scaled = mesh.with_(vertices=(mesh.vertices - mesh.vertices[mesh.triangles[0, 0]]) * density)
     found = _pages(scaled, np.ones(len(mesh.triangles), np.float32), side, padding, progress)
     return replace(found, texels_per_m=np.full(len(mesh.triangles), density))
@@ -290,7 +300,10 @@ def _pages(
     progress: Progress,
     parts: NDArray[np.int32] | None = None,
 ) -> Pages:
-    """Lay a mesh out in square images of this side, each part (m,) of its triangles in images of its own."""
+    """Lay a mesh out in square images.
+
+    Each group of triangles, `parts` (m,), gets separate images.
+    """
     count = len(mesh.triangles)
     corners, pages, charts = (
         np.zeros((count, 3, 2)),
@@ -315,7 +328,7 @@ def _pages(
     if not sizes:
         raise MeshError(
             TEXTURE_ATLAS_TOO_SMALL,
-            "all its triangles are needles; none can be laid out in an image.",
+            "all triangles are needles without a measurable area; they cannot be laid out in an image.",
             "mesh",
         )
     images = pages.copy()
@@ -329,7 +342,11 @@ def _part(mesh: Mesh, chosen: NDArray[np.intp]) -> Mesh:
 
 
 def _place_flat(mesh: Mesh, corners: NDArray[np.float64], images: NDArray[np.int32]) -> None:
-    """Put all corners of triangles without area where another triangle has the first one, if one has."""
+    """Give triangles without area the texture coordinate of a neighbour, in place.
+
+    The coordinate is taken from another triangle at their first vertex, and stays 0 if no other triangle has
+    this vertex.
+    """
     (flat,) = np.nonzero(images < 0)
     (others,) = np.nonzero(images >= 0)
     place, image = np.zeros((len(mesh.vertices), 2)), np.zeros(len(mesh.vertices), np.int32)
@@ -341,14 +358,14 @@ def _place_flat(mesh: Mesh, corners: NDArray[np.float64], images: NDArray[np.int
 
 @dataclass(frozen=True, eq=False)
 class Texels:
-    """Texels of one image that show the surface, in the order of their triangles.
+    """Texels of one image that show the surface, ordered by triangle.
 
     Attributes
     ----------
     pixels : (n,) uint32, row × width + column.
     triangles : (n,) uint32.
-    shares : (n, 3) float32, of the triangle's corners.
-    width : of the image.
+    shares : (n, 3) float32, barycentric weights of the triangle's corners.
+    width : width of the image, texels.
     """
 
     pixels: NDArray[np.uint32]
@@ -357,15 +374,16 @@ class Texels:
     width: int
 
     def parts(self, count: int) -> list[Texels]:
-        """Return them in parts of at most so many."""
+        """Split the texels into chunks of at most `count`."""
         return [self._some(slice(start, start + count)) for start in range(0, len(self.pixels), count)]
 
     def parts_of(self, places: NDArray[np.uint32], count: int) -> Iterator[Texels]:
-        """Yield them in parts of at most so many, each of triangles whose places are near each other.
+        """Split the texels into spatially compact chunks of at most `count`.
 
         Parameters
         ----------
-        places : (m,) of the triangles of the mesh, along a curve through space.
+        places : (m,) position of each triangle of the mesh along a space-filling curve.
+        count : maximum texels of a chunk.
         """
         if len(self.pixels) <= count:
             yield self
@@ -373,10 +391,10 @@ class Texels:
         in_part = math.ceil(len(self.pixels) / math.ceil(len(self.pixels) / count))
         of_places = np.bincount(places[self.triangles], minlength=int(places.max()) + 1)
         part_of_place = np.maximum(np.cumsum(of_places) - 1, 0) // in_part
-        # In two bytes each: there are many texels.
+        # uint16 saves memory: there are many texels.
         part = part_of_place.astype(np.uint16)[places][self.triangles]
         for number in range(int(part_of_place[-1]) + 1):
-            # A place with more than `count` is cut once more.
+            # A single curve position may have more than `count` texels and is split again.
             yield from self._some(np.flatnonzero(part == number)).parts(count)
 
     def _some(self, rows: slice | NDArray[np.intp]) -> Texels:
@@ -384,7 +402,7 @@ class Texels:
 
 
 def texels_of(pages: Pages, page: int) -> Texels:
-    """Return what lies under the texels of an image."""
+    """Rasterise the triangles of an image: the surface point under each texel."""
     width, height = pages.sizes[page]
     return Texels(
         *_kernels.texels(pages.corners, pages.pages, page=page, width=width, height=height), width=width

@@ -1,4 +1,4 @@
-"""The images of a mesh that is laid out, with the colours of an original."""
+"""Painting of an atlas with the colours of an original surface."""
 
 from __future__ import annotations
 
@@ -16,16 +16,23 @@ from scanloom.stages.texturing.filling import filled_up
 from scanloom.stages.texturing.pages import Pages, Texels, texels_of
 from scanloom.stages.texturing.texel_samples import END, WITHIN, borders, samples_under
 
-# Levels that what lies beyond the border of a chart may differ from what it shows: a step of colour along an
-# edge, where charts like to end, must not show before it.
+# Maximum colour change beyond the border of a chart, in levels. Charts often end at edges of the shape, where
+# colours change abruptly; the change must not bleed into the chart.
 _MOST_STEP = 24.0
-# Bounds the memory, at some 400 bytes each.
+# Samples per batch, at about 400 bytes each: bounds memory.
 _SAMPLES_AT_ONCE = 1 << 19
 
 
 @dataclass(frozen=True, eq=False)
 class PaintedPages:
-    """Images full to their edges; the shares of them that charts have, and of samples that faced away."""
+    """Painted images of an atlas.
+
+    Attributes
+    ----------
+    images : (h, w, 3) uint8 each, with filled gaps.
+    coverage : ratio of the texels that show the surface.
+    turned : ratio of samples whose nearest source point faced away and was replaced.
+    """
 
     images: list[NDArray[np.uint8]]
     coverage: float
@@ -42,15 +49,18 @@ def painted_pages(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> PaintedPages:
-    """Give each texel the mean of what the original shows under it; the same on any number of threads.
+    """Paint each texel with the mean colour of the original under it.
+
+    The result does not depend on the number of threads.
 
     Parameters
     ----------
-    samples : along each side of a texel.
-    goes_on : whether the mesh is a piece of a surface that goes on where the piece ends; else there is
-        nothing beyond its end.
-    threads : all that are worth having if not given.
-    progress : told of rows of the images.
+    samples : samples along each side of a texel.
+    colors_of : colour lookup on the original.
+    goes_on : the mesh is a part of a larger surface, so colours are continued beyond its boundary. If False,
+        the colour of the boundary is repeated there.
+    threads : number of threads; by default all that help.
+    progress : called with the number of finished rows of the images and their total.
     """
     sides = borders(mesh, pages)
     texel_size = pages.texel_size(mesh)
@@ -85,7 +95,7 @@ def painted_pages(
         for part, (colors, away) in zip(parts, results, strict=True):
             image[part.pixels] = colors
             turned += away
-            # As many rows as texels, of all that show the surface.
+            # Progress in rows is estimated from the ratio of finished texels.
             ready += len(part.pixels)
             progress(done + height * ready // len(found.pixels), rows)
         shows = np.zeros(height * width, bool)

@@ -1,4 +1,4 @@
-"""The texels of a texture painted from photos, and photos brought to where the texture says they are."""
+"""Painting of texture images from photos, and estimation of photo corrections."""
 
 from __future__ import annotations
 
@@ -33,46 +33,48 @@ from scanloom.stages.texturing.views import (
 )
 
 Floats = NDArray[np.float64]
-# Colours of texels, the photo that counts most, how many count, and see `beside_photos`.
+# Colours of texels, photo with the highest weight, number of blended photos, sums of `beside_photos`.
 _Part = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8], Floats]
 
-# Bytes of the texels that are painted at a time: each remembers its best photos.
+# Bytes of the texels that are painted at a time, with their best photos: bounds memory.
 _AT_ONCE = 530e6
-# Of all texels of a texture, up to which they are painted at a time: a second time takes half as long then.
+# Bytes up to which all texels of a texture are painted at once. A second pass then takes half the time,
+# because view selection is kept.
 _ALL_AT_ONCE = 1060e6
-# Of a texel, and of each of its photos.
+# Bytes per texel, and per photo kept for a texel.
 _BYTES, _BYTES_A_PHOTO = 45, 12
-# Triangles of a mesh that takes no room worth mentioning, what each more takes, and what is left at least.
+# Triangles whose memory is negligible, bytes of each further triangle, and minimum bytes of texels at a time.
 _FEW_TRIANGLES, _BYTES_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 106, 177e6
-# What a photo counts rises with this power of its score, among details and in what is blurred. A higher
-# one for details (3 was tried) comes no nearer to photos that were left out, and seams are seen more.
+# Exponents of a photo's score in the blending weight, for details and for the blurred image. Higher exponents
+# for details (3 was tried) do not reduce the error on held-out photos and make seams more visible.
 _DETAILS_POWER, _BLURRED_POWER = 1, 1
-# Photos that differ from the median by so many deviations, and so many levels, do not count.
+# Outlier rejection: photos that differ from the median by more than both limits are ignored, in deviations
+# and in levels.
 _DEVIATIONS, _LEVELS = 5.0, 12.0
-# Texels over which a border is felt that photos leave where they end. Over more (40 were tried) left-out
-# photos are met no better, nor borders seen less.
+# Distance over which levelling fades out from a seam, in texels. Larger values (40 was tried) improve neither
+# the error on held-out photos nor the visibility of seams.
 _FELT = 12.0
-# Pixels of photos in which shifts are looked for: of larger ones these would take hundreds of megabytes each.
+# Maximum pixels of the images in which shifts are estimated: larger ones take hundreds of megabytes each.
 _MOST_PIXELS = 1_500_000
-# How often what photos show beyond the texture is added to it: after the second time left-out photos are met
-# no better.
+# Number of back-projection passes. A third pass does not reduce the error on held-out photos.
 PASSES = 2
-# Every so many texels tell how the mesh's own colours go with those painted.
+# Every `_EVERY`th texel is used to match vertex colours to the painted ones; with fewer than `_LEAST_TEXELS`
+# the vertex colours stay as they are.
 _EVERY = 7
 _LEAST_TEXELS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """An image of a texture.
+    """Painted image of a texture.
 
     Attributes
     ----------
     colors : (h, w, 3) float32, levels.
-    filled : (h, w) whether a texel shows the surface, and has a colour.
-    labels : (h, w) int32, the photo that counts most there; -1 where none shows the surface.
-    views : (h, w) uint8, photos that count.
-    beside : how neighbours differ, and how photos show them, see `beside_photos`; 0 if it is painted again.
+    filled : (h, w) bool, texels that show the surface and have a colour.
+    labels : (h, w) int32, photo with the highest weight; -1 if no photo shows the texel.
+    views : (h, w) uint8, number of photos that are blended.
+    beside : (2, 2), see `beside_photos`; 0 if the image will be painted again.
     """
 
     colors: NDArray[np.float32]
@@ -83,7 +85,10 @@ class Painted:
 
 
 def levels_of(painted: Painted) -> NDArray[np.uint8]:
-    """Return what photos are brought to: (h, w, 3) levels, 0 where none shows the surface."""
+    """Convert a painted image to 8 bits, (h, w, 3).
+
+    Texels that no photo shows are 0. Painted texels are at least 1, so that renderings can tell them apart.
+    """
     levels = np.rint(painted.colors)
     np.clip(levels, 1, 255, out=levels)
     levels[painted.labels < 0] = 0
@@ -91,21 +96,21 @@ def levels_of(painted: Painted) -> NDArray[np.uint8]:
 
 
 class Shown(NamedTuple):
-    """Photos, how bright each is, and which parts of the drawn mesh it may show."""
+    """Photos with their exposures and the parts of the mesh that each may show."""
 
     photos: Photos
     exposures: Sequence[Exposure]
     parts: Sequence[NDArray[np.uint32]]
 
     def showing(self, parts: NDArray[np.uint32]) -> list[int]:
-        """Return the numbers of the photos that may show some of these parts."""
+        """Return the indices of the photos that may show some mesh parts."""
         wanted = np.zeros(1 + max(int(some.max(initial=0)) for some in (parts, *self.parts)), np.bool_)
         wanted[parts] = True
         return [number for number, some in enumerate(self.parts) if wanted[some].any()]
 
 
 class Painter:
-    """Paints all images of a texture, once, or again with photos corrected."""
+    """Painter of all images of a texture, in one or more passes."""
 
     def __init__(
         self,
@@ -120,9 +125,11 @@ class Painter:
     ) -> None:
         self._mesh, self._drawn, self._normals, self._pages = mesh, drawn, normals, pages
         self._shown, self._kept, self._is_made_even = shown, kept, is_made_even
-        # What is painted at once can be painted again without looking for the best photos anew.
+        # Points of the previous pass, if all texels fitted into one batch: view selection need not be
+        # repeated.
         self._remembered: _kernels.SurfacePoints | None = None
-        # Found once where there is one image; all of many may not fit into memory.
+        # Texels of a single image are rasterised once; the texels of all of several images may not fit into
+        # memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
         all_at_once = _texels(_ALL_AT_ONCE, kept)
         is_all = self._only is not None and len(self._only.pixels) <= all_at_once
@@ -136,9 +143,13 @@ class Painter:
     def paint(
         self, corrections: Sequence[Correction] | None, progress: Callable[[], object], *, again: bool = False
     ) -> Iterator[Painted]:
-        """Yield one image after the other; `progress` is called for each photo and part of the texels.
+        """Yield the images one by one.
 
-        `again` says that all may be painted once more: what that goes quicker by is kept.
+        Parameters
+        ----------
+        corrections : of each photo; None for none.
+        progress : called for each photo and batch of texels.
+        again : keep the view selection if memory allows, because all images may be painted again.
         """
         part = partial(self._part, corrections=corrections, progress=progress, again=again)
         for number in range(len(self._pages.sizes)):
@@ -146,11 +157,14 @@ class Painter:
 
     @property
     def can_add_details(self) -> bool:
-        """Whether what `with_details` needs was kept: all was painted at a time, to be painted again."""
+        """True if all texels were painted at once, so that `with_details` can be called."""
         return self._remembered is not None
 
     def with_details(self, painted: Painted, progress: Callable[[], object]) -> Painted:
-        """Return the only image with details; `progress` is called `PASSES` times for each photo."""
+        """Paint the only image again with details recovered by back-projection.
+
+        `progress` is called `PASSES` times for each photo.
+        """
         assert self._remembered is not None
         photos, exposures, _ = self._shown
         textures: list[_kernels.TexturedSurface] = []
@@ -163,13 +177,19 @@ class Painter:
         return painted
 
     def forget(self) -> None:
-        """Let go what was kept for painting again."""
+        """Release the view selection kept for painting again."""
         self._remembered = None
 
     def corrections(
         self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]
     ) -> list[Correction]:
-        """Return what brings each photo to the texture, which `levels_of` gives."""
+        """Estimate the shifts and local exposure that align each photo with the texture.
+
+        Parameters
+        ----------
+        images : (h, w, 3) uint8, from `levels_of`.
+        progress : called after each photo.
+        """
         photos, exposures, _ = self._shown
         surface = self._surface(images)
 
@@ -194,7 +214,7 @@ class Painter:
         return _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
 
     def _texels(self, page: int) -> Iterator[Texels]:
-        """Yield what is painted at a time of an image: what few photos show."""
+        """Yield spatially compact batches of an image's texels, each visible in few photos."""
         texels = texels_of(self._pages, page) if self._only is None else self._only
         return texels.parts_of(self._drawn.parts, self._at_once)
 
@@ -209,7 +229,7 @@ class Painter:
             at = texels.pixels
             colors[at], labels[at], views[at], sums = part(texels)
             beside += sums
-            # What nothing is known of takes on the colours around it.
+            # Texels without a photo or vertex colour are filled from their surroundings later.
             filled[at] = (labels[at] >= 0) | (self._mesh.colors is not None)
         shape = (height, width)
         return Painted(
@@ -228,7 +248,7 @@ class Painter:
         again: bool,
     ) -> _Part:
         mesh, drawn, (photos, exposures, _) = self._mesh, self._drawn, self._shown
-        # The last part has left holes.
+        # The previous batch has left fragmented free memory.
         give_back()
         points = self._remembered
         if points is not None and corrections is not None:
@@ -243,10 +263,10 @@ class Painter:
             for _ in range(len(photos) - len(numbers)):
                 progress()
             self._remembered = points if is_kept else None
-        # What is remembered is painted again.
+        # Kept points will be painted again.
         blended = self._blended(points, texels, is_last=not again or self._remembered is None)
         if not again:
-            # The image that follows takes as much.
+            # Release the points before the caller finishes the image, which takes as much memory.
             self._remembered = None
         return blended
 
@@ -267,29 +287,36 @@ class Painter:
 
 
 def level_borders(points: _kernels.SurfacePoints, colors: NDArray[np.float32], texels: Texels) -> None:
-    """Bring colours (n, 3), in place, to the differences that photos show where others count beside them."""
+    """Level colours (n, 3) at seams, in place.
+
+    Where the blended photos change between neighbouring texels, the colour difference is replaced by the
+    difference that the photos show.
+    """
     points.level(colors, texels.pixels, width=texels.width, reach=_FELT, wanted_threads=0)
 
 
 def _texels(size: float, kept: int) -> int:
-    """Return how many texels take so many bytes, with the photos that are kept of each."""
+    """Return the number of texels that fit into `size` bytes."""
     return int(size / (_BYTES + _BYTES_A_PHOTO * kept))
 
 
 def _room_beside(triangles: int) -> float:
-    """Return the bytes of texels that are painted at a time, beside which a mesh fits into memory."""
+    """Return the memory for texels painted at a time, bytes."""
     return max(_AT_ONCE - _BYTES_A_TRIANGLE * max(triangles - _FEW_TRIANGLES, 0), _LEAST_AT_ONCE)
 
 
 def _parts(pages: Pages, at_once: int) -> int:
-    """Return in how many parts several images are painted, about."""
+    """Estimate the number of batches for painting several images."""
     has_image = pages.pages >= 0
     texels = np.bincount(pages.pages[has_image], np.abs(signed_areas(pages.corners[has_image])))
     return int(np.ceil(texels / at_once).sum())
 
 
 def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:
-    """Give texels that no photo shows the mesh's own colours, as bright as the photos are here."""
+    """Fill texels that no photo shows with vertex colours.
+
+    The vertex colours are adjusted to the brightness of the photos.
+    """
     if mesh.colors is None or not unseen.any():
         return
 
@@ -305,7 +332,10 @@ def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels:
 
 
 def _line(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the gain and bias that bring levels nearest to others; 1 and 0 where there are too few."""
+    """Fit gain and bias from levels `a` to levels `b` by least squares.
+
+    Returns (1, 0) for too few or uniform samples.
+    """
     if len(a) < _LEAST_TEXELS or float(a.var()) < 1:
         return 1.0, 0.0
     gain = float(np.mean((a - a.mean()) * (b - b.mean())) / a.var())

@@ -1,4 +1,4 @@
-"""Photos of a surface: images without lens distortion, and where their cameras stood."""
+"""Undistorted photos of a surface with their cameras and poses."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose, Sk
 from scanloom.stages.scans.model.sharpness import sharpness
 from scanloom.stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
 
-# Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.
+# Maximum bytes of photos kept in memory together. Larger sets are read again from their files when needed.
 _KEPT_BYTES = 250_000_000
-# Pixels of a photo from which photos are worked on one after the other.
+# Photos with more pixels than this are processed one at a time, to bound memory.
 _LARGE = 4_000_000
-# Photos taken before and after that one is compared with, the share of their sharpness below which it is
-# worth no less, and the power of that share. A photo half as sharp as they are counts a thirtieth, for worths
-# are squared: what blurred photos take off others was seen to cost more than what they add.
+# Weights by sharpness: number of neighbours on each side in time, minimum sharpness ratio, and exponent of
+# the ratio. A photo with half the sharpness of its neighbours gets 1/30 of the influence, because weights are
+# squared. Measured: blurred photos cost more quality than they add coverage.
 _BESIDE = 5
 _LEAST_SHARE = 0.5
 _WORTH_POWER = 2.5
-# Levels from which a pixel is black or white, and how many may be so in a photo of use.
+# Levels below and above which a pixel is black or white, and maximum ratio of such pixels in a usable photo.
 _DARK, _BRIGHT = 4, 250
 _MOST_CUT_OFF = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A colour image as a pinhole camera would have taken it.
+    """Undistorted photo with its pinhole camera and pose.
 
     Attributes
     ----------
-    frame : what it is of.
+    frame : frame that the photo belongs to.
     image : (h, w, 3) uint8 RGB.
-    camera : without distortion, of this size.
+    camera : intrinsics without distortion, for this image size.
     camera_from_world : (4, 4) float64, metres.
-    seen : (h, w) which pixels show the scene, None if all do.
+    seen : (h, w) bool, valid pixels; None if all are.
     """
 
     frame: Frame
@@ -55,18 +55,19 @@ class Photo:
 
 
 def photo_of(frame: Frame) -> Photo:
-    """Read a frame's photo.
+    """Read and undistort the photo of a frame.
 
     Raises
     ------
     InputError
-        If it has none, or no pose, it cannot be read, or hardly anything but black and white is in it.
+        If the frame has no photo or no pose, the file cannot be read, or almost all pixels are black or
+        white.
     """
     if frame.world_from_camera is None:
         raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", Where(frame=frame.name))
     image, camera, seen = read_photo(frame)
     black_or_white = _black_or_white(image)
-    # Of what masks leave: a thing that is cut out of its photo may fill little of it.
+    # Only pixels inside the mask count: an object may fill a small part of its photo.
     shown = black_or_white if seen is None else black_or_white[seen]
     cut_off = float(shown.mean()) if shown.size else 1.0
     if cut_off > _MOST_CUT_OFF:
@@ -92,15 +93,15 @@ def _black_or_white(image: ColorImage) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """The photos of a scan that can be used; `read` gives them, from memory or anew.
+    """Usable photos of a scan, in memory or read from their files.
 
     Attributes
     ----------
-    frames : theirs.
-    cameras, poses : of each, and what takes the world to it (4, 4).
-    worths : (n,) of each beside those taken just before and after: blurred ones less; at most 1.
-    kept : those in memory, by their number.
-    skipped : frames without, and why.
+    frames : frame of each photo.
+    cameras, poses : intrinsics and camera_from_world (4, 4) of each photo.
+    worths : (n,) weight of each photo by its sharpness relative to its neighbours in time, at most 1.
+    kept : photos in memory, by index.
+    skipped : frames without a usable photo, and the reason.
     """
 
     frames: tuple[Frame, ...]
@@ -115,22 +116,22 @@ class Photos:
 
     @property
     def ahead(self) -> int:
-        """How many photos are worked on at a time: large ones take hundreds of megabytes each."""
+        """Number of photos processed at a time: large ones take hundreds of megabytes each."""
         largest = max((camera.width * camera.height for camera in self.cameras), default=0)
         return workers() + 1 if largest <= _LARGE else 1
 
     def read(self, number: int) -> Photo:
-        """Return a photo.
+        """Return the photo with the given index.
 
         Raises
         ------
         InputError
-            If its file has gone since.
+            If its file has disappeared.
         """
         return self.kept[number] if number in self.kept else photo_of(self.frames[number])
 
     def without(self, wrong: Mapping[int, Diagnostic]) -> Photos:
-        """Return the photos without some, by their numbers, and why."""
+        """Return the photos without the given indices, which are recorded as skipped."""
         rest = [i for i in range(len(self)) if i not in wrong]
         return Photos(
             frames=tuple(self.frames[i] for i in rest),
@@ -143,10 +144,11 @@ class Photos:
 
 
 def photos_of(frames: Sequence[Frame], progress: Progress) -> Photos:
-    """Look through the photos of frames.
+    """Collect the usable photos of frames, with weights by sharpness.
 
     Parameters
     ----------
+    frames : with colour images.
     progress : called after each frame.
     """
 

@@ -1,7 +1,7 @@
-"""Images of an original, made no finer than the image that is baked can show.
+"""Downscaling of source images that are finer than the baked image can show.
 
-A texture that is repeated thousands of times would otherwise ask for the largest image and the most samples,
-and each texel would get the colour of a few places in it.
+A texture that repeats thousands of times would otherwise require the largest image and many samples. Each
+texel would still get the colour of a few random points.
 """
 
 from __future__ import annotations
@@ -21,9 +21,14 @@ from scanloom.stages.surface.topology import areas
 
 
 def reduced(mesh: Mesh, texel_size: float, finer: float) -> Mesh:
-    """Return a mesh without images more than `finer` times as fine as `texel_size`, metres on the mesh.
+    """Downscale images more than `finer` times as fine as the texel size.
 
-    Such an image is averaged until it is as coarse as that; one that is repeated within it becomes its mean.
+    Such an image is averaged down to the texel size. An image that repeats within a texel becomes its mean.
+
+    Parameters
+    ----------
+    texel_size : metres on the mesh.
+    finer : maximum linear ratio of the texel size to the size of the image's texels.
     """
     texture = mesh.texture
     if texture is None:
@@ -31,14 +36,14 @@ def reduced(mesh: Mesh, texel_size: float, finer: float) -> Mesh:
     spread = np.abs(signed_areas(texture.uvs))
     area = np.where(spread > 0, areas(mesh.vertices, mesh.triangles), 0.0)
     materials = list(texture.materials)
-    # By material, the first for triangles without one.
+    # Sums per material; the first entry is for triangles without a material (index −1).
     of_materials = partial(np.bincount, texture.material_ids + 1, minlength=len(materials) + 1)
     sums = zip(of_materials(weights=area)[1:], of_materials(weights=spread)[1:], strict=True)
     for number, (its_area, its_spread) in enumerate(sums):
         pixels = pixels_of(materials[number])
         if pixels is None or not (its_area > 0 and its_spread > 0):
             continue
-        # Along a side of the image as it lies on the mesh.
+        # Number of target texels along one side of the image as mapped on the mesh.
         texels = math.sqrt(its_area / its_spread) / texel_size
         if math.sqrt(pixels.shape[0] * pixels.shape[1]) > finer * texels:
             materials[number] = replace(materials[number], image=Image(given=_averaged(pixels, texels)))
@@ -48,7 +53,7 @@ def reduced(mesh: Mesh, texel_size: float, finer: float) -> Mesh:
 
 
 def _averaged(pixels: NDArray[np.uint8], texels: float) -> NDArray[np.uint8]:
-    """Return an image of as many pixels as `texels` squared, or one."""
+    """Average an image down to about `texels`² pixels, at least one."""
     require_opencv()
     import cv2
 

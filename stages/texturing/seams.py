@@ -1,4 +1,4 @@
-"""How visible the borders between photos are."""
+"""Visibility of seams between photos in a texture."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 
-# Fewer pairs of texels tell nothing.
+# Minimum number of texel pairs for a ratio; fewer are not significant.
 _LEAST_PAIRS = 100
-# Rows, and pairs, at a time: bounds the memory.
+# Rows and pairs per batch: bounds memory.
 _ROWS, _PAIRS = 512, 1 << 18
-# Of so many rows of texels one is compared with photos.
+# Every `_EVERY`th row of texels is compared with photos.
 _EVERY = 4
 
 
 class SeamSums:
-    """Colour differences between neighbouring texels of images, across borders of photos and within them."""
+    """Accumulated colour differences of neighbouring texels, across seams and within photos."""
 
     def __init__(self) -> None:
         self._sums, self._counts = np.zeros(2), np.zeros(2, np.int64)
@@ -27,13 +27,13 @@ class SeamSums:
     def add(
         self, image: NDArray[np.float32], label: NDArray[np.int32], beside: NDArray[np.float64] | None = None
     ) -> None:
-        """Add an image.
+        """Add the texel pairs of an image.
 
         Parameters
         ----------
         image : (h, w, 3), levels.
-        label : (h, w), the photo that counts most at each texel, -1 for none.
-        beside : what `beside_photos` says of it.
+        label : (h, w), photo with the highest weight at each texel, -1 for none.
+        beside : (2, 2), result of `beside_photos` for the image.
         """
         for start in range(0, len(label), _ROWS):
             rows = slice(start, start + _ROWS + 1)
@@ -42,12 +42,12 @@ class SeamSums:
             self._beside += beside
 
     def ratio(self) -> float | None:
-        """Return the mean colour difference across borders of photos over that of all other neighbours.
+        """Return the mean colour difference across seams relative to other neighbours.
 
         Returns
         -------
-        The ratio of mean distances in CIELAB (CIE 1976), 1 where no border can be seen; None where there are
-        hardly any borders. Photos often end where things do: then it is more without any seam.
+        Ratio of mean CIELAB distances (CIE 1976): 1 for invisible seams; None if there are too few pairs.
+        Photos often end at occlusion boundaries, where the ratio exceeds 1 even without visible seams.
         """
         if self._counts.min() < _LEAST_PAIRS:
             return None
@@ -55,11 +55,12 @@ class SeamSums:
         return float(across / within) if within > 0 else None
 
     def over_photos(self) -> float | None:
-        """Return that ratio over the one that photos have, each of the same neighbours, themselves.
+        """Return the seam visibility relative to the photos.
 
         Returns
         -------
-        1 where borders are seen no more than what is there in the photos; None where there are hardly any.
+        `ratio` of the texture divided by the same ratio of single photos that show both texels: 1 if texture
+        edges are no stronger than edges in the photos. None if there are too few pairs.
         """
         if self.ratio() is None or not (self._beside > 0).all():
             return None
@@ -74,17 +75,17 @@ def beside_photos(
     pixels: NDArray[np.uint32],
     width: int,
 ) -> NDArray[np.float64]:
-    """Return how neighbouring texels differ, and how one photo shows them.
+    """Sum the differences of neighbouring texels, in the texture and in single photos.
 
     Parameters
     ----------
-    points : the surface points, with what photos show of each.
-    colors, labels : (n, 3) levels and (n,), see `SeamSums.add`.
-    pixels, width : where they are in an image, row × width + column.
+    points : surface points with their photo samples.
+    colors, labels : (n, 3) levels and (n,) photos, see `SeamSums.add`.
+    pixels, width : (n,) position in the image, row × width + column, and width of the image.
 
     Returns
     -------
-    (2, 2): sums of distances in CIELAB, of texels and of photos, across borders and within them.
+    (2, 2) float64: sums of CIELAB distances. Rows: across seams, within photos. Columns: texture, photos.
     """
     sums = np.zeros((2, 2))
     pairs, shown = points.neighbours(labels, pixels, width=width, every=_EVERY)
@@ -107,8 +108,8 @@ def _lab(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
 
 
 def _apart(lab: list[NDArray[np.float32]], axis: int) -> NDArray[np.float32]:
-    """Return how far neighbours along an axis are apart."""
-    # Channel by channel: NumPy is slow over a last axis of three.
+    """Return the colour distances of neighbours along an axis."""
+    # One channel at a time: NumPy is slow over a last axis of length three.
     return np.sqrt(functools.reduce(np.add, [np.diff(channel, axis=axis) ** 2 for channel in lab]))
 
 

@@ -1,4 +1,4 @@
-"""A first look with all photos: how bright each is, how much they show where, and which are wrong."""
+"""Survey of all photos: visibility, resolution and exposure, and rejection of bad photos."""
 
 from __future__ import annotations
 
@@ -20,32 +20,33 @@ from scanloom.stages.texturing.views import DrawnMesh, see
 
 Floats = NDArray[np.float64]
 
-# Points of the surface that are looked at, beside the middle of every triangle.
+# Points sampled on the surface by area, in addition to the centre of every triangle.
 _POINTS = 150_000
-# A photo is wrong if it differs from the others by so many times what is usual, and so many levels, in the
-# median of so many points at least.
+# A photo is rejected if its median difference exceeds both limits (a multiple of the usual difference, and a
+# number of levels), over a minimum number of points.
 _WRONG_TIMES, _WRONG_LEVELS, _WRONG_POINTS = 4.0, 25.0, 100
-# Points whose place in photos is found at a time: bounds the memory.
+# Points projected per batch: bounds memory.
 _AT_ONCE = 500_000
-# Of the median of all triangles: no triangle gets texels for more pixels than this.
+# Maximum density of a triangle relative to the median of all triangles.
 _MOST_DENSITY = 3.0
-# Of the median: what a triangle gets that no photo shows.
+# Density of a triangle that no photo shows, relative to the median.
 _UNSEEN_DENSITY = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What photos show of points all over a mesh.
+    """Photo samples of points distributed over a mesh.
 
     Attributes
     ----------
     views : (n, k) int32, the photos that show a point best; -1 for none.
-    flat : (n,) whether these are so flat that none would be taken if there were a better one.
-    colors : (n, k, 3) uint8, its levels there.
-    radii2 : (n, k) squared distance from the middle of the photo, 1 in its corners.
-    pixels_per_m : (m,) float32, of each triangle in the photo that shows it best; less where none does.
-    seen : share of the surface that some photo shows.
-    shown : of each photo, the parts of the drawn mesh that it may show.
+    flat : (n,) bool, the point is seen only at grazing angles.
+    colors : (n, k, 3) uint8, levels of each sample.
+    radii2 : (n, k) squared distance from the centre of the photo, 1 in its corners.
+    pixels_per_m : (m,) float32, resolution of each triangle in its best photo, limited; low where no photo
+        shows it.
+    seen : ratio of the surface area that at least one photo shows.
+    shown : for each photo, the parts of the mesh that it may show.
     """
 
     views: NDArray[np.int32]
@@ -65,13 +66,15 @@ def survey(
     kept: int,
     progress: Callable[[], object],
 ) -> Survey:
-    """Look at points all over a mesh with all photos.
+    """Sample points all over a mesh in all photos.
 
     Parameters
     ----------
-    drawn : the same mesh.
-    normals : (n, 3) of the vertices.
-    kept : photos that are kept of each point.
+    mesh : surface to be textured.
+    drawn : the same mesh, prepared for rendering.
+    normals : (n, 3) vertex normals.
+    photos : usable photos.
+    kept : maximum number of photos kept per point.
     progress : called after each photo.
 
     Raises
@@ -87,7 +90,7 @@ def survey(
     if (views < 0).all():
         raise InputError(
             TEXTURE_PHOTOS_MISMATCH,
-            "none of the {photos_count} photos shows the mesh: do poses and mesh belong together?",
+            "none of the {photos_count} photos shows the mesh: poses and mesh have different coordinates.",
             photos_count=len(photos),
         )
     flat = points.flat()
@@ -96,7 +99,7 @@ def survey(
     np.maximum.at(best, of, points.density())
     area = areas(mesh.vertices, mesh.triangles)
     is_seen = best > 0
-    # Flat looks decide nothing for what is seen better.
+    # Grazing views determine the density only of triangles that have no better view.
     best = np.where(straight > 0, straight, best)
     middle = float(np.median(straight[straight > 0] if straight.any() else best[is_seen]))
     wanted = np.where(is_seen, np.minimum(best, _MOST_DENSITY * middle), _UNSEEN_DENSITY * middle)
@@ -114,32 +117,38 @@ def survey(
 def judged(
     surveyed: Survey, photos: Photos, correct: bool
 ) -> tuple[Photos, Exposures, list[NDArray[np.uint32]]]:
-    """Return the photos that show the mesh, and agree, how bright each is, and what parts it may show.
+    """Reject photos that contradict the others or do not show the mesh.
 
     Parameters
     ----------
-    correct : find how bright photos are; else all count as equal.
+    surveyed : result of `survey`.
+    photos : photos of the survey.
+    correct : estimate exposures; if False, all photos get the identity.
+
+    Returns
+    -------
+    The accepted photos, their exposures, and the mesh parts that each may show.
     """
     views, colors, radii2 = surveyed.views, surveyed.colors, surveyed.radii2
-    # Photos are compared by what they show well.
+    # Grazing views are too inaccurate for a comparison of photos.
     compared = np.where(surveyed.flat[:, None], np.int32(-1), views)
     found = exposures(compared, colors, radii2, len(photos))
     unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
     wrong = {
-        int(i): TEXTURE_PHOTOS_MISMATCH.warning("its photo does not show the mesh.")
+        int(i): TEXTURE_PHOTOS_MISMATCH.warning("the photo does not show the mesh.")
         for i in np.flatnonzero(unseen)
     }
     usual = max(float(np.median(found.differences[~unseen])), 1.0)
     off = (found.differences > max(_WRONG_TIMES * usual, _WRONG_LEVELS)) & (found.samples >= _WRONG_POINTS)
     wrong |= {
         int(i): TEXTURE_PHOTOS_INCONSISTENT.warning(
-            "its photo shows something else than the others: {levels:.0f} levels difference in the median.",
+            "the photo contradicts the others: the median difference is {levels:.0f} levels.",
             levels=float(found.differences[i]),
         )
         for i in np.flatnonzero(off & ~unseen)
     }
     if wrong:
-        # What they show must not count for the others.
+        # Fit again without the rejected photos, which have distorted the means.
         compared = np.where(np.isin(compared, list(wrong)), np.int32(-1), compared)
         found = exposures(compared, colors, radii2, len(photos))
     if not correct:
@@ -149,11 +158,16 @@ def judged(
 
 
 def _points(mesh: Mesh) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Return points all over the surface, one a triangle at least: triangles, and shares of corners."""
+    """Sample points on the surface, at least one per triangle.
+
+    Returns
+    -------
+    Triangle of each point (n,) and barycentric weights (n, 3).
+    """
     area = areas(mesh.vertices, mesh.triangles)
     counts = 1 + np.floor(area / area.sum() * _POINTS).astype(np.int64)
     of = np.repeat(np.arange(len(area), dtype=np.uint32), counts)
-    # Chosen by chance, but the same each time: a lattice could miss what is regular.
+    # Random but reproducible: a regular pattern could alias with regular structures.
     shares = np.random.RandomState(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
     shares[np.cumsum(counts) - counts] = 1 / 3
     return of, shares
@@ -166,7 +180,7 @@ def _radii2(
     views: NDArray[np.int32],
     photos: Photos,
 ) -> NDArray[np.float32]:
-    """Return the squared distance of samples (n, k) from the middle of their photos, 1 in the corners."""
+    """Compute the squared photo radius of samples (n, k); 1 in the corners."""
     radii2 = np.empty(views.shape, np.float32)
     for start in range(0, len(of), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
@@ -177,7 +191,7 @@ def _radii2(
 
 
 def _radii2_at(places: Floats, views: NDArray[np.int32], photos: Photos) -> NDArray[np.float32]:
-    """Return it for samples (n, k) of points that lie at these places (n, 3)."""
+    """Compute the squared photo radius of samples (n, k) of points (n, 3)."""
     radii2 = np.zeros(views.shape, np.float32)
     order = np.argsort(views, axis=None, kind="stable")
     bounds = np.searchsorted(views.ravel()[order], np.arange(len(photos) + 1))

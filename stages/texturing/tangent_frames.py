@@ -1,7 +1,8 @@
 """Tangent frames for tangent-space normal maps, as viewers derive them.
 
-After MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"): tangents of triangles that
-share a position, a normal and texture coordinates are averaged by angle; the bitangent is the cross product.
+The method follows MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"). Tangents of
+triangles that share position, normal and texture coordinates are averaged, weighted by angle. The bitangent
+is the cross product of normal and tangent.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class TangentFrames:
-    """Frames of the corners of a mesh.
+    """Tangent frames at the corners of a mesh.
 
     Attributes
     ----------
     normals, tangents : (m, 3, 3) float32.
-    signs : (m,) float32, 1 where texture coordinates go round counter-clockwise, else −1.
+    signs : (m,) float32, 1 for counter-clockwise texture coordinates, else −1.
     """
 
     normals: Floats
@@ -33,7 +34,7 @@ class TangentFrames:
     signs: Floats
 
     def at(self, triangles: NDArray[Any], weights: NDArray[Any]) -> tuple[Floats, Floats, Floats]:
-        """Return tangents, bitangents and normals (k, 3) at points of the surface."""
+        """Interpolate tangents, bitangents and normals (k, 3) at points of the surface."""
         shares = weights.astype(np.float32)
         normals = _interpolate(self.normals, triangles, shares)
         tangents = _interpolate(self.tangents, triangles, shares)
@@ -42,7 +43,7 @@ class TangentFrames:
 
 
 def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
-    """Derive the frames of a mesh with texture coordinates (m, 3, 2), v up."""
+    """Compute the tangent frames of a mesh with texture coordinates (m, 3, 2), v up."""
     normals = corner_normals(mesh)
     corners = mesh.vertices[mesh.triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -50,7 +51,7 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
     area = u1 * v2 - u2 * v1
     signs = np.where(area >= 0, 1.0, -1.0)
     along = _unit((first * v2[:, None] - second * v1[:, None]) * signs[:, None])
-    # In the plane of each corner's normal, weighted by the angle of the corner.
+    # Project tangents to the plane of each corner's normal, weighted by the angle of the corner.
     flat = along[:, None] - normals * np.einsum("mx,mkx->mk", along, normals)[..., None]
     flat = _unit(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _corner_angles(corners)[..., None]
     key = np.concatenate(
@@ -72,7 +73,7 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
 
 
 def corner_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Return shading normals (m, 3, 3) of the corners; face normals where none are given."""
+    """Return the shading normals (m, 3, 3) of the corners, or face normals."""
     flat = unit_normals(mesh)[:, None].repeat(3, axis=1)
     if mesh.corner_normals is not None:
         given = mesh.corner_normals
@@ -99,13 +100,13 @@ def decode_normals(
 def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> NDArray[np.uint8]:
     """Encode object-space normals (k, 3) as tangent-space normals, uint8."""
     tangents, bitangents, normals = frame
-    # The bitangent is perpendicular to both others, which need not be so to each other.
+    # The bitangent is perpendicular to normal and tangent, but these need not be perpendicular to each other.
     y = _dot(directions, bitangents) / np.maximum(_dot(bitangents, bitangents), np.float32(1e-12))
     tt, nn, tn = _dot(tangents, tangents), _dot(normals, normals), _dot(tangents, normals)
     dt, dn = _dot(directions, tangents), _dot(directions, normals)
     determinant = np.maximum(tt * nn - tn * tn, np.float32(1e-12))
     x, z = (dt * nn - dn * tn) / determinant, (dn * tt - dt * tn) / determinant
-    # Nothing points below the surface in a normal map.
+    # Normal maps cannot represent directions below the surface.
     local = _unit(np.stack([x, y, np.maximum(z, np.float32(1e-3))], axis=1))
     return np.asarray(np.rint((local + 1) * np.float32(127.5)).clip(0, 255), np.uint8)
 

@@ -1,4 +1,4 @@
-"""Number and density of the texels of an atlas, from those of the images that the atlas replaces."""
+"""Texel budgets and densities of an atlas, derived from the images it replaces."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from scanloom.stages.surface.topology import areas
 from scanloom.stages.texturing.detail import details_of
 from scanloom.stages.texturing.material_classes import BASE_COLOR, MaterialClass, image_at, list_images
 
-# Ratio between the 90th and the 10th percentile of the density of texels over the surface, from which the
-# atlas follows it.
+# Ratio of the 90th to the 10th percentile of the source texel density. Above, the atlas follows the source
+# density; below, it is uniform.
 _UNEVEN = 4.0
-# Limits of the density of a triangle, relative to the mean.
+# Range of a triangle's density relative to the mean.
 _MIN_DENSITY, _MAX_DENSITY = 1 / 16, 4.0
 
 
@@ -29,8 +29,8 @@ class TexelBudget:
     Attributes
     ----------
     covered : (k,) texels of the finest images of the class under each triangle of the original.
-    texels : texels of all of these images; None without images.
-    max_side : largest side of an image, pixels.
+    texels : total texels of these images; None without images.
+    max_side : longest side of an image, pixels.
     """
 
     covered: NDArray[np.float64]
@@ -41,7 +41,10 @@ class TexelBudget:
 def compute_budgets(
     mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[MaterialClass]
 ) -> list[TexelBudget]:
-    """Compute the texel budget of each class; classes share an image by covered area."""
+    """Compute the texel budget of each class.
+
+    Images shared by several classes are divided in proportion to the covered area.
+    """
     texture = mesh.texture
     assert texture is not None
     spread = np.abs(signed_areas(texture.uvs))
@@ -93,13 +96,14 @@ def compute_densities(
 ) -> NDArray[np.float64]:
     """Compute the relative texel density of each triangle of the simplified mesh.
 
-    The density is even unless that of the original varies strongly over its surface.
+    The density is uniform unless the original's density varies strongly over its surface.
 
     Parameters
     ----------
     mesh : the simplified mesh.
-    nearest : (m, 3) triangles of the simplified mesh under the corners of the original.
-    covered : texels of each triangle of the original.
+    original : the original mesh.
+    nearest : (m, 3) nearest triangle of the simplified mesh for each corner of the original.
+    covered : (m,) texels of each triangle of the original.
     """
     even = np.ones(len(mesh.triangles))
     area = areas(original.vertices, original.triangles)
@@ -115,7 +119,7 @@ def compute_densities(
     )
     corners = mesh.triangles.reshape(-1)
     for _ in range(2):
-        # Spread over neighbours: small triangles of the simplified mesh have hardly any of the original.
+        # Smooth over neighbours: small triangles of the simplified mesh have hardly any source triangles.
         texels, beneath = (
             np.bincount(corners, np.repeat(values, 3), minlength=len(mesh.vertices))[mesh.triangles].mean(
                 axis=1
@@ -127,5 +131,5 @@ def compute_densities(
     mean = math.sqrt(float((wanted**2 * own).sum() / own.sum()))
     if mean == 0:
         return even
-    # By powers of two: a chart ends where the density changes.
+    # Round to powers of two, because a chart ends where the density changes.
     return np.asarray(2.0 ** np.round(np.log2((wanted / mean).clip(_MIN_DENSITY, _MAX_DENSITY))))

@@ -1,7 +1,7 @@
-"""Where the samples of texels lie: on the surface, and beyond the borders of its charts.
+"""Sample positions of texels, on the surface and beyond the borders of charts.
 
-A texel at a border shows what lies beyond it on the plane of its triangle, so that bilinear sampling finds at
-the border what is there.
+A border texel is sampled beyond the border on the plane of its triangle. Bilinear interpolation at the border
+then gives the right colour.
 """
 
 from __future__ import annotations
@@ -14,33 +14,36 @@ from scanloom.stages.texturing.pages import Pages, Texels
 
 Floats = NDArray[np.float64]
 
-# Texels, on the surface, that a sample may lie beyond its triangle: where a chart is squeezed there is more.
+# Maximum distance of a sample from its triangle, in texels on the surface; only strongly compressed charts
+# reach it.
 _BEYOND = 4.0
-# Of a texel: corners that lie nearer to each other are one.
+# Distance in texels up to which two corners coincide in the atlas.
 _SAME = 1e-6
-# What a side of a triangle is: within a chart, at the border of one, or at the end of the surface.
+# Kind of a triangle's side: inside a chart, on the border of a chart, or on the boundary of the mesh.
 WITHIN, BORDER, END = range(3)
 
 
 def samples_under(
     mesh: Mesh, pages: Pages, texels: Texels, width: int, along: int, texel_size: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return the samples of texels, `along` × `along` of each, one texel after another.
+    """Compute the samples of texels, `along` × `along` in each, ordered by texel.
 
     Parameters
     ----------
-    width : of the image, texels.
-    texel_size : metres.
+    texels : texels of one image.
+    width : width of the image, texels.
+    along : samples along each side of a texel.
+    texel_size : metres on the surface.
 
     Returns
     -------
-    triangles : (k,) of each sample.
-    weights : (k, 3) of its corners, of sum 1; below 0 beyond it.
+    triangles : (k,) triangle of each sample.
+    weights : (k, 3) barycentric weights with sum 1; negative beyond the triangle.
     """
     triangles = texels.triangles.astype(np.int64)
     row, column = np.divmod(texels.pixels.astype(np.int64), width)
     steps = (np.arange(along) + 0.5) / along
-    # (texel, sample, x and y)
+    # Axes: texel, sample, (x, y).
     steps = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     points = np.stack([column, row], axis=1)[:, None] + steps
     inside = texels.shares.astype(np.float64)[:, None]
@@ -52,12 +55,12 @@ def samples_under(
 
 
 def _weights(corners: Floats, points: Floats) -> Floats:
-    """Return the barycentric weights (k, s, 3) of points (k, s, 2) in triangles (k, 3, 2)."""
+    """Compute barycentric weights (k, s, 3) of points (k, s, 2) in triangles (k, 3, 2)."""
     a, sides = corners[:, None, 0], corners[:, None, 1:] - corners[:, None, :1]
     (ux, uy), (vx, vy) = (np.moveaxis(sides[:, :, k], -1, 0) for k in (0, 1))
     px, py = np.moveaxis(points - a, -1, 0)
     area = ux * vy - uy * vx
-    # Of no area only by rounding: such a one shows its middle.
+    # The area is 0 only by rounding; such a triangle is sampled at its centre.
     is_flat = area == 0
     area = np.where(is_flat, 1.0, area)
     v = np.where(is_flat, 1 / 3, (px * vy - py * vx) / area)
@@ -66,11 +69,11 @@ def _weights(corners: Floats, points: Floats) -> Floats:
 
 
 def borders(mesh: Mesh, pages: Pages) -> NDArray[np.uint8]:
-    """Return what the side opposite each corner is, (m, 3): WITHIN a chart, a BORDER of one, or an END."""
+    """Classify the side opposite each corner, (m, 3) uint8: `WITHIN`, `BORDER` or `END`."""
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])
     ends = np.stack([mesh.triangles[:, first], mesh.triangles[:, second]], axis=-1).astype(np.int64)
     places = np.stack([pages.corners[:, first], pages.corners[:, second]], axis=2)
-    # Each side from its lower vertex, so that both of its triangles tell the same.
+    # Orient each side from its lower vertex index, so that both adjacent triangles give the same key.
     turn = ends[..., 0] > ends[..., 1]
     ends[turn], places[turn] = ends[turn][:, ::-1], places[turn][:, ::-1]
     key = (ends[..., 0] * len(mesh.vertices) + ends[..., 1]).ravel()

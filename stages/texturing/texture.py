@@ -1,11 +1,12 @@
-"""Texture from the camera images: what the photos saw, on the mesh.
+"""Texturing of a mesh from camera images.
 
-The surface is laid out in images, at about the fineness of the photos. Every texel is looked up in all photos
-that show it: in front, not behind anything, where the frame's own depth agrees, not at the border. The best
-few are remembered, made equally bright, and blended: where they agree in what is blurred their mean, each by
-how well it shows the place. Borders that photos leave where they end are levelled. Then each photo is brought
-to what the texture says, in place by small shifts and in brightness here and there, and the texture is
-painted again. Where all are there already, it is painted again with the details that their mean has lost.
+The surface is laid out in images with about the resolution of the photos. Each texel is projected into all
+photos. A photo is rejected where the texel is occluded, contradicts the frame's depth or is at the image
+border. The best few photos are corrected in exposure and blended in two frequency bands, weighted by viewing
+quality. Seams at the borders of photos are levelled.
+
+Then each photo is aligned with the texture, by small shifts and a local exposure correction, and the texture
+is painted again. If the photos are aligned already, back-projection recovers the details lost in the mean.
 """
 
 from __future__ import annotations
@@ -59,34 +60,34 @@ if TYPE_CHECKING:
 RESULT_VERSION = 16
 
 _MIN_SIZE = 64
-# Of a photo's width: photos that are off by less in the mean are where they should be.
+# Median shift as a ratio of a photo's width, below which photos count as aligned.
 _STILL = 0.3 / 640
-# Levels that photos differ by from the texture here and there, in the mean, below which no border is seen.
+# Median local exposure correction in levels, below which no seam is visible.
 _EVEN = 1.0
-# Shares of the surface that no photo shows, and of the photos' levels that they differ by, worth a warning.
+# Thresholds of warnings: ratio of the surface that no photo shows, and difference between photos in levels.
 _MUCH_UNSEEN = 0.5
 _MUCH_DIFFERENCE = 20.0
-# Of a photo's width: photos that are off by more in the mean are blurred.
+# Shift as a ratio of a photo's width, above which photos are misaligned enough for a warning.
 _MUCH_OFF = 2.0 / 640
 
-_FILE = "What the file keeps"
-_HOW = "How"
+_FILE = "Output images"
+_HOW = "Blending"
 
 
 @dataclass(frozen=True, kw_only=True)
 class TextureParams:
-    """How finely photos are kept on a mesh, and how they are put together."""
+    """Parameters of texturing from photos: output images and blending."""
 
     texels_per_pixel: float = param(
         1.15,
-        "Texels for a pixel of the photo that shows a place best, along each side.",
+        "Texels per pixel along each side, relative to the photo that shows the surface best.",
         group=_FILE,
         low=0.1,
         high=4,
     )
     max_size: int = param(
         4096,
-        "Largest side of an image: a power of two. There are as many images as are needed.",
+        "Longest side of an image; a power of two. Several images are written if one is not enough.",
         group=_FILE,
         unit="texels",
         low=_MIN_SIZE,
@@ -94,33 +95,33 @@ class TextureParams:
     )
     max_texels: float = param(
         64.0,
-        "Texels of all images together; where more were needed, all get coarser.",
+        "Limit of all images together; all texels get larger if more would be needed.",
         group=_FILE,
         unit="million texels",
         low=0.01,
         high=1000,
     )
-    format: str = param("jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"))
-    quality: int = param(95, "Of JPEG and WebP images.", group=_FILE, low=1, high=100)
+    format: str = param("jpeg", "File format of the images.", group=_FILE, choices=("jpeg", "webp", "png"))
+    quality: int = param(95, "Quality of JPEG and WebP images.", group=_FILE, low=1, high=100)
     padding: int = param(
         4,
-        "Texels around each piece of the surface that show its colours; between two there are twice as many.",
+        "Texels around each chart that continue its colours; the gap between two charts is twice as wide.",
         group=_FILE,
         unit="texels",
         low=2,
         high=128,
     )
-    views: int = param(12, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
+    views: int = param(12, "Maximum number of photos blended at a texel.", group=_HOW, low=1, high=16)
     exposure: bool = param(
         True,
-        "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all, and "
-        "with `rounds` what is left of differences, here and there.",
+        "Correct exposure differences between photos: gain and bias per photo and channel, one vignette, "
+        "and local corrections in each of the `rounds`.",
         group=_HOW,
     )
     rounds: int = param(
         1,
-        "How often photos are brought to what the others say, here and there: shifted by a few pixels, and "
-        "made as bright; not where they agree already.",
+        "Passes that align photos with the texture, by shifts of a few pixels and local exposure "
+        "corrections. Skipped if the photos are aligned already.",
         group=_HOW,
         low=0,
         high=10,
@@ -139,32 +140,33 @@ class TextureParams:
 
 @dataclass(frozen=True, eq=False)
 class Textured:
-    """A mesh with what photos saw, and how that came about.
+    """Mesh textured from photos, with quality metrics.
 
     Attributes
     ----------
     mesh : with texture images, without vertex colours.
     photos : names of the frames that were used.
-    places : (k, 3) metres, where these were taken.
-    skipped : those that were not, and why.
+    places : (k, 3) camera centres of these frames, metres.
+    skipped : frames that were not used, and the reason.
     sizes : (width, height) of each image, texels.
-    charts : pieces the surface is cut into.
-    filled : share of the images that shows the surface.
-    texel_size : metres, the median of the texels.
-    seen : share of the surface that some photo shows; the rest has the mesh's own colours.
-    views : photos that count at a texel, in the mean.
-    difference_before, difference_after : median difference of photos from their mean in levels, without and
-        with exposures.
-    gains : least and greatest gain of a photo's channel.
-    vignette : share of the light that is lost in the corners.
-    shift : median over the photos of their mean shift, in thousandths of the photo's width.
-    uneven : median over the photos of the levels that bring them to what the others say, in the mean.
-    seams : mean colour difference (CIE 1976) between texels where another photo counts most, over that where
-        the same does; None if there are too few.
-    seams_over_photos : that over the same of photos that show both texels: photos end where things do.
-    labels : of each image (h, w) int32, the photo that counts most, -1 where none shows the surface.
-    counts : of each image (h, w) uint8, photos that count.
-    diagnostics : what is odd.
+    charts : number of charts.
+    filled : ratio of the images that shows the surface.
+    texel_size : median size of a texel on the surface, metres.
+    seen : ratio of the surface area that at least one photo shows; the rest keeps the vertex colours.
+    views : mean number of photos blended per texel.
+    difference_before, difference_after : median difference between photos and their mean, in levels, without
+        and with exposure correction.
+    gains : minimum and maximum gain over photos and channels.
+    vignette : ratio of the light lost in the corners.
+    shift : median over the photos of their mean shift, as a ratio of the photo's width.
+    uneven : median over the photos of their mean local exposure correction, levels.
+    seams : mean colour difference (CIE 1976) across seams, relative to other neighbouring texels; None if
+        there are too few pairs.
+    seams_over_photos : `seams` divided by the same ratio in single photos that show both texels. Photos often
+        end at occlusion boundaries; this ratio compensates for that.
+    labels : for each image, (h, w) int32, photo with the highest weight; -1 if no photo shows the surface.
+    counts : for each image, (h, w) uint8, number of blended photos.
+    diagnostics : warnings.
     """
 
     mesh: Mesh
@@ -193,7 +195,7 @@ class Textured:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON, units in the names."""
+        """Return all metrics for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),
             "photos": len(self.photos),
@@ -224,29 +226,35 @@ def texture(
     progress: Progress = silent,
     **changes: Unpack[TextureKeywords],
 ) -> Textured:
-    """Give a mesh the colours that photos show of it.
+    """Texture a mesh from the photos of a scan.
 
-    The same mesh and frames give the same bytes, on any number of threads. Memory beside the mesh and the
-    images is bounded, whatever the number of photos.
+    The result is byte-identical for the same inputs, on any number of threads. Memory besides the mesh and
+    the images is bounded, whatever the number of photos.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world of the poses; need not be a
-        manifold. Its own colours are taken where no photo shows it; its texture is replaced.
-    frames : with colour and poses. Depth helps: what it does not agree with is not believed.
-    params : see TextureParams; single ones can be given by name.
-    progress : told of thousandths.
+    mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses; need not
+        be manifold. Vertex colours are used where no photo shows the surface. An existing texture is
+        replaced.
+    frames : scan or frames with colour images and poses. Depth is optional; photos that contradict the depth
+        of their frame are not used there.
+    params : see TextureParams; single parameters can be given by keyword.
+    progress : called with the progress in thousandths.
+
+    Returns
+    -------
+    Textured : the mesh with images, and quality metrics.
 
     Raises
     ------
     MeshError
-        If the mesh is not valid or has no area.
+        If the mesh is invalid or has no area.
     InputError
-        If no frame has a photo that can be used, or none shows the mesh.
+        If no frame has a usable photo, or no photo shows the mesh.
 
     References
     ----------
-    Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010.
+    Multi-band blending: Burt and Adelson 1983. Shifts: Zhou and Koltun 2014. Exposures: Goldman 2010.
     """
     params = resolve(TextureParams, params, changes)
     with collecting() as diagnostics:
@@ -296,7 +304,7 @@ def _textured(
         images, kept, made = _levels(painted, partial(finish, seams=seams), keep=len(pages.sizes) == 1)
         corrections = painter.corrections(images, far.photo(0.25 + part * (turn + 1.3)))
         del images
-        # The first ones tell how far off photos are.
+        # Only the first corrections measure the misalignment of the original photos.
         shift, uneven = shift or _shift(corrections, used), uneven or _unevenness(corrections)
         if shift < _STILL and uneven < _EVEN:
             if painter.can_add_details:
@@ -309,7 +317,7 @@ def _textured(
         painted = painter.paint(corrections, done, again=turn + 1 < rounds)
     else:
         seams = SeamSums()
-        # No name is left for an image while the next one is painted.
+        # No variable keeps an image while the next one is painted.
         made = list(map(partial(finish, seams=seams), painted))
     progress(1000, 1000)
     found = _Found(used, exposures, seen, shift, uneven, seams.ratio(), seams.over_photos())
@@ -319,7 +327,7 @@ def _textured(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What was found of photos; see `Textured`."""
+    """Intermediate results of texturing; see `Textured`."""
 
     photos: Photos
     exposures: Exposures
@@ -331,7 +339,10 @@ class _Found:
 
 
 class _Far:
-    """How far the work is, in thousandths: what comes next goes from where it is to a share of all."""
+    """Overall progress in thousandths, composed of consecutive work steps.
+
+    Each step advances from the current state to a ratio of all work.
+    """
 
     def __init__(self, progress: Progress, photos: int) -> None:
         self._progress, self._photos, self._done = progress, photos, 0.0
@@ -378,12 +389,17 @@ def _looked_over(
     params: TextureParams,
     far: _Far,
 ) -> tuple[Photos, Exposures, list[NDArray[np.uint32]], Pages, float]:
-    """Return the photos that agree, how bright each is, what parts it may show, images, and what is seen.
+    """Survey the photos, reject bad ones and lay out the images.
 
-    What they were told by is gone then: it is as large as what is painted at a time.
+    The survey is released on return, because it takes as much memory as a batch of painting.
+
+    Returns
+    -------
+    Accepted photos, their exposures, the mesh parts that each may show, the atlas, and the ratio of the
+    surface that photos show.
     """
     surveyed = survey(mesh, drawn, normals, photos, params.views, far.photo(0.25))
-    # The one is a kernel on one core, the other NumPy.
+    # Run in parallel: the layout is a kernel on one core, the other part is NumPy.
     (used, exposures, parts), pages = both(
         lambda: judged(surveyed, photos, params.exposure),
         lambda: laid_out(
@@ -402,9 +418,9 @@ def _looked_over(
 def _levels(
     painted: Iterable[Painted], finish: Callable[[Painted], _Image], *, keep: bool
 ) -> tuple[list[NDArray[np.uint8]], list[Painted], list[_Image]]:
-    """Return the levels of all images, and the images: as they are if they are to be kept, or finished.
+    """Collect the levels of all images, and the images themselves, raw or finished.
 
-    Several would not fit into memory as they are, and to paint them anew takes longer than to finish them.
+    Several raw images do not fit into memory. Finishing them immediately is faster than painting them again.
     """
     levels: list[NDArray[np.uint8]] = []
     kept: list[Painted] = []
@@ -415,13 +431,13 @@ def _levels(
             kept.append(one)
         else:
             finished.append(finish(one))
-        # Else there are two of them while the next one is made.
+        # Release the image before the next one is painted.
         del one
     return levels, kept, finished
 
 
 class _Image(NamedTuple):
-    """What is left of an image that is painted; see `Painted`."""
+    """Finished image: encoded file and per-texel statistics; see `Painted`."""
 
     data: bytes
     labels: NDArray[np.int32]
@@ -482,30 +498,30 @@ def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -
 
 
 def _report(mesh: Mesh, found: _Found) -> None:
-    """Warn of surface in no photo, and of photos that do not fit the mesh or each other."""
+    """Warn about surface without photos, and about inconsistent photos."""
     unseen = 1 - found.seen
     if unseen > _MUCH_UNSEEN:
         emit(
             TEXTURE_SURFACE_UNSEEN.warning(
-                "{share:.0%} of the surface is in no photo and has {colors}",
+                "no photo shows {share:.0%} of the surface, which {colors}",
                 share=unseen,
-                colors="the mesh's own colours" if mesh.colors is not None else "no colours of its own",
+                colors="keeps its vertex colours" if mesh.colors is not None else "has no vertex colours",
             )
         )
     if found.shift > _MUCH_OFF:
         emit(
             TEXTURE_PHOTOS_INCONSISTENT.warning(
-                "photos are off the mesh by {share:.1%} of their width in the mean: poses or calibration are "
-                "wrong, and details are blurred",
-                remedy="see `scanloom adjust`",
+                "photos are misaligned with the mesh by {share:.1%} of their width on average, which blurs "
+                "details; poses or calibration are inaccurate",
+                remedy="`scanloom adjust` corrects them.",
                 share=found.shift,
             )
         )
     if found.exposures.after > _MUCH_DIFFERENCE:
         emit(
             TEXTURE_PHOTOS_INCONSISTENT.warning(
-                "photos differ by {levels:.0f} levels in the median where they show the same: poses or "
-                "calibration are wrong, or things moved",
+                "photos of the same surface differ by {levels:.0f} levels in the median: poses or "
+                "calibration are wrong, or objects have moved",
                 levels=found.exposures.after,
             )
         )

@@ -1,4 +1,4 @@
-"""What a photo's camera sees of a mesh, and points of the mesh seen by one photo after another."""
+"""Visibility of a mesh in photos, and sampling of photos at surface points."""
 
 from __future__ import annotations
 
@@ -23,31 +23,32 @@ from scanloom.stages.texturing.exposure import Exposure
 from scanloom.stages.texturing.local_exposure import LocalExposure, made_even
 from scanloom.stages.texturing.photos import Photo, Photos
 
-# Of a kernel's call: focal lengths, centre and size, and the pose.
+# Camera arguments of kernels: (fx, fy, cx, cy, width, height) and camera_from_world (4, 4).
 KernelCamera = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Map = NDArray[np.float32]
 T = TypeVar("T")
 
-# The mesh is drawn at no more pixels than this, whatever the photo has.
+# Maximum pixels of a rendering of the mesh, whatever the photo's resolution.
 _MOST_DRAWN = 1_500_000
-# Of an image's width: how near to something in front of it nothing is believed.
+# Margin along occlusion boundaries where photos are not used, as a ratio of the image's width.
 _MARGIN = 1 / 210
-# Of the mesh's diagonal, before which nothing is seen.
+# Near plane as a ratio of the mesh's bounding box diagonal.
 _NEAR = 1e-4
-# Standard deviation of the blur that parts details from the rest, of the photo's width.
+# Standard deviation of the blur that separates details from the rest, as a ratio of the photo's width.
 _BLUR = 3 / 640
-# Pixels of it from which it is found at half the size, and what that blurs by itself.
+# Standard deviation in pixels above which the blur is computed at half the resolution, and the blur that
+# halving itself adds.
 _WIDE_BLUR, _BLUR_OF_HALVING = 2.0, 0.87
 
 
 def kernel_camera(camera: Camera, camera_from_world: Pose) -> KernelCamera:
-    """Return a camera as the kernels take it."""
+    """Convert a camera to the arguments of the kernels."""
     values = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
     return values, np.ascontiguousarray(camera_from_world, np.float64)
 
 
 class Correction(NamedTuple):
-    """What brings a photo to what the others say, in place and in brightness."""
+    """Alignment of a photo with the texture: shifts and local exposure."""
 
     shifts: Shifts
     exposure: LocalExposure | None
@@ -55,13 +56,13 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DrawnMesh:
-    """A mesh that many cameras look at.
+    """Mesh prepared for rendering from many cameras.
 
     Attributes
     ----------
-    kernel : draws it.
-    near : metres, before which nothing of it is drawn.
-    parts : (m,) which part each triangle is in: parts whose numbers follow each other are near each other.
+    kernel : renderer.
+    near : distance of the near plane, metres.
+    parts : (m,) part of each triangle; parts with consecutive indices are close in space.
     """
 
     kernel: _kernels.DrawnMesh
@@ -70,13 +71,13 @@ class DrawnMesh:
 
 
 def drawn_mesh(mesh: Mesh) -> DrawnMesh:
-    """Make a mesh ready to be drawn."""
+    """Prepare a mesh for rendering."""
     kernel = _kernels.DrawnMesh(mesh.vertices, mesh.triangles)
     return DrawnMesh(kernel, near_of(mesh), kernel.parts())
 
 
 def near_of(mesh: Mesh) -> float:
-    """Return the distance in metres before which nothing of a mesh is drawn."""
+    """Return the near plane distance for a mesh, metres."""
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) * _NEAR
 
 
@@ -92,23 +93,26 @@ def see(
     remember: bool = False,
     is_blended: bool = True,
 ) -> list[NDArray[np.uint32]]:
-    """Look at points of a mesh with one photo after another.
+    """Sample surface points in photos, one photo after another.
 
     Parameters
     ----------
+    points : receive the samples of the photos that show them best.
+    mesh : the same surface, for occlusion tests.
+    photos : photos to sample.
     exposures, corrections : of each photo; see `scanloom.stages.texturing.exposure`, `alignment` and
-        `local_exposure`.
+        `local_exposure`. Corrections may be None.
     progress : called after each photo.
-    numbers : the photos to look with, in this order; all by default.
-    remember : for `see_again`.
-    is_blended : what photos show is to be blended; else only asked for.
+    numbers : indices of the photos to use, in this order; all by default.
+    remember : keep visibility for `see_again`.
+    is_blended : samples will be blended; if False, the blurred photo is not computed.
 
     Returns
     -------
-    Of each photo that was looked with, the parts of the mesh that it may show.
+    For each used photo, the mesh parts that it may show.
     """
     numbers = range(len(photos)) if numbers is None else numbers
-    # Beyond, fusion believes no depth either.
+    # The same limits as in fusion, which ignores depth at more grazing angles.
     flattest = float(np.cos(np.radians(MAX_ANGLE_ALONE if len(photos) == 1 else MAX_ANGLE)))
 
     def prepared(number: int) -> _kernels.View:
@@ -132,13 +136,13 @@ def see_again(
     corrections: Sequence[Correction],
     progress: Callable[[], object],
 ) -> None:
-    """Take the colours of points anew, of photos that were corrected; which are best stays as `see` found it.
+    """Replace the samples of points by corrected photos, with unchanged view selection.
 
-    It was to remember what it saw.
+    The points must come from `see` with `remember=True`.
 
     Parameters
     ----------
-    photos, exposures, corrections, progress : as of `see`.
+    points, photos, exposures, corrections, progress : as in `see`.
     """
 
     def prepared(number: int) -> _kernels.Photo:
@@ -150,7 +154,13 @@ def see_again(
 def painted_from(
     texture: _kernels.TexturedSurface, camera: KernelCamera, near: float
 ) -> tuple[ColorImage, NDArray[np.bool_]]:
-    """Return what a camera sees of a texture, and where: not where levels are 0, which no photo showed."""
+    """Render a textured mesh from a camera.
+
+    Returns
+    -------
+    Image (h, w, 3) uint8, and a mask (h, w) of pixels with a texture. Texels with level 0, which no photo
+    shows, are not in the mask.
+    """
     import cv2
 
     drawn, shown = texture.seen_by(camera, near=near)
@@ -165,13 +175,13 @@ def see_details(
     near: float,
     progress: Callable[[], object],
 ) -> None:
-    """Take the colours of points anew, as `see_again` does, with what photos show that textures lacked.
+    """Replace the samples of points by photos with details added by back-projection.
 
     Parameters
     ----------
-    points, photos, exposures : as of `see`, which was to remember.
-    textures : the one that was painted first, and each that was painted so since then.
-    near : of the drawn mesh, metres.
+    points, photos, exposures : as in `see`, which must have been called with `remember=True`.
+    textures : the texture painted first, and the texture after each back-projection pass.
+    near : near plane distance, metres.
     progress : called after each photo.
     """
 
@@ -223,7 +233,7 @@ def _view(
     depth, triangles = mesh.kernel.zbuffer(drawn, near=mesh.near)
     nearest, reach = _nearest(depth)
     if photo.seen is not None:
-        # Nothing is known there, and nothing is taken from there.
+        # Pixels near the edge of the mask are unreliable; depth 0 excludes them.
         nearest[_border(photo.seen, nearest.shape) > 0] = 0
     measured, measured_reach = _measured(photo.frame)
     return _kernels.View(
@@ -240,14 +250,14 @@ def _view(
 
 
 def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
-    """Return a photo without its details; what it does not show does not count."""
+    """Blur a photo to remove its details, ignoring masked pixels."""
     import cv2
 
     height, width = image.shape[:2]
     whole = (width, height)
     spread, size = max(_BLUR * width, 0.5), whole
     if spread >= _WIDE_BLUR:
-        # At half the size there is less to do. To make it smaller and larger again blurs by itself.
+        # Half the resolution is faster. Resampling itself blurs, which is subtracted.
         spread, size = (spread**2 - _BLUR_OF_HALVING**2) ** 0.5 / 2, (width // 2, height // 2)
 
     def blurred(values: NDArray[Any], kind: type) -> NDArray[Any]:
@@ -259,17 +269,17 @@ def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
     else:
         sums = blurred(cv2.bitwise_and(image, image, mask=seen.astype(np.uint8)), np.float32)
         total = np.maximum(blurred(seen.astype(np.float32), np.float32), np.float32(1e-3))
-        # Rounded as NumPy does, to even, and cut off at 0 and 255.
+        # `cv2.divide` rounds half to even, as NumPy does, and clips to 0–255.
         levels = np.asarray(cv2.divide(sums, cv2.merge([total] * 3), dtype=cv2.CV_8U))
     return np.asarray(cv2.resize(levels, whole, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 def _border(seen: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return what a photo does not show, and a margin around it, in another size."""
+    """Return invalid pixels and a margin around them, uint8, resized to `shape`."""
     import cv2
 
     unseen = cv2.resize((~seen).astype(np.uint8), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
-    # Taking the distortion out mixes what lies up to two pixels apart.
+    # Undistortion mixes pixels up to two pixels apart.
     reach = max(round(shape[1] * _MARGIN), 3)
     return np.asarray(cv2.dilate(unseen, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)), np.uint8)
 
@@ -294,7 +304,7 @@ def _measured(frame: Frame) -> tuple[tuple[KernelCamera, _Map, _Map] | None, flo
 
 
 def _nearest(depth: _Map) -> tuple[_Map, float]:
-    """Return the least depth around each pixel, and within how many pixels."""
+    """Compute the minimum depth around each pixel, and the radius in pixels."""
     import cv2
 
     reach = max(round(depth.shape[1] * _MARGIN), 1)

@@ -112,7 +112,7 @@ def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> N
     slod = tmp_path / "m.slod"
     ran = scanloom("lod", "build", tmp_path / "m.ply", slod, "--cell-triangles", 500, "--drop-islands", 0.01)
     assert ran.exit_code == 0, ran.stderr
-    assert "1 loose pieces" in ran.stderr
+    assert "1 connected components" in ran.stderr
     ran = scanloom("lod", "info", slod)
     assert "1 loose pieces, of 1 triangles, were dropped" in ran.stdout
     told = scanloom("lod", "info", slod, "--json").json
@@ -136,7 +136,7 @@ def test_wrong_words_and_bad_files(scanloom: Run, built: Path, tmp_path: Path) -
     assert scanloom("lod", "build", tmp_path / "m.ply", tmp_path / "o.ply").exit_code == 2
     ran = scanloom("lod", "info", tmp_path / "m.ply")
     assert ran.exit_code == 3
-    assert "no .slod file" in ran.stderr
+    assert "not a .slod file" in ran.stderr
     ran = scanloom("lod", "info", tmp_path / "none.slod")
     assert ran.exit_code == 3
     built.write_bytes(built.read_bytes()[:-100])

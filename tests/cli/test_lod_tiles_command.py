@@ -100,7 +100,7 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
     ("words", "code", "said"),
     [
         (("absent.slod", "out"), 3, "absent.slod: there is no such file."),
-        (("notes.txt", "out"), 3, "notes.txt: this is no .slod file."),
+        (("notes.txt", "out"), 3, "notes.txt: this is not a .slod file."),
         (("{slod}", "notes.txt"), 3, "notes.txt: this is a file; a tileset of scanloom is a folder."),
         (("{slod}", "notes.txt/out"), 3, "notes.txt: this is a file; results need a folder."),
         (
@@ -117,7 +117,7 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
         (
             ("{slod}", "out", "--texture", "{plain}"),
             3,
-            "{plain}: has neither an image nor vertex colours that tiles could get.",
+            "{plain}: has neither an image nor vertex colours for the tiles.",
         ),
         (("{slod}", "out", "--up", "y"), 2, "--up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none."),
     ],
@@ -150,6 +150,6 @@ def test_a_file_that_is_cut_off_gives_no_tiles(scanloom: Run, slod: Path, tmp_pa
     ran = scanloom("lod", "tiles", short, tmp_path / "out")
     assert ran.exit_code == 3
     assert ran.stderr.splitlines()[-1] == (
-        "scanloom: the finest levels are missing; tiles need them all. Build the file again."
+        "scanloom: the finest levels are missing; tiles require all levels. Build the file again."
     )
     assert not (tmp_path / "out").exists()

@@ -283,8 +283,8 @@ def test_without_the_end_of_its_file_a_model_is_left_out_and_that_is_told(tmp_pa
         assert hierarchy.model is None
         (diagnostic,) = hierarchy.diagnostics
         assert str(diagnostic) == (
-            f"{path}: the file is damaged or cut off in the mesh with its image; colours of vertices are "
-            "left."
+            f"{path}: the textured mesh at the end of the file is damaged or truncated; vertex colours are "
+            "used."
         )
         assert len(hierarchy.cut(max_shape=0.0).mesh.triangles) == hierarchy.input_triangles
 

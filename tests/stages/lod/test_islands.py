@@ -66,7 +66,8 @@ def test_small_pieces_go_and_are_counted(mesh: Mesh, dropped: Hierarchy) -> None
     told = [figures[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
     assert told == [True, 20, 1600]
     assert any(
-        "20 loose pieces smaller than 0.1 m, of 1,600 triangles" in str(one) for one in dropped.diagnostics
+        "20 connected components smaller than 0.1 m, with 1,600 triangles" in str(one)
+        for one in dropped.diagnostics
     )
 
 
@@ -111,7 +112,7 @@ def test_the_size_is_the_diagonal_of_the_box_and_copies_in_one_place_hang_togeth
 
 
 def test_a_mesh_of_islands_alone_and_sizes_that_are_none_are_one_sentence() -> None:
-    with pytest.raises(InputError, match="every piece of the mesh is smaller than 100 m"):
+    with pytest.raises(InputError, match="all connected components of the mesh are smaller than 100 m"):
         lod.build(ball(), drop_islands=100.0)
     with pytest.raises(UsageError, match="drop_islands"):
         lod.build(ball(), drop_islands=-1.0)

@@ -57,7 +57,7 @@ def test_what_is_up_comes_back_in_the_file_and_in_cuts(
 )
 def test_what_is_no_direction_is_damage(file: Path, up: object) -> None:
     _replace_in_tree(file, up=up)
-    with pytest.raises(InputError, match="is no direction"):
+    with pytest.raises(InputError, match="is not a direction"):
         lod.read_slod(file)
 
 
@@ -73,7 +73,7 @@ def _replace_in_tree(file: Path, **changes: object) -> None:
 def test_diagnostics_of_the_mesh_come_back_in_the_file(tmp_path: Path) -> None:
     mesh = sheet(20)
     hierarchy = lod.build(mesh.with_(normals=np.tile((0.0, 0.0, 1.0), (len(mesh.vertices), 1))))
-    assert [str(one) for one in hierarchy.diagnostics] == ["lod left out: normals."]
+    assert [str(one) for one in hierarchy.diagnostics] == ["lod drops these attributes of the mesh: normals."]
     lod.write_slod(tmp_path / "m.slod", hierarchy)
     with collecting() as found:
         read = lod.read_slod(tmp_path / "m.slod")
@@ -182,7 +182,11 @@ def test_a_tree_that_lies_is_refused(file: Path) -> None:
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "m.slod"
-    for content, words in ((b"", "no .slod"), (b"ply\n" * 9, "no .slod"), (b"SLOD" + b"\2" * 16, "version")):
+    for content, words in (
+        (b"", "not a .slod"),
+        (b"ply\n" * 9, "not a .slod"),
+        (b"SLOD" + b"\2" * 16, "version"),
+    ):
         path.write_bytes(content)
         with pytest.raises(InputError, match=words):
             lod.read_slod(path)

@@ -355,9 +355,9 @@ def other_unit(model: Mesh) -> Mesh:
         (without_image, "neither an image nor vertex colours"),
         (
             elsewhere,
-            "model: is of another surface than the levels, or in another place: half of them lie more",
+            "model: does not match the levels, which are .* m large: half of their vertices are more than",
         ),
-        (other_unit, "is of another surface"),
+        (other_unit, "does not match the levels"),
     ],
 )
 def test_models_that_cannot_be_used_are_told(
@@ -379,9 +379,7 @@ def test_transparency_is_told_to_be_left_out(
     written = lod.write_tiles(
         hierarchies["ball"], tmp_path / "out", texture=models["ball"].with_(texture=glass)
     )
-    assert [str(one) for one in written.diagnostics] == [
-        "tiles left out: the transparency of the model's images."
-    ]
+    assert [str(one) for one in written.diagnostics] == ["tiles drop the transparency of the model's images."]
     assert lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"]).diagnostics == ()
 
 
@@ -394,7 +392,7 @@ def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> No
         colors=np.full((2700, 3), 90, np.uint8),
     )
     hierarchy = lod.build(crumbs, threads=1)
-    with pytest.raises(MeshError, match="too many pieces for an image of 64 × 64 texels"):
+    with pytest.raises(MeshError, match="too many charts for an image of 64 × 64 texels"):
         lod.write_tiles(
             hierarchy, tmp_path / "out", texture=crumbs, images=lod.TileImageParams(image_side=64)
         )

@@ -408,7 +408,7 @@ def test_too_many_vertices_in_one_place_are_told(hierarchies: dict[str, Hierarch
     rng = np.random.default_rng(0)
     count = 9**3 + 1
     vertices = np.vstack([hierarchy.vertices, 0.5 + 1e-9 * rng.random((count, 3))])
-    with pytest.raises(InputError, match="crowd too close"):
+    with pytest.raises(InputError, match="too close to each other"):
         on_grid(replace(hierarchy, vertices=vertices))
 
 

@@ -52,5 +52,5 @@ def test_bars_are_as_long_as_stages_took(tmp_path: Path) -> None:
 
 def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(UsageError, match=r"plots are drawn by matplotlib; install scanloom\[plot\]\."):
+    with pytest.raises(UsageError, match=r"plots require matplotlib; install scanloom\[plot\]\."):
         require_plots()

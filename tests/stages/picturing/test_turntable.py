@@ -75,7 +75,7 @@ def test_a_free_view_has_what_it_looks_at_in_its_middle() -> None:
 @pytest.mark.parametrize(
     ("eye", "look", "field", "said"),
     [
-        ((0, 0, 0), (0, 0, 0), 40, "looks at where it is"),
+        ((0, 0, 0), (0, 0, 0), 40, "same point"),
         ((0, 0, float("nan")), (0, 0, 1), 40, "finite"),
         ((0, 0, 0), (0, 0, 1), 180, "below 180"),
         ((0, 0, 0), (0, 0, 1), 0, "above 0"),

@@ -221,7 +221,7 @@ def test_what_no_photo_shows_keeps_its_own_colours():
     off = np.abs(colors - paint(places[:, 0], places[:, 1]))[unseen]
     assert np.median(off) < 15
     bare = texture(mesh, frames)
-    assert "no colours of its own" in str(bare.diagnostics[0])
+    assert "has no vertex colours" in str(bare.diagnostics[0])
 
 
 @pytest.mark.slow
@@ -307,7 +307,7 @@ def test_bad_photos_are_left_out_and_counted():
     assert "black or white" in reasons["002"]
     assert "120×160" in reasons["003"]
     assert "does not show the mesh" in reasons["004"]
-    assert "something else than the others" in reasons["005"]
+    assert "contradicts the others" in reasons["005"]
     assert np.median(errors(found.mesh)) < 4
 
 
