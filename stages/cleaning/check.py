@@ -105,7 +105,9 @@ class CheckParams:
         low=0,
         high=180,
     )
-    min_thickness: float = param(0.0, "Where the solid is thinner is told; 0 for nowhere.", unit="m", low=0)
+    min_thickness: float = param(
+        0.0, "Where the solid is thinner is told; 0 for nowhere.", unit="m", low=0, common=True
+    )
     threads: int | None = param(
         None,
         "Processors to use, with the same result; all if not given.",

@@ -59,10 +59,15 @@ class CleanParams:
         "0 keeps all.",
         unit="m²",
         low=0,
+        common=True,
     )
-    keep_largest: bool = param(False, "Keep only the piece with the largest surface.")
+    keep_largest: bool = param(False, "Keep only the piece with the largest surface.", common=True)
     fill_holes: float = param(
-        0.0, "Holes with a rim no longer than this are filled; 0 fills none.", unit="m", low=0
+        0.0,
+        "Holes with a rim no longer than this are filled; 0 fills none.",
+        unit="m",
+        low=0,
+        common=True,
     )
     stitch: bool = param(
         True, "Join borders that lie exactly on each other, such as seams of textured files."
@@ -74,6 +79,7 @@ class CleanParams:
         False,
         "Repair caps, needles, folds and spikes, each where nothing else becomes irregular, no seam is torn "
         "and the surface provably stays within max_shape; what is left is told.",
+        common=True,
     )
     repair_angle: float = param(
         CheckParams().corner_angle,

@@ -58,14 +58,20 @@ class CertifyParams:
         "Also find out whether all stays within this distance; without max_color, colours are not asked for.",
         unit="m",
         low=0,
+        common=True,
     )
     max_color: float | None = param(
-        None, "Also find out whether all stays within this difference of colour.", unit="levels", low=0
+        None,
+        "Also find out whether all stays within this difference of colour.",
+        unit="levels",
+        low=0,
+        common=True,
     )
     only_decide: bool = param(
         False,
         "With max_shape or max_color: end as soon as it is clear whether they are kept, which is far faster. "
         "What stays within them then has these as its bounds, however close it is.",
+        common=True,
     )
     effort: float = param(
         16.0,

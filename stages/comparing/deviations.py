@@ -41,7 +41,11 @@ class DeviationParams:
     """How deviations are measured and shown."""
 
     tolerance: float | None = param(
-        None, "What is nearer to the reference is within tolerance.", unit="m", low=0
+        None,
+        "What is nearer to the reference is within tolerance.",
+        unit="m",
+        low=0,
+        common=True,
     )
     signed_samples: int = param(
         200_000,

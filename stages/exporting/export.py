@@ -54,6 +54,7 @@ class ExportParams:
         "What is up in the mesh: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `none`, "
         "which turns nothing. By default what its file says: glTF is y-up, and that of a scan tells how it "
         "was turned.",
+        common=True,
     )
     axes: str = param(
         "scan",
@@ -61,7 +62,9 @@ class ExportParams:
         "as it is, or with y or z up. glTF and USD are y-up.",
         choices=AXES,
     )
-    unit: str = param("m", "The unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
+    unit: str = param(
+        "m", "The unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS), common=True
+    )
     on_floor: bool = param(False, "Move the mesh so that it stands on height 0, in the middle, in these.")
     compress: str = param(
         "none",
@@ -69,6 +72,7 @@ class ExportParams:
         "(KHR_mesh_quantization), or these packed by meshopt (EXT_meshopt_compression); viewers have to "
         "know these.",
         choices=COMPRESSIONS,
+        common=True,
     )
     position_bits: int = param(
         16,

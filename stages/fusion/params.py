@@ -28,6 +28,7 @@ class FuseParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     voxel_factor: float = param(
         1.0,
@@ -52,6 +53,7 @@ class FuseParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     max_jump: float = param(
         0.05,
@@ -81,6 +83,7 @@ class FuseParams:
         "whose extent `scanloom inspect` tells.",
         unit="m",
         group=_CROP,
+        common=True,
     )
     radius: float | None = param(
         None, "Only what is this near to `center` is fused.", unit="m", low=0, low_open=True, group=_CROP
@@ -96,6 +99,7 @@ class FuseParams:
         False,
         "Leave out the table or floor that the thing stands on, and what is below it.",
         group=_CROP,
+        common=True,
     )
     plane_margin: float | None = param(
         None,

@@ -64,7 +64,10 @@ class LevelsParams:
     )
     ratio: float = param(2.5, "What the bound grows with from level to level.", low=1.1, high=10)
     cell_triangles: int = param(
-        10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
+        10_000,
+        "Triangles of a cell, at most: what is loaded, refined and drawn as one.",
+        low=64,
+        common=True,
     )
     root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
     drop_islands: float = param(
@@ -95,6 +98,7 @@ class LodParams(LevelsParams):
         "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
         unit="m",
         low=0,
+        common=True,
     )
 
 

@@ -82,13 +82,16 @@ class TilesParams:
         "the texture; where neither says it -y, which is up in the frame of a camera.",
     )
     page: bool = param(
-        False, "Write a page beside the tiles, index.html and what it needs, that draws them in a browser."
+        False,
+        "Write a page beside the tiles, index.html and what it needs, that draws them in a browser.",
+        common=True,
     )
     compress: str = param(
         "none",
         "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
         "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
         choices=COMPRESSIONS,
+        common=True,
     )
 
     def __post_init__(self) -> None:

@@ -76,6 +76,7 @@ class RemeshParams:
         group=_HOW_FAR,
         low=0,
         high=10,
+        common=True,
     )
     base_triangles: int | None = param(
         None,
@@ -85,6 +86,7 @@ class RemeshParams:
         "level has about as many as the input, or more, where fewer would be far from it.",
         group=_HOW_FAR,
         low=1,
+        common=True,
     )
     base_error: float | None = param(
         None,

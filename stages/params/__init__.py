@@ -1,7 +1,7 @@
 """Parameters of a stage, declared once.
 
 A stage's frozen parameter class is the one source for its Python signature, the command's options and
-help, the keys of the config file and the reference page. Every field carries its text, unit and range.
+help, the keys of the config file and of `--set`, and the reference page. Every field carries its text, unit and range.
 Parameters of one of several methods are a separate class, nested as a field of the stage's class.
 """
 
@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, reduce
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
@@ -37,6 +38,7 @@ class Described:
     invalidates: bool
     group: str
     is_path: bool
+    common: bool
 
 
 def param(
@@ -51,18 +53,18 @@ def param(
     invalidates: bool = True,
     group: str = "",
     is_path: bool = False,
+    common: bool = False,
 ) -> Any:
     """Declare a field of a parameter class.
 
     `None` as a default means "derived from the data"; `text` then says how. `low` and `high` are the
     allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
     change the result (threads, previews), so that the cache ignores it. `group` is a heading for those that
-    belong together, in a help that has many. `is_path` marks the name of a file or folder.
+    belong together, in a help that has many. `is_path` marks the name of a file or folder. `common` gives
+    the parameter an option on the command line; `--set section.name=value` sets the others.
     """
-    return field(
-        default=default,
-        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group, is_path)},
-    )
+    about = Described(text, unit, low, high, low_open, choices, invalidates, group, is_path, common)
+    return field(default=default, metadata={"param": about})
 
 
 def described(cls: type) -> dict[str, Described]:
@@ -157,6 +159,25 @@ def row_length(hint: Any) -> int:
     return len(get_args(rows[0])) if rows else 0
 
 
+def describe_kinds(kinds: Iterable[Any]) -> str:
+    """Return the types of a parameter in words: "a number", "3 numbers", "a file or text"."""
+    return " or ".join(
+        f"{len(get_args(kind))} numbers"
+        if get_origin(kind) is tuple
+        else _KIND_NAMES.get(kind, f"of type {kind.__name__}")
+        for kind in kinds
+    )
+
+
+_KIND_NAMES: dict[Any, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Path: "a file",
+}
+
+
 def check(params: Any) -> None:
     """Raise UsageError for the first value of a wrong type or range; call it in `__post_init__`.
 
@@ -220,16 +241,14 @@ def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
 
 
 def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
-    if float in kinds:
-        kinds = (*kinds, int)
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        names = " or ".join(sorted({k.__name__ for k in kinds}))
+    accepted = (*kinds, int) if float in kinds else kinds
+    if not isinstance(value, accepted) or (isinstance(value, bool) and bool not in kinds):
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "is {value!r}; it must be of type {names}.",
+            "is {value!r}; it must be {names}.",
             Where(parameter=name),
             value=value,
-            names=names,
+            names=describe_kinds(kinds),
         )
 
 

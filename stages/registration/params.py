@@ -30,6 +30,7 @@ class RegisterParams:
         False,
         "Begin from the poses the scan has, and make them better; its world stays where it is. Where what is "
         "found is not better on points it was not found by, the poses stay.",
+        common=True,
     )
     piece: int = param(
         1,
@@ -41,6 +42,7 @@ class RegisterParams:
         "What is registered, and fused: the `scene`, or the `object` alone that moves before a camera that "
         "stands still, as on a turntable; all else is masked out. `auto` takes the object if there is one.",
         choices=("auto", "scene", "object"),
+        common=True,
     )
     focal: bool = param(
         True,

@@ -21,7 +21,11 @@ class SharedParams:
     """Parameters of `simplify` that all or several methods have."""
 
     triangles: int | None = param(
-        None, "Stop when at most this many triangles are left.", group=HOW_FAR, low=1
+        None,
+        "Stop when at most this many triangles are left.",
+        group=HOW_FAR,
+        low=1,
+        common=True,
     )
     ratio: float | None = param(
         None,
@@ -30,6 +34,7 @@ class SharedParams:
         low=0,
         high=1,
         low_open=True,
+        common=True,
     )
     max_shape: float | None = param(
         None,
@@ -42,6 +47,7 @@ class SharedParams:
         group=HOW_FAR,
         low=0,
         low_open=True,
+        common=True,
     )
     max_color: float | None = param(
         None,
@@ -55,6 +61,7 @@ class SharedParams:
         unit="8-bit levels",
         group=HOW_FAR,
         low=0,
+        common=True,
     )
     drop_below: float | None = param(
         None,
@@ -84,6 +91,7 @@ class SharedParams:
         "Keep the model's own texture coordinates and images, rather than bake new ones: seams then hold the "
         "shape in place.",
         group=HOW,
+        common=True,
     )
     bake: bool | None = param(
         None,
@@ -91,6 +99,7 @@ class SharedParams:
         "vertex colours go into an image too. Off: textures are lost. Default: where the input has images, "
         "unless keep_uv or a method that carries them is given.",
         group=HOW,
+        common=True,
     )
     threads: int | None = param(
         None,

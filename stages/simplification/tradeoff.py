@@ -66,6 +66,7 @@ class TradeoffParams:
         "the one where the curve of the distance over the logarithm of the number bends most.",
         unit="m",
         low=0,
+        common=True,
     )
     samples: int = param(
         100_000,

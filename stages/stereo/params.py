@@ -116,6 +116,7 @@ class DepthParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     max_relative_depth_error: float = param(
         0.05,
@@ -143,6 +144,7 @@ class DepthParams:
         "is census for one or two pairs, unless it would take more than 4 GB or an option of the others is "
         "given, and 3way for more",
         choices=(AUTO, FAST, "sgbm", "hh4", "hh", CENSUS),
+        common=True,
     )
     model: str | None = param(
         None,
@@ -153,6 +155,7 @@ class DepthParams:
         # What is in the file and beside it decides, not its name.
         invalidates=False,
         is_path=True,
+        common=True,
     )
     model_error: float = param(
         0.1,

@@ -73,6 +73,7 @@ class BakeParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     max_size: int = param(
         4096,
@@ -80,6 +81,7 @@ class BakeParams:
         unit="texels",
         low=_MIN_SIZE,
         high=8192,
+        common=True,
     )
     max_texels: float = param(
         16.0,

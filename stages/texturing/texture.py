@@ -91,6 +91,7 @@ class TextureParams:
         unit="texels",
         low=_MIN_SIZE,
         high=16384,
+        common=True,
     )
     max_texels: float = param(
         64.0,
@@ -100,7 +101,9 @@ class TextureParams:
         low=0.01,
         high=1000,
     )
-    format: str = param("jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"))
+    format: str = param(
+        "jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"), common=True
+    )
     quality: int = param(95, "Of JPEG and WebP images.", group=_FILE, low=1, high=100)
     padding: int = param(
         4,

@@ -22,6 +22,7 @@ class ReadingParams:
         None,
         "Camera matrix as `fx,fy,cx,cy` (of both cameras of a pair), in place of the folder's.",
         unit="px",
+        common=True,
     )
     baseline: float | None = param(
         None,
@@ -40,6 +41,7 @@ class ReadingParams:
         "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
         "camera-to-world, but for a .traj.",
         is_path=True,
+        common=True,
     )
     pose_convention: str = param(
         AS_WRITTEN,
@@ -91,7 +93,7 @@ class ReadingParams:
     last: int | None = param(
         None, "Position of the last frame to use; by default the scan's last.", unit="frames", low=0
     )
-    every: int = param(1, "Use every n-th frame.", unit="frames", low=1)
+    every: int = param(1, "Use every n-th frame.", unit="frames", low=1, common=True)
     max_frames: int | None = param(
         None,
         "Use at most so many frames, spread evenly. Frames without poses and single views are all used: of "

@@ -24,13 +24,16 @@ from scanloom.stages.surface.topology import repeats_vertex
 class ReplayParams:
     """How far a record is replayed; one of the three numbers, or to its end."""
 
-    triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
+    triangles: int | None = param(
+        None, "Replay until at most this many triangles are left.", low=1, common=True
+    )
     ratio: float | None = param(
         None,
         "Replay until at most this share of the input's triangles is left.",
         low=0,
         high=1,
         low_open=True,
+        common=True,
     )
     collapses: int | None = param(None, "Replay this many collapses.", low=0)
     fit: bool = param(
