@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from scanloom.cli.batch_watch import summary_text, tell_warnings
+from scanloom.cli.batch_progress import format_summary, report_warnings
 from scanloom.cli.exit_codes import BAD_INPUT
 from scanloom.cli.output import Output
 from scanloom.pipeline.batch.codes import BATCH_SCANS_NOT_DONE
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scanloom.pipeline.batch.queue import Queue
 
 
-def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
+def report_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
     """Write the tables and the page of a batch, print what it came to, and say what is not done.
 
     Parameters
@@ -35,7 +35,7 @@ def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
     summary = summary_of(queue)
     written = [path.name for path in write_outputs(summary, queue.out.resolve().name)]
     for record in summary.records:
-        tell_warnings(out, record)
+        report_warnings(out, record)
     failed = summary.not_done
     if failed:
         states = {one.state for one in failed}
@@ -49,6 +49,6 @@ def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
             )
         )
     figures = {**summary.figures(), "cache": str(queue.cache), "files": written, **more}
-    out.result(figures, summary_text(summary, written))
+    out.result(figures, format_summary(summary, written))
     if summary.is_unusable:
         raise typer.Exit(BAD_INPUT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from scanloom.cli.output import table_of
+from scanloom.cli.output import format_table
 from scanloom.stages.printing import place_in_words
 
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
@@ -78,7 +78,7 @@ def _distance_text(figures: Mapping[str, Any], length: Length) -> str:
         lengths = [length(of[f"{name}_m"]) for name in _MEASURES]
         shares = [f"{100 * of[f'{name}_relative']:.3g} %" for name in _MEASURES]
         rows.append([way, *lengths, *shares])
-    return f"{table_of(rows)}\n\nThe diagonal of A is {_metres(figures['diagonal_m'])}."
+    return f"{format_table(rows)}\n\nThe diagonal of A is {_metres(figures['diagonal_m'])}."
 
 
 def _color_text(color: Mapping[str, Any] | None) -> str:
@@ -93,7 +93,7 @@ def _color_text(color: Mapping[str, Any] | None) -> str:
             "equal" if of["psnr_db"] is None else f"{of['psnr_db']:.1f} dB",
             f"{of['maximum_levels']:.3g} levels",
         ])  # fmt: skip
-    return table_of(rows)
+    return format_table(rows)
 
 
 def _deviation_text(told: Mapping[str, Any], length: Length) -> str:
@@ -109,7 +109,7 @@ def _deviation_text(told: Mapping[str, Any], length: Length) -> str:
         rows.append(["highest", length(told["highest_m"], "+")])
     worst = told["worst"][0]
     rows.append([f"worst, at {_place(worst['point_m'])}", length(worst["distance_m"], signed)])
-    text = table_of(rows)
+    text = format_table(rows)
     if not told["is_signed"]:
         lacks = "normals, which would tell sides" if told["reference_spacing_m"] else "side that it looks to"
         text += f"\n\nWithout signs: A has no {lacks}."
@@ -147,7 +147,7 @@ def _change_text(told: Mapping[str, Any], length: Length) -> str:
         return text
     rows = [["largest changes", "area", "in the middle"]]
     rows += [[one["kind"], f"{one['area_m2']:.4g} m²", _place(one["point_m"])] for one in told["largest"]]
-    return f"{text}\n\n{table_of(rows)}"
+    return f"{text}\n\n{format_table(rows)}"
 
 
 def _views_text(told: Mapping[str, Any]) -> str:
@@ -166,4 +166,4 @@ def _views_text(told: Mapping[str, Any]) -> str:
         "colors": "Their colours are compared, without any light",
         "shape": "Shading alone is compared, for A or B has no colours",
     }
-    return f"{table_of(rows)}\n\n{compared[told['compared']]}. The worst is {told['worst']}."
+    return f"{format_table(rows)}\n\n{compared[told['compared']]}. The worst is {told['worst']}."

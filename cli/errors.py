@@ -57,7 +57,7 @@ class Failure:
     diagnostic: Diagnostic | None = None
 
 
-def failure_of(error: BaseException) -> Failure:
+def explain_failure(error: BaseException) -> Failure:
     """Return the sentence and exit code of an exception that ended a command."""
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         return Failure(SENTENCE, INTERRUPTED)
@@ -74,7 +74,7 @@ def failure_of(error: BaseException) -> Failure:
     return Failure(str(error), FAILED)
 
 
-def bug_of(error: BaseException) -> Failure:
+def explain_bug(error: BaseException) -> Failure:
     """Return the sentence for an exception nobody foresaw."""
     return _failure(MACHINE_BUG, FAILED, bug_explained(error))
 

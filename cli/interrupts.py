@@ -17,7 +17,7 @@ SENTENCE = "Interrupted; what was finished is kept."
 _happened = False
 
 
-def leave_at_once() -> None:
+def exit_on_interrupt() -> None:
     """From here on, Ctrl-C ends the process; unless whoever started it has switched Ctrl-C off."""
     _take(_leave)
 
@@ -27,7 +27,7 @@ def raise_interrupt() -> None:
     _take(_raise)
 
 
-def happened() -> bool:
+def was_interrupted() -> bool:
     """Return whether Ctrl-C was pressed: some libraries make an error of their own of KeyboardInterrupt."""
     return _happened
 

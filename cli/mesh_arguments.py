@@ -31,12 +31,12 @@ NewMesh = Annotated[
 ]
 
 
-def read_file(path: Path) -> Mesh:
+def read_mesh_file(path: Path) -> Mesh:
     """Return the mesh of a file."""
     return stages.read_mesh(require_file(path))
 
 
-def read_file_or_cloud(path: Path, out: Output) -> Mesh:
+def read_mesh_or_cloud_file(path: Path, out: Output) -> Mesh:
     """Return the mesh of a file, or its cloud, which has no triangles, and remark that it is one."""
     mesh = read_mesh_or_cloud(require_file(path))
     if is_cloud(mesh):
@@ -44,13 +44,13 @@ def read_file_or_cloud(path: Path, out: Output) -> Mesh:
     return mesh
 
 
-def read_standing(path: Path) -> Mesh:
+def read_with_up(path: Path) -> Mesh:
     """Return the same, and what is up in it: y in a glTF file that says nothing else, by its format."""
-    return standing(path, read_file(path))
+    return standing(path, read_mesh_file(path))
 
 
 @contextmanager
-def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
+def locate_diagnostics(path: Path, called: str = "mesh") -> Iterator[None]:
     """Name the file in diagnostics about a mesh that was read from it, and that a stage calls `called`."""
 
     def locate(diagnostic: Diagnostic) -> Diagnostic:
@@ -66,7 +66,7 @@ def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
         raise error.at(path) from error
 
 
-def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
+def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
     """Write a mesh, into a folder that is made if need be, and remark how large it is.
 
     Parameters
@@ -85,10 +85,10 @@ def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)
-    tell_written(path, mesh, out)
+    remark_written(path, mesh, out)
 
 
-def tell_written(path: Path, mesh: Mesh, out: Output) -> None:
+def remark_written(path: Path, mesh: Mesh, out: Output) -> None:
     """Remark how large a mesh is that was written."""
     if is_cloud(mesh):
         out.remark(f"{path}: {len(mesh.vertices):,} points")

@@ -39,7 +39,7 @@ class Output:
 
     Attributes
     ----------
-    before_line : called before a line is written; a progress bar removes itself then.
+    before_line : called before a line is written; a progress draw_progress_bar removes itself then.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class Output:
         if self.as_json:
             told = [one.figures() for one in self._diagnostics]
             text = to_json(
-                with_schema({**figures, **({"diagnostics": told} if told or self._can_warn else {})})
+                add_schema({**figures, **({"diagnostics": told} if told or self._can_warn else {})})
             )
         elif text is None:
-            text = lines_of(figures)
+            text = format_lines(figures)
         sys.stdout.write(text + "\n")
         # Here, not at exit, so that a full disk or a closed pipe is noticed while it can be reported.
         sys.stdout.flush()
@@ -107,32 +107,32 @@ class Output:
 
     def _print(self, text: str) -> None:
         self.before_line()
-        sys.stderr.write(one_line(text) + "\n")
+        sys.stderr.write(to_one_line(text) + "\n")
         sys.stderr.flush()
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Give a progress callback; it draws a bar with rate and time left when stderr is a terminal."""
+        """Return a progress callback, which draws a bar with rate and time left in a terminal."""
         if self.quiet or not sys.stderr.isatty():
             yield silent
             return
-        from scanloom.cli.bar import bar
+        from scanloom.cli.progress_bar import draw_progress_bar
 
-        with bar(label, unit) as update:
+        with draw_progress_bar(label, unit) as update:
             yield update
 
 
 def _do_nothing() -> None:
-    """Do nothing, where no progress bar is shown."""
+    """Do nothing, where no progress draw_progress_bar is shown."""
 
 
-def one_line(text: str) -> str:
+def to_one_line(text: str) -> str:
     r"""Return text as one line: controls are escaped (a line break as \n), and the middle is cut if long."""
     line = _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text.rstrip())
     return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE // 2]} … {line[-_MAX_LINE // 2 :]}"
 
 
-def with_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
+def add_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Return figures as the object that a program reads, which says by which names it goes."""
     return {"schema": SCHEMA, **figures}
 
@@ -157,7 +157,7 @@ def _plain(value: Any) -> Any:
     return _finite(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
+def format_lines(figures: Mapping[str, Any], indent: str = "") -> str:
     """Return figures as aligned lines for a person; nested ones are indented under their name."""
     single = {key: name_and_value(key, value) for key, value in figures.items() if not _is_nested(value)}
     width = max((len(name) for name, _ in single.values()), default=0)
@@ -169,7 +169,7 @@ def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
         else:
             lines.append(f"{indent}{name_and_value(key, None)[0]}")
             nested = [value] if isinstance(value, Mapping) else value
-            lines += [lines_of(item, indent + "  ") for item in nested]
+            lines += [format_lines(item, indent + "  ") for item in nested]
     return "\n".join(lines)
 
 
@@ -179,7 +179,7 @@ def _is_nested(value: Any) -> bool:
     return isinstance(value, Mapping) and bool(value)
 
 
-def table_of(rows: Sequence[Sequence[str]]) -> str:
+def format_table(rows: Sequence[Sequence[str]]) -> str:
     """Return rows of words as columns: the first one flush left, the others flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
@@ -189,7 +189,7 @@ def table_of(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
-def size_of(count: int) -> str:
+def format_size(count: int) -> str:
     """Return a number of bytes as a person reads it."""
     size, unit = float(count), "bytes"
     for larger in ("kB", "MB", "GB", "TB"):

@@ -15,7 +15,7 @@ _QUIET = ("OPENCV_LOG_LEVEL", "OFF")
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    interrupts.leave_at_once()
+    interrupts.exit_on_interrupt()
     os.environ.setdefault(*_SPIN)
     os.environ.setdefault(*_QUIET)
     from scanloom.cli.app import main as run

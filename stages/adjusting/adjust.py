@@ -82,7 +82,6 @@ class AdjustParams:
         "Look for one colour camera of the whole scan (focal length, centre, k1, its place beside the depth "
         "camera): by default used where it is clearly better than poses alone, and moved to where outlines "
         "of things say that photos are; true asks for it, false keeps the given one.",
-        common=True,
     )
     shutter: bool | None = param(
         None,

@@ -105,9 +105,7 @@ class CheckParams:
         low=0,
         high=180,
     )
-    min_thickness: float = param(
-        0.0, "Where the solid is thinner is told; 0 for nowhere.", unit="m", low=0, common=True
-    )
+    min_thickness: float = param(0.0, "Where the solid is thinner is told; 0 for nowhere.", unit="m", low=0)
     threads: int | None = param(
         None,
         "Processors to use, with the same result; all if not given.",

@@ -67,7 +67,6 @@ class LevelsParams:
         10_000,
         "Triangles of a cell, at most: what is loaded, refined and drawn as one.",
         low=64,
-        common=True,
     )
     root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
     drop_islands: float = param(

@@ -91,7 +91,6 @@ class TilesParams:
         "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
         "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
         choices=COMPRESSIONS,
-        common=True,
     )
 
     def __post_init__(self) -> None:

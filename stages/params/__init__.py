@@ -1,8 +1,8 @@
 """Parameters of a stage, declared once.
 
 A stage's frozen parameter class is the one source for its Python signature, the command's options and
-help, the keys of the config file and of `--set`, and the reference page. Every field carries its text, unit and range.
-Parameters of one of several methods are a separate class, nested as a field of the stage's class.
+help, the keys of the config file and of `--set`, and the reference page. Every field carries its text, unit
+and range. Parameters of one of several methods are a separate class, nested as a field of the stage's class.
 """
 
 from __future__ import annotations

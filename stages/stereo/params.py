@@ -144,7 +144,6 @@ class DepthParams:
         "is census for one or two pairs, unless it would take more than 4 GB or an option of the others is "
         "given, and 3way for more",
         choices=(AUTO, FAST, "sgbm", "hh4", "hh", CENSUS),
-        common=True,
     )
     model: str | None = param(
         None,

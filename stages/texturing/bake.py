@@ -81,7 +81,6 @@ class BakeParams:
         unit="texels",
         low=_MIN_SIZE,
         high=8192,
-        common=True,
     )
     max_texels: float = param(
         16.0,

@@ -101,9 +101,7 @@ class TextureParams:
         low=0.01,
         high=1000,
     )
-    format: str = param(
-        "jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"), common=True
-    )
+    format: str = param("jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"))
     quality: int = param(95, "Of JPEG and WebP images.", group=_FILE, low=1, high=100)
     padding: int = param(
         4,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.cli.irregular_places import COLORS
+from scanloom.cli.check_output import COLORS
 from scanloom.stages.cleaning.check import CLASSES
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scanloom.cli.exit_codes import MEANINGS, in_short
+from scanloom.cli.exit_codes import MEANINGS, summarize
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.surface.formats.ply import read_ply, write_ply
 from scanloom.stages.surface.mesh import Mesh
@@ -44,7 +44,7 @@ def test_the_readme_has_the_same_table() -> None:
 
 def test_the_help_says_them_in_short(scanloom: Run) -> None:
     text = re.sub(r"\s+", " ", scanloom("--help").stdout)
-    assert f"Exit codes: {in_short()}." in text
+    assert f"Exit codes: {summarize()}." in text
 
 
 def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pieces: Path) -> None:

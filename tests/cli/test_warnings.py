@@ -15,7 +15,7 @@ import pytest
 from scanloom import Mesh, stages
 from scanloom.cli.output import Output
 from scanloom.cli.rendering import render
-from scanloom.cli.watch import watching
+from scanloom.cli.run_progress import show_run_progress
 from scanloom.pipeline.run.events import Waiting
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.diagnostic import Where
@@ -191,7 +191,7 @@ def test_that_another_run_is_waited_for_is_said_at_once_and_only_remarked(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     for quiet, said in ((False, ["waits"]), (True, [])):
-        with watching(Output(quiet=quiet)) as events:
+        with show_run_progress(Output(quiet=quiet)) as events:
             events(Waiting("waits"))
             assert capsys.readouterr().err.splitlines() == said
 

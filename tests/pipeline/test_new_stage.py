@@ -79,7 +79,7 @@ STAGE = Stage(
 '''
 COMMAND = '''"""The command `area`."""
 
-from scanloom.cli.mesh_arguments import MeshFile, read_file
+from scanloom.cli.mesh_arguments import MeshFile, read_mesh_file
 from scanloom.cli.output import Output
 from scanloom.stages.area.area import AreaParams
 from scanloom.stages.area.area import area as measure
@@ -87,7 +87,7 @@ from scanloom.stages.area.area import area as measure
 
 def area(source: MeshFile, params: AreaParams, out: Output) -> None:
     """Measure the area of a mesh."""
-    out.result({"area_m2": measure(read_file(source), params)})
+    out.result({"area_m2": measure(read_mesh_file(source), params)})
 '''
 LINES = (
     ("pipeline/graph.py", "    clean,\n", "    area,\n    clean,\n"),

@@ -105,7 +105,10 @@ def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
         ("[fuze]\n", "f.toml: there is no section 'fuze'; did you mean fuse?"),
         ("[xyz]\n", "f.toml: there is no section 'xyz'; known are fuse, clean."),
         ("fuse = 1\n", "f.toml: fuse is a section; write [fuse]"),
-        ("[fuse]\nvoxelsize = 1\n", "f.toml: fuse has no parameter 'voxelsize'; did you mean fuse.voxel_size?"),
+        (
+            "[fuse]\nvoxelsize = 1\n",
+            "f.toml: fuse has no parameter 'voxelsize'; did you mean fuse.voxel_size?",
+        ),
         ("[clean]\nq = 1\n", "f.toml: clean has no parameter 'q'; known are islands."),
         ("[fuse]\nvoxel_size = '1'\n", "f.toml: fuse.voxel_size is '1'; it must be a number."),
         ("[fuse]\nvoxel_size = -1.0\n", "f.toml: fuse.voxel_size is -1 m; it must be at least 0 m."),
@@ -119,8 +122,14 @@ def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
         ("[fuse]\nbricks = 1\n", "f.toml: fuse.bricks is a section; write [fuse.bricks]"),
         ("[fuse.bricks]\nsize = 0\n", "f.toml: fuse.bricks.size is 0 m; it must be more than 0 m."),
         ("[fuse.bricks]\nsize = 'a'\n", "f.toml: fuse.bricks.size is 'a'; it must be a number."),
-        ("[fuse.bricks]\nsiez = 1\n", "f.toml: fuse.bricks has no parameter 'siez'; did you mean fuse.bricks.size?"),
-        ("[fuse.briks]\nsize = 1\n", "f.toml: fuse has no parameter 'briks'; did you mean fuse.bricks or fuse.bricks.size?"),
+        (
+            "[fuse.bricks]\nsiez = 1\n",
+            "f.toml: fuse.bricks has no parameter 'siez'; did you mean fuse.bricks.size?",
+        ),
+        (
+            "[fuse.briks]\nsize = 1\n",
+            "f.toml: fuse has no parameter 'briks'; did you mean fuse.bricks or fuse.bricks.size?",
+        ),
         ("[fuse]\nsize = 1\n", "f.toml: fuse has no parameter 'size'; did you mean fuse.bricks.size?"),
         ("[clean]\nislands = 1.5\n", "f.toml: clean.islands is 1.5; it must be a whole number."),
         ("[clean\n", "f.toml: this is not TOML"),

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from scanloom.cli.mesh_arguments import write_file
+from scanloom.cli.mesh_arguments import write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.stages import Checked, Mesh
 from scanloom.stages.cleaning.check import CLASSES
@@ -52,7 +52,7 @@ COLORS = {
 _REGULAR = (190, 190, 190)
 
 
-def place_lists(found: Checked) -> dict[str, Any]:
+def list_places(found: Checked) -> dict[str, Any]:
     """Return all places of each class by their numbers, and a point of each in metres."""
     return {
         name: {
@@ -65,7 +65,7 @@ def place_lists(found: Checked) -> dict[str, Any]:
     }
 
 
-def write_coloured(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
+def write_colored_classes(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
     """Write a mesh whose triangles have the colour of their class; say which colours those are."""
     triangles = mesh.triangles
     colors = np.full((len(triangles), 3), _REGULAR, np.uint8)
@@ -79,7 +79,7 @@ def write_coloured(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
         np.arange(len(corners), dtype=np.int32).reshape(-1, 3),
         colors=np.repeat(colors, 3, axis=0),
     )
-    write_file(path, apart, out)
+    write_mesh_file(path, apart, out)
 
 
 def _triangles_at(found: Checked, name: str) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from scanloom.cli.output import Output
-from scanloom.cli.passing_bar import PassingBar
+from scanloom.cli.transient_progress import TransientProgress
 from scanloom.pipeline.graph import find_stage
 from scanloom.pipeline.run.events import (
     Event,
@@ -28,7 +28,7 @@ _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
 
 
 @contextmanager
-def watching(out: Output) -> Iterator[Events]:
+def show_run_progress(out: Output) -> Iterator[Events]:
     """Give the function a run tells its events to."""
     watcher = _Watcher(out)
     try:
@@ -40,7 +40,7 @@ def watching(out: Output) -> Iterator[Events]:
 class _Watcher:
     def __init__(self, out: Output) -> None:
         self._out = out
-        self.bar = PassingBar(out)
+        self.bar = TransientProgress(out)
         self._is_metric = True
 
     def __call__(self, event: Event) -> None:
@@ -52,7 +52,7 @@ class _Watcher:
             case StageProgress():
                 self._bar_of(event.stage)(event.done, event.total)
             case StageFinished():
-                self._out.remark(line_of(event, is_metric=self._is_metric))
+                self._out.remark(format_stage(event, is_metric=self._is_metric))
             case Waiting():
                 self._out.remark(event.text)
 
@@ -66,7 +66,7 @@ class _Watcher:
         return self.bar.show(stage, "files" if known is None else known.progress_unit)
 
 
-def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
+def format_stage(event: StageFinished, *, is_metric: bool = True) -> str:
     """Return the line of a finished stage: its name, cached or the seconds, what came out, why it ran."""
     state = "cached" if event.cached else f"{event.seconds:.1f} s"
     reason = f" ({event.reason})" if event.reason else ""
