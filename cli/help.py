@@ -111,7 +111,7 @@ def panel_order(option: Any) -> int:
 
 
 def _argument_name(argument: Any) -> str:
-    return argument.metavar or argument.name.upper()
+    return str(argument.metavar or argument.name.upper())
 
 
 def _summary(command: Any) -> str:

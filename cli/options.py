@@ -185,17 +185,20 @@ def parameter_groups(function: Callable[..., None]) -> list[ParameterGroup]:
         cls = get_args(hint)[0] if is_set_only else hint
         is_changes = get_origin(cls) is Changes
         cls = get_args(cls)[0] if is_changes else cls
-        if isinstance(cls, type) and is_dataclass(cls) and cls is not Output:
+        if isinstance(cls, type) and is_dataclass(cls):
             groups.append(ParameterGroup(name, cls, is_changes, is_set_only))
     return groups
 
 
 def describe_set(function: Callable[..., None]) -> str:
     """Return the last line of a help: how to list the parameters for `--set`, if any."""
-    sections = " ".join(dict.fromkeys(group.section for group in parameter_groups(function)))
+    sections = list(dict.fromkeys(group.section for group in parameter_groups(function)))
     if any(map(_is_set_words, get_type_hints(function, include_extras=True).values())):
-        return f"Parameters for --set: scanloom config --all, and scanloom config {sections}"
-    return f"Parameters for --set: scanloom config {sections}" if _needs_set(function) else ""
+        # The section `scan` is one of all.
+        sections = ["--all", *(section for section in sections if section != "scan")]
+    elif not _needs_set(function):
+        return ""
+    return f"Parameters for --set: scanloom config {' '.join(sections)}"
 
 
 def _needs_set(function: Callable[..., None]) -> bool:
@@ -286,7 +289,7 @@ def build(group: ParameterGroup, values: Mapping[str, Any], assignments: Sequenc
         if one.section == group.section:
             _merge(changes, one.changes)
     with located(group.section):
-        params = resolve(group.cls, None, changes)
+        params: Any = resolve(group.cls, None, changes)
     return Changes(_pick(params, changes)) if group.is_changes else params
 
 

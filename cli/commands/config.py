@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,13 +56,14 @@ def config(
     """
     configuration = load_config(file, quality)
     names = _require_sections(sections or [])
-    if names:
-        parts = [text for name in names for text in _section_texts(configuration, name)]
-        metrics: dict[str, Any] = {name: _values(configuration, name) for name in names}
-    else:
-        is_whole = all_parameters or file is not None
-        parts, metrics = _run_sections(configuration, is_whole=is_whole)
-    if quality is not None and not names:
+    parts: list[str] = []
+    metrics: dict[str, Any] = {}
+    if all_parameters or not names:
+        parts, metrics = _run_sections(configuration, is_whole=all_parameters or file is not None)
+        names = [name for name in names if name not in metrics]
+    parts += [text for name in names for text in _section_texts(configuration, name)]
+    metrics |= {name: _values(configuration, name) for name in names}
+    if quality is not None and (all_parameters or not names):
         parts.insert(0, format_quality(quality).rstrip())
     out.result(metrics, "\n\n".join(parts))
 
@@ -89,6 +91,10 @@ def _is_common(about: Described) -> bool:
     return about.common
 
 
+def _is_one_of(shown: Sequence[Described], about: Described) -> bool:
+    return any(about is one for one in shown)
+
+
 def _common_names(cls: type) -> list[str]:
     return [name for name, about in describe_all(cls).items() if about.common and "." not in name]
 
@@ -101,8 +107,8 @@ def _section_texts(configuration: Config, name: str) -> list[str]:
     if name in configuration.types():
         texts.append(section_toml(name, getattr(configuration, name)).rstrip())
     for one in command_sections(name):
-        own = {id(about) for key, about in describe_all(one.cls).items() if key in one.names}
-        text = section_toml(name, one.cls(), is_shown=lambda about, own=own: id(about) in own).rstrip()
+        shown = [about for key, about in describe_all(one.cls).items() if key in one.names]
+        text = section_toml(name, one.cls(), is_shown=partial(_is_one_of, shown)).rstrip()
         lines = [line if line.startswith("#") or not line else f"# {line}" for line in text.split("\n")]
         texts.append("\n".join([f"# For --set of scanloom {one.command}:", *lines]))
     return texts

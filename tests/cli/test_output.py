@@ -14,7 +14,7 @@ import typer
 
 from scanloom import stages
 from scanloom.cli.errors import explain_bug, explain_failure
-from scanloom.cli.output import Output, format_lines, to_one_line, to_json
+from scanloom.cli.output import Output, format_lines, to_json, to_one_line
 from scanloom.pipeline.run.schema import SCHEMA
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import (

@@ -130,9 +130,9 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
     for words in (
         ("clean", clean_ball, light),
         ("simplify", clean_ball, light, "--ratio", 0.5),
-        ("compare", clean_ball, light, "--samples", 1000),
-        ("certify", light, clean_ball, "--max-shape", 1, "--only-decide"),
-        ("patches", clean_ball, light),
+        ("compare", clean_ball, light, "--set", "compare.samples=1000"),
+        ("mesh", "certify", light, clean_ball, "--max-shape", 1, "--only-decide"),
+        ("mesh", "patches", clean_ball, light),
         ("render", light, tmp_path / "p.png", "--width", 64),
     ):
         ran = scanloom(*words, "--json")
@@ -201,5 +201,5 @@ def test_parameters_are_options_and_stages_are_named() -> None:
     assert render(about) == "--voxel-size is 0."
     assert render(about.within(section="fuse", file="a.toml")) == "a.toml: fuse.voxel_size is 0."
     advice = MACHINE_BUG.warning("odd", "a.png", remedy="set scan.depth_scale=1000").within(stage="fuse")
-    assert render(advice) == "fuse: a.png: odd; set --depth-scale=1000"
+    assert render(advice) == "fuse: a.png: odd; give --set scan.depth_scale=1000"
     assert str(advice) == "fuse: a.png: odd; set scan.depth_scale=1000"
