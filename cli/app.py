@@ -24,7 +24,7 @@ import typer
 from scanloom.cli import errors, exit_codes
 from scanloom.cli.command_table import COMMANDS, GROUPS, can_warn, has_progress, load_command
 from scanloom.cli.help import HelpCommand, HelpGroup
-from scanloom.cli.options import describe_set, with_options
+from scanloom.cli.options import describe_set, set_sections, with_options
 from scanloom.cli.output import add_schema, to_json, to_one_line
 from scanloom.cli.rendering import command_line
 from scanloom.stages import __version__
@@ -60,7 +60,8 @@ def app(only: str = "") -> typer.Typer:
 def _add_command(program: typer.Typer, words: tuple[str, ...]) -> None:
     function = load_command(words)
     command = with_options(function, can_warn=can_warn(words), has_progress=has_progress(words))
-    help_class = type("HelpCommand", (HelpCommand,), {"hint": describe_set(function)})
+    about = {"hint": describe_set(function), "load_sections": functools.partial(set_sections, function)}
+    help_class = type("HelpCommand", (HelpCommand,), about)
     program.command(words[-1], cls=help_class)(command)
 
 
@@ -82,7 +83,7 @@ def _print_version(is_wanted: bool) -> None:
 _MIN_MEMORY = 16 << 20
 
 _HELP = (
-    "Turn depth-camera, stereo or posed-photo scans into light, textured meshes.\n"
+    "Turn depth-camera, stereo or posed-photo scans into light, textured meshes.\n\n"
     "Start with: scanloom inspect SCAN, then: scanloom run SCAN -o OUT"
 )
 

@@ -84,6 +84,11 @@ def _usage_sentence(error: Exception) -> str:
     if not message.endswith((".", "?", "!")):
         message += "."
     context = getattr(error, "ctx", None)
+    option = getattr(error, "option_name", None)
+    if option is not None and hasattr(context, "command") and hasattr(context.command, "find_keys"):
+        keys = context.command.find_keys(option)
+        if keys:
+            message = f"No such option: {option}; use {' or '.join(f'--set {key}=VALUE' for key in keys)}."
     where = context.command_path if context is not None else "scanloom"
     return f"{message} See `{where} --help`."
 

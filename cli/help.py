@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from scanloom.cli import exit_codes
 from scanloom.cli.command_table import COMMANDS
 from scanloom.cli.options import COMMON_PANEL, SCAN_PANEL
+from scanloom.stages.params import describe_all
 
 _MAX_WIDTH = 100
 # Columns of names, up to the text beside them; a longer name has its text below.
@@ -26,6 +27,18 @@ class HelpCommand(TyperCommand):
 
     # Last line: how to list the parameters for `--set`.
     hint = ""
+    # Returns the parameter class of each section that `--set` takes.
+    load_sections: Callable[[], Mapping[str, type]] = dict
+
+    def find_keys(self, option: str) -> list[str]:
+        """Return the parameters that an option would have, if it existed, such as `fuse.truncation`."""
+        name = option.lstrip("-").replace("-", "_")
+        return [
+            f"{section}.{key}"
+            for section, cls in type(self).load_sections().items()
+            for key in describe_all(cls)
+            if key.rpartition(".")[2] in (name, name.removeprefix("no_"))
+        ]
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""
@@ -42,7 +55,7 @@ class HelpGroup(TyperGroup):
 
 
 def _root_lines(group: Any, ctx: Any) -> Iterator[str]:
-    yield from group.help.split("\n")
+    yield from (line for one in paragraphs_of(group.help) for line in _wrapped(one, "  "))
     summaries = {name: _summary(command) for name, command in group.commands.items()}
     width = max(map(len, summaries))
     for heading, names in COMMANDS.items():
@@ -111,7 +124,8 @@ def panel_order(option: Any) -> int:
 
 
 def _argument_name(argument: Any) -> str:
-    return str(argument.metavar or argument.name.upper())
+    name = str(argument.metavar or argument.name.upper())
+    return name if argument.required or name.startswith("[") else f"[{name}]"
 
 
 def _summary(command: Any) -> str:

@@ -201,6 +201,15 @@ def describe_set(function: Callable[..., None]) -> str:
     return f"Parameters for --set: scanloom config {' '.join(sections)}"
 
 
+def set_sections(function: Callable[..., None]) -> dict[str, type]:
+    """Return the parameter class of each section that `--set` of a command takes."""
+    types = {group.section: group.cls for group in parameter_groups(function)}
+    for hint in get_type_hints(function, include_extras=True).values():
+        if _is_set_words(hint):
+            types |= {name: type(params) for name, params in hint.__metadata__[0].load().items()}
+    return types
+
+
 def _needs_set(function: Callable[..., None]) -> bool:
     """Return whether a command has parameters without an option."""
     return any(set(describe_all(one.cls)) - set(one.options.values()) for one in parameter_groups(function))

@@ -11,6 +11,7 @@ import typer
 from scanloom.cli.options import Changes
 from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import require_scan
+from scanloom.cli.rendering import as_typed
 from scanloom.cli.run_progress import show_run_progress
 from scanloom.stages import CoverageParams
 from scanloom.stages.printing import counted, place_in_words
@@ -57,7 +58,7 @@ def coverage(
     figures: Any = read_json(result.out / FILE)
     files = [str(path) for stage in result.stages if stage.stage == "coverage" for path in stage.results]
     is_metric = bool(result.report["scan"]["metric"])
-    out.result({"output": files, **figures}, "\n".join(_lines(figures, is_metric=is_metric)))
+    out.result({"output": files, **figures}, as_typed("\n".join(_lines(figures, is_metric=is_metric))))
 
 
 def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:

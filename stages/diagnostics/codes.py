@@ -84,7 +84,7 @@ CONFIG_PARAMETER_UNKNOWN = Code(
 `scanloom config` prints every section and parameter as TOML. What comes nearest to the word that was
 given is named.
 """,
-    "scan.toml: fuse has no parameter 'voxelsize'; did you mean voxel_size?",
+    "scan.toml: fuse has no parameter 'voxelsize'; did you mean fuse.voxel_size?",
 )
 USAGE_VALUE_INVALID = Code(
     "usage.value-invalid",

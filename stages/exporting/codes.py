@@ -17,7 +17,7 @@ EXPORT_UP_UNKNOWN = Code(
     "export.up-unknown",
     "An up direction that is not known",
     """
-A warning. `--axes` turns a mesh by its up direction, which neither its file nor `--up` states. The mesh
+A warning. `export.axes` turns a mesh by its up direction, which neither its file nor `--up` states. The mesh
 is written as it is. `--up +z` states it.
 """,
     "nothing tells what is up: the axes are taken to be y-up already; `up` says it",

@@ -21,7 +21,7 @@ Where space is cut in bricks (`fuse.brick_size`, or by itself where memory would
 brick is kept in the cache. If bricks do not fit each other, somebody changed one; `scanloom cache verify`
 finds it. Bricks that are damaged before a run looks for them are reported and made anew.
 """,
-    "pieces of the surface do not fit each other; fuse again, with --force fuse.",
+    "pieces of the surface do not fit each other; fuse again, with --set run.force=fuse.",
 )
 FUSE_FAR_DEPTH_LEFT_OUT = Code(
     "fuse.far-depth-left-out",

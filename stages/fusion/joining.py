@@ -183,5 +183,5 @@ def _do_not_fit() -> StageError:
     return StageError(
         FUSE_BRICK_DAMAGED,
         "pieces of the surface do not fit each other",
-        remedy="fuse again, with --force fuse.",
+        remedy="fuse again, with run.force=fuse.",
     )

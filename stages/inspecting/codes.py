@@ -26,18 +26,17 @@ Depth of one frame was carried into another by the poses as given, inverted, wit
 reverse order; of single views, points that two photos show were looked for on each other's epipolar
 lines. Another convention fits clearly better. A run stops at that, since the mesh would be scattered.
 
-`--pose-convention` (`scan.pose_convention`) names the convention of the poses: `world-to-camera`, `y-up`
+`scan.pose_convention` names the convention of the poses: `world-to-camera`, `y-up`
 (a camera with y up and z back, as OpenGL has it), or `world-to-camera-y-up`; the message says which.
 Poses in another order have to be brought into that of the frames. Where two conventions are named, they
 fit alike (a camera that moves evenly). If the check is wrong (a scene of one flat wall fits every
-convention), `--no-check-poses` goes on.
+convention), `scan.check_poses=false` goes on.
 """,
     (
         "scans/desk: the poses are probably world-to-camera: so taken, the depth of one frame meets "
-        "another's to 4 mm, as given to 340 mm (compared: 340 mm as given; 4 mm world-to-camera). Set "
-        "scan.pose_convention=world-to-camera, or give them camera-to-world with x right, y down, z forward, "
-        "in the frames' order, or use them as they are with --no-check-poses (in a config file: "
-        "check_poses = false under [scan])."
+        "another's to 4 mm, as given to 340 mm (compared: 340 mm as given; 4 mm world-to-camera). Give "
+        "--set scan.pose_convention=world-to-camera, or give them camera-to-world with x right, y down, "
+        "z forward, in the frames' order, or use them as they are with --set scan.check_poses=false."
     ),
 )
 SCALE_DEPTH_UNIT_SUSPECT = Code(

@@ -30,7 +30,7 @@ def advice(best: str) -> str:
     change = "Give them" if convention is None else f"Set scan.pose_convention={convention}, or give them"
     return (
         f"{change} camera-to-world with x right, y down, z forward, in the frames' order, or use them as "
-        "they are with --no-check-poses (in a config file: check_poses = false under [scan])."
+        "they are with scan.check_poses=false."
     )
 
 

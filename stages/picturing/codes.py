@@ -34,7 +34,8 @@ RENDER_ENCODER_MISSING = Code(
     "render.encoder-missing",
     "Encoders of videos that are missing",
     """
-Not every build of OpenCV has every encoder: `--codec mpeg4` is in nearly all, and pictures always work.
+Not every build of OpenCV has every encoder: `turntable.codec=mpeg4` is in nearly all, and pictures always
+work.
 """,
     "turn.mp4: OpenCV has no encoder for vp9 here; write pictures (.png).",
 )

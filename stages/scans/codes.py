@@ -58,9 +58,9 @@ CAMERA_CALIBRATION_ASSUMED = Code(
     "A calibration that had to be chosen or interpreted",
     """
 Several files or values were possible, or the file does not say what its numbers mean. The message says
-which one is used. Nothing has to be done if that is right. Otherwise name the file with `--calibration`
+which one is used. Nothing has to be done if that is right. Otherwise name the file with `scan.calibration`
 ([forms](../formats/calibrations.md)), state the camera with `--intrinsics`, or the baseline with
-`--baseline`.
+`scan.baseline`.
 """,
     (
         "room/calib.yaml: the baseline is 120 without a unit, taken as millimetres; where it is not "
@@ -71,7 +71,7 @@ CAMERA_ADJUSTED_MISMATCH = Code(
     "camera.adjusted-mismatch",
     "A cameras.json of another scan",
     """
-`--adjusted` takes the file that `scanloom adjust`, or the stage of a run, wrote for this scan: frames are
+`scan.adjusted` takes the file that `scanloom adjust`, or the stage of a run, wrote for this scan: frames are
 found by name.
 """,
     "room/cameras.json: a cameras.json of `scanloom adjust` is expected.",
@@ -82,7 +82,7 @@ CAMERA_PAIR_UNCALIBRATED = Code(
     """
 Focal length times baseline is the scale of everything a pair shows, so nothing is guessed. Name a
 calibration ([forms](../formats/calibrations.md)), or for rectified images `--intrinsics` and
-`--baseline`.
+`scan.baseline`.
 """,
     (
         "street: no calibration: calibration.json is missing; name one with scan.calibration=FILE, or "
@@ -167,7 +167,7 @@ SCALE_TAGS_UNRELIABLE = Code(
     "Tags that give no scale, or an inaccurate one",
     """
 Tags must be printed in one size, lie flat, and be seen sharp in two or more photos from different
-positions. `--tag-size` is the edge of the black square in metres. See [scale and up](../scale-and-up.md).
+positions. `scan.tag_size` is the edge of the black square in metres. See [scale and up](../scale-and-up.md).
 """,
     "the scale by tags is known to 2.3% only: so far their sizes differ",
 )
@@ -190,7 +190,7 @@ CAMERA_INTRINSICS_GUESSED = Code(
     """
 A warning where a camera can be guessed, else an error. A wrong guess bends the mesh and makes it too
 large or too small. State the camera as `--intrinsics fx,fy,cx,cy` (`scan.intrinsics`) in pixels of the
-depth map, or name a file with `--calibration` ([forms](../formats/calibrations.md)).
+depth map, or name a file with `scan.calibration` ([forms](../formats/calibrations.md)).
 
 Where poses are missing, [register](../stages/register.md#a-camera-that-nobody-stated) estimates the focal
 length with them, and `scanloom inspect` reports the same. It needs ten frame pairs that show the same
@@ -275,8 +275,8 @@ RECORDING_CLOCKS_DIFFER = Code(
     """
 Streams are paired by the times in their messages. If these are of different clocks, they are paired by
 the times at which they were recorded, which is less exact while the camera moves. A trajectory of another
-clock, or of frames that are only counted, is paired in order: `--poses-by-order`, where it has one pose a
-frame.
+clock, or of frames that are only counted, is paired in order: `scan.poses_by_order=true`, where it has
+one pose a frame.
 """,
     "room.bag: no depth map and colour image in it are of one moment.",
 )
@@ -435,7 +435,7 @@ SCAN_LAYOUT_UNKNOWN = Code(
     "The folder is not recognised",
     """
 Give the folder that holds the images' folders, not one above or below it; for `.bag`, `.db3`, `.mcap`,
-`.sens` and `.r3d` the file itself. Where two layouts would fit, `scan.layout=NAME` (`--layout NAME`)
+`.sens` and `.r3d` the file itself. Where two layouts would fit, `scan.layout=NAME`
 names one; its reader then says exactly which file is missing. A folder of no layout is quickly converted
 to [plain-rgbd](../formats/scans.md#plain-rgbd): folders `color/` and `depth/`, and a `scan.json`.
 """,

@@ -38,7 +38,7 @@ SIMPLIFY_TRADEOFF = Code(
     "simplify.tradeoff",
     "Error against triangles",
     """
-Of `tradeoff`. Exit code 1 if the bound is below the error of all numbers of triangles: give larger
+Of `mesh tradeoff`. Exit code 1 if the bound is below the error of all numbers of triangles: give larger
 numbers, or a larger bound. The others are remarks: why a curve ends, and which meshes its distances
 belong to.
 """,
@@ -115,7 +115,7 @@ SIMPLIFY_COMPONENTS_REMOVED = Code(
     "simplify.components-removed",
     "Small components and holes",
     """
-`--drop-below` was given. A warning names the counts; check that the number and the area are what you
+`simplify.drop_below` was given. A warning names the counts; check that the number and the area are what you
 meant. Give a smaller length if something is missing. A length that would remove every component is
 refused.
 """,

@@ -105,7 +105,8 @@ def report_agreement(network: Network, trust: NDArray[np.uint8]) -> None:
                 "by this network left and right agree on next to nothing",
                 Where(file=network.file.name),
                 remedy=(
-                    "look at unit, sign, range and inputs of its sidecar, or have it guessed: scanloom probe"
+                    "look at unit, sign, range and inputs of its sidecar, or have it guessed: "
+                    "scanloom lab probe"
                 ),
             )
         )

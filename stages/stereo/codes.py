@@ -30,7 +30,7 @@ DEPTH_NETWORK_UNIDENTIFIED = Code(
     "depth.network-unidentified",
     "A network that cannot be guessed",
     """
-`scanloom probe` knows the usual inputs and outputs only. The example script of the network's makers shows
+`scanloom lab probe` knows the usual inputs and outputs only. The example script of the network's makers shows
 how they prepare their images.
 """,
     ("raft.onnx: its inputs (1 × 6 × 384 × 512) are no image and no pair; write its sidecar by hand."),
@@ -45,7 +45,7 @@ then unit, sign or range on the page are wrong, rather than the network.
 """,
     (
         "raft.onnx: there is no raft.json beside it, which says what it takes and gives; "
-        "scanloom probe raft.onnx --write guesses one."
+        "scanloom lab probe raft.onnx --write guesses one."
     ),
 )
 DEPTH_RANGE_EMPTY = Code(

@@ -147,7 +147,7 @@ class DepthParams:
     )
     model: str | None = param(
         None,
-        "File of a network of your own, FILE.onnx, with FILE.toml beside it (`scanloom probe` guesses "
+        "File of a network of your own, FILE.onnx, with FILE.toml beside it (`scanloom lab probe` guesses "
         "it), run by onnxruntime (`scanloom[network]`). One of pairs takes the matcher's place; what left "
         "and right do not agree on is no depth. One of single images fills in depth where none was "
         "measured, with scale and shift as measured depth has them, of confidence 1",

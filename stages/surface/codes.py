@@ -166,7 +166,7 @@ MESH_CONFIDENCE_LEFT_OUT = Code(
     "mesh.confidence-left-out",
     "The confidence of vertices that is left out",
     """
-A warning. `remesh` carries the confidence of the vertices of a PLY file; other commands leave it out.
+A warning. `mesh remesh` carries the confidence of the vertices of a PLY file; other commands leave it out.
 """,
     "chair.ply: the confidence of its vertices is left out: remesh carries it",
 )

@@ -44,8 +44,8 @@ TEXTURE_BAKE_LEFT_OUT = Code(
     "Nothing to bake, or something that baking leaves out",
     """
 `bake` brings the colours of one mesh to another one: the original needs vertex colours or a texture.
-Baked images are opaque; detail finer than a texel is averaged (`--texel-size`, `--max-size`). Maps of MTL
-files other than `map_Kd` have no place in the atlas.
+Baked images are opaque; detail finer than a texel is averaged (`bake.texel_size`, `bake.max_size`). Maps of
+MTL files other than `map_Kd` have no place in the atlas.
 """,
     "bake left out: detail of the original's images that 4096 × 4096 texels cannot show.",
 )

@@ -51,7 +51,7 @@ def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -
         (
             ("bake", "{ball}", "{ball}", "out.glb", "--set", "bake.max_size=100"),
             2,
-            "--max-size is 100 texels; it must be a",
+            "--set bake.max_size is 100 texels; it must be a",
         ),
         (("simplify", "{ball}", "out.off", "--bake"), 2, "stands for no format"),
         (("bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),

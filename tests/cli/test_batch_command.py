@@ -221,8 +221,8 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
         (("batch", "scans", "-o", "out", "--include", "x*"), 3, "there is no scan that is asked for in it"),
         (("batch", "scans", "-o", "scans"), 2, "results and cache cannot stand among the scans"),
         (("batch", "scans", "-o", "out", "--cache", "scans"), 2, "results and cache cannot stand among"),
-        (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is 'many'; it must be a number"),
-        (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is '0'"),
+        (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is many; it must be a number"),
+        (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is 0"),
         (("batch", "scans", "-o", "out", "--memory", "lots"), 2, "--memory is 'lots'; it must be a size"),
         (
             ("batch", "scans", "-o", "out", "--memory", "0"),
@@ -274,7 +274,7 @@ def test_files_that_stand_here_are_named_for_workers_elsewhere(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "poses.txt").write_text("")
-    words = ("--poses", "poses.txt", "--set", "scan.calibration=camera.toml", "--queue-only")
+    words = ("--set", "scan.poses=poses.txt", "--set", "scan.calibration=camera.toml", "--queue-only")
     assert scanloom("batch", scans, "-o", "out", *words).exit_code == 0
     queue = standing_queue(tmp_path / "out")
     assert queue is not None

@@ -138,7 +138,7 @@ def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) ->
     write_mesh(pair[0], body.with_(colors=colors))
     write_mesh(pair[1], body.with_(vertices=1.02 * body.vertices, colors=colors // 2))
     few = ("--set", "compare.samples=2000", "--set", "deviation.signed_samples=2000")
-    change = ("--change", "--change-distance", 0.01)
+    change = ("--change", "--set", "change.change_distance=0.01")
     text = scanloom("compare", *pair, "--tolerance", 0.02, *change, "--align", "icp", *few).stdout
     assert "ΔE2000" in text
     assert "largest changes" in text
@@ -222,7 +222,7 @@ def test_what_a_cloud_cannot_tell_is_refused(
     for words in (("--change",), ("--set", "views.views=2")):
         ran = scanloom("compare", clean_ball, points, *words)
         assert ran.exit_code == 2
-        assert f"{words[0]} needs two surfaces" in ran.stderr
+        assert f"{' '.join(words).partition('=')[0]} needs two surfaces" in ran.stderr
         assert "points.laz is a cloud" in ran.stderr
     ran = scanloom("compare", clean_ball, points, "--align", "icp", "--save-aligned", tmp_path / "moved.glb")
     assert ran.exit_code == 2

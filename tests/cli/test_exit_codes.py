@@ -44,7 +44,7 @@ def test_the_readme_has_the_same_table() -> None:
 
 def test_the_help_says_them_in_short(scanloom: Run) -> None:
     text = re.sub(r"\s+", " ", scanloom("--help").stdout)
-    assert f"Exit codes: {summarize()}." in text
+    assert f"Exit codes: {summarize()}" in text
 
 
 def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pieces: Path) -> None:

@@ -43,7 +43,7 @@ def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: P
     a = (np.arange(5)[:, None] * 6 + np.arange(5)).ravel()
     triangles = np.concatenate([np.stack(t, 1) for t in ((a, a + 1, a + 7), (a, a + 7, a + 6))])
     write_ply(source, Mesh(vertices, triangles.astype(np.int32)))
-    ran = scanloom("clean", source, target, "--repair", "--max-shape", 0.01, "--json")
+    ran = scanloom("clean", source, target, "--repair", "--set", "clean.max_shape=0.01", "--json")
     assert ran.exit_code == 0
     figures = ran.json["repair"]
     needles = figures["classes"]["needles"]

@@ -92,7 +92,7 @@ def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: 
         (("ball.ply", "out.mp4", "--width", "101"), "even"),
         (("ball.ply", "out.png", "--set", "picture.labels=a|b"), "2 texts for 1 mesh"),
         (("ball.ply", "out.png", "--up", "left"), "up is 'left'"),
-        (("ball.ply", "out.png", "--up", "none"), "upper side"),
+        (("ball.ply", "out.png", "--up", "none"), "needs an up axis"),
         (("ball.ply", "out.png", "--scan", ".", "--set", "picture.height=90"), "cameras of --scan"),
     ],
 )

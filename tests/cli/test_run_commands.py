@@ -17,7 +17,7 @@ import pytest
 import recordings
 
 from scanloom.pipeline.config import Config
-from scanloom.stages.params import describe_all
+from scanloom.stages.params import describe_all, get_default
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
@@ -141,7 +141,10 @@ def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Pat
         "--json",
     )
     assert scanloom(*words, "--set", "scan.first=1").json["scan"]["frames"] == 5
-    assert scanloom(*words, "--set", "scan.every=2", "--every", 1).json["scan"]["frames"] == 6
+    assert scanloom(*words, "--every", 2).json["scan"]["frames"] == 3
+    twice = scanloom(*words, "--set", "scan.every=2", "--every", 1)
+    assert twice.exit_code == 2
+    assert "both --every and --set scan.every are given; leave one of them out." in twice.stderr
 
 
 def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -341,19 +344,32 @@ COMMANDS = [
 def test_help_teaches_with_an_example(scanloom: Run, command: tuple[str, ...]) -> None:
     ran = scanloom(*command, "--help")
     assert ran.exit_code == 0
-    assert f"Example: scanloom {' '.join(command)}" in ran.stdout
+    assert f"\n  scanloom {' '.join(command)}" in ran.stdout
     assert "--json" in ran.stdout
 
 
 @pytest.mark.parametrize("command", ["depth", "fuse", "clean", "simplify"])
-def test_help_of_a_stage_names_unit_and_default_of_every_parameter(scanloom: Run, command: str) -> None:
-    text = re.sub(r"[\s│]+", " ", scanloom(command, "--help").stdout)
+def test_help_of_a_stage_names_unit_and_default_of_every_option(scanloom: Run, command: str) -> None:
+    text = re.sub(r"\s+", " ", scanloom(command, "--help").stdout)
+    text = text.partition(" Options: ")[2].partition(" Common options: ")[0]
     helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
-    for name, about in describe_all(Config.types()[command]).items():
+    cls = Config.types()[command]
+    for name, about in describe_all(cls).items():
         option = name.rpartition(".")[2].replace("_", "-")
-        facts = re.search(r"\(([^()]*)(default: [^()]+|no fixed default)\)", helps[option])
-        assert facts, name
-        assert about.unit in facts[1]
+        if not about.common:
+            assert option not in helps
+            continue
+        facts = "".join(re.findall(r"\[([^\[\]]*)\]", helps[option]))
+        assert about.unit in facts, name
+        assert ("default: " in facts) == (get_default(cls, name) is not None), name
+
+
+def test_an_option_that_only_set_has_is_named(scanloom: Run) -> None:
+    ran = scanloom("fuse", "scan", "out.ply", "--truncation", 0.1)
+    assert ran.exit_code == 2
+    assert "No such option: --truncation; use --set fuse.truncation=VALUE. See" in ran.stderr
+    ran = scanloom("run", "scan", "-o", "out", "--no-page")
+    assert "use --set tiles.page=VALUE or --set report.page=VALUE. See" in ran.stderr
 
 
 @pytest.mark.slow

@@ -129,7 +129,7 @@ def read_sidecar(network: Path) -> Sidecar:
             DEPTH_NETWORK_SIDECAR_INVALID,
             (
                 "there is no {path_name} beside it, which says what it takes and gives; "
-                "scanloom probe {network_name} --write guesses one."
+                "scanloom lab probe {network_name} --write guesses one."
             ),
             network,
             path_name=path.name,

@@ -80,7 +80,7 @@ def test_a_wrong_sign_is_said(tmp_path):
     assert diagnostic.code == DEPTH_NETWORK_SIDECAR_INVALID.name
     assert str(diagnostic) == (
         "net.onnx: by this network left and right agree on next to nothing; look at unit, sign, range and "
-        "inputs of its sidecar, or have it guessed: scanloom probe"
+        "inputs of its sidecar, or have it guessed: scanloom lab probe"
     )
 
 
