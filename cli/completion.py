@@ -20,14 +20,6 @@ def complete_stages() -> list[str]:
     return [stage.name for stage in STAGES]
 
 
-def complete_sections(incomplete: str) -> list[tuple[str, str]]:
-    """Return the sections that begin with a word, each with its summary."""
-    from scanloom.cli.sections import all_sections
-
-    types = all_sections()
-    return [(name, _summarize(cls)) for name, cls in types.items() if name.startswith(incomplete)]
-
-
 def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the words that `--set` can go on with, each with its meaning.
 
@@ -43,7 +35,7 @@ def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tu
     near = [one for one in sections if one.startswith(section)]
     if not dot and len(near) != 1:
         # Without the dot, shells put a space behind a section.
-        return [(f"{one}.", _summarize(type(sections[one]))) for one in near]
+        return [(f"{one}.", summarize(type(sections[one]))) for one in near]
     section = section if dot else near[0]
     if section not in sections:
         return []
@@ -61,7 +53,8 @@ def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tu
     return words
 
 
-def _summarize(cls: type) -> str:
+def summarize(cls: type) -> str:
+    """Return the first line about a parameter class, shortened."""
     return _shorten((cls.__doc__ or "").split("\n")[0])
 
 

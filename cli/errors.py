@@ -9,6 +9,7 @@ import typer
 
 from scanloom.cli.codes import USAGE_OPTION_INVALID
 from scanloom.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
+from scanloom.cli.help import HelpCommand
 from scanloom.cli.interrupts import SENTENCE
 from scanloom.cli.rendering import render
 from scanloom.stages.diagnostics.codes import MACHINE_BUG, MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
@@ -85,8 +86,9 @@ def _usage_sentence(error: Exception) -> str:
         message += "."
     context = getattr(error, "ctx", None)
     option = getattr(error, "option_name", None)
-    if option is not None and hasattr(context, "command") and hasattr(context.command, "find_keys"):
-        keys = context.command.find_keys(option)
+    command = getattr(context, "command", None)
+    if option is not None and isinstance(command, HelpCommand):
+        keys = command.find_keys(option)
         if keys:
             message = f"No such option: {option}; use {' or '.join(f'--set {key}=VALUE' for key in keys)}."
     where = context.command_path if context is not None else "scanloom"

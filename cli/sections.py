@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from scanloom.cli.command_table import iterate_commands, load_command
+from scanloom.cli.completion import summarize
 from scanloom.cli.options import parameter_groups
 from scanloom.stages.params import describe_all
 
@@ -33,6 +34,12 @@ def all_sections() -> dict[str, type]:
 
     commands = {one.name: one.cls for one in command_sections()}
     return {**Config.types(), **{name: cls for name, cls in commands.items() if name not in Config.types()}}
+
+
+def complete_sections(incomplete: str) -> list[tuple[str, str]]:
+    """Return the sections that begin with a word, each with its summary, for a shell."""
+    types = all_sections()
+    return [(name, summarize(cls)) for name, cls in types.items() if name.startswith(incomplete)]
 
 
 def command_sections(name: str | None = None) -> Iterator[CommandSection]:

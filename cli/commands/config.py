@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scanloom.cli.completion import complete_sections
 from scanloom.cli.output import Output
 from scanloom.cli.quality_option import QualityOption, format_quality, load_config
+from scanloom.cli.sections import all_sections, command_sections, complete_sections
 from scanloom.pipeline.sections import section_toml
 from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
 from scanloom.stages.diagnostics.errors import UsageError
@@ -101,8 +101,6 @@ def _common_names(cls: type) -> list[str]:
 
 def _section_texts(configuration: Config, name: str) -> list[str]:
     """Return all parameters of a section as TOML; those of commands are comments."""
-    from scanloom.cli.sections import command_sections
-
     texts = []
     if name in configuration.types():
         texts.append(section_toml(name, getattr(configuration, name)).rstrip())
@@ -115,8 +113,6 @@ def _section_texts(configuration: Config, name: str) -> list[str]:
 
 
 def _values(configuration: Config, name: str) -> Mapping[str, Any]:
-    from scanloom.cli.sections import command_sections
-
     values: dict[str, Any] = {}
     for one in command_sections(name):
         values |= asdict(one.cls())
@@ -131,8 +127,6 @@ def _require_sections(names: Sequence[str]) -> list[str]:
     UsageError
         For an unknown section.
     """
-    from scanloom.cli.sections import all_sections
-
     known = all_sections() if names else {}
     for name in names:
         if name not in known:

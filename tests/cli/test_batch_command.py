@@ -108,7 +108,7 @@ def test_a_queue_is_worked_on_by_whoever_comes(
         "batch", scans, "-o", out, "--queue-only", "--until", "adjust", "--set", "worker.worker_timeout=7"
     )
     assert queued.exit_code == 0
-    assert f"3 scans queued; any machine works on them with: scanloom worker {out}" in queued.stdout
+    assert f"3 scans queued; start on each machine: scanloom worker {out}" in queued.stdout
     assert not (out / "index.html").exists()
     queue = standing_queue(out)
     assert queue is not None

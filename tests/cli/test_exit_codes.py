@@ -107,7 +107,11 @@ def test_meshes_of_different_things_end_with_1(
     ball, far, target = read_ply(clean_ball), tmp_path / "far.ply", tmp_path / "out.glb"
     for away, code in ((1000.0, 1), (2.5, 0)):
         write_ply(far, ball.with_(vertices=ball.vertices + np.array([away, 0, 0])))
-        some = ("--set", "compare.samples=1000") if command == "compare" else (target, "--max-size", 64)
+        some = (
+            ("--set", "compare.samples=1000")
+            if command == "compare"
+            else (target, "--set", "bake.max_size=64")
+        )
         ran = scanloom(command, clean_ball, far, *some)
         assert ran.exit_code == code, ran.stderr
         assert ("in the same world and unit" in ran.stderr) == bool(code)

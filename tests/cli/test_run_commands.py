@@ -351,7 +351,7 @@ def test_help_teaches_with_an_example(scanloom: Run, command: tuple[str, ...]) -
 @pytest.mark.parametrize("command", ["depth", "fuse", "clean", "simplify"])
 def test_help_of_a_stage_names_unit_and_default_of_every_option(scanloom: Run, command: str) -> None:
     text = re.sub(r"\s+", " ", scanloom(command, "--help").stdout)
-    text = text.partition(" Options: ")[2].partition(" Common options: ")[0]
+    text = " " + text.partition(" Options: ")[2].partition(" Common options: ")[0]
     helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
     cls = Config.types()[command]
     for name, about in describe_all(cls).items():
