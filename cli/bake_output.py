@@ -18,7 +18,7 @@ TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")
 
 
 def loses_image(light: Mesh, original: Mesh) -> bool:
-    """Return whether the original has an image that the light mesh has not."""
+    """Check if the simplified mesh has lost the image of the original."""
     return _has_image(original) and not _has_image(light)
 
 
@@ -27,10 +27,9 @@ def _has_image(mesh: Mesh) -> bool:
 
 
 def bake_lost_image(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
-    """Bake the image of an original anew where the light mesh has lost it, and the format has room for it.
+    """Bake the image of an original anew if the simplified mesh has lost it and the format holds one.
 
-    Returns the figures. None where there is nothing to bake, or it cannot be done, which is told: the mesh is
-    still to be written then.
+    Returns the metrics, or None if the mesh is still to be written.
     """
     if target.suffix.lower() not in TEXTURED_SUFFIXES or not loses_image(light, original):
         return None
@@ -53,7 +52,7 @@ def bake_or_warn(target: Path, light: Mesh, original: Mesh, out: Output) -> dict
 def bake_and_write(
     target: Path, light: Mesh, original: Mesh, params: BakeParams, out: Output
 ) -> dict[str, Any]:
-    """Bake, write the textured mesh, and return the figures."""
+    """Bake, write the textured mesh, and return the metrics."""
     with out.progress("bake", "rows") as progress:
         baked = stages.bake(light, original, params, progress=progress)
     write_mesh_file(target, baked.mesh, out)
@@ -61,7 +60,7 @@ def bake_and_write(
 
 
 def format_bake(figures: dict[str, Any]) -> str:
-    """Return the figures as lines, errors in words."""
+    """Return the metrics as lines, with the colour errors in a sentence."""
     plain = {name: value for name, value in figures.items() if name not in ("color", "vertex_color")}
     text = (
         f"{format_lines(plain)}\n\nColour error on the original: {_error(figures['color'])} with the texture"

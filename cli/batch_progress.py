@@ -1,4 +1,4 @@
-"""What a person sees of a batch: a bar over all scans, and one line for each that came to an end."""
+"""Progress of a batch: a bar over all scans, and one line for each finished scan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scanloom.stages.diagnostics.diagnostic import Severity
 
 @contextmanager
 def show_batch_progress(out: Output) -> Iterator[Tell]:
-    """Give the function a worker tells its jobs to."""
+    """Show progress, and yield the callback for the events of a worker."""
     watcher = _Watcher(out)
     try:
         yield watcher
@@ -30,19 +30,19 @@ class _Watcher:
         self.bar = TransientProgress(out)
         self._counted = (0, 0)
 
-    def __call__(self, told: Told) -> None:
-        match told:
+    def __call__(self, event: Told) -> None:
+        match event:
             case Counted():
-                self._counted = (told.ended, told.total)
+                self._counted = (event.ended, event.total)
                 self._show()
             case JobEnded():
-                self._out.remark(format_record(told.record))
-                report_warnings(self._out, told.record)
+                self._out.remark(format_record(event.record))
+                report_warnings(self._out, event.record)
             case Noted():
-                self._out.remark(told.text)
+                self._out.remark(event.text)
             case JobBegun():
-                if told.attempt:
-                    self._out.remark(f"{told.name}: begun again, from what is in the cache")
+                if event.attempt:
+                    self._out.remark(f"{event.name}: begun again, from what is in the cache")
             case JobAt():
                 self._show()
 
@@ -51,21 +51,21 @@ class _Watcher:
 
 
 def report_warnings(out: Output, record: Record) -> None:
-    """Tell the warnings of a scan, each with its name before it."""
+    """Report the warnings of a scan, each with the name of the scan."""
     for diagnostic in record.diagnostics:
         if diagnostic.severity is Severity.WARNING:
             out.report(diagnostic.within(scan=record.name))
 
 
 def format_record(record: Record) -> str:
-    """Return the line of a scan that came to an end."""
+    """Return the line of a finished scan."""
     triangles = record.figures.get("triangles")
     came_out = record.reason or ("" if triangles is None else f"{triangles:,} triangles")
     return as_typed(f"{record.name}  {record.state}, {record.seconds:.1f} s  {came_out}".rstrip())
 
 
 def format_summary(summary: Summary, places: list[str]) -> str:
-    """Return the table of a batch, then why scans are not done, then where the results are."""
+    """Return the table of a batch, the reasons of failures, and the location of the results."""
     rows = [["scan", "state", "seconds", "frames", "triangles", "warnings"]]
     for one in summary.records:
         is_open = one.state in (WAITING, RUNNING)

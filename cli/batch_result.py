@@ -1,4 +1,4 @@
-"""What `batch` and `worker` end with: the tables, the page, and the exit code."""
+"""Tables, page and exit code of `batch` and `worker`."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 
 def report_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
-    """Write the tables and the page of a batch, print what it came to, and say what is not done.
+    """Write the tables and the page of a batch, and print its summary.
 
     Parameters
     ----------
-    more : figures for JSON, beside those of the scans.
+    more : further entries for JSON.
 
     Raises
     ------
     typer.Exit
-        With the code of input that cannot be read, if no scan can be.
+        With the code for bad input, if no scan can be read.
     """
     from scanloom.pipeline.batch.outputs import write_outputs
     from scanloom.pipeline.batch.summary import summary_of

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 
-# What `scanloom --help` lists, by heading, in the order of the pipeline.
+# Commands by heading of `scanloom --help`, in the order of the pipeline.
 COMMANDS: dict[str, tuple[str, ...]] = {
     "From scan to mesh": ("inspect", "run", "batch", "worker"),
     "One stage at a time": (
@@ -84,10 +84,10 @@ def load_command(words: Path) -> Callable[..., None]:
 
 
 def can_warn(words: Path) -> bool:
-    """Return whether a command has --strict."""
+    """Check if a command has --strict."""
     return words not in _WITHOUT_WARNINGS
 
 
 def has_progress(words: Path) -> bool:
-    """Return whether a command has --quiet."""
+    """Check if a command has --quiet."""
     return words not in _WITHOUT_PROGRESS

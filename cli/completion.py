@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-# Characters of the text beside a word. Shells take the second line of a wrapped text for another word.
+# Maximum characters of the description of a word. A shell takes a second line for another word.
 _MAX_TEXT = 70
 
 

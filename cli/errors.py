@@ -1,4 +1,4 @@
-"""From a failure to one plain sentence and an exit code."""
+"""Exceptions as one sentence and an exit code."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ from scanloom.stages.diagnostics.errors import (
 )
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 
-# What typer raises for a wrong command line; its base class has no public name of its own.
+# Base class of typer's exceptions for a wrong command line, which has no public name.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
 
-# Failures of the operating system that another path or permission cures; the others (full disk, broken
-# disk) are the machine's.
+# Errors of the operating system that another path or permission fixes. Others are errors of the machine.
 _PATH_ERRORS = {
     errno.ENOENT: "there is no such file or folder",
     errno.EACCES: "the permission is missing",
@@ -51,7 +50,7 @@ _EXIT_CODES = {UsageError: WRONG_USAGE, InputError: BAD_INPUT}
 
 @dataclass(frozen=True)
 class Failure:
-    """What a person reads, and what the shell gets."""
+    """Sentence and exit code of a failed command."""
 
     sentence: str
     exit_code: int
@@ -76,7 +75,7 @@ def explain_failure(error: BaseException) -> Failure:
 
 
 def explain_bug(error: BaseException) -> Failure:
-    """Return the sentence for an exception nobody foresaw."""
+    """Return the failure for an unexpected exception."""
     return _failure(MACHINE_BUG, FAILED, bug_explained(error))
 
 

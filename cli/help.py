@@ -17,7 +17,7 @@ from scanloom.cli.options import COMMON_PANEL, SCAN_PANEL
 from scanloom.stages.params import describe_all
 
 _MAX_WIDTH = 100
-# Columns of names, up to the text beside them; a longer name has its text below.
+# Width of the column of names; the text of a longer name is below the name.
 _MAX_NAME = 28
 _OPTIONS_PANEL = "Options"
 
@@ -133,7 +133,7 @@ def _summary(command: Any) -> str:
 
 
 def _table(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield names with texts beside them."""
+    """Yield a table of names and texts."""
     rows = list(rows)
     width = max((len(name) for name, _ in rows if len(name) <= _MAX_NAME), default=_MAX_NAME)
     indent = " " * (width + 4)

@@ -211,7 +211,7 @@ def set_sections(function: Callable[..., None]) -> dict[str, type]:
 
 
 def _needs_set(function: Callable[..., None]) -> bool:
-    """Return whether a command has parameters without an option."""
+    """Check if a command has parameters without an option."""
     return any(set(describe_all(one.cls)) - set(one.options.values()) for one in parameter_groups(function))
 
 
@@ -356,7 +356,7 @@ def _bounds(about: Described) -> str:
 def _options(group: ParameterGroup) -> list[inspect.Parameter]:
     """Return an option for each common parameter, named after the last part of its name."""
     about = describe_all(group.cls)
-    # How to read the scan is the same for all commands.
+    # The options of a scan are the same for all commands.
     panel = SCAN_PANEL if group.section == "scan" else None
     return [
         _keyword(

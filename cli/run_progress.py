@@ -1,4 +1,4 @@
-"""What a person sees of a run: a bar while a stage works, and one line when it is done."""
+"""Progress of a run: a bar while a stage works, and one line for each finished stage."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
 
 @contextmanager
 def show_run_progress(out: Output) -> Iterator[Events]:
-    """Give the function a run tells its events to."""
+    """Show progress, and yield the callback for the events of a run."""
     watcher = _Watcher(out)
     try:
         yield watcher
@@ -67,7 +67,7 @@ class _Watcher:
 
 
 def format_stage(event: StageFinished, *, is_metric: bool = True) -> str:
-    """Return the line of a finished stage: its name, cached or the seconds, what came out, why it ran."""
+    """Return the line of a finished stage: name, cached or seconds, headline, reason."""
     state = "cached" if event.cached else f"{event.seconds:.1f} s"
     reason = f" ({event.reason})" if event.reason else ""
     came_out = headline(event.stage, event.figures, is_metric=is_metric)
@@ -75,7 +75,7 @@ def format_stage(event: StageFinished, *, is_metric: bool = True) -> str:
 
 
 def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) -> str:
-    """Return the figures of a stage that say most, as one line; lengths in units where they are no metres."""
+    """Return the most important metrics of a stage in one line; in units if the scan is not metric."""
     known = find_stage(stage)
     summary = "" if known is None else known.headline
     line = summary if isinstance(summary, str) else summary(figures)
@@ -84,7 +84,7 @@ def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) 
 
 
 class _Figures(string.Formatter):
-    """Formats figures by their names; one that a stage had nothing to say for is a dash."""
+    """Formatter of metrics by name; a missing metric is a dash."""
 
     def __init__(self, figures: Mapping[str, Any]) -> None:
         self._figures = figures

@@ -29,7 +29,7 @@ class CommandSection:
 
 
 def all_sections() -> dict[str, type]:
-    """Return the class of every section; that of the configuration, if both have one of the name."""
+    """Return the class of every section; the configuration comes before commands."""
     from scanloom.pipeline.config import Config
 
     commands = {one.name: one.cls for one in command_sections()}
@@ -43,11 +43,11 @@ def complete_sections(incomplete: str) -> list[tuple[str, str]]:
 
 
 def command_sections(name: str | None = None) -> Iterator[CommandSection]:
-    """Yield the sections that commands have beyond the configuration; each class once.
+    """Yield the sections of commands with parameters beyond the configuration, each class once.
 
     Parameters
     ----------
-    name : only those of this name.
+    name : only sections of this name.
     """
     from scanloom.pipeline.config import Config
 

@@ -31,7 +31,7 @@ def clean(source: MeshFile, target: NewMesh, clean: CleanParams, out: Output) ->
 
 
 def _text(figures: dict[str, Any]) -> str:
-    """Return the figures of a mesh that was repaired, with a table of the classes that have any places."""
+    """Return the metrics of a repaired mesh, with a table of the classes that have defects."""
     repaired = figures["repair"]
     alone = {name: value for name, value in figures.items() if name != "repair"}
     alone |= {"repair_bound_m": repaired["bound_m"], "repair_max_shape_m": repaired["max_shape_m"]}

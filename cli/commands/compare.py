@@ -200,7 +200,7 @@ def compare(
 
 
 def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:
-    """Refuse options that a cloud has no answer to."""
+    """Refuse options that need two surfaces if one input is a point cloud."""
     for option, is_wanted in wanted.items():
         cloud = next((path for path, mesh in read.items() if is_cloud(mesh)), None)
         if is_wanted and cloud is not None:

@@ -62,7 +62,7 @@ def coverage(
 
 
 def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
-    """Return what is told a person: a table of the places, and what the surface is like."""
+    """Return the table of gaps and a summary of the surface."""
     m, m2 = ("m", "m²") if is_metric else ("units", "units²")
     places = figures["places"]
     if not places:

@@ -183,7 +183,7 @@ def simplify(
 
 
 def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
-    """Return the figures for a person: warnings are said apart, and tables are for programs."""
+    """Return the metrics without warnings and tables."""
     shown = {**figures, **simplified.details.figures()}
     for name in ("details", "baked", "default_max_shape_m"):
         shown.pop(name, None)
@@ -222,7 +222,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _how_to_prove() -> str:
-    """Say which options lead to a method that proves its bounds."""
+    """Return advice on options that lead to a method with proven bounds."""
     proving = [method for method in METHODS if method.proves]
     options = [option_name(name) for method in proving if method.needs for name in method.needs.names]
     names = " or ".join(method.name for method in proving)

@@ -71,21 +71,21 @@ def texture(
     source = read_scan(folder, scan)
     with out.progress("texture", "‰") as progress, locate_diagnostics(mesh_file):
         textured = stages.texture(mesh, source, texture, progress=progress)
-    standing = given if up is not None else _up_in(textured.mesh, source)
+    direction = given if up is not None else _up_in(textured.mesh, source)
     write_mesh_file(
-        target, textured.mesh.with_(up=None if standing is None else tuple(standing.tolist())), out
+        target, textured.mesh.with_(up=None if direction is None else tuple(direction.tolist())), out
     )
     if maps is not None:
         with new_folder(maps) as draft:
             write_maps(draft, textured)
     figures = textured.figures()
     emit_skipped(figures["frames_skipped"])
-    told = None if standing is None else standing.tolist()
-    out.result({"output": str(target), **figures, "up": told})
+    up_axis = None if direction is None else direction.tolist()
+    out.result({"output": str(target), **figures, "up": up_axis})
 
 
 def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
-    """Return what is up by the mesh itself, or by the scan; None if neither tells."""
+    """Return the up direction of the mesh, or of the scan; None if both are unknown."""
     if mesh.up is not None:
         return np.array(mesh.up)
     from scanloom.pipeline.steps.upright import up_in
