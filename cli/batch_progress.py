@@ -30,19 +30,19 @@ class _Watcher:
         self.bar = TransientProgress(out)
         self._counted = (0, 0)
 
-    def __call__(self, event: Told) -> None:
-        match event:
+    def __call__(self, told: Told) -> None:
+        match told:
             case Counted():
-                self._counted = (event.ended, event.total)
+                self._counted = (told.ended, told.total)
                 self._show()
             case JobEnded():
-                self._out.remark(format_record(event.record))
-                report_warnings(self._out, event.record)
+                self._out.remark(format_record(told.record))
+                report_warnings(self._out, told.record)
             case Noted():
-                self._out.remark(event.text)
+                self._out.remark(told.text)
             case JobBegun():
-                if event.attempt:
-                    self._out.remark(f"{event.name}: begun again, from what is in the cache")
+                if told.attempt:
+                    self._out.remark(f"{told.name}: begun again, from what is in the cache")
             case JobAt():
                 self._show()
 
