@@ -12,7 +12,7 @@ from typing import Any
 from typer.core import TyperCommand, TyperGroup
 
 from scanloom.cli import exit_codes
-from scanloom.cli.command_table import COMMANDS
+from scanloom.cli.command_table import COMMANDS, GROUPS
 from scanloom.cli.options import COMMON_PANEL, SCAN_PANEL
 from scanloom.stages.params import describe_all
 
@@ -47,6 +47,14 @@ class HelpCommand(TyperCommand):
 
 class HelpGroup(TyperGroup):
     """A group of commands with help in plain lines."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that words name; for a command of a group, refer to the group."""
+        name = args[0]
+        group = next((one for one, about in GROUPS.items() if name in about.files), None)
+        if ctx.parent is None and group is not None and name not in self.commands:
+            ctx.fail(f"No such command {name!r}; use scanloom {group} {name}.")
+        return super().resolve_command(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""
@@ -138,7 +146,7 @@ def _table(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
     width = max((len(name) for name, _ in rows if len(name) <= _MAX_NAME), default=_MAX_NAME)
     indent = " " * (width + 4)
     for name, text in rows:
-        lines = textwrap.wrap(text, _width() - len(indent)) or [""]
+        lines = textwrap.wrap(text, _width() - len(indent), break_on_hyphens=False) or [""]
         if len(name) > width:
             yield f"  {name}"
             yield from (f"{indent}{line}" for line in lines)

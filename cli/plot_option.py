@@ -15,7 +15,7 @@ def plot_option(what: str) -> Any:
     return typer.Option(
         "--plot",
         metavar="FILE",
-        help=f"Draw {what}, as .png or .svg; needs scanloom\\[plot].",
+        help=f"Draw {what}, as .png or .svg; needs scanloom[plot].",
         show_default=False,
     )
 

@@ -110,3 +110,9 @@ def test_config_prints_common_parameters(scanloom: Run) -> None:
     assert "truncation" in scanloom("config", "fuse", "--json").json["fuse"]
     ran = scanloom("config", "fuze")
     assert (ran.exit_code, ran.stderr) == (2, "scanloom: there is no section 'fuze'; did you mean fuse?\n")
+
+
+def test_a_command_of_a_group_is_found(scanloom: Run) -> None:
+    ran = scanloom("certify", "a.ply", "b.ply")
+    assert ran.exit_code == 2
+    assert ran.stderr.startswith("scanloom: No such command 'certify'; use scanloom mesh certify.")
