@@ -37,7 +37,7 @@ sys.path[:0] = [str(ROOT / "tests" / "made")]
 from small_scans import write_small_scans  # noqa: E402
 
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
-WORKER = [*SCANLOOM, "worker", "--quiet", "--jobs", "1", "--threads", "1"]
+WORKER = [*SCANLOOM, "worker", "--quiet", "--jobs", "1", "--set", "worker.threads=1"]
 # Seconds between two kills.
 SOONEST, LATEST = 2.0, 6.0
 NOT_COMPARED = {"report.json"}
@@ -64,7 +64,17 @@ def batch(scans: int, jobs: int, seed: int) -> None:
 
 def queued(scans: Path, out: Path) -> Path:
     """Write the queue."""
-    words = ["batch", scans, "-o", out, "--queue-only", "--until", "simplify", "--take-over-after", "2"]
+    words = [
+        "batch",
+        scans,
+        "-o",
+        out,
+        "--queue-only",
+        "--until",
+        "simplify",
+        "--set",
+        "worker.worker_timeout=2",
+    ]
     subprocess.run([*SCANLOOM, *map(str, words), "--quiet"], check=True, stdout=subprocess.DEVNULL)
     return out
 

@@ -1,4 +1,4 @@
-"""What `batch --dry-run` prints: what would be done, scan by scan."""
+"""Output of `batch --dry-run`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.output import Output, format_size, format_table
 from scanloom.stages.diagnostics.errors import ScanloomError
 
 if TYPE_CHECKING:
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from scanloom.pipeline.run.dry_run import DryRun
 
 
-def tell_dry_run(
+def print_batch_plan(
     target: Path, what: Settings, queued: tuple[Job, ...], config: Config, more: dict[str, Any], out: Output
 ) -> None:
-    """Print what a batch would do, scan by scan; what cannot be read is a row, too."""
+    """Print the stages, time and memory that each scan of a batch needs; unreadable scans are rows, too."""
     from scanloom.pipeline.run.dry_run import DryRun, foresee
 
     found: list[DryRun | ScanloomError] = []
@@ -37,30 +37,34 @@ def tell_dry_run(
                 found.append(error)
             progress(len(found), len(queued))
     rows = [["scan", "layout", "frames", "stages", "cached", "seconds", "memory"]]
-    lines, told = [], []
+    lines, scans = [], []
     for job, one in zip(queued, found, strict=True):
         if not isinstance(one, DryRun):
             rows.append([job.name, "", "", "", "", "", ""])
             lines.append(f"{job.name}: {one}")
-            told.append({"scan": job.name, "error": str(one)})
+            scans.append({"scan": job.name, "error": str(one)})
             continue
         cached = sum(stage.cached for stage in one.stages)
         figures = [f"{one.frames:,}", str(len(one.stages)), str(cached), f"{one.seconds:.1f}"]
-        rows.append([job.name, one.layout, *figures, size_of(one.memory_bytes) if one.memory_bytes else ""])
-        told.append({**one.figures(), "scan": job.name, **one.figures()["scan"]})
-        lines += [f"{job.name}: it would not begin: {one.refused}"] if one.refused else []
+        rows.append(
+            [job.name, one.layout, *figures, format_size(one.memory_bytes) if one.memory_bytes else ""]
+        )
+        scans.append({**one.figures(), "scan": job.name, **one.figures()["scan"]})
+        lines += [f"{job.name}: would be refused: {one.refused}"] if one.refused else []
     runs = [one for one in found if isinstance(one, DryRun)]
     seconds = sum(one.seconds for one in runs)
     most = max((one.memory_bytes for one in runs), default=0)
-    total = f"{len(queued):,} scans, about {seconds:,.0f} s in a row, {size_of(most)} at the most for one"
+    total = f"{len(queued):,} scans, about {seconds:,.0f} s in a row, {format_size(most)} at the most for one"
     out.result(
         {
             "dry_run": True,
             "out": str(target),
-            "scans": told,
+            "scans": scans,
             "expected_seconds": round(seconds, 1),
             "expected_memory_mb": round(most / 1e6),
             **more,
         },
-        "\n".join([table_of(rows), "", *lines, *([""] if lines else []), f"{total}; nothing is written."]),
+        "\n".join(
+            [format_table(rows), "", *lines, *([""] if lines else []), f"{total}; nothing is written."]
+        ),
     )

@@ -1,4 +1,4 @@
-"""What `batch` and `worker` end with: the tables, the page, and the exit code."""
+"""Tables, page and exit code of `batch` and `worker`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from scanloom.cli.batch_watch import summary_text, tell_warnings
+from scanloom.cli.batch_progress import format_summary, report_warnings
 from scanloom.cli.exit_codes import BAD_INPUT
 from scanloom.cli.output import Output
 from scanloom.pipeline.batch.codes import BATCH_SCANS_NOT_DONE
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from scanloom.pipeline.batch.queue import Queue
 
 
-def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
-    """Write the tables and the page of a batch, print what it came to, and say what is not done.
+def report_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
+    """Write the tables and the page of a batch, and print its summary.
 
     Parameters
     ----------
-    more : figures for JSON, beside those of the scans.
+    more : further entries for JSON.
 
     Raises
     ------
     typer.Exit
-        With the code of input that cannot be read, if no scan can be.
+        With the code for bad input, if no scan can be read.
     """
     from scanloom.pipeline.batch.outputs import write_outputs
     from scanloom.pipeline.batch.summary import summary_of
@@ -35,7 +35,7 @@ def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
     summary = summary_of(queue)
     written = [path.name for path in write_outputs(summary, queue.out.resolve().name)]
     for record in summary.records:
-        tell_warnings(out, record)
+        report_warnings(out, record)
     failed = summary.not_done
     if failed:
         states = {one.state for one in failed}
@@ -49,6 +49,6 @@ def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
             )
         )
     figures = {**summary.figures(), "cache": str(queue.cache), "files": written, **more}
-    out.result(figures, summary_text(summary, written))
+    out.result(figures, format_summary(summary, written))
     if summary.is_unusable:
         raise typer.Exit(BAD_INPUT)

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the command line, with explanations."""
+"""Codes of the diagnostics of the command line."""
 
 from __future__ import annotations
 

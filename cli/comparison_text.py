@@ -1,17 +1,17 @@
-"""What `compare` prints for a person: tables, with a unit at every number."""
+"""Tables of `compare`, with a unit at every number."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from scanloom.cli.output import table_of
+from scanloom.cli.output import format_table
 from scanloom.stages.printing import place_in_words
 
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 _MEASURES = {"maximum": "maximum", "mean": "mean", "rms": "RMS"}
 
-# From here on, lengths are told in metres, and below in millimetres.
+# Lengths from here on are printed in metres, shorter ones in millimetres.
 _LONG = 1.0
 
 # A length in the unit of the tables, with a sign if that is wanted.
@@ -19,7 +19,7 @@ Length = Callable[..., str]
 
 
 def comparison_text(figures: Mapping[str, Any]) -> str:
-    """Return the figures of a comparison in words."""
+    """Return the metrics of a comparison as tables."""
     # Of one unit in all tables, so that numbers are compared at a glance.
     length = _metres if figures["distance"]["symmetric"]["maximum_m"] >= _LONG else _millimetres
     clouds = figures.get("clouds", {"a": None, "b": None})
@@ -78,7 +78,7 @@ def _distance_text(figures: Mapping[str, Any], length: Length) -> str:
         lengths = [length(of[f"{name}_m"]) for name in _MEASURES]
         shares = [f"{100 * of[f'{name}_relative']:.3g} %" for name in _MEASURES]
         rows.append([way, *lengths, *shares])
-    return f"{table_of(rows)}\n\nThe diagonal of A is {_metres(figures['diagonal_m'])}."
+    return f"{format_table(rows)}\n\nThe diagonal of A is {_metres(figures['diagonal_m'])}."
 
 
 def _color_text(color: Mapping[str, Any] | None) -> str:
@@ -93,33 +93,37 @@ def _color_text(color: Mapping[str, Any] | None) -> str:
             "equal" if of["psnr_db"] is None else f"{of['psnr_db']:.1f} dB",
             f"{of['maximum_levels']:.3g} levels",
         ])  # fmt: skip
-    return table_of(rows)
+    return format_table(rows)
 
 
-def _deviation_text(told: Mapping[str, Any], length: Length) -> str:
-    signed = "+" if told["is_signed"] else ""
-    what = "points" if told["is_cloud"] else "area"
+def _deviation_text(figures: Mapping[str, Any], length: Length) -> str:
+    signed = "+" if figures["is_signed"] else ""
+    what = "points" if figures["is_cloud"] else "area"
     rows = [["deviation of B from A", ""]]
-    rows += [[f"{p} % of its {what} is within", length(d)] for p, d in told["absolute_percentiles_m"].items()]
-    rows.append(["RMS", length(told["rms_m"])])
-    if told["is_signed"]:
-        rows.append(["mean, with signs", length(told["mean_m"], "+")])
-        rows.append(["standard deviation", length(told["standard_deviation_m"])])
-        rows.append(["lowest", length(told["lowest_m"], "+")])
-        rows.append(["highest", length(told["highest_m"], "+")])
-    worst = told["worst"][0]
+    rows += [
+        [f"{p} % of its {what} is within", length(d)] for p, d in figures["absolute_percentiles_m"].items()
+    ]
+    rows.append(["RMS", length(figures["rms_m"])])
+    if figures["is_signed"]:
+        rows.append(["mean, with signs", length(figures["mean_m"], "+")])
+        rows.append(["standard deviation", length(figures["standard_deviation_m"])])
+        rows.append(["lowest", length(figures["lowest_m"], "+")])
+        rows.append(["highest", length(figures["highest_m"], "+")])
+    worst = figures["worst"][0]
     rows.append([f"worst, at {_place(worst['point_m'])}", length(worst["distance_m"], signed)])
-    text = table_of(rows)
-    if not told["is_signed"]:
-        lacks = "normals, which would tell sides" if told["reference_spacing_m"] else "side that it looks to"
+    text = format_table(rows)
+    if not figures["is_signed"]:
+        lacks = (
+            "normals, which would tell sides" if figures["reference_spacing_m"] else "side that it looks to"
+        )
         text += f"\n\nWithout signs: A has no {lacks}."
-    if told["share_within"] is not None:
-        text += f"\n\n{told['share_within']:.2%} within {told['tolerance_m']:g} m"
-        if told["is_signed"]:
-            text += f", {told['share_over']:.2%} over, {told['share_under']:.2%} under"
+    if figures["share_within"] is not None:
+        text += f"\n\n{figures['share_within']:.2%} within {figures['tolerance_m']:g} m"
+        if figures["is_signed"]:
+            text += f", {figures['share_over']:.2%} over, {figures['share_under']:.2%} under"
         text += "."
-    if told["delta_e_2000"] is not None:
-        of_color = told["delta_e_2000"]
+    if figures["delta_e_2000"] is not None:
+        of_color = figures["delta_e_2000"]
         most = of_color["percentiles"]["95"]
         text += f"\n\nColours differ by {of_color['mean']:.3g} ΔE2000 on average; 95 % by {most:.3g} at most."
     return text
@@ -137,20 +141,20 @@ def _places(count: int) -> str:
     return f"{count:,} place" if count == 1 else f"{count:,} places"
 
 
-def _change_text(told: Mapping[str, Any], length: Length) -> str:
+def _change_text(figures: Mapping[str, Any], length: Length) -> str:
     text = (
-        f"New in B: {told['new_area_m2']:.4g} m² in {_places(told['new_places'])}; gone of A: "
-        f"{told['gone_area_m2']:.4g} m² in {_places(told['gone_places'])}; farther than "
-        f"{length(told['distance_m'])} from the other."
+        f"New in B: {figures['new_area_m2']:.4g} m² in {_places(figures['new_places'])}; gone of A: "
+        f"{figures['gone_area_m2']:.4g} m² in {_places(figures['gone_places'])}; farther than "
+        f"{length(figures['distance_m'])} from the other."
     )
-    if not told["largest"]:
+    if not figures["largest"]:
         return text
     rows = [["largest changes", "area", "in the middle"]]
-    rows += [[one["kind"], f"{one['area_m2']:.4g} m²", _place(one["point_m"])] for one in told["largest"]]
-    return f"{text}\n\n{table_of(rows)}"
+    rows += [[one["kind"], f"{one['area_m2']:.4g} m²", _place(one["point_m"])] for one in figures["largest"]]
+    return f"{text}\n\n{format_table(rows)}"
 
 
-def _views_text(told: Mapping[str, Any]) -> str:
+def _views_text(figures: Mapping[str, Any]) -> str:
     rows = [["drawn", "PSNR", "SSIM", "silhouettes shared", "pixels of both"]]
     rows += [
         [
@@ -160,10 +164,10 @@ def _views_text(told: Mapping[str, Any]) -> str:
             f"{100 * one['silhouette_iou']:.2f} %",
             f"{one['pixels_compared']:,}",
         ]
-        for one in [*told["each"], {**told, "viewpoint": "all"}]
+        for one in [*figures["each"], {**figures, "viewpoint": "all"}]
     ]
     compared = {
         "colors": "Their colours are compared, without any light",
         "shape": "Shading alone is compared, for A or B has no colours",
     }
-    return f"{table_of(rows)}\n\n{compared[told['compared']]}. The worst is {told['worst']}."
+    return f"{format_table(rows)}\n\n{compared[figures['compared']]}. The worst is {figures['worst']}."

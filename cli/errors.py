@@ -1,4 +1,4 @@
-"""From a failure to one plain sentence and an exit code."""
+"""Exceptions as one sentence and an exit code."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 
 from scanloom.cli.codes import USAGE_OPTION_INVALID
 from scanloom.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
+from scanloom.cli.help import HelpCommand
 from scanloom.cli.interrupts import SENTENCE
 from scanloom.cli.rendering import render
 from scanloom.stages.diagnostics.codes import MACHINE_BUG, MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
@@ -22,11 +23,10 @@ from scanloom.stages.diagnostics.errors import (
 )
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 
-# What typer raises for a wrong command line; its base class has no public name of its own.
+# Base class of typer's exceptions for a wrong command line, which has no public name.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
 
-# Failures of the operating system that another path or permission cures; the others (full disk, broken
-# disk) are the machine's.
+# Errors of the operating system that another path or permission fixes. Others are errors of the machine.
 _PATH_ERRORS = {
     errno.ENOENT: "there is no such file or folder",
     errno.EACCES: "the permission is missing",
@@ -50,14 +50,14 @@ _EXIT_CODES = {UsageError: WRONG_USAGE, InputError: BAD_INPUT}
 
 @dataclass(frozen=True)
 class Failure:
-    """What a person reads, and what the shell gets."""
+    """Sentence and exit code of a failed command."""
 
     sentence: str
     exit_code: int
     diagnostic: Diagnostic | None = None
 
 
-def failure_of(error: BaseException) -> Failure:
+def explain_failure(error: BaseException) -> Failure:
     """Return the sentence and exit code of an exception that ended a command."""
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         return Failure(SENTENCE, INTERRUPTED)
@@ -74,8 +74,8 @@ def failure_of(error: BaseException) -> Failure:
     return Failure(str(error), FAILED)
 
 
-def bug_of(error: BaseException) -> Failure:
-    """Return the sentence for an exception nobody foresaw."""
+def explain_bug(error: BaseException) -> Failure:
+    """Return the failure for an unexpected exception."""
     return _failure(MACHINE_BUG, FAILED, bug_explained(error))
 
 
@@ -84,6 +84,12 @@ def _usage_sentence(error: Exception) -> str:
     if not message.endswith((".", "?", "!")):
         message += "."
     context = getattr(error, "ctx", None)
+    option = getattr(error, "option_name", None)
+    command = getattr(context, "command", None)
+    if option is not None and isinstance(command, HelpCommand):
+        keys = command.find_keys(option)
+        if keys:
+            message = f"No such option: {option}; use {' or '.join(f'--set {key}=VALUE' for key in keys)}."
     where = context.command_path if context is not None else "scanloom"
     return f"{message} See `{where} --help`."
 

@@ -1,4 +1,4 @@
-"""The exit codes and what each says to a shell: every place that knows one has it from here."""
+"""Exit codes."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ WRONG_USAGE = 2
 BAD_INPUT = 3
 INTERRUPTED = 130
 
-# As `scanloom --help` says it; the README has the same at length, under "Exit codes".
+# As in `scanloom --help`; the README has details under "Exit codes".
 MEANINGS = {
     DONE: "done",
-    FAILED: "a stage failed, or what is written is not what was asked for",
-    WRONG_USAGE: "wrong words or configuration",
-    BAD_INPUT: "input that cannot be read, or a place that cannot be written",
+    FAILED: "failed or requirement not met",
+    WRONG_USAGE: "wrong usage",
+    BAD_INPUT: "bad input",
     INTERRUPTED: "interrupted",
 }
 
 
-def in_short() -> str:
-    """Return all of them as one line."""
+def summarize() -> str:
+    """Return all exit codes in one line."""
     return ", ".join(f"{code} {meaning}" for code, meaning in MEANINGS.items())

@@ -1,7 +1,7 @@
-"""Ctrl-C while nothing is under way yet, or any more: no traceback, only a sentence and its exit code.
+"""Ctrl-C before and after the work of a command: one sentence and an exit code, no traceback.
 
-While the program's imports run, Python would show where in them it was interrupted. There is nothing to put
-away then, so the process may end on the spot. Once a command works, KeyboardInterrupt takes its usual way.
+During imports Python would print a traceback. Nothing has to be cleaned up then, so the process exits at
+once. While a command works, KeyboardInterrupt is raised as usual.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ SENTENCE = "Interrupted; what was finished is kept."
 _happened = False
 
 
-def leave_at_once() -> None:
-    """From here on, Ctrl-C ends the process; unless whoever started it has switched Ctrl-C off."""
+def exit_on_interrupt() -> None:
+    """Let Ctrl-C exit the process, unless the parent process has disabled Ctrl-C."""
     _take(_leave)
 
 
 def raise_interrupt() -> None:
-    """From here on, Ctrl-C raises KeyboardInterrupt."""
+    """Let Ctrl-C raise KeyboardInterrupt."""
     _take(_raise)
 
 
-def happened() -> bool:
-    """Return whether Ctrl-C was pressed: some libraries make an error of their own of KeyboardInterrupt."""
+def was_interrupted() -> bool:
+    """Check if Ctrl-C was pressed; some libraries replace KeyboardInterrupt by another error."""
     return _happened
 
 

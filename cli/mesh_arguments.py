@@ -1,4 +1,4 @@
-"""Mesh files as arguments of commands: read, written, and named in what goes wrong with them."""
+"""Mesh files as arguments of commands."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ NewMesh = Annotated[
 ]
 
 
-def read_file(path: Path) -> Mesh:
-    """Return the mesh of a file."""
+def read_mesh_file(path: Path) -> Mesh:
+    """Read the mesh of a file."""
     return stages.read_mesh(require_file(path))
 
 
-def read_file_or_cloud(path: Path, out: Output) -> Mesh:
-    """Return the mesh of a file, or its cloud, which has no triangles, and remark that it is one."""
+def read_mesh_or_cloud_file(path: Path, out: Output) -> Mesh:
+    """Read the mesh or point cloud of a file, and remark if it is a cloud."""
     mesh = read_mesh_or_cloud(require_file(path))
     if is_cloud(mesh):
         out.remark(f"{path}: no triangles; it is taken as a cloud of {len(mesh.vertices):,} points.")
     return mesh
 
 
-def read_standing(path: Path) -> Mesh:
-    """Return the same, and what is up in it: y in a glTF file that says nothing else, by its format."""
-    return standing(path, read_file(path))
+def read_with_up(path: Path) -> Mesh:
+    """Read a mesh with its up direction; glTF files are y-up unless they state another."""
+    return standing(path, read_mesh_file(path))
 
 
 @contextmanager
-def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
-    """Name the file in diagnostics about a mesh that was read from it, and that a stage calls `called`."""
+def locate_diagnostics(path: Path, called: str = "mesh") -> Iterator[None]:
+    """Name the file in diagnostics about the mesh read from it, which a stage calls `called`."""
 
     def locate(diagnostic: Diagnostic) -> Diagnostic:
         is_about_mesh = diagnostic.where is None or diagnostic.where == Where(called)
@@ -66,12 +66,12 @@ def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
         raise error.at(path) from error
 
 
-def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
-    """Write a mesh, into a folder that is made if need be, and remark how large it is.
+def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
+    """Write a mesh, and remark its size; the folder is created if it does not exist.
 
     Parameters
     ----------
-    original : mesh whose colours are missed where the format holds none; `mesh` by default.
+    original : mesh whose colours are reported as lost if the format holds none; `mesh` by default.
     """
     if lost := lost_with(path.suffix.lower(), mesh if original is None else original):
         emit(
@@ -85,11 +85,11 @@ def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)
-    tell_written(path, mesh, out)
+    remark_written(path, mesh, out)
 
 
-def tell_written(path: Path, mesh: Mesh, out: Output) -> None:
-    """Remark how large a mesh is that was written."""
+def remark_written(path: Path, mesh: Mesh, out: Output) -> None:
+    """Remark the size of a written mesh."""
     if is_cloud(mesh):
         out.remark(f"{path}: {len(mesh.vertices):,} points")
     else:

@@ -1,4 +1,4 @@
-"""Writing a normal mesh and telling of it: for the commands `remesh` and `decode`."""
+"""Output of `mesh remesh` and `mesh decode`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from scanloom.cli.baked import baked_text
-from scanloom.cli.mesh_arguments import tell_written
-from scanloom.cli.output import Output, lines_of, table_of
+from scanloom.cli.bake_output import format_bake
+from scanloom.cli.mesh_arguments import remark_written
+from scanloom.cli.output import Output, format_lines, format_table
 from scanloom.stages import NormalMesh
 
 SaveLevels = Annotated[
@@ -24,25 +24,25 @@ SaveLevels = Annotated[
 
 
 def write_normal_mesh(target: Path | None, found: NormalMesh, folder: Path | None, out: Output) -> None:
-    """Write the finest level to `target`, and all of them into `folder`, if these are given."""
+    """Write the finest level to `target`, and all levels into `folder`, if given."""
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
         found.write(target)
-        tell_written(target, found.mesh, out)
+        remark_written(target, found.mesh, out)
     if folder is not None:
         for path, mesh in zip(found.write_levels(folder), found.levels, strict=True):
-            tell_written(path, mesh, out)
+            remark_written(path, mesh, out)
 
 
-def tell_normal_mesh(
+def print_normal_mesh(
     target: Path, found: NormalMesh, out: Output, baked: dict[str, Any] | None = None
 ) -> None:
-    """Tell the figures of each level and of what was baked, and warn of what a person should know of them."""
+    """Print the metrics of each level and of the baked texture."""
     figures = {"output": str(target), **found.figures()}
     text = None if out.as_json else _text(figures)
     if baked is not None:
         figures["baked"] = baked
-        text = None if text is None else f"{text}\n\n{baked_text(baked)}"
+        text = None if text is None else f"{text}\n\n{format_bake(baked)}"
     out.result(figures, text)
 
 
@@ -54,6 +54,6 @@ def _text(figures: Mapping[str, Any]) -> str:
     for one in figures["by_level"]:
         distance = [f"{one['max_distance_m']:.4g}"] if measured else []
         rows.append([*(f"{one[key]:,}" for key in keys), *distance])
-    told = ("by_level", "damage")
-    lines = lines_of({key: value for key, value in figures.items() if key not in told})
-    return f"{table_of(rows)}\n\n{lines}"
+    tables = ("by_level", "damage")
+    lines = format_lines({key: value for key, value in figures.items() if key not in tables})
+    return f"{format_table(rows)}\n\n{lines}"

@@ -1,8 +1,8 @@
 """Options of a command from the parameter classes of its stages.
 
-A command names a parameter class in its signature and gets an instance; `with_options` replaces that one
-argument by an option for every field, with the field's text, unit, range and default in the help. Nothing
-about a parameter is written twice.
+A command names a parameter class in its signature and gets an instance. `with_options` replaces the argument
+by an option for each common parameter. `--set section.parameter=value` sets all others; the name of the
+argument is the section. Names, texts, units, ranges and defaults are those of the class.
 """
 
 from __future__ import annotations
@@ -10,46 +10,88 @@ from __future__ import annotations
 import functools
 import inspect
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 
 from scanloom.cli.codes import MACHINE_LIBRARY_WARNING
+from scanloom.cli.completion import complete_assignment
 from scanloom.cli.output import Output
-from scanloom.cli.rendering import option_name
+from scanloom.cli.rendering import CommandParameters, option_name, use_parameters
+from scanloom.pipeline.sections import Assignment, located, read_assignments
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import listening
+from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import (
     Described,
     describe_all,
-    described,
-    find_nested,
     get_default,
-    get_group,
     get_hint,
     kinds_of,
     resolve,
     row_length,
 )
 
-OUTPUT_PANEL = "Output"
+SCAN_PANEL = "Scan options"
+COMMON_PANEL = "Common options"
 P = TypeVar("P")
 
 
 class Changes(dict[str, Any], Generic[P]):
-    """The fields of a parameter class whose options were given, for a command whose defaults are a file's."""
+    """Parameters of a class that the user gave, for a command whose defaults are in a file."""
+
+
+# Annotation of a parameter class whose parameters have no options, only `--set`.
+SET_ONLY = "set only"
+
+
+@dataclass(frozen=True)
+class SetWords:
+    """Annotation of an argument that gets the words of `--set` for the sections of a configuration.
+
+    Attributes
+    ----------
+    load : returns the parameters of each section; called if a word is given or completed.
+    """
+
+    load: Callable[[], Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class ParameterGroup:
+    """An argument of a command that is a parameter class.
+
+    Attributes
+    ----------
+    section : name of the argument, and of the section in `--set`.
+    is_changes : the command gets the parameters that the user gave, instead of an instance.
+    is_set_only : common parameters have no options.
+    """
+
+    section: str
+    cls: type
+    is_changes: bool = False
+    is_set_only: bool = False
+
+    @property
+    def options(self) -> dict[str, str]:
+        """Return the names of parameters with an option, by the name of the option's value."""
+        if self.is_set_only:
+            return {}
+        names = [name for name, about in describe_all(self.cls).items() if about.common]
+        return {name.rpartition(".")[2]: name for name in names}
 
 
 JsonOption = Annotated[
     bool,
     typer.Option(
         "--json",
-        help="Print one JSON object with the figures on stdout, and nothing else; "
-        "after a failure it holds error and exit_code.",
-        rich_help_panel=OUTPUT_PANEL,
+        help="Print the result as one JSON object on stdout.",
+        rich_help_panel=COMMON_PANEL,
     ),
 ]
 QuietOption = Annotated[
@@ -57,110 +99,247 @@ QuietOption = Annotated[
     typer.Option(
         "--quiet",
         "-q",
-        help="No progress and no remarks on stderr; warnings are told all the same.",
-        rich_help_panel=OUTPUT_PANEL,
+        help="Print no progress; warnings are still printed.",
+        rich_help_panel=COMMON_PANEL,
     ),
 ]
 StrictOption = Annotated[
     bool,
     typer.Option(
         "--strict",
-        help="Exit code 1 if there is any warning; the result is written all the same.",
-        rich_help_panel=OUTPUT_PANEL,
+        help="Exit with code 1 if there is a warning; the result is still written.",
+        rich_help_panel=COMMON_PANEL,
     ),
 ]
 DebugOption = Annotated[
     bool,
-    typer.Option("--debug", help="Show the traceback when something fails.", rich_help_panel=OUTPUT_PANEL),
+    typer.Option("--debug", help="Print the traceback of a failure.", rich_help_panel=COMMON_PANEL),
 ]
 
 
-def with_options(function: Callable[..., None], *, can_warn: bool = True) -> Callable[..., None]:
+def with_options(
+    function: Callable[..., None], *, can_warn: bool = True, has_progress: bool = True
+) -> Callable[..., None]:
     """Turn arguments that are parameter classes, or the Output, into command-line options.
 
-    A command ends with the exit code of its Output, which has --strict if it `can_warn`. The parameters of a
-    class keep their declared defaults unless their option is given, so that a default is stated in one place
-    only.
+    A command ends with the exit code of its Output.
+
+    Parameters
+    ----------
+    can_warn : the command has --strict.
+    has_progress : the command has --quiet.
+
+    Raises
+    ------
+    TypeError
+        If two options have the same name.
     """
     hints = get_type_hints(function, include_extras=True)
-    kept: list[inspect.Parameter] = []
-    generated: list[inspect.Parameter] = []
-    builders: dict[str, Callable[[dict[str, Any]], Any]] = {}
-    takes_output: list[str] = []
+    groups = {group.section: group for group in parameter_groups(function)}
+    words = {name: hint.__metadata__[0] for name, hint in hints.items() if _is_set_words(hint)}
+    arguments: list[inspect.Parameter] = []
+    common: list[inspect.Parameter] = []
+    kept: list[str] = []
+    outputs: list[str] = []
     for parameter in inspect.signature(function).parameters.values():
         hint = hints[parameter.name]
         if hint is Output:
-            generated += _switches(can_warn=can_warn)
-            takes_output.append(parameter.name)
-        elif get_origin(hint) is Changes:
-            generated += _options(get_args(hint)[0])
-            builders[parameter.name] = functools.partial(given, get_args(hint)[0])
-        elif isinstance(hint, type) and is_dataclass(hint):
-            generated += _options(hint)
-            builders[parameter.name] = functools.partial(build, hint)
-        else:
-            kept.append(parameter.replace(annotation=hint, kind=inspect.Parameter.KEYWORD_ONLY))
+            common += _common_options(can_warn=can_warn, has_progress=has_progress)
+            outputs.append(parameter.name)
+        elif parameter.name in groups:
+            arguments += _options(groups[parameter.name])
+        elif parameter.name not in words:
+            kept.append(parameter.name)
+            arguments.append(parameter.replace(annotation=hint, kind=inspect.Parameter.KEYWORD_ONLY))
+    reader = _AssignmentReader(tuple(groups.values()), tuple(words.values()))
+    if words or _needs_set(function):
+        arguments.append(_keyword("set_words", reader.option()))
+    names = [one.name for one in arguments]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise TypeError(f"{function.__name__} has two options {twice[0]}")
 
     @functools.wraps(function)
     def command(**values: Any) -> None:
         out = _output(values)
-        with listening(out.report), _warnings_counted(out):
-            built = {name: builder(values) for name, builder in builders.items()}
-            outputs = dict.fromkeys(takes_output, out)
-            function(**built, **outputs, **{parameter.name: values[parameter.name] for parameter in kept})
+        with listening(out.report), _count_library_warnings(out):
+            assignments = reader.read(values, values.get("set_words") or ())
+            built = {name: build(group, values, assignments) for name, group in groups.items()}
+            built |= {
+                name: reader.words_of(one, values.get("set_words") or ()) for name, one in words.items()
+            }
+            built |= dict.fromkeys(outputs, out)
+            function(**built, **{name: values[name] for name in kept})
         if out.exit_code:
             raise typer.Exit(out.exit_code)
 
-    command.__signature__ = inspect.Signature([*kept, *generated])  # type: ignore[attr-defined]
+    command.__signature__ = inspect.Signature([*arguments, *common])  # type: ignore[attr-defined]
     command.__annotations__ = {}
     return command
 
 
-def build(cls: type, values: dict[str, Any]) -> Any:
-    """Build a parameter class from the options that were given (the others are None)."""
-    return resolve(cls, None, _given(cls, values))
+def parameter_groups(function: Callable[..., None]) -> list[ParameterGroup]:
+    """Return the arguments of a command that are parameter classes."""
+    groups = []
+    for name, hint in get_type_hints(function, include_extras=True).items():
+        is_set_only = get_origin(hint) is Annotated and SET_ONLY in hint.__metadata__
+        cls = get_args(hint)[0] if is_set_only else hint
+        is_changes = get_origin(cls) is Changes
+        cls = get_args(cls)[0] if is_changes else cls
+        if isinstance(cls, type) and is_dataclass(cls):
+            groups.append(ParameterGroup(name, cls, is_changes, is_set_only))
+    return groups
 
 
-def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
-    """Return the fields whose options were given, checked."""
-    return Changes(_pick(build(cls, values), _given(cls, values)))
+def describe_set(function: Callable[..., None]) -> str:
+    """Return the last line of a help: how to list the parameters for `--set`, if any."""
+    sections = list(dict.fromkeys(group.section for group in parameter_groups(function)))
+    if any(map(_is_set_words, get_type_hints(function, include_extras=True).values())):
+        # The section `scan` is one of all.
+        sections = ["--all", *(section for section in sections if section != "scan")]
+    elif not _needs_set(function):
+        return ""
+    return f"Parameters for --set: scanloom config {' '.join(sections)}"
 
 
-def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values whose options were given; a nested class is a mapping."""
-    found = {name: values[name] for name in described(cls) if values.get(name) is not None}
-    below = {name: _given(own, values) for name, own in find_nested(cls).items()}
-    return {**found, **{name: own for name, own in below.items() if own}}
+def set_sections(function: Callable[..., None]) -> dict[str, type]:
+    """Return the parameter class of each section that `--set` of a command takes."""
+    types = {group.section: group.cls for group in parameter_groups(function)}
+    for hint in get_type_hints(function, include_extras=True).values():
+        if _is_set_words(hint):
+            types |= {name: type(params) for name, params in hint.__metadata__[0].load().items()}
+    return types
 
 
-def _pick(params: Any, names: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of these fields; a nested class is a mapping."""
+def _needs_set(function: Callable[..., None]) -> bool:
+    """Check if a command has parameters without an option."""
+    return any(set(describe_all(one.cls)) - set(one.options.values()) for one in parameter_groups(function))
+
+
+def _is_set_words(hint: Any) -> bool:
+    return get_origin(hint) is Annotated and isinstance(hint.__metadata__[0], SetWords)
+
+
+@dataclass(frozen=True)
+class _AssignmentReader:
+    """Reads and completes the words of `--set` of one command."""
+
+    groups: tuple[ParameterGroup, ...]
+    words: tuple[SetWords, ...]
+
+    def sections(self) -> dict[str, Any]:
+        """Return the parameters of each section, with their defaults."""
+        loaded = {name: params for one in self.words for name, params in one.load().items()}
+        return {**{one.section: one.cls() for one in self.groups}, **loaded}
+
+    def option(self) -> Any:
+        def complete(incomplete: str) -> list[tuple[str, str]]:
+            return complete_assignment(incomplete, self.sections())
+
+        others = [one.section for one in self.groups]
+        return Annotated[
+            list[str] | None,
+            typer.Option(
+                "--set",
+                metavar="SECTION.KEY=VALUE",
+                help="Set a parameter of any section."
+                if self.words
+                else f"Set a parameter of {_join(others)}; may be repeated.",
+                autocompletion=complete,
+                show_default=False,
+            ),
+        ]
+
+    def read(self, values: Mapping[str, Any], words: Sequence[str]) -> list[Assignment]:
+        """Return the assignments, and let messages name parameters as the user typed them."""
+        options = {
+            f"{group.section}.{name}": option_name(own)
+            for group in self.groups
+            for own, name in group.options.items()
+        }
+        types = {group.section: group.cls for group in self.groups}
+        parameters = CommandParameters(types, options)
+        use_parameters(parameters)
+        if not words:
+            return []
+        types |= {name: type(params) for name, params in self.sections().items()}
+        assignments = list(read_assignments(words, types))
+        keys = frozenset(f"{one.section}.{one.name}" for one in assignments)
+        use_parameters(CommandParameters(parameters.sections, options, keys))
+        for key in sorted(keys & set(options)):
+            if values.get(key.rpartition(".")[2]) is not None:
+                raise UsageError(
+                    USAGE_OPTIONS_CONFLICT,
+                    "both {option} and --set {key} are given",
+                    remedy="leave one of them out.",
+                    option=options[key],
+                    key=key,
+                )
+        return assignments
+
+    def words_of(self, one: SetWords, words: Sequence[str]) -> list[str]:
+        """Return the words for the sections of a configuration."""
+        known = one.load() if words else {}
+        return [word for word in words if word.partition(".")[0].strip() in known]
+
+
+def build(group: ParameterGroup, values: Mapping[str, Any], assignments: Sequence[Assignment] = ()) -> Any:
+    """Return the parameters of a group from options (None if not given) and assignments.
+
+    Raises
+    ------
+    UsageError
+        For a value of a wrong type or out of range.
+    """
+    changes: dict[str, Any] = {}
+    for own, name in group.options.items():
+        if values.get(own) is not None:
+            _merge(changes, _nest(name, values[own]))
+    for one in assignments:
+        if one.section == group.section:
+            _merge(changes, one.changes)
+    with located(group.section):
+        params: Any = resolve(group.cls, None, changes)
+    return Changes(_pick(params, changes)) if group.is_changes else params
+
+
+def _nest(name: str, value: Any) -> dict[str, Any]:
+    first, _, rest = name.partition(".")
+    return {first: _nest(rest, value) if rest else value}
+
+
+def _merge(changes: dict[str, Any], more: Mapping[str, Any]) -> None:
+    """Add changes in place; a mapping adds to a nested section."""
+    for name, value in more.items():
+        if isinstance(value, Mapping):
+            _merge(changes.setdefault(name, {}), value)
+        else:
+            changes[name] = value
+
+
+def _pick(params: Any, names: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of the named parameters; a nested section is a mapping."""
     return {
-        name: _pick(getattr(params, name), below) if isinstance(below, dict) else getattr(params, name)
-        for name, below in names.items()
+        name: _pick(getattr(params, name), nested) if isinstance(nested, dict) else getattr(params, name)
+        for name, nested in names.items()
     }
 
 
 def help_of(about: Described, default: Any) -> str:
-    """Return a parameter's text with its unit, range and default, as every help and comment shows it."""
-    return f"{about.text.rstrip().removesuffix('.')}. ({_facts(about, default)})"
+    """Return the text of a parameter with unit, range and default."""
+    facts = ", ".join(_facts(about, default))
+    text = about.text.rstrip().removesuffix(".").replace("`", "")
+    return f"{text}. [{facts}]" if facts else f"{text}."
 
 
-def _facts(about: Described, default: Any) -> str:
-    facts = []
+def _facts(about: Described, default: Any) -> Iterator[str]:
     if about.unit:
-        facts.append(about.unit)
-    bounds = _bounds(about)
-    if bounds:
-        facts.append(bounds)
-    if default is None:
-        facts.append("no fixed default")  # the text says what then happens
-    elif isinstance(default, bool):
-        facts.append(f"default: {'on' if default else 'off'}")
-    else:
-        shown = f"{default:g}" if isinstance(default, float) else str(default)
-        facts.append(f"default: {shown}")
-    return "; ".join(facts)
+        yield about.unit
+    if bounds := _bounds(about):
+        yield bounds
+    if isinstance(default, bool):
+        yield f"default: {'on' if default else 'off'}"
+    elif default is not None:
+        yield f"default: {default:g}" if isinstance(default, float) else f"default: {default}"
 
 
 def _bounds(about: Described) -> str:
@@ -174,28 +353,20 @@ def _bounds(about: Described) -> str:
     return f"above {low:g} up to {high:g}" if about.low_open else f"{low:g} to {high:g}"
 
 
-def _options(cls: type) -> list[inspect.Parameter]:
-    """Return an option for each parameter, named after the last part of its name.
-
-    Raises
-    ------
-    TypeError
-        If two have the same name.
-    """
-    panel = f"{cls.__name__.removesuffix('Params')} parameters"
-    options: dict[str, inspect.Parameter] = {}
-    for name, about in describe_all(cls).items():
-        own = name.rpartition(".")[2]
-        if own in options:
-            raise TypeError(f"{cls.__name__} has two parameters {own}")
-        heading = get_group(cls, name) or panel
-        options[own] = _keyword(
-            own, _option(own, about, get_hint(cls, name), get_default(cls, name), heading)
+def _options(group: ParameterGroup) -> list[inspect.Parameter]:
+    """Return an option for each common parameter, named after the last part of its name."""
+    about = describe_all(group.cls)
+    # The options of a scan are the same for all commands.
+    panel = SCAN_PANEL if group.section == "scan" else None
+    return [
+        _keyword(
+            own, _option(own, about[name], get_hint(group.cls, name), get_default(group.cls, name), panel)
         )
-    return list(options.values())
+        for own, name in group.options.items()
+    ]
 
 
-def _option(name: str, about: Described, hint: Any, default: Any, panel: str) -> Any:
+def _option(name: str, about: Described, hint: Any, default: Any, panel: str | None) -> Any:
     kind = _plain_type(hint)
     names = [option_name(name)]
     if kind is bool:
@@ -204,8 +375,8 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str) ->
         kind | None,
         typer.Option(
             *names,
-            help=escaped(help_of(about, default)),
-            metavar="|".join(about.choices) or " ".join(row_length(hint) * ["<float>"]) or None,
+            help=help_of(about, default),
+            metavar=_metavar(about, hint, kind),
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
             rich_help_panel=panel,
@@ -213,8 +384,18 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str) ->
     ]
 
 
+def _metavar(about: Described, hint: Any, kind: Any) -> str | None:
+    if about.choices:
+        return "|".join(about.choices)
+    if count := row_length(hint):
+        return " ".join(count * ["X"])
+    if about.is_path or kind is Path:
+        return "FILE"
+    return {float: "NUMBER", int: "COUNT", str: "TEXT"}.get(kind)
+
+
 def _plain_type(hint: Any) -> Any:
-    """Return the type an option is read as: that of the field without None, and the widest number."""
+    """Return the type that an option is read as: the widest number type, without None."""
     kinds = kinds_of(hint)
     if row_length(hint):
         return kinds[0]
@@ -224,16 +405,22 @@ def _plain_type(hint: Any) -> Any:
     raise TypeError(f"no option can be made for {hint}")
 
 
-def _switches(*, can_warn: bool) -> list[inspect.Parameter]:
+def _join(names: Sequence[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _common_options(*, can_warn: bool, has_progress: bool) -> list[inspect.Parameter]:
     options = {"as_json": JsonOption, "quiet": QuietOption, "strict": StrictOption, "debug": DebugOption}
     if not can_warn:
         del options["strict"]
+    if not has_progress:
+        del options["quiet"]
     return [_keyword(name, option, default=False) for name, option in options.items()]
 
 
-def _output(values: dict[str, Any]) -> Output:
-    # --debug needs nothing here: what catches the failure reads it from the command line itself, since
-    # a failure may come before the options are understood.
+def _output(values: Mapping[str, Any]) -> Output:
+    # A failure may come before the options are parsed, so the handler of failures looks up --debug itself.
     return Output(
         as_json=values.get("as_json", False),
         quiet=values.get("quiet", False),
@@ -243,25 +430,20 @@ def _output(values: dict[str, Any]) -> Output:
 
 
 @contextmanager
-def _warnings_counted(out: Output) -> Iterator[None]:
-    """Report warnings of libraries, which Python shows."""
-    usual = warnings.showwarning
+def _count_library_warnings(out: Output) -> Iterator[None]:
+    """Count the warnings of libraries, which Python prints."""
+    original = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         out.count(MACHINE_LIBRARY_WARNING.warning(str(message)))
-        usual(message, category, *where, **more)
+        original(message, category, *where, **more)
 
     warnings.showwarning = show
     try:
         yield
     finally:
-        warnings.showwarning = usual
+        warnings.showwarning = original
 
 
 def _keyword(name: str, annotation: Any, default: Any = None) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-
-
-def escaped(text: str) -> str:
-    """Protect square brackets: help texts pass through rich's markup."""
-    return text.replace("[", r"\[")

@@ -1,7 +1,6 @@
-"""Where a command's words go: results on stdout; progress, remarks and warnings on stderr.
+"""Output of a command: results on stdout; progress, remarks and warnings on stderr.
 
-What changes the result, or may spoil it, is a warning; it is never silenced. What only tells how work goes
-on (a file that was written, a stage that is done) is a remark.
+Warnings are about the result and are always printed. Remarks are about progress, such as a written file.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ class Output:
 
     Parameters
     ----------
-    as_json : stdout gets one JSON object; stderr only warnings, unmet requirements and failures.
-    quiet : no progress and no remarks; the result is still printed, and so are warnings.
-    strict : warnings make the exit code 1.
-    can_warn : JSON has `diagnostics` also where there are none.
+    as_json : print one JSON object to stdout, and only warnings, unmet requirements and failures to stderr.
+    quiet : print no progress and no remarks.
+    strict : exit with code 1 if there is a warning.
+    can_warn : JSON has `diagnostics` even if there are none.
 
     Attributes
     ----------
-    before_line : called before a line is written; a progress bar removes itself then.
+    before_line : called before a line is written; a progress draw_progress_bar removes itself then.
     """
 
     def __init__(
@@ -60,7 +59,7 @@ class Output:
         return FAILED if is_failed else DONE
 
     def remark(self, text: str) -> None:
-        """Print what is going on to stderr."""
+        """Print a remark to stderr."""
         if not self.quiet:
             self._print(text)
 
@@ -81,20 +80,22 @@ class Output:
             self._print(f"scanloom: {text}")
 
     def count(self, diagnostic: Diagnostic) -> None:
-        """Keep a diagnostic that the user sees elsewhere."""
+        """Keep a diagnostic that is printed elsewhere."""
         self._diagnostics[diagnostic] = None
 
     def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
-        """Print the result: JSON for a program, `text` (or the figures, one a line) for a person."""
+        """Print the result: JSON with --json, otherwise `text`, or the figures line by line."""
         if self.as_json:
-            told = [one.figures() for one in self._diagnostics]
+            diagnostics = [one.figures() for one in self._diagnostics]
             text = to_json(
-                with_schema({**figures, **({"diagnostics": told} if told or self._can_warn else {})})
+                add_schema(
+                    {**figures, **({"diagnostics": diagnostics} if diagnostics or self._can_warn else {})}
+                )
             )
         elif text is None:
-            text = lines_of(figures)
+            text = format_lines(figures)
         sys.stdout.write(text + "\n")
-        # Here, not at exit, so that a full disk or a closed pipe is noticed while it can be reported.
+        # Flush now: a full disk or a closed pipe can still be reported.
         sys.stdout.flush()
         warnings = self._count(Severity.WARNING)
         if self._strict and warnings and not self._count(Severity.UNMET):
@@ -107,38 +108,38 @@ class Output:
 
     def _print(self, text: str) -> None:
         self.before_line()
-        sys.stderr.write(one_line(text) + "\n")
+        sys.stderr.write(to_one_line(text) + "\n")
         sys.stderr.flush()
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Give a progress callback; it draws a bar with rate and time left when stderr is a terminal."""
+        """Return a progress callback, which draws a bar with rate and time left in a terminal."""
         if self.quiet or not sys.stderr.isatty():
             yield silent
             return
-        from scanloom.cli.bar import bar
+        from scanloom.cli.progress_bar import draw_progress_bar
 
-        with bar(label, unit) as update:
+        with draw_progress_bar(label, unit) as update:
             yield update
 
 
 def _do_nothing() -> None:
-    """Do nothing, where no progress bar is shown."""
+    """Do nothing, because no progress bar is shown."""
 
 
-def one_line(text: str) -> str:
-    r"""Return text as one line: controls are escaped (a line break as \n), and the middle is cut if long."""
+def to_one_line(text: str) -> str:
+    r"""Return text as one line: escape control characters (a line break as \n), and shorten the middle."""
     line = _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text.rstrip())
     return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE // 2]} … {line[-_MAX_LINE // 2 :]}"
 
 
-def with_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return figures as the object that a program reads, which says by which names it goes."""
+def add_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures with the version of the JSON schema."""
     return {"schema": SCHEMA, **figures}
 
 
 def to_json(value: Any) -> str:
-    """Return JSON text that any reader takes: values that are not finite become null."""
+    """Return strictly valid JSON: non-finite values become null."""
     return json.dumps(_finite(value), indent=2, allow_nan=False, default=_plain)
 
 
@@ -157,8 +158,8 @@ def _plain(value: Any) -> Any:
     return _finite(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
-    """Return figures as aligned lines for a person; nested ones are indented under their name."""
+def format_lines(figures: Mapping[str, Any], indent: str = "") -> str:
+    """Return metrics as aligned lines; nested metrics are indented under their name."""
     single = {key: name_and_value(key, value) for key, value in figures.items() if not _is_nested(value)}
     width = max((len(name) for name, _ in single.values()), default=0)
     lines = []
@@ -169,7 +170,7 @@ def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
         else:
             lines.append(f"{indent}{name_and_value(key, None)[0]}")
             nested = [value] if isinstance(value, Mapping) else value
-            lines += [lines_of(item, indent + "  ") for item in nested]
+            lines += [format_lines(item, indent + "  ") for item in nested]
     return "\n".join(lines)
 
 
@@ -179,8 +180,8 @@ def _is_nested(value: Any) -> bool:
     return isinstance(value, Mapping) and bool(value)
 
 
-def table_of(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of words as columns: the first one flush left, the others flush right."""
+def format_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as columns: the first flush left, the others flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for first, *others in rows:
@@ -189,8 +190,8 @@ def table_of(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
-def size_of(count: int) -> str:
-    """Return a number of bytes as a person reads it."""
+def format_size(count: int) -> str:
+    """Return a number of bytes with a unit."""
     size, unit = float(count), "bytes"
     for larger in ("kB", "MB", "GB", "TB"):
         if size < 1000:

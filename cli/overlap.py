@@ -1,4 +1,4 @@
-"""Meshes that had to be of the same thing."""
+"""Check that two meshes overlap."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scanloom.stages.diagnostics.collector import emit
 
 
 def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh) -> None:
-    """Tell that two meshes that had to overlap do not, if so; the exit code of the command is then 1."""
+    """Report meshes that should overlap but do not; the exit code is then 1."""
     gap = gap_of_unrelated(mesh, other)
     if gap is not None:
         emit(

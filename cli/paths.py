@@ -1,4 +1,4 @@
-"""Checks on the paths a person typed, made before the work starts rather than after it."""
+"""Checks of paths before the work starts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 
 
 def require_scan(folder: Path) -> Path:
-    """Return the folder of a scan, or the file that is one, or say that there is none."""
+    """Return the path of a scan, which is a folder or a file, if it exists."""
     if not folder.exists():
         raise InputError(
             FILE_PATH_INVALID, "there is no such folder or file", folder, remedy="give that of a scan."
@@ -28,7 +28,7 @@ def require_scan(folder: Path) -> Path:
 
 
 def require_file(path: Path) -> Path:
-    """Return the path of a file, or say that it is none."""
+    """Return the path of a file, if it exists."""
     if not path.exists():
         raise InputError(FILE_PATH_INVALID, "there is no such file.", path)
     if path.is_dir():
@@ -37,14 +37,14 @@ def require_file(path: Path) -> Path:
 
 
 def require_new_file(path: Path, suffixes: tuple[str, ...]) -> Path:
-    """Check that a result can be written to the path; nothing is made yet.
+    """Check that a result can be written to a path.
 
     Raises
     ------
     UsageError
-        For an extension that stands for no format.
+        If the extension is unknown.
     InputError
-        If the path is a folder, or its folder cannot be made or written to.
+        If the path is a folder, or its folder cannot be created or written to.
     """
     if path.suffix.lower() not in suffixes:
         known = ", ".join(suffixes)
@@ -63,7 +63,7 @@ def require_new_file(path: Path, suffixes: tuple[str, ...]) -> Path:
 
 
 def require_writable(folder: Path) -> Path:
-    """Check that a folder can be written to or, if it does not exist, that it can be made."""
+    """Check that a folder can be written to or, if it does not exist, created."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not there.is_dir():
         raise InputError(FILE_PATH_INVALID, "this is a file; results need a folder.", there)
@@ -76,12 +76,12 @@ def require_writable(folder: Path) -> Path:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Give a temporary folder beside `path` that takes its name when the block ends well, or else is removed.
+    """Yield a temporary folder that is renamed to `path` if the block succeeds, and removed otherwise.
 
     Raises
     ------
     InputError
-        If there is something at `path` already, other than an empty folder.
+        If `path` exists and is not an empty folder.
     """
     if path.is_dir() and any(path.iterdir()):
         raise InputError(FILE_PATH_INVALID, "this folder is not empty", path, remedy="name a new one.")
@@ -90,7 +90,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=parent))
     try:
         yield draft
-        draft.chmod(0o777 & ~_umask())  # mkdtemp keeps a folder to its owner
+        draft.chmod(0o777 & ~_umask())  # mkdtemp gives access to the owner only
         move(draft, path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The option --plot of commands whose figures can be drawn."""
+"""Option --plot."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from scanloom.cli.paths import require_new_file
 
 
 def plot_option(what: str) -> Any:
-    """Return the option, which draws `what`."""
+    """Return the option that draws `what`."""
     return typer.Option(
         "--plot",
         metavar="FILE",
-        help=f"Draw {what}, as .png or .svg; needs scanloom\\[plot].",
+        help=f"Draw {what}, as .png or .svg; needs scanloom[plot].",
         show_default=False,
     )
 
 
 def require_plot(path: Path | None) -> None:
-    """Check that a plot can be drawn, and written there, before the work starts; nothing for None."""
+    """Check that a plot can be drawn and written to a path; None is no plot."""
     if path is None:
         return
     from scanloom.stages.picturing.plots import SUFFIXES, require_plots

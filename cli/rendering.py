@@ -1,26 +1,120 @@
-"""Diagnostics in the words of the command line."""
+"""Diagnostics in the words of the command line.
+
+Messages name parameters by their keys, such as `fuse.voxel_size`, with or without a value. `name_as_typed`
+decides how the user of the running command types each: as an option, or with `--set`.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 
-from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, CONFIG_UNREADABLE
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.params import describe_all, get_hint, kinds_of
+
+# A key of a parameter, perhaps with a value, but no part of a path or of a longer word. A "set" before the
+# key is part of the match, because `--set` says the same.
+_KEY = re.compile(
+    r"(?<![\w./-])(?:--set |\b(?P<set>[Ss]et ))?(?P<key>[a-z]\w*(?:\.[a-z]\w*)+)"
+    r"(?:(?P<equals>=)(?P<switch>true\b|false\b)?)?(?![\w/])"
+)
+# Mistakes in keys are named as keys: the user has typed one, and may have done so in a file.
+_OF_KEYS = (CONFIG_PARAMETER_UNKNOWN.name, CONFIG_UNREADABLE.name)
+
+
+@dataclass(frozen=True)
+class CommandParameters:
+    """Parameters of a command and how they are typed.
+
+    Attributes
+    ----------
+    sections : parameter class of each section.
+    options : option of each common parameter, by key.
+    assigned : keys that the user has set with `--set`.
+    """
+
+    sections: Mapping[str, type] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
+    assigned: frozenset[str] = frozenset()
+
+    def find_section(self, name: str) -> str | None:
+        """Return the section that has a parameter of this name; None if no section has."""
+        return next((key for key, cls in self.sections.items() if name in describe_all(cls)), None)
+
+
+# Of the command that runs; a failure is rendered after it has returned, and from any thread.
+_running = CommandParameters()
+
+
+@contextmanager
+def command_line() -> Iterator[None]:
+    """Forget the parameters of the command when the block ends."""
+    global _running
+    try:
+        yield
+    finally:
+        _running = CommandParameters()
+
+
+def use_parameters(parameters: CommandParameters) -> None:
+    """Render parameters as the user of this command types them."""
+    global _running
+    _running = parameters
 
 
 def option_name(field_name: str) -> str:
-    """Return the option of a field, such as `ratio` or `planar.crease_angle`."""
+    """Return the option of a common parameter, such as `ratio`."""
     return "--" + field_name.rpartition(".")[2].replace("_", "-")
 
 
+def name_as_typed(key: str) -> str:
+    """Return a parameter as the user types it: `--voxel-size`, or `--set fuse.voxel_size`."""
+    option = None if key in _running.assigned else _running.options.get(key)
+    return f"--set {key}" if option is None else option
+
+
 def as_typed(text: str) -> str:
-    """Write advice such as `scan.depth_scale=1000` as the option every command on scans has for it."""
-    return re.sub(r"\bscan\.(\w+)=", lambda found: f"{option_name(found[1])}=", text)
+    """Write the parameters that a text names, such as `scan.depth_scale=1000`, as the user types them."""
+    return _KEY.sub(_replace_key, text)
+
+
+def _replace_key(found: re.Match[str]) -> str:
+    key, switch = found["key"], found["switch"] or ""
+    cls = _class_of(key)
+    if cls is None:
+        return found[0]
+    typed = name_as_typed(key)
+    give = {"S": "Give ", "s": "give "}[found["set"][0]] if found["set"] else ""
+    if switch and not typed.startswith("--set") and bool in kinds_of(get_hint(cls, key.partition(".")[2])):
+        return give + (typed if switch == "true" else option_name(f"no_{typed[2:]}"))
+    return f"{give}{typed}{found['equals'] or ''}{switch}"
+
+
+def _class_of(key: str) -> type | None:
+    """Return the class that has a parameter; None if the key is of none, such as the name of a file."""
+    from scanloom.pipeline.config import Config
+
+    section, _, name = key.partition(".")
+    cls = _running.sections.get(section) or Config.types().get(section)
+    return cls if cls is not None and name in describe_all(cls) else None
 
 
 def render(diagnostic: Diagnostic) -> str:
-    """Return a diagnostic as one sentence that names parameters as options."""
-    where = diagnostic.where
-    if where is not None and where.parameter is not None and where.section is None:
-        where = replace(where, parameter=option_name(where.parameter))
-    return as_typed(str(replace(diagnostic, where=where)))
+    """Return a diagnostic as one sentence that names parameters as the user types them."""
+    sentence = str(diagnostic.at(None))
+    if diagnostic.code not in _OF_KEYS:
+        sentence = as_typed(sentence)
+    return sentence if diagnostic.where is None else _location(diagnostic.where) + sentence
+
+
+def _location(where: Where) -> str:
+    """Return a location, with the parameter as it is typed; in a file it is a key."""
+    if where.parameter is None or (where.file is not None and where.section is not None):
+        return str(where)
+    section = where.section or _running.find_section(where.parameter)
+    key = where.parameter if section is None else f"{section}.{where.parameter}"
+    typed = option_name(key) if section is None else name_as_typed(key)
+    return str(replace(where, section=None, parameter=typed))

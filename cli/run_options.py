@@ -1,38 +1,33 @@
-"""Options of `run`, which `batch` has too, and the configuration that they come to."""
+"""Options that `run` and `batch` share, and the configuration that they result in."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scanloom.cli import completing
+from scanloom.cli import completion
 from scanloom.cli.codes import BATCH_OPTIONS_CONFLICT
-from scanloom.cli.quality import config_of
+from scanloom.cli.options import SetWords
+from scanloom.cli.quality_option import load_config
+from scanloom.stages.diagnostics.diagnostic import Where
 from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
 
 if TYPE_CHECKING:
     from scanloom.pipeline.config import Config
 
-LIMITS_PANEL = "What it may take"
-
+OutOption = Annotated[
+    Path,
+    typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", show_default=False),
+]
 ConfigOption = Annotated[
     Path | None,
     typer.Option(
         "--config", metavar="FILE", help="Parameters as TOML; see scanloom config.", show_default=False
-    ),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="STAGE.PARAM=VALUE",
-        autocompletion=completing.settings,
-        help="Change one parameter, after --quality and --config; may be given many times.",
-        show_default=False,
     ),
 ]
 UntilOption = Annotated[
@@ -40,112 +35,133 @@ UntilOption = Annotated[
     typer.Option(
         metavar="STAGE",
         help="Stop after this stage.",
-        autocompletion=completing.stage_names,
-        show_default=False,
-    ),
-]
-ForceOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="STAGE",
-        autocompletion=completing.stage_names,
-        help="Run this stage even though its result is cached; may be given many times.",
+        autocompletion=completion.complete_stages,
         show_default=False,
     ),
 ]
 OverwriteOption = Annotated[
     bool,
+    typer.Option("--overwrite", help="Replace files in OUT that are not from a run, or were changed since."),
+]
+DryRunOption = Annotated[
+    bool,
     typer.Option(
-        "--overwrite",
-        help="Also replace files in OUT that no run has placed there, or that were changed since.",
+        "--dry-run",
+        help="Print which stages would run, why, and the expected time and memory. Write nothing.",
     ),
 ]
 CacheOption = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Where the results of stages are kept; $SCANLOOM_CACHE, or OUT/cache, if not given.",
-        show_default=False,
-    ),
-]
-PageOption = Annotated[
-    bool | None,
-    typer.Option(
-        "--page/--no-page",
-        help="Write report.html, a page that shows the result, which is the default. As report.page.",
-        show_default=False,
-    ),
-]
-ReportOption = Annotated[
-    bool | None,
-    typer.Option(
-        "--report/--no-report",
-        help="Measure the result and draw it, which is the default; without, there is no page either. "
-        "As report.enabled.",
-        show_default=False,
-    ),
-]
-MemoryOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SIZE",
-        help="Memory that may be taken, such as 8 GB (a number alone is MB). What needs more ends and says "
-        "what would fit; no parameter is changed for it.",
-        rich_help_panel=LIMITS_PANEL,
-        show_default=False,
-    ),
-]
-DiskOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SIZE",
-        help="Disk that may be written, results and cache together, such as 20 GB. What needs more ends and "
-        "says what would fit.",
-        rich_help_panel=LIMITS_PANEL,
+        help="Folder that keeps the results of stages. Default: $SCANLOOM_CACHE, or OUT/cache.",
         show_default=False,
     ),
 ]
 
 
-def run_config(
-    file: Path | None,
-    quality: str | None,
-    settings: Sequence[str] | None,
-    scan: dict[str, Any],
-    page: bool | None,
-    report: bool | None,
+@dataclass(frozen=True, kw_only=True)
+class LimitsParams:
+    """Memory and disk that a command may use."""
+
+    memory: str | None = param(
+        None,
+        "Memory limit, such as `8 GB` (a number alone is MB). Work that would exceed the limit ends with "
+        "advice.",
+        common=True,
+    )
+    disk: str | None = param(
+        None,
+        "Limit of the disk space of results and cache, such as `20 GB`. Work that would exceed the limit "
+        "ends with advice.",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        _parse_size(self.memory, "memory")
+        _parse_size(self.disk, "disk")
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """Return the memory limit in bytes."""
+        return _parse_size(self.memory, "memory")
+
+    @property
+    def disk_bytes(self) -> int | None:
+        """Return the disk limit in bytes."""
+        return _parse_size(self.disk, "disk")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunParams:
+    """Stages that run although their results are cached."""
+
+    force: str | None = param(
+        None, "Stages that run again although their results are cached, such as `fuse` or `fuse,clean`."
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def forced(self) -> tuple[str, ...]:
+        """Return the names of these stages."""
+        return split_words(self.force)
+
+
+def split_words(text: str | None) -> tuple[str, ...]:
+    """Return the words of a list with commas."""
+    return tuple(word for part in (text or "").split(",") if (word := part.strip()))
+
+
+def config_sections() -> Mapping[str, Any]:
+    """Return the parameters of each section of a run's configuration, with their defaults."""
+    from scanloom.pipeline.config import Config
+
+    return {name: getattr(Config(), name) for name in Config.types()}
+
+
+ConfigWords = Annotated[list[str], SetWords(config_sections)]
+
+
+def load_run_config(
+    file: Path | None, quality: str | None, words: Sequence[str], scan: Mapping[str, Any] | None = None
 ) -> Config:
-    """Return the configuration that options come to, checked as far as it can be without a scan."""
+    """Return the configuration that options result in, checked as far as is possible without the scan.
+
+    Parameters
+    ----------
+    words : of `--set`.
+    scan : parameters of the section `scan`, from options.
+    """
     from scanloom.stages.simplification.auto import chosen
 
-    config = config_of(file, quality)
-    switched = {"report.page": page, "report.enabled": report}
-    switches = [f"{name}={str(on).lower()}" for name, on in switched.items() if on is not None]
-    config = config.set((*(settings or ()), *switches))
-    config = replace(config, scan=replace(config.scan, **scan))
-    chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
+    config = load_config(file, quality).set(words)
+    config = replace(config, scan=replace(config.scan, **(scan or {})))
+    # A conflict of parameters of `simplify` is an error now, not after hours of fusion.
+    chosen(config.simplify)
     return config
 
 
-def bytes_or_none(size: str | None, option: str) -> int | None:
-    """Return a size that was given in bytes.
+def _parse_size(size: str | None, name: str) -> int | None:
+    """Return a size in bytes.
 
     Raises
     ------
     UsageError
-        If it is no size, or none at all.
+        If the text is no size, or 0.
     """
     from scanloom.pipeline.cache.cache_size import bytes_of
 
     if size is None:
         return None
-    count = bytes_of(size, option)
+    count = bytes_of(size, name)
     if count == 0:
         raise UsageError(
             BATCH_OPTIONS_CONFLICT,
-            "a limit of nothing ({option} {size}) lets no scan through",
-            remedy="leave it out.",
-            option=option,
+            "is {size}, which would exclude every scan",
+            Where(parameter=name),
+            remedy="omit it for no limit.",
             size=size,
         )
     return count

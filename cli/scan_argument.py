@@ -1,4 +1,4 @@
-"""The scan folder that a command is given, read, and what is odd of it told."""
+"""Scan folder as an argument of commands."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ ScanFolder = Annotated[
 
 
 def read_scan(folder: Path, params: ScanParams, *, complete: bool = True) -> Scan:
-    """Return the scan of a folder; what is odd and what cannot be used is warned of.
+    """Read a scan; unusable frames are reported.
 
     Parameters
     ----------
-    complete : refuse a scan without poses, depth or whatever else it needs.
+    complete : refuse a scan that lacks poses, depth or other data of its layout.
     """
     scan = stages.read_scan(require_scan(folder), params, complete=complete)
     emit_skipped([one.figures() for one in scan.skipped])

@@ -1,4 +1,4 @@
-"""What the installed command runs first: Ctrl-C is in hand before the imports, which take a moment."""
+"""Entry point of the installed program; handles Ctrl-C before the slow imports."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from scanloom.cli import interrupts
 # Threads of OpenBLAS, which NumPy multiplies with, spin for some 20 ms after each product, in the way of
 # those that have work; 2⁴ turns are the least it knows. It is read where NumPy is loaded.
 _SPIN = ("OPENBLAS_THREAD_TIMEOUT", "4")
-# OpenCV writes lines of its own about images that are damaged, beside the sentence that says so here.
+# OpenCV prints lines about damaged images, which are reported as diagnostics as well.
 _QUIET = ("OPENCV_LOG_LEVEL", "OFF")
 
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    interrupts.leave_at_once()
+    interrupts.exit_on_interrupt()
     os.environ.setdefault(*_SPIN)
     os.environ.setdefault(*_QUIET)
     from scanloom.cli.app import main as run

@@ -1,7 +1,6 @@
-"""A configuration in sections, one frozen parameter object each: from TOML or words, and back to TOML.
+"""Configuration in sections, one frozen parameter object each: read from TOML or words, written as TOML.
 
-Nothing is declared here but the sections: names, types, units, ranges and texts are those of the stages'
-parameter classes.
+Names, types, units, ranges and texts are declared in the parameter classes of the stages.
 """
 
 from __future__ import annotations
@@ -11,7 +10,8 @@ import difflib
 import json
 import re
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
@@ -23,13 +23,14 @@ from scanloom.stages.files.opening import text_in
 from scanloom.stages.params import (
     Described,
     apply_changes,
+    describe_all,
+    describe_kinds,
     described,
     find_nested,
     get_default,
     hints_of,
     kinds_of,
     row_length,
-    suggest_parameter,
 )
 
 _MAX_BYTES = 1 << 22
@@ -118,7 +119,7 @@ class Sections:
         if quality is not None:
             config = cls.of(quality)
         for section, values in data.items():
-            config._require_section(section, where)
+            _require_section(section, cls.types(), where)
             if not isinstance(values, dict):
                 raise UsageError(
                     CONFIG_UNREADABLE,
@@ -131,29 +132,15 @@ class Sections:
         return config
 
     def set(self: S, assignments: Iterable[str]) -> S:
-        """Return the configuration with `stage.parameter=value` words applied, read by the parameters' types.
-
-        `none` gives a parameter that is derived from the data back to being derived.
-        """
+        """Return the configuration with words `section.parameter=value` applied; see `read_assignments`."""
         config = self
-        for assignment in assignments:
-            name, equals, text = (part.strip() for part in assignment.partition("="))
-            section, dot, key = name.partition(".")
-            if not (equals and dot and section and key):
-                raise UsageError(
-                    CONFIG_UNREADABLE,
-                    "--set {assignment}: write stage.parameter=value, say fuse.voxel_size=0.01.",
-                    assignment=assignment,
-                )
-            where = f"--set {assignment}"
-            config._require_section(section, where)
-            values = _nest_value(section, key, self.types()[section], text, where)
-            config = config._with(section, values, where)
+        for one in read_assignments(assignments, self.types()):
+            config = config._with(one.section, one.changes, None)
         return config
 
     def dumps(self) -> str:
         """Write every parameter as commented TOML that `loads` reads back to the same configuration."""
-        return "\n".join(_section_toml(name, getattr(self, name)) for name in self.types())
+        return "\n".join(section_toml(name, getattr(self, name)) for name in self.types())
 
     def get(self, kind: type[P]) -> P:
         """Return the first section whose parameters are of a class."""
@@ -169,27 +156,77 @@ class Sections:
         """
         return _canonicalise(getattr(self, section), section)
 
-    def _require_section(self, section: str, where: str) -> None:
-        if section not in self.types():
-            advice = _did_you_mean(section, self.types())
-            raise UsageError(
-                CONFIG_PARAMETER_UNKNOWN,
-                "there is no stage {section!r}; {advice}",
-                where=where,
-                section=section,
-                advice=advice,
-            )
-
-    def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
-        changes = _convert_section(values, section, self.types()[section], where)
-        try:
+    def _with(self: S, section: str, values: Mapping[str, Any], where: str | None) -> S:
+        changes = _convert_section(values, section, self.types(), where)
+        with located(section, where):
             changed = apply_changes(getattr(self, section), changes)
-        except UsageError as error:
-            raise UsageError.of(error.diagnostic.within(section=section, file=where)) from error
         return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
 
 
-def _kind(section: str, key: str, cls: type, where: str) -> Any:
+@dataclasses.dataclass(frozen=True)
+class Assignment:
+    """One parameter and its new value, from words `section.parameter=value`.
+
+    Attributes
+    ----------
+    section, name : the parameter, such as `simplify` and `planar.crease_angle`.
+    changes : the value under the parameter's name, in mappings for nested sections.
+    """
+
+    section: str
+    name: str
+    changes: Mapping[str, Any]
+
+
+def read_assignments(assignments: Iterable[str], types: Mapping[str, type]) -> Iterator[Assignment]:
+    """Read words `section.parameter=value`; `none` makes a parameter derived from the data again.
+
+    Types are checked, but for words that are no number; `apply_changes` checks those, and ranges.
+
+    Parameters
+    ----------
+    types : parameter class of every known section.
+
+    Raises
+    ------
+    UsageError
+        For words of another form, and for unknown sections and parameters.
+    """
+    for assignment in assignments:
+        key, equals, text = (part.strip() for part in assignment.partition("="))
+        section, dot, name = key.partition(".")
+        if not (equals and dot and section and name):
+            raise UsageError(
+                CONFIG_UNREADABLE,
+                "--set {assignment}: write section.parameter=value, such as fuse.voxel_size=0.01.",
+                assignment=assignment,
+            )
+        where = f"--set {assignment}"
+        _require_section(section, types, where)
+        yield Assignment(section, name, _nest_value([section], name, types[section], text, types, where))
+
+
+@contextmanager
+def located(section: str, where: str | None = None) -> Iterator[None]:
+    """Name section and file in errors about a parameter."""
+    try:
+        yield
+    except UsageError as error:
+        raise UsageError.of(error.diagnostic.within(section=section, file=where)) from error
+
+
+def _require_section(section: str, types: Mapping[str, type], where: str) -> None:
+    if section not in types:
+        raise UsageError(
+            CONFIG_PARAMETER_UNKNOWN,
+            "there is no section {section!r}; {advice}",
+            where=where,
+            section=section,
+            advice=_did_you_mean(section, types),
+        )
+
+
+def _kind(section: str, key: str, cls: type, types: Mapping[str, type], where: str | None) -> Any:
     """Return the type of a parameter of a section."""
     if key in find_nested(cls):
         raise _section_error(f"{section}.{key}", where)
@@ -200,12 +237,26 @@ def _kind(section: str, key: str, cls: type, where: str) -> Any:
             where=where,
             section=section,
             key=key,
-            advice=suggest_parameter(key, cls),
+            advice=_suggest_key(section, key, cls, types),
         )
     return hints_of(cls)[key]
 
 
-def _section_error(section: str, where: str) -> UsageError:
+def _suggest_key(section: str, key: str, cls: type, types: Mapping[str, type]) -> str:
+    """Return advice for a parameter that a section does not have: keys of the same or a similar name."""
+    known = list(describe_all(cls))
+    word = key.rpartition(".")[2]
+    similar = [name for name in known if name.endswith(f".{word}")]
+    similar = similar or difflib.get_close_matches(key, [*known, *find_nested(cls)], n=3)
+    equal = [f"{other}.{word}" for other, its in types.items() if word in describe_all(its)]
+    keys = list(dict.fromkeys([*(f"{section}.{name}" for name in similar), *equal]))
+    if not keys:
+        return f"known are {', '.join([*described(cls), *find_nested(cls)])}."
+    *others, last = keys[:4]
+    return f"did you mean {', '.join(others) + ' or ' if others else ''}{last}?"
+
+
+def _section_error(section: str, where: str | None) -> UsageError:
     return UsageError(
         CONFIG_UNREADABLE,
         "{section} is a section",
@@ -215,27 +266,37 @@ def _section_error(section: str, where: str) -> UsageError:
     )
 
 
-def _convert_section(values: Mapping[str, Any], section: str, cls: type, where: str) -> dict[str, Any]:
+def _convert_section(
+    values: Mapping[str, Any], section: str, types: Mapping[str, type], where: str | None
+) -> dict[str, Any]:
     """Return values of a section with the types of its parameters, and nested sections as mappings."""
+    return _convert(values, section, types[section], types, where)
+
+
+def _convert(
+    values: Mapping[str, Any], section: str, cls: type, types: Mapping[str, type], where: str | None
+) -> dict[str, Any]:
     typed = {}
     for key, value in values.items():
         nested = find_nested(cls).get(key)
         if nested is None:
-            typed[key] = _typed(value, _kind(section, key, cls, where))
+            typed[key] = _typed(value, _kind(section, key, cls, types, where))
         elif isinstance(value, Mapping):
-            typed[key] = _convert_section(value, f"{section}.{key}", nested, where)
+            typed[key] = _convert(value, f"{section}.{key}", nested, types, where)
         else:
             raise _section_error(f"{section}.{key}", where)
     return typed
 
 
-def _nest_value(section: str, key: str, cls: type, text: str, where: str) -> dict[str, Any]:
-    """Return the word for a parameter as a value, in mappings for the sections that its key names."""
+def _nest_value(
+    sections: list[str], key: str, cls: type, text: str, types: Mapping[str, type], where: str
+) -> dict[str, Any]:
+    """Return the value of a parameter, in mappings for the nested sections that its key names."""
     first, dot, rest = key.partition(".")
     nested = find_nested(cls).get(first)
     if dot and nested is not None:
-        return {first: _nest_value(f"{section}.{first}", rest, nested, text, where)}
-    return {key: _from_word(text, _kind(section, key, cls, where), f"{where}: {section}.{key}")}
+        return {first: _nest_value([*sections, first], rest, nested, text, types, where)}
+    return {key: _read_value(text, _kind(".".join(sections), key, cls, types, where))}
 
 
 def _did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -248,13 +309,6 @@ def _is_optional(hint: Any) -> bool:
     return type(None) in get_args(hint)
 
 
-def _kind_names(hint: Any) -> str:
-    names = {bool: "true or false", int: "a whole number", float: "a number", str: "text", Path: "a file"}
-    return " or ".join(
-        f"{row_length(kind)} numbers" if row_length(kind) else names[kind] for kind in kinds_of(hint)
-    )
-
-
 def _typed(value: Any, hint: Any) -> Any:
     # TOML writes 1 where 1.0 is meant; both must give one key.
     if float in kinds_of(hint) and type(value) is int:
@@ -264,7 +318,8 @@ def _typed(value: Any, hint: Any) -> Any:
     return Path(value) if Path in kinds_of(hint) and isinstance(value, str) else value
 
 
-def _from_word(text: str, hint: Any, where: str) -> Any:
+def _read_value(text: str, hint: Any) -> Any:
+    """Return the value that text is for a parameter's type; text of another form as it is."""
     if text.lower() == "none" and _is_optional(hint):
         return None
     kinds = kinds_of(hint)
@@ -278,15 +333,7 @@ def _from_word(text: str, hint: Any, where: str) -> Any:
                 return kind(text)
             except ValueError:
                 continue
-    if str in kinds or Path in kinds:
-        return text
-    raise UsageError(
-        USAGE_VALUE_INVALID,
-        "{place} must be {kind_names}, not {text!r}.",
-        place=where,
-        kind_names=_kind_names(hint),
-        text=text,
-    )
+    return text
 
 
 def _number(word: str) -> Any:
@@ -324,16 +371,23 @@ def _canonical_value(value: Any, hint: Any, where: str) -> Any:
     return typed + 0.0 if isinstance(typed, float) else typed  # -0.0 is 0.0
 
 
-def _section_toml(name: str, params: Any) -> str:
+def section_toml(name: str, params: Any, *, is_shown: Callable[[Described], bool] = lambda _: True) -> str:
+    """Write the parameters of a section as commented TOML, or only those that are to be shown."""
     summary = (type(params).__doc__ or "").strip().split("\n")[0]
     lines = [f"[{name}]", *_comment(summary)]
     hints = hints_of(type(params))
     for key, about in described(type(params)).items():
+        if not is_shown(about):
+            continue
         default = get_default(type(params), key)
         lines += ["", *_comment(about.text), *_comment(facts_of(about, default, hints[key]))]
         value = getattr(params, key)
         lines.append(f"# {key} =" if value is None else f"{key} = {_toml(value)}")
-    nested = [_section_toml(f"{name}.{key}", getattr(params, key)) for key in find_nested(type(params))]
+    nested = [
+        section_toml(f"{name}.{key}", getattr(params, key), is_shown=is_shown)
+        for key, cls in find_nested(type(params)).items()
+        if any(map(is_shown, describe_all(cls).values()))
+    ]
     return "\n".join(["\n".join(lines) + "\n", *nested])
 
 
@@ -343,7 +397,7 @@ def _comment(text: str) -> list[str]:
 
 def facts_of(about: Described, default: Any, hint: Any) -> str:
     """Return kind, unit, range and default of a parameter in words; `hint` is its type."""
-    kind = f"one of {', '.join(about.choices)}" if about.choices else _kind_names(hint)
+    kind = f"one of {', '.join(about.choices)}" if about.choices else describe_kinds(kinds_of(hint))
     facts = [f"{kind} in {about.unit}" if about.unit else kind]
     if about.low is not None:
         facts.append(f"{'more than' if about.low_open else 'at least'} {about.low:g}")

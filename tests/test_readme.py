@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from small_sample import write_small_sample
 
+from scanloom.cli.sections import command_sections
 from scanloom.pipeline.config import Config
 from scanloom.stages.params import describe_all
 
@@ -19,14 +20,17 @@ ROOMS = r"(?:cli|pipeline|stages|kernels|tests|benches|samples)"
 
 
 def test_every_parameter_it_names_exists():
-    config = Config()
-    sections = "|".join(Config.types())
+    known = {name: set(describe_all(cls)) for name, cls in Config.types().items()}
+    for one in command_sections():
+        known[one.name] = known.get(one.name, set()) | one.names
+    sections = "|".join(known)
     named = re.findall(
-        rf"`({sections})\.(?!(?:\w+\.)?(?:json|ply|txt|slod|glb|html|md)\b)([\w.]+)(?:=[^`]*)?`", MANUAL
+        rf"`({sections})\.(?!(?:\w+\.)?(?:json|ply|txt|slod|glb|html|md|csv|parquet)\b)([\w.]+)(?:=[^`]*)?`",
+        MANUAL,
     )
     assert len(named) > 60
     for section, name in named:
-        assert name in describe_all(type(getattr(config, section))), f"{section}.{name}"
+        assert name in known[section], f"{section}.{name}"
 
 
 @pytest.mark.slow

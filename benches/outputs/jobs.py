@@ -93,29 +93,39 @@ def _methods() -> Iterator[Job]:
     """Yield each method on each model: to a number, within bounds, both, and with what is its own alone."""
     for name, model in MODELS.items():
         shape = f"--max-shape {model.shape}"
-        bounds = f"{shape} --max-texture 40" if model.is_colored else shape
+        bounds = f"{shape} --max-color 40" if model.is_colored else shape
         options = {
-            "quadric": ("--ratio 0.1", "--triangles 500 --no-fit"),
+            "quadric": ("--ratio 0.1", "--triangles 500 --set simplify.fit=false"),
             "certified": (
                 shape,
                 bounds,
                 f"--ratio 0.3 {bounds}",
-                f"--max-shape {2 * model.shape} --close-bounds --save-bounds bounds.ply",
+                f"--max-shape {2 * model.shape} --set simplify.certified.close_bounds=true --save-bounds "
+                "bounds.ply",
             ),
             "seams": (
                 "--ratio 0.1",
-                "--ratio 0.1 --threads 1",
-                "--ratio 0.02 --no-fit",
-                "--ratio 0.1 --max-seam-drift 0.002",
-                "--ratio 0.3 --texture-weight 2 --normal-weight 0.2 --shape-weight 0.5 --valence-penalty 1 "
-                "--set-penalty 1 --across-textures 1 --across-parts 1",
-                f"--ratio 0.1 --similar-distance {model.shape / 4}",
+                "--ratio 0.1 --set simplify.threads=1",
+                "--ratio 0.02 --set simplify.fit=false",
+                "--ratio 0.1 --set simplify.seams.max_seam_drift=0.002",
+                "--ratio 0.3 --set simplify.seams.texture_weight=2 --set simplify.seams.normal_weight=0.2 "
+                "--set simplify.seams.shape_weight=0.5 --set simplify.seams.valence_penalty=1 "
+                "--set simplify.seams.set_penalty=1 --set simplify.seams.across_textures=1 --set "
+                "simplify.seams.across_parts=1",
+                f"--ratio 0.1 --set simplify.seams.similar_distance={model.shape / 4}",
             ),
-            "jia01": ("", bounds, "--ratio 0.3", f"{bounds} --paper-rule", f"--resolution {8 * model.shape}"),
+            "jia01": (
+                "",
+                bounds,
+                "--ratio 0.3",
+                f"{bounds} --set simplify.jia01.paper_rule=true",
+                f"--set simplify.jia01.resolution={8 * model.shape}",
+            ),
             "planar": (
                 "",
                 bounds,
-                f"{shape} --patch-angle 20 --crease-angle 30 --noise-angle 0",
+                f"{shape} --set simplify.planar.patch_angle=20 --set simplify.planar.crease_angle=30 --set "
+                "simplify.planar.noise_angle=0",
             ),
             "auto": ("", "--ratio 0.25", "--triangles 800", bounds),
         }
@@ -159,7 +169,7 @@ def _records() -> Iterator[Job]:
     for name, method, options in (
         ("camelhead", "quadric", "--ratio 0.05"),
         ("airplane", "quadric", "--ratio 0.1"),
-        ("airplane", "certified", "--max-shape 0.01 --max-texture 40"),
+        ("airplane", "certified", "--max-shape 0.01 --max-color 40"),
         ("airplane", "jia01", "--ratio 0.3"),
         ("spot", "seams", "--ratio 0.05"),
         ("duck", "seams", "--ratio 0.05"),
@@ -170,22 +180,22 @@ def _records() -> Iterator[Job]:
             (
                 f"simplify {_mesh(name)} light.ply --method {method} {options} --json "
                 "--save-record record.npz",
-                "replay record.npz half.ply --ratio 0.5 --json",
-                "replay record.npz count.glb --triangles 3000 --json",
-                "replay record.npz early.ply --collapses 100 --json",
-                "replay record.npz none.ply --collapses 0 --json",
-                "replay record.npz fitted.ply --ratio 0.4 --fit --json",
-                "replay record.npz beyond.ply --triangles 10 --json",
-                "replay {first}/record.npz of_first.ply --ratio 0.4 --json",
+                "mesh replay record.npz half.ply --ratio 0.5 --json",
+                "mesh replay record.npz count.glb --triangles 3000 --json",
+                "mesh replay record.npz early.ply --set replay.collapses=100 --json",
+                "mesh replay record.npz none.ply --set replay.collapses=0 --json",
+                "mesh replay record.npz fitted.ply --ratio 0.4 --set replay.fit=true --json",
+                "mesh replay record.npz beyond.ply --triangles 10 --json",
+                "mesh replay {first}/record.npz of_first.ply --ratio 0.4 --json",
                 "cut.py record.npz 0.7 cut.npz",
-                "replay cut.npz cut.ply --ratio 0.5 --json",
+                "mesh replay cut.npz cut.ply --ratio 0.5 --json",
             ),
         )
     yield Job(
         "records/none",
         (
             f"simplify {_mesh('spot')} light.ply --method planar --save-record record.npz --json",
-            "replay record.npz half.ply --ratio 0.5 --json",
+            "mesh replay record.npz half.ply --ratio 0.5 --json",
         ),
     )
     yield Job("records/api/quadric", (f"recorded.py {_mesh('airplane')} quadric ratio=0.1",))
@@ -198,25 +208,25 @@ def _normal_meshes() -> Iterator[Job]:
     """Yield normal meshes, all their levels, and what is left of a file that was cut."""
     for name, path, options in (
         ("horse", _mesh("horse"), ""),
-        ("camelhead", _mesh("camelhead"), "--scheme butterfly --tolerance 1e-4"),
-        ("camelhead_base", _mesh("camelhead"), "--base-triangles 300 --levels 2 --relaxations 0"),
-        ("camelhead_error", _mesh("camelhead"), "--base-error 0.01 --max-error 0.002"),
-        ("airplane", _mesh("airplane"), "--color-tolerance 4"),
+        ("camelhead", _mesh("camelhead"), "--set remesh.scheme=butterfly --set remesh.tolerance=1e-4"),
+        ("camelhead_base", _mesh("camelhead"), "--base-triangles 300 --levels 2 --set remesh.relaxations=0"),
+        ("camelhead_error", _mesh("camelhead"), "--set remesh.base_error=0.01 --set remesh.max_error=0.002"),
+        ("airplane", _mesh("airplane"), "--set remesh.color_tolerance=4"),
         ("airplane_coder", _mesh("airplane"), "--levels 0"),
         ("cow", "{data}/meshes/cow.obj", ""),
         ("spot", _mesh("spot"), ""),
-        ("scan", "{data}/meshes/sceaux_mvs_scene_mesh.ply", "--tolerance 1e-3"),
+        ("scan", "{data}/meshes/sceaux_mvs_scene_mesh.ply", "--set remesh.tolerance=1e-3"),
     ):
         yield Job(
             f"normal_meshes/{name}",
             (
-                f"remesh {path} normal.ply --save normal.snm --save-levels levels {options} --json",
-                "decode normal.snm finest.ply --save-levels decoded --json",
-                *(f"decode normal.snm {level}.ply --level {level} --json" for level in (0, 1, 9)),
-                "decode {first}/normal.snm of_first.ply --json",
+                f"mesh remesh {path} normal.ply --save normal.snm --save-levels levels {options} --json",
+                "mesh decode normal.snm finest.ply --save-levels decoded --json",
+                *(f"mesh decode normal.snm {level}.ply --level {level} --json" for level in (0, 1, 9)),
+                "mesh decode {first}/normal.snm of_first.ply --json",
                 "cut.py normal.snm 0.6 cut.snm",
-                "decode cut.snm cut.ply --json",
-                "decode cut.snm cut_4.ply --level 4",
+                "mesh decode cut.snm cut.ply --json",
+                "mesh decode cut.snm cut_4.ply --level 4",
             ),
         )
 
@@ -230,8 +240,9 @@ def _textures() -> Iterator[Job]:
             (
                 f"simplify {original} light.ply --method quadric --ratio 0.1 --json",
                 f"bake light.ply {original} baked.glb --json",
-                f"bake light.ply {original} small.obj --max-size 256 --padding 2 --samples 3 --json",
-                f"bake light.ply {original} fine.ply --texel-size 0.01 --max-size 1024 --json",
+                f"bake light.ply {original} small.obj --set bake.max_size=256 --set bake.padding=2 --set "
+                "bake.samples=3 --json",
+                f"bake light.ply {original} fine.ply --texel-size 0.01 --set bake.max_size=1024 --json",
                 f"simplify {original} baked_at_once.glb --ratio 0.2 --bake --json",
             ),
         )
@@ -241,24 +252,26 @@ def _measures() -> Iterator[Job]:
     """Yield distances, proofs and patches."""
     for name, model in MODELS.items():
         original = _mesh(name)
-        max_color, max_texture = ("--max-color 60", "--max-texture 20") if model.is_colored else ("", "")
+        max_color = "--max-color 60" if model.is_colored else ""
+        patch_color = "--set patches.max_color=20" if model.is_colored else ""
         yield Job(
             f"measures/{name}",
             (
                 f"simplify {original} light.ply --method quadric --ratio 0.2 --json",
                 f"compare {original} light.ply --json",
-                f"compare {original} light.ply --samples 20000 --seed 7 --json",
-                f"certify light.ply {original} --json --save-bounds bounds.ply",
-                f"certify light.ply {original} --max-shape {model.shape} {max_color} --json",
-                f"certify light.ply {original} --effort 1 --shape-tolerance 0.2 --json",
-                f"patches {original} patches.ply --json",
-                f"patches {original} thin.ply --max-shape {model.shape / 4} {max_texture} --json "
-                "--patch-angle 15 --crease-angle 15 --noise-angle 0",
+                f"compare {original} light.ply --set compare.samples=20000 --set compare.seed=7 --json",
+                f"mesh certify light.ply {original} --json --save-bounds bounds.ply",
+                f"mesh certify light.ply {original} --max-shape {model.shape} {max_color} --json",
+                f"mesh certify light.ply {original} --set certify.effort=1 --set "
+                "certify.shape_tolerance=0.2 --json",
+                f"mesh patches {original} patches.ply --json",
+                f"mesh patches {original} thin.ply --max-shape {model.shape / 4} {patch_color} --json "
+                "--set patches.patch_angle=15 --set patches.crease_angle=15 --set patches.noise_angle=0",
                 f"measured.py {original}",
             ),
         )
     for name in ("fandisk.obj", "rocker-arm.obj", "face.obj"):
-        yield Job(f"measures/{name}", (f"patches {{data}}/meshes/{name} patches.ply --json",))
+        yield Job(f"measures/{name}", (f"mesh patches {{data}}/meshes/{name} patches.ply --json",))
 
 
 def _pictures() -> Iterator[Job]:
@@ -267,7 +280,8 @@ def _pictures() -> Iterator[Job]:
         yield Job(
             f"pictures/{name}",
             tuple(
-                f"render {_mesh(name)} {shading}.png --shading {shading} --view {view} --width 640 --json"
+                f"render {_mesh(name)} {shading}.png --shading {shading} --viewpoint {view} --width 640 "
+                "--json"
                 for shading, view in (("color", 1), ("plain", 2), ("edges", 3))
             ),
         )
@@ -287,8 +301,8 @@ def _cleaning(data: Path) -> Iterator[Job]:
                 f"clean {path} filled.ply --fill-holes 1 --json",
                 f"clean {path} all.ply --min-island-area 0 --json",
                 f"clean {path} one.obj --keep-largest --json",
-                f"clean {path} apart.glb --no-stitch --json",
-                f"clean {path} welded.ply --weld-distance 0.02 --json",
+                f"clean {path} apart.glb --set clean.stitch=false --json",
+                f"clean {path} welded.ply --set clean.weld_distance=0.02 --json",
             ),
         )
 
@@ -327,7 +341,8 @@ def _recordings() -> Iterator[Job]:
             f"recordings/{name}",
             (
                 f"inspect {{inputs}}/{name} --json",
-                f"fuse {{inputs}}/{name} one.ply --first 2 --last 2 --voxel-size 0.01 --json",
+                f"fuse {{inputs}}/{name} one.ply --set scan.first=2 --set scan.last=2 --voxel-size 0.01 "
+                "--json",
             ),
         )
     for name in ("realsense.bag", "ros2.db3", "ros2.mcap"):
@@ -346,7 +361,7 @@ def _scans(data: Path) -> Iterator[Job]:
             (
                 f"inspect {scan} --json",
                 f"inspect {scan} --picture picture.png",
-                f"inspect {scan} --first 3 --last 9 --every 2 --json",
+                f"inspect {scan} --set scan.first=3 --set scan.last=9 --every 2 --json",
                 f"frames.py {scan} 3",
             ),
         )
@@ -359,7 +374,7 @@ def _scans(data: Path) -> Iterator[Job]:
     yield Job(
         "scans/calibrations",
         tuple(
-            f"inspect {rig} --calibration {{data}}/real/calibrations/{path.name} --json"
+            f"inspect {rig} --set scan.calibration={{data}}/real/calibrations/{path.name} --json"
             for path in calibrations
         ),
     )
@@ -368,12 +383,12 @@ def _scans(data: Path) -> Iterator[Job]:
     yield Job(
         "scans/stated",
         (
-            f"inspect {cones} --intrinsics 500,500,225,187 --baseline 0.16 --json",
+            f"inspect {cones} --intrinsics 500,500,225,187 --set scan.baseline=0.16 --json",
             f"inspect {cones} --intrinsics 500,500 --json",
             f"inspect {cabinet} --poses {cabinet}/truth_cam_poses.txt --json",
-            f"inspect {cabinet} --depth-scale 1000 --no-check-poses --json",
-            f"inspect {cabinet} --layout kitti --json",
-            "inspect {data}/real/kitti_stereo_2015 --first 0 --last 0 --json",
+            f"inspect {cabinet} --set scan.depth_scale=1000 --set scan.check_poses=false --json",
+            f"inspect {cabinet} --set scan.layout=kitti --json",
+            "inspect {data}/real/kitti_stereo_2015 --set scan.first=0 --set scan.last=0 --json",
             "inspect {data}/rgbd/7scenes_redkitchen --every 10 --picture picture.png --json",
         ),
     )
@@ -385,10 +400,12 @@ def _stages() -> Iterator[Job]:
     yield Job(
         "stages/depth",
         (
-            f"depth {stereo} depth --last 5 --json",
+            f"depth {stereo} depth --set scan.last=5 --json",
             "fuse depth fused.ply --json",
-            f"depth {stereo} other --every 5 --matcher sgbm --left-right match --smooth --json",
-            "fuse other other.glb --voxel-size 0.01 --truncation 0.04 --min-weight 1 --no-color --json",
+            f"depth {stereo} other --every 5 --set depth.matcher=sgbm --set depth.sgbm.left_right=match "
+            "--set depth.sgbm.smooth=true --json",
+            "fuse other other.glb --voxel-size 0.01 --set fuse.truncation=0.04 --set fuse.min_weight=1 "
+            "--set fuse.color=false --json",
         ),
     )
     yield Job(
@@ -397,17 +414,18 @@ def _stages() -> Iterator[Job]:
             f"register {rgbd} found --json",
             f"fuse {rgbd} fused.ply --poses found/trajectory.tum --voxel-size 0.01 --json",
             f"fuse {rgbd} some.ply --poses found/trajectory.tum --every 3 --json",
-            f"register {rgbd} refined --every 4 --refine --no-loops --json",
+            f"register {rgbd} refined --every 4 --refine --set register.loops=false --json",
         ),
     )
     yield Job("depth/motorcycle", ("depth {data}/stereo/middlebury2014_motorcycle depth --json",))
-    yield Job("depth/kitti", ("depth {data}/stereo/kitti_sequence_1 depth --last 2 --json",))
-    yield Job("depth/euroc", ("depth {data}/stereo/euroc_V1_01_easy_static depth --last 1 --json",))
-    yield Job("depth/kitti_2015", ("depth {data}/real/kitti_stereo_2015 depth --first 0 --last 0 --json",))
+    yield Job("depth/kitti", ("depth {data}/stereo/kitti_sequence_1 depth --set scan.last=2 --json",))
+    yield Job("depth/euroc", ("depth {data}/stereo/euroc_V1_01_easy_static depth --set scan.last=1 --json",))
+    one_pair = "--set scan.first=0 --set scan.last=0"
+    yield Job("depth/kitti_2015", (f"depth {{data}}/real/kitti_stereo_2015 depth {one_pair} --json",))
     yield Job(
         "depth/temple_ring",
         (
-            "depth {data}/stereo/middlebury_templeRing depth --last 7 --json",
+            "depth {data}/stereo/middlebury_templeRing depth --set scan.last=7 --json",
             "fuse depth fused.ply --json",
         ),
     )
@@ -415,13 +433,14 @@ def _stages() -> Iterator[Job]:
         ("kitchen", "rgbd/7scenes_redkitchen", "--every 10 --voxel-size 0.03"),
         ("tabletop", "rgbd/tabletop_box_realsense", "--every 5"),
         ("open3d", "rgbd/open3d_testdata/RGBD", "--voxel-size 0.02"),
-        ("turntable", "rgbd/turntable_d435_data1", "--last 0"),
+        ("turntable", "rgbd/turntable_d435_data1", "--set scan.last=0"),
         ("rpy", "real/rgbd_dataset_freiburg1_rpy", "--every 4 --voxel-size 0.02"),
-        ("phone", "real/phone_desk_no_calibration", "--last 0"),
+        ("phone", "real/phone_desk_no_calibration", "--set scan.last=0"),
     ):
         yield Job(f"fuse/{name}", (f"fuse {{data}}/{scan} fused.ply {options} --json",))
-    yield Job("register/desk", ("register {data}/rgbd/realsense_desk_tum_layout found --last 7 --json",))
-    yield Job("register/rpy", ("register {data}/real/rgbd_dataset_freiburg1_rpy found --last 7 --json",))
+    few = "--set scan.last=7"
+    yield Job("register/desk", (f"register {{data}}/rgbd/realsense_desk_tum_layout found {few} --json",))
+    yield Job("register/rpy", (f"register {{data}}/real/rgbd_dataset_freiburg1_rpy found {few} --json",))
 
 
 def _kitchen() -> Iterator[Job]:
@@ -431,15 +450,15 @@ def _kitchen() -> Iterator[Job]:
         (
             f"clean {KITCHEN} clean.ply --json",
             "simplify clean.ply quadric.ply --ratio 0.1 --json",
-            "simplify clean.ply certified.ply --max-shape 0.03 --max-texture 60 --json",
+            "simplify clean.ply certified.ply --max-shape 0.03 --max-color 60 --json",
             "simplify clean.ply seams.ply --method seams --ratio 0.1 --json",
             "simplify clean.ply jia01.ply --json",
             "simplify clean.ply planar.ply --method planar --max-shape 0.02 --json",
             "simplify clean.ply region.ply --ratio 0.1 --region 'sphere 0 0 1.5 0.8 20' --json",
-            "patches clean.ply patches.ply --max-shape 0.02 --json",
-            "compare clean.ply quadric.ply --samples 200000 --json",
-            "certify certified.ply clean.ply --max-shape 0.03 --json",
-            "bake quadric.ply clean.ply baked.glb --max-size 1024 --json",
+            "mesh patches clean.ply patches.ply --max-shape 0.02 --json",
+            "compare clean.ply quadric.ply --set compare.samples=200000 --json",
+            "mesh certify certified.ply clean.ply --max-shape 0.03 --json",
+            "bake quadric.ply clean.ply baked.glb --set bake.max_size=1024 --json",
         ),
     )
     yield Job(
@@ -461,7 +480,7 @@ def _runs() -> Iterator[Job]:
         "run/rgbd",
         (
             f"run {{samples}}/rgbd -o out {everything} --json",
-            "run {samples}/rgbd -o out --set simplify.max_shape=0.01 --set simplify.max_texture=60 "
+            "run {samples}/rgbd -o out --set simplify.max_shape=0.01 --set simplify.max_color=60 "
             "--set bake.enabled=true --json",
             "run {samples}/rgbd -o out --until clean",
             "cache verify out",
@@ -486,15 +505,15 @@ def _words() -> Iterator[Job]:
             f"simplify {duck} seams.glb --ratio 0.1",
             f"simplify {spot} jia01.ply --method jia01",
             f"simplify {spot} planar.ply --method planar",
-            f"patches {spot} patches.ply",
-            f"compare {spot} quadric.ply --samples 1000",
-            f"certify quadric.ply {spot}",
+            f"mesh patches {spot} patches.ply",
+            f"compare {spot} quadric.ply --set compare.samples=1000",
+            f"mesh certify quadric.ply {spot}",
             f"clean {spot} clean.ply",
-            f"remesh {spot} remeshed.ply",
+            f"mesh remesh {spot} remeshed.ply",
             f"render {spot} spot.png --width 64",
             "inspect {samples}/rgbd",
             "inspect {samples}/stereo",
-            "depth {samples}/stereo depth --last 0",
+            "depth {samples}/stereo depth --set scan.last=0",
         ),
     )
     yield Job("words/config", ("config",))
@@ -512,20 +531,20 @@ def _words() -> Iterator[Job]:
             f"simplify {spot} light.ply --ratio 0.1 --max-shape 0.01 --method seams --json",
             f"simplify {spot} light.ply --method fastest",
             f"simplify {spot} light.ply --unheard-of",
-            f"simplify {spot} light.ply --max-texture 20 --method certified --json",
+            f"simplify {spot} light.ply --max-color 20 --method certified --json",
             f"simplify {spot} light.ply --ratio 0.1 --region 'cone 1 2 3' --json",
             f"simplify {spot} light.ply --ratio 0.1 --region 'sphere 9 9 9 1 lock' --json",
             f"simplify {spot} light.ply --method planar --save-bounds bounds.ply --json",
             f"simplify {spot} light.stl --ratio 0.1 --bake --json",
             f"simplify {spot} light.glb --ratio 0.1 --bake --json",
             "simplify {data}/meshes/cow.obj light.ply --method quadric --ratio 0.1 --json",
-            f"remesh {spot} out.ply --levels 99",
-            "remesh {data}/meshes/pirate.obj out.ply --json",
-            f"decode {spot} out.ply --json",
-            f"replay {spot} out.ply --ratio 0.5 --json",
+            f"mesh remesh {spot} out.ply --levels 99",
+            "mesh remesh {data}/meshes/pirate.obj out.ply --json",
+            f"mesh decode {spot} out.ply --json",
+            f"mesh replay {spot} out.ply --ratio 0.5 --json",
             f"bake {spot} {{data}}/meshes/cow.obj out.glb --json",
             f"render {spot} out.jpg",
-            f"render {spot} out.png --view 20",
+            f"render {spot} out.png --viewpoint 20",
             f"compare {spot} {{data}}/broken/empty.obj --json",
             "inspect missing --json",
             "fuse {samples}/stereo out.ply --json",
@@ -535,11 +554,11 @@ def _words() -> Iterator[Job]:
         ),
     )
     alone = {
-        "quadric": "--fit",
-        "certified": "--close-bounds",
-        "jia01": "--paper-rule",
-        "seams": "--texture-weight 1",
-        "planar": "--patch-angle 30",
+        "quadric": "--set simplify.fit=true",
+        "certified": "--set simplify.certified.close_bounds=true",
+        "jia01": "--set simplify.jia01.paper_rule=true",
+        "seams": "--set simplify.seams.texture_weight=1",
+        "planar": "--set simplify.planar.patch_angle=30",
     }
     for method in alone:
         others = (option for other, option in alone.items() if other != method)

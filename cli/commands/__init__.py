@@ -1,1 +1,1 @@
-"""The commands, one a file; `scanloom.cli.app` has the table of them."""
+"""Commands, one per file; `scanloom.cli.command_table` lists them."""

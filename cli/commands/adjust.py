@@ -1,4 +1,4 @@
-"""The command `adjust`."""
+"""Command `adjust`."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from scanloom.stages.scans.read import require_complete
 def adjust(
     folder: ScanFolder,
     target: Annotated[
-        Path, typer.Argument(metavar="OUTDIR", help="Folder for poses and cameras.", show_default=False)
+        Path, typer.Argument(metavar="OUTDIR", help="New folder for poses and cameras.", show_default=False)
     ],
     scan: ScanParams,
-    params: AdjustParams,
+    adjust: AdjustParams,
     out: Output,
 ) -> None:
-    """Make the poses of a scan with colour and depth better, and its colour camera where that is wrong.
+    """Refine the poses and colour camera of a scan.
 
-    Points that several frames show are recognised; poses, points and one colour camera are fitted to where
-    they are seen and how deep they are measured. What is not clearly better on points held out is not used.
-    OUTDIR gets cameras.json (whether it is used and why, the colour camera, matrices) and, if it is better,
-    trajectory.tum (camera-to-world). The scan's own files stay as they are.
+    Points are matched across frames; poses, points and one colour camera are fitted to the matches and to the
+    measured depth. The result is used only if it is clearly better on held-out points. OUTDIR gets
+    cameras.json (decision, colour camera, matrices) and, if it is better, trajectory.tum (camera-to-world).
+    The files of the scan are not changed.
 
-    `scanloom run` does this on its way, and uses poses and colour camera; other commands take both with
-    --adjusted OUTDIR/cameras.json.
+    `scanloom run` includes this stage. Other commands use its result by --set
+    scan.adjusted=OUTDIR/cameras.json.
 
     Example: scanloom adjust my_scan better
     """
@@ -52,6 +52,6 @@ def adjust(
         )
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
-        found = stages.adjust(source, params, progress=progress)
+        found = stages.adjust(source, adjust, progress=progress)
         figures = write_adjusted(draft, found)
     out.result({"output": str(target), **figures, "seconds": found.seconds})

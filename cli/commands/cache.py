@@ -1,4 +1,4 @@
-"""The commands on the kept results of stages: `cache ls`, `verify` and `prune`."""
+"""Commands `cache ls`, `cache verify` and `cache prune`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanloom.cli.exit_codes import FAILED
-from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.output import Output, format_size, format_table
 from scanloom.pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
 from scanloom.stages import InputError, UsageError
 from scanloom.stages.params import check, param
@@ -24,7 +24,7 @@ CacheFolder = Annotated[
     Path | None,
     typer.Argument(
         metavar="DIR",
-        help="Cache folder, or the output folder of a run; $SCANLOOM_CACHE if not given.",
+        help="Cache folder, or output folder of a run. Default: $SCANLOOM_CACHE.",
         show_default=False,
     ),
 ]
@@ -35,65 +35,70 @@ _DAY = 86_400.0
 
 @dataclass(frozen=True, kw_only=True)
 class PruneParams:
-    """What to remove from a cache."""
+    """Results to remove from a cache."""
 
-    all: bool = param(False, "Also remove what the latest run of an output folder used.")
+    all: bool = param(False, "Also remove results that the latest run of an output folder uses.", common=True)
     older_than: float | None = param(
-        None, "Remove what was last used longer ago; without it age does not count.", unit="days", low=0
+        None,
+        "Also remove results that were last used longer ago, whether a run uses them or not.",
+        unit="days",
+        low=0,
+        common=True,
     )
     max_size: str | None = param(
         None,
-        "Remove only what was unused longest, until the rest is no larger than this, such as `20 GB`; a "
-        "number alone is in MB. What the latest run of an output folder used stays.",
+        "Remove only the least recently used results, until the rest is no larger than this, such as `20 GB` "
+        "(a number alone is MB). Results of the latest run of an output folder stay.",
+        common=True,
     )
-    dry_run: bool = param(False, "Only say what would be removed.")
+    dry_run: bool = param(False, "Print what would be removed, and remove nothing.", common=True)
 
     def __post_init__(self) -> None:
         check(self)
 
 
 def ls(out: Output, folder: CacheFolder = None) -> None:
-    """List the kept results: stage, key, size, last use.
+    """List cached results: stage, key, size, last use.
 
     Example: scanloom cache ls
     """
-    cache = _open(folder)
+    cache = _open_cache(folder)
     _print_entries(cache.folder, cache.ls(), out)
 
 
 def verify(out: Output, folder: CacheFolder = None) -> None:
-    """Read every kept result and say which are damaged; the exit code is 1 if any is.
+    """Verify all cached results.
 
-    Damaged results are made anew by the next run that needs them.
+    The exit code is 1 if a result is damaged; the next run that needs it repeats the stage.
 
     Example: scanloom cache verify
     """
-    cache = _open(folder)
+    cache = _open_cache(folder)
     entries = cache.verify()
     _print_entries(cache.folder, entries, out)
     if any(entry.problem for entry in entries):
         raise typer.Exit(FAILED)
 
 
-def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
-    """Remove kept results that the latest run of no output folder used.
+def prune(prune: PruneParams, out: Output, folder: CacheFolder = None) -> None:
+    """Remove cached results that no latest run uses.
 
     Example: scanloom cache prune --max-size "20 GB"
     """
     from scanloom.pipeline.cache.cache_size import bytes_of
 
-    cache = _open(folder)
+    cache = _open_cache(folder)
     removed = cache.prune(
-        unused=params.max_size is None,
-        older_than=0.0 if params.all else None if params.older_than is None else params.older_than * _DAY,
-        max_size=None if params.max_size is None else bytes_of(params.max_size, "max_size"),
-        dry_run=params.dry_run,
+        unused=prune.max_size is None,
+        older_than=0.0 if prune.all else None if prune.older_than is None else prune.older_than * _DAY,
+        max_size=None if prune.max_size is None else bytes_of(prune.max_size, "max_size"),
+        dry_run=prune.dry_run,
         everywhere=True,
     )
-    _print_entries(cache.folder, removed, out, "would be removed" if params.dry_run else "removed")
+    _print_entries(cache.folder, removed, out, "would be removed" if prune.dry_run else "removed")
 
 
-def _open(folder: Path | None) -> Cache:
+def _open_cache(folder: Path | None) -> Cache:
     from scanloom.pipeline.cache.store import Cache
     from scanloom.pipeline.run.run import CACHE_VARIABLE, cache_folder
 
@@ -131,9 +136,17 @@ def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: s
     for entry in entries:
         when = entry.last_used.astimezone().strftime("%Y-%m-%d %H:%M")
         rows.append(
-            [entry.stage, entry.key[:12], size_of(entry.size), when, "yes" if entry.in_latest_run else "no"]
+            [
+                entry.stage,
+                entry.key[:12],
+                format_size(entry.size),
+                when,
+                "yes" if entry.in_latest_run else "no",
+            ]
         )
-    lines = [table_of(rows)] if entries else []
+    lines = [format_table(rows)] if entries else []
     lines += [f"{e.stage}/{e.key[:12]} is damaged: {e.problem}" for e in entries if e.problem]
-    lines.append(f"{len(entries)} result{'s' * (len(entries) != 1)} {done} in {folder}, {size_of(total)}.")
+    lines.append(
+        f"{len(entries)} result{'s' * (len(entries) != 1)} {done} in {folder}, {format_size(total)}."
+    )
     out.result(figures, "\n".join(lines))

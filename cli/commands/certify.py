@@ -1,4 +1,4 @@
-"""The command `certify`."""
+"""Command `certify`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import read_file
-from scanloom.cli.output import Output, table_of
+from scanloom.cli.bounds_output import SaveBounds, write_bounds
+from scanloom.cli.mesh_arguments import read_mesh_file
+from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import require_new_file
-from scanloom.cli.written_bounds import SaveBounds, write_bounds
 from scanloom.stages import CertifyParams
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.printing import at_least, at_most
@@ -21,27 +21,29 @@ from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 
 def certify(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Mesh file to prove something of.", show_default=False)
+        Path, typer.Argument(metavar="RESULT", help="Mesh file to certify.", show_default=False)
     ],
     original: Annotated[
-        Path, typer.Argument(metavar="ORIGINAL", help="Mesh file it came from.", show_default=False)
+        Path,
+        typer.Argument(metavar="ORIGINAL", help="Mesh file that RESULT was made from.", show_default=False),
     ],
-    params: CertifyParams,
+    certify: CertifyParams,
     out: Output,
     save_bounds: SaveBounds = None,
 ) -> None:
-    """Prove how far a mesh is from its original at most, in shape (both ways) and in colour, at any point.
+    """Prove the maximum deviation of a mesh from another.
 
-    With --max-shape or --max-color it is also found out whether they are kept; the exit code is 1 if that is
-    not proven. --only-decide ends as soon as that is clear, far faster.
+    The bounds on shape (both ways) and colour hold at every point. With --max-shape or --max-color, the exit
+    code is 1 if these limits are not proven; --only-decide stops as soon as that is clear, which is much
+    faster.
 
-    Example: scanloom certify simplified.ply clean.ply --max-shape 0.005 --max-color 20
+    Example: scanloom mesh certify simplified.ply clean.ply --max-shape 0.005 --max-color 20
     """
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
-    mesh, reference = read_file(result), read_file(original)
+    mesh, reference = read_mesh_file(result), read_mesh_file(original)
     with out.progress("certify", "pieces") as progress:
-        found = stages.certify(mesh, reference, params, progress=progress)
+        found = stages.certify(mesh, reference, certify, progress=progress)
     if save_bounds is not None:
         write_bounds(save_bounds, mesh, found.shape_bound, found.color_bound, out)
     figures = found.figures()
@@ -57,7 +59,7 @@ def _certificate_text(figures: Mapping[str, Any]) -> str:
         found, bound = (figures[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
         if found is not None:
             rows.append([name, at_least(found), "no bound" if bound is None else at_most(bound)])
-    text = table_of(rows)
+    text = format_table(rows)
     if figures["within_limits"] is not None:
         text += f"\n\nLimits {'are kept' if figures['within_limits'] else 'are not proven to be kept'}."
     return f"{text}\n\n{figures['slack_m']:.3g} m of that are for searches in single precision."

@@ -1,4 +1,4 @@
-"""The command `check`."""
+"""Command `check`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from scanloom import stages
-from scanloom.cli.irregular_places import SavePlaces, SavePly, place_lists, write_coloured
-from scanloom.cli.mesh_arguments import MeshFile, about_file, read_file
-from scanloom.cli.output import Output, table_of
+from scanloom.cli.check_output import SavePlaces, SavePly, list_places, write_colored_classes
+from scanloom.cli.mesh_arguments import MeshFile, locate_diagnostics, read_mesh_file
+from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import require_new_file
 from scanloom.stages import Checked, CheckParams
 from scanloom.stages.cleaning.check import CLASSES, REQUIREMENTS, require_answerable
@@ -20,41 +20,43 @@ from scanloom.stages.files.replacing import replacing
 
 def check(
     source: MeshFile,
-    params: CheckParams,
+    check: CheckParams,
     out: Output,
     require: Annotated[
         str,
         typer.Option(
             metavar="WORDS",
-            help="What must hold, or the exit code is 1; commas between: " + ", ".join(REQUIREMENTS) + ".",
+            help="Requirements, with commas; the exit code is 1 if one is not met: "
+            + ", ".join(REQUIREMENTS)
+            + ".",
             show_default=False,
         ),
     ] = "",
     save_places: SavePlaces = None,
     save_ply: SavePly = None,
 ) -> None:
-    """Find out whether a mesh is sound: watertight, manifold, free of what the next program stumbles over.
+    """Find defects of a mesh.
 
-    Every class of irregular place is counted and located: borders, edges of three triangles, pinched
-    vertices, needles and caps, folds, spikes, triangles that intersect, thin walls. Nothing is changed.
+    Counts and locates border edges, non-manifold edges and vertices, needles and caps, folds, spikes,
+    self-intersections, thin walls and more. The mesh is not changed.
 
     Example: scanloom check simplified.ply --require watertight,no-intersecting-triangles
     """
     wanted = [word for part in require.split(",") if (word := part.strip())]
-    require_answerable(wanted, params.min_thickness)
+    require_answerable(wanted, check.min_thickness)
     for path, suffix in ((save_places, ".json"), (save_ply, ".ply")):
         if path is not None:
             require_new_file(path, (suffix,))
-    mesh = read_file(source)
-    with about_file(source), out.progress("check", "triangles") as progress:
-        found = stages.check(mesh, params, progress=progress)
+    mesh = read_mesh_file(source)
+    with locate_diagnostics(source), out.progress("check", "triangles") as progress:
+        found = stages.check(mesh, check, progress=progress)
     if save_places is not None:
         save_places.parent.mkdir(parents=True, exist_ok=True)
         with replacing(save_places) as draft:
-            draft.write_text(json.dumps(place_lists(found)) + "\n", encoding="utf-8", newline="\n")
+            draft.write_text(json.dumps(list_places(found)) + "\n", encoding="utf-8", newline="\n")
     if save_ply is not None:
-        write_coloured(save_ply, mesh, found, out)
-    with about_file(source):
+        write_colored_classes(save_ply, mesh, found, out)
+    with locate_diagnostics(source):
         emit(*found.unmet(wanted))
     out.result(found.figures(), None if out.as_json else _text(found))
 
@@ -70,10 +72,10 @@ def _text(found: Checked) -> str:
     if figures["thickness_least_m"] is not None:
         keys = ("thickness_least_m", "thickness_5_percent_of_triangles_m", "thickness_median_m")
         rows += [["thickness: least, 5 %, median", ", ".join(f"{figures[key]:.4g}" for key in keys) + " m"]]
-    text = table_of(rows) + "\n\n"
+    text = format_table(rows) + "\n\n"
     irregular: list[list[str]] = [["class", "places", "first at (m)"]]
     for name, (_, _, what) in CLASSES.items():
         points: Any = found.points[name]
         where = ", ".join(f"{x:.4g}" for x in points[0]) if len(points) else ""
         irregular.append([f"{name.replace('_', ' ')}: {what}", f"{len(points):,}", where])
-    return text + table_of(irregular)
+    return text + format_table(irregular)

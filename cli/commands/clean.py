@@ -1,37 +1,37 @@
-"""The command `clean`."""
+"""Command `clean`."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
-from scanloom.cli.output import Output, lines_of, table_of
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, locate_diagnostics, read_mesh_file, write_mesh_file
+from scanloom.cli.output import Output, format_lines, format_table
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.stages import CleanParams
 
 
-def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -> None:
-    """Remove what a mesh should not have: islands, degenerate, duplicate and non-manifold parts.
+def clean(source: MeshFile, target: NewMesh, clean: CleanParams, out: Output) -> None:
+    """Remove islands and non-manifold parts of a mesh.
 
-    What comes out is an oriented manifold; colours survive. OUT may be IN: it is replaced in one step. With
-    --repair, needles, caps, folds and spikes go as far as the surface provably stays where it is; all else
-    keeps its bits, and what is left is told.
+    The result is an oriented manifold; colours are kept. Degenerate and duplicate triangles are removed, too.
+    OUT may be IN. --repair also repairs needles, caps, folds and spikes as far as the surface provably stays
+    in place; other vertices are not moved.
 
     Example: scanloom clean fused.ply clean.ply --repair
     """
     require_new_file(target, MESH_SUFFIXES)
-    mesh = read_file(source)
-    with about_file(source):
-        cleaned = stages.clean(mesh, params)
-    write_file(target, cleaned.mesh, out)
+    mesh = read_mesh_file(source)
+    with locate_diagnostics(source):
+        cleaned = stages.clean(mesh, clean)
+    write_mesh_file(target, cleaned.mesh, out)
     figures = {"output": str(target), **cleaned.figures()}
     with_table = cleaned.repaired is not None and not out.as_json
     out.result(figures, _text(figures) if with_table else None)
 
 
 def _text(figures: dict[str, Any]) -> str:
-    """Return the figures of a mesh that was repaired, with a table of the classes that have any places."""
+    """Return the metrics of a repaired mesh, with a table of the classes that have defects."""
     repaired = figures["repair"]
     alone = {name: value for name, value in figures.items() if name != "repair"}
     alone |= {"repair_bound_m": repaired["bound_m"], "repair_max_shape_m": repaired["max_shape_m"]}
@@ -42,4 +42,4 @@ def _text(figures: dict[str, Any]) -> str:
         for name, counts in repaired["classes"].items()
         if counts["found"]
     ]
-    return lines_of(alone) + (f"\n\n{table_of(rows)}" if len(rows) > 1 else "")
+    return format_lines(alone) + (f"\n\n{format_table(rows)}" if len(rows) > 1 else "")

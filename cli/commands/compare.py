@@ -1,7 +1,8 @@
-"""The command `compare`."""
+"""Command `compare`."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from scanloom import stages
 from scanloom.cli.comparison_text import comparison_text
-from scanloom.cli.mesh_arguments import about_file, read_file_or_cloud, write_file
+from scanloom.cli.mesh_arguments import locate_diagnostics, read_mesh_or_cloud_file, write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.cli.overlap import require_overlap
+from scanloom.cli.page_params import PageParams
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from scanloom.pipeline.report.comparison_page import page_of_comparison
 from scanloom.stages import (
@@ -52,50 +54,50 @@ def compare(
         Path,
         typer.Argument(
             metavar="A",
-            help="File to measure against: a mesh, or a cloud (PLY, LAS, LAZ, E57).",
+            help="Reference: a mesh or a point cloud (PLY, LAS, LAZ, E57).",
             show_default=False,
         ),
     ],
     other: Annotated[
-        Path, typer.Argument(metavar="B", help="File to measure: a mesh, or a cloud.", show_default=False)
+        Path, typer.Argument(metavar="B", help="Mesh or point cloud to measure.", show_default=False)
     ],
-    params: CompareParams,
-    told: DeviationParams,
-    changed: ChangeParams,
-    seen: ViewsParams,
+    compare: CompareParams,
+    deviation: DeviationParams,
+    change: ChangeParams,
+    views: ViewsParams,
+    page: PageParams,
     out: Output,
-    how: Annotated[
+    align: Annotated[
         str,
         typer.Option(
             "--align",
-            metavar="WAY",
-            help="`icp` moves B onto A first, rigidly, if it lies there roughly, and tells how. Or `none`.",
+            metavar="none|icp",
+            help="icp moves B onto A first, rigidly; B has to lie there roughly. [default: none]",
+            show_default=False,
         ),
     ] = "none",
     save_aligned: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Mesh file for B as it was moved.", show_default=False),
+        typer.Option(metavar="FILE", help="Mesh file for B as aligned.", show_default=False),
     ] = None,
     save_ply: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="PLY file for B in the colours of its deviation from A.", show_default=False
+            metavar="FILE", help="PLY file for B, coloured by deviation from A.", show_default=False
         ),
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="PNG file for a picture of that and its scale.", show_default=False
-        ),
+        typer.Option(metavar="FILE", help="Picture (.png) of the deviation.", show_default=False),
     ] = None,
-    change: Annotated[
-        bool, typer.Option("--change", help="Tell what is new in B, and what of A is gone, with areas.")
+    show_change: Annotated[
+        bool, typer.Option("--change", help="Report what is new in B and what of A is gone, with areas.")
     ] = False,
     save_change: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Mesh file for that: B in grey, what is new in green, what is gone in red.",
+            help="Mesh file for --change: B in grey, new in green, gone in red.",
             show_default=False,
         ),
     ] = None,
@@ -103,101 +105,102 @@ def compare(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Folder for the pictures of --views: A, B and their difference side by side.",
+            help="Folder for pictures of A, B and their difference, from views.views viewpoints.",
             show_default=False,
         ),
     ] = None,
-    page: Annotated[
+    page_file: Annotated[
         Path | None,
         typer.Option(
+            "--page",
             metavar="FILE",
-            help="Page for A, B, the deviation and the change (.html), which opens without a network.",
+            help="Page (.html) that shows A, B, deviation and change.",
             show_default=False,
         ),
     ] = None,
-    page_size: Annotated[
-        float, typer.Option(help="Megabytes that the page may take; models are made lighter for it.", min=1.2)
-    ] = 5.0,
 ) -> None:
-    """Measure how far two meshes are apart, or a mesh and a cloud of points, in shape and in colour.
+    """Measure the deviation between meshes or point clouds.
 
-    Where A is oriented, the deviations of B from it have signs: positive on the side that A looks to. Of them
-    percentiles are told, the worst places, and what share is within --tolerance; colours also as ΔE2000.
-    Distances to a cloud are to its nearest point, which its spacing limits; those to a surface are exact.
+    Reports distance (both ways) and colour difference (levels and ΔE2000), percentiles, the worst points, and
+    the share within --tolerance. Deviations have a sign if A is oriented: positive in front of A. Relative
+    distances refer to the diagonal of the bounding box of A. Distances to a cloud are those to its nearest
+    point; distances to a surface are exact.
 
-    --change is for two scans of one place: what is farther from the other mesh than --change-distance is new,
-    or gone. What the later scan did not see counts as gone. --views draws both from all around, and tells how
-    alike the pictures are, as PSNR and SSIM.
+    --change is for two scans of one place: surface farther than change.change_distance from the other mesh is
+    new or gone. Surface that the later scan did not see counts as gone. views.views draws A and B and
+    reports PSNR and SSIM of the pictures.
 
-    Meshes that lie apart by more than the smaller one's size are not of one thing: the exit code is then 1.
-    Relative distances refer to the diagonal of the bounding box of A.
+    The exit code is 1 if the meshes lie farther apart than the size of the smaller one.
 
-    Example: scanloom compare fused.ply simplified.ply --json
+    Example: scanloom compare fused.ply simplified.ply --tolerance 0.002 --picture off.png
+
+    Example: scanloom compare before.ply after.ply --align icp --change --set change.change_area=0.01
     """
-    if how not in ("none", "icp"):
-        raise UsageError(USAGE_OPTIONS_CONFLICT, "--align is {how!r}; it must be none or icp.", how=how)
+    if align not in ("none", "icp"):
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "--align is {how!r}; it must be none or icp.", how=align)
     if save_aligned is not None:
-        if how == "none":
+        if align == "none":
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT, "--save-aligned needs --align icp: nothing is moved without it."
             )
         require_new_file(save_aligned, MESH_SUFFIXES)
     if save_change is not None:
-        if not change:
+        if not show_change:
             raise UsageError(USAGE_OPTIONS_CONFLICT, "--save-change needs --change.")
         require_new_file(save_change, COLORED_SUFFIXES)
+    # Pictures are drawn from six viewpoints if they are saved and no number is given.
+    viewpoints = views.views or (6 if save_views is not None else 0)
     if save_views is not None:
-        if seen.views == 0:
-            raise UsageError(USAGE_OPTIONS_CONFLICT, "--save-views needs --views: none are drawn without it.")
         require_writable(save_views)
-    for path, suffix in ((save_ply, ".ply"), (picture, ".png"), (page, ".html")):
+    for path, suffix in ((save_ply, ".ply"), (picture, ".png"), (page_file, ".html")):
         if path is not None:
             require_new_file(path, (suffix,))
-    a, b = (standing(path, read_file_or_cloud(path, out)) for path in (reference, other))
-    _require_surfaces({"--change": change, "--views": seen.views > 0}, {reference: a, other: b})
+    a, b = (standing(path, read_mesh_or_cloud_file(path, out)) for path in (reference, other))
+    _require_surfaces({"--change": show_change, "views.views": viewpoints > 0}, {reference: a, other: b})
     if save_aligned is not None and is_cloud(b):
         require_new_file(save_aligned, (".ply",))
     alignment = None
-    if how == "icp":
-        with about_file(other), about_file(reference, "reference"):
+    if align == "icp":
+        with locate_diagnostics(other), locate_diagnostics(reference, "reference"):
             b, alignment = stages.align(b, a)
-    with about_file(reference, "first mesh"), about_file(other, "second mesh"):
-        figures = stages.compare(a, b, params).figures()
+    with locate_diagnostics(reference, "first mesh"), locate_diagnostics(other, "second mesh"):
+        figures = stages.compare(a, b, compare).figures()
     require_overlap(other, b, reference, a)
-    found = stages.deviations(a, b, told)
+    found = stages.deviations(a, b, deviation)
     if save_aligned is not None:
-        write_file(save_aligned, b, out)
+        write_mesh_file(save_aligned, b, out)
     if save_ply is not None:
-        write_file(save_ply, found.painted, out)
+        write_mesh_file(save_ply, found.painted, out)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
-        _write_picture(picture, found, told.palette)
-    moved = stages.changes(a, b, changed) if change else None
-    if moved is not None and save_change is not None:
-        write_file(save_change, moved.painted, out)
-    views = stages.compare_views(a, b, seen) if seen.views else None
-    if views is not None and save_views is not None:
+        _write_picture(picture, found, deviation.palette)
+    changed = stages.changes(a, b, change) if show_change else None
+    if changed is not None and save_change is not None:
+        write_mesh_file(save_change, changed.painted, out)
+    drawn = stages.compare_views(a, b, replace(views, views=viewpoints)) if viewpoints else None
+    if drawn is not None and save_views is not None:
         save_views.mkdir(parents=True, exist_ok=True)
-        for one in views.scores:
+        for one in drawn.scores:
             write_png(save_views / f"{one.name}.png", one.picture)
     figures |= {
-        "change": None if moved is None else moved.figures(),
+        "change": None if changed is None else changed.figures(),
         "deviation": found.figures(),
         "alignment": None if alignment is None else alignment.figures(),
-        "views": None if views is None else views.figures(),
+        "views": None if drawn is None else drawn.figures(),
     }
-    if page is not None:
+    if page_file is not None:
         names = reference.name, other.name
-        most_bytes = int(1e6 * page_size)
-        content = page_of_comparison(names, (a, b), found, moved, figures, most_bytes, told.palette)
-        page.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(page) as draft:
+        content = page_of_comparison(
+            names, (a, b), found, changed, figures, page.max_bytes, deviation.palette
+        )
+        page_file.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(page_file) as draft:
             draft.write_bytes(content)
     out.result(figures, None if out.as_json else comparison_text(figures))
 
 
 def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:
-    """Refuse options that a cloud has no answer to."""
+    """Refuse options that need two surfaces if one input is a point cloud."""
     for option, is_wanted in wanted.items():
         cloud = next((path for path, mesh in read.items() if is_cloud(mesh)), None)
         if is_wanted and cloud is not None:

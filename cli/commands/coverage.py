@@ -1,4 +1,4 @@
-"""The command `coverage`."""
+"""Command `coverage`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from scanloom.cli.options import Changes
-from scanloom.cli.output import Output, table_of
+from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import require_scan
-from scanloom.cli.watch import watching
+from scanloom.cli.rendering import as_typed
+from scanloom.cli.run_progress import show_run_progress
 from scanloom.stages import CoverageParams
 from scanloom.stages.printing import counted, place_in_words
 
@@ -20,30 +21,29 @@ def coverage(
     folder: Annotated[
         Path, typer.Argument(metavar="OUT", help="Output folder of scanloom run.", show_default=False)
     ],
-    params: Changes[CoverageParams],
+    coverage: Changes[CoverageParams],
     out: Output,
     scan: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Where the scan is now, if it was moved since the run.", show_default=False
+            metavar="FOLDER", help="Scan folder, if it was moved since the run.", show_default=False
         ),
     ] = None,
     cache: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Cache of the run; $SCANLOOM_CACHE, or OUT/cache, if not given.",
+            help="Cache of the run. Default: $SCANLOOM_CACHE, or OUT/cache.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Tell what is missing in a scan: where to go again, why, and from where to look.
+    """Find gaps of a scan and where to capture them.
 
-    Holes in the surface, space that no frame saw (behind furniture, the far side of things), and surface that
-    few frames measured, only obliquely, only from far, or each elsewhere; the most important first, with the
-    frames that came nearest to seeing it. OUT then also holds coverage.json, coverage.ply and coverage.glb,
-    the mesh in colours of what is missing, and report.html shows the same. Where the scan just ends is no
-    place of the list.
+    Lists holes, space that no frame saw, and surface that was measured by few frames, obliquely, from far, or
+    inconsistently; the most important first, each with a viewpoint and the nearest frames. OUT gets
+    coverage.json, coverage.ply and coverage.glb, the mesh coloured by kind, and report.html shows the same.
+    The outer boundary of the scan is not listed.
 
     Example: scanloom coverage my_mesh
     """
@@ -58,11 +58,11 @@ def coverage(
     figures: Any = read_json(result.out / COVERAGE)
     files = [str(path) for stage in result.stages if stage.stage == "coverage" for path in stage.results]
     is_metric = bool(result.report["scan"]["metric"])
-    out.result({"output": files, **figures}, "\n".join(_lines(figures, is_metric=is_metric)))
+    out.result({"output": files, **figures}, as_typed("\n".join(_lines(figures, is_metric=is_metric))))
 
 
 def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
-    """Return what is told a person: a table of the places, and what the surface is like."""
+    """Return the table of gaps and a summary of the surface."""
     m, m2 = ("m", "m²") if is_metric else ("units", "units²")
     places = figures["places"]
     if not places:
@@ -81,10 +81,11 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
                 nearest["why"],
             ]
         )
-    lines = [table_of(rows), ""]
+    lines = [format_table(rows), ""]
     if figures["places_left_out"]:
         lines.append(
-            f"{figures['places_left_out']:,} smaller places are not told; see --places and --least-area."
+            f"{figures['places_left_out']:,} smaller places are not listed; see coverage.places and "
+            "coverage.least_area."
         )
     missing, thin = sum(figures["missing_m2"].values()), sum(figures["thin_m2"].values())
     surface = figures["surface_m2"]

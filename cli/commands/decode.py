@@ -1,4 +1,4 @@
-"""The command `decode`."""
+"""Command `decode`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from scanloom import stages
 from scanloom.cli.mesh_arguments import NewMesh
-from scanloom.cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
+from scanloom.cli.normal_mesh_output import SaveLevels, print_normal_mesh, write_normal_mesh
 from scanloom.cli.output import Output
 from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file, require_writable
 from scanloom.stages.diagnostics.collector import emit
@@ -18,7 +18,10 @@ from scanloom.stages.lod.codes import LEVELS_FILE_DAMAGED
 
 def decode(
     source: Annotated[
-        Path, typer.Argument(metavar="FILE", help="File that `remesh --save` wrote.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="FILE", help="File (.snm) of scanloom mesh remesh --save.", show_default=False
+        ),
     ],
     target: NewMesh,
     out: Output,
@@ -26,18 +29,18 @@ def decode(
         int | None,
         typer.Option(
             metavar="LEVEL",
-            help="Which level to write; 0 is the base mesh. The finest that is there if not given.",
+            help="Level to write; 0 is the base mesh. Default: the finest.",
             show_default=False,
         ),
     ] = None,
     save_levels: SaveLevels = None,
 ) -> None:
-    """Write the mesh of an .snm file, or one of its coarser levels, equal to the bit to what was remeshed.
+    """Decode a level of a normal mesh.
 
-    Of a file that is cut short or damaged, the levels before that are decoded, and a warning says what is
-    wrong; asking for a level that is not whole is an error.
+    The mesh is bit-identical to the result of `scanloom mesh remesh`. If the file is damaged or cut short,
+    the intact levels can still be decoded, with a warning.
 
-    Example: scanloom decode normal.snm coarse.ply --level 2
+    Example: scanloom mesh decode normal.snm coarse.ply --level 2
     """
     require_new_file(target, MESH_SUFFIXES)
     if save_levels is not None:
@@ -53,4 +56,4 @@ def decode(
             )
         )
     write_normal_mesh(target, found, save_levels, out)
-    tell_normal_mesh(target, found, out)
+    print_normal_mesh(target, found, out)

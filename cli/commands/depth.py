@@ -1,4 +1,4 @@
-"""The command `depth`."""
+"""Command `depth`."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from scanloom.stages import DepthParams, ScanParams
 def depth(
     folder: ScanFolder,
     target: Annotated[
-        Path, typer.Argument(metavar="OUTDIR", help="Folder for the depth maps.", show_default=False)
+        Path, typer.Argument(metavar="OUTDIR", help="New folder for the depth maps.", show_default=False)
     ],
     scan: ScanParams,
-    params: DepthParams,
+    depth: DepthParams,
     out: Output,
 ) -> None:
-    """Match the pairs or single views of a scan: depth maps, confidence and a coloured point cloud.
+    """Compute depth maps from stereo pairs or views.
 
-    With --model a network of your own does it, or fills in what was not measured.
-
-    OUTDIR is then a scan folder itself, which `scanloom fuse` reads.
+    OUTDIR gets depth maps, confidence maps and a coloured point cloud, and is a scan folder that
+    `scanloom fuse` reads. --model uses a neural network of your own, for matching or to fill in missing
+    depth.
 
     Example: scanloom depth my_pairs my_depth --max-depth 30
     """
     from scanloom.pipeline.artifacts.depth_maps import choose_matcher, write_depth_maps
 
     source = read_scan(folder, scan)
-    # Depth that was measured needs no matching; a network may fill it in.
-    measure = stages.depth_scan if params.model is None and not source.is_views else choose_matcher(source)
+    # Scans with depth need no matching; a network can fill in missing depth.
+    measure = stages.depth_scan if depth.model is None and not source.is_views else choose_matcher(source)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
-        figures = write_depth_maps(draft, measure(source, params, progress), source)
+        figures = write_depth_maps(draft, measure(source, depth, progress), source)
     emit_skipped(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -1,4 +1,4 @@
-"""The command `doctor`."""
+"""Command `doctor`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.paths import require_new_file
 from scanloom.pipeline.report.file_names import REPORT
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
@@ -27,17 +27,19 @@ def doctor(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Zip file to write for a bug report: this, and a run's report.json. No images, no meshes; "
-            "your home folder is written as ~.",
+            help="Zip file for a bug report: this and report.json of a run, without images or meshes. Your "
+            "home folder is written as ~.",
             show_default=False,
         ),
     ] = None,
     of_run: Annotated[
         Path | None,
-        typer.Option("--run", metavar="OUT", help="Output folder of the run for it.", show_default=False),
+        typer.Option(
+            "--run", metavar="OUT", help="Output folder of the run for --bundle.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """Say what is there to work with: versions, processor, memory, disk, extras; for a bug report.
+    """Print versions, hardware and extras for a bug report.
 
     Example: scanloom doctor --bundle report.zip --run my_mesh
     """
@@ -83,8 +85,8 @@ def _text(found: Mapping[str, Any]) -> str:
         elif value is None:
             rows.append([name.removesuffix("_bytes").replace("_", " "), "not known"])
         elif name.endswith("_bytes"):
-            rows.append([name.removesuffix("_bytes").replace("_", " "), size_of(value)])
+            rows.append([name.removesuffix("_bytes").replace("_", " "), format_size(value)])
         else:
             words = ", ".join(value) if isinstance(value, list) else str(value)
             rows.append([name.replace("_", " "), words])
-    return "\n".join([table_of(rows), *(f"odd: {sentence}" for sentence in found["oddities"])])
+    return "\n".join([format_table(rows), *(f"odd: {sentence}" for sentence in found["oddities"])])

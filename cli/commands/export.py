@@ -1,4 +1,4 @@
-"""The command `export`."""
+"""Command `export`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import MeshFile, about_file, read_standing
+from scanloom.cli.mesh_arguments import MeshFile, locate_diagnostics, read_with_up
 from scanloom.cli.options import Changes
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_writable
@@ -26,33 +26,33 @@ def export(
         Path,
         typer.Argument(metavar="OUT", help=f"File to write ({', '.join(SUFFIXES)}).", show_default=False),
     ],
-    given: Changes[ExportParams],
+    export: Changes[ExportParams],
     out: Output,
     intent: Annotated[
         str | None,
         typer.Option(
             "--preset",
             metavar="NAME",
-            help=f"What it is for: {', '.join(PRESETS)}. Options that are given count more.",
+            help=f"Purpose: {', '.join(PRESETS)}. Other options override it.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Write a mesh for the program that it is made for: the web, a game engine, Blender, a printer.
+    """Write a mesh for the web, games, Blender or a printer.
 
-    glTF and USD stand upright wherever they are opened; the other formats can be turned, scaled and set on
-    the floor. --preset print also says, with exit code 1, why a mesh is not watertight, if it is not.
+    glTF and USD files are upright; meshes in other formats can be rotated, scaled and set on the floor.
+    --preset print also reports why a mesh is not watertight, with exit code 1.
 
     Example: scanloom export out/textured.glb web.glb --preset web
     """
-    wanted = replace(ExportParams() if intent is None else preset(intent, target.suffix), **given)
+    wanted = replace(ExportParams() if intent is None else preset(intent, target.suffix), **export)
     require_fitting(target, wanted)
     if target.is_dir():
         raise InputError(FILE_PATH_INVALID, "this is a folder", target, remedy="give the name of a file.")
     require_writable(target.parent)
-    mesh = read_standing(source)
+    mesh = read_with_up(source)
     target.parent.mkdir(parents=True, exist_ok=True)
-    with about_file(source):
+    with locate_diagnostics(source):
         written = stages.export(mesh, target, wanted)
     out.remark(f"{target}: {written.triangles:,} triangles, {written.bytes:,} bytes")
     out.result({**written.figures(), "output": str(target)})

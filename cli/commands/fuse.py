@@ -1,4 +1,4 @@
-"""The command `fuse`."""
+"""Command `fuse`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import write_file
+from scanloom.cli.mesh_arguments import write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.cli.scan_argument import ScanFolder, read_scan
@@ -27,14 +27,17 @@ def fuse(
         ),
     ],
     scan: ScanParams,
-    params: FuseParams,
+    fuse: FuseParams,
     out: Output,
 ) -> None:
-    """Fuse the depth maps of a scan into one coloured mesh (TSDF).
+    """Fuse depth maps into a coloured mesh.
 
-    Stereo pairs have no depth yet: run `scanloom depth` on them first and fuse what it leaves.
+    Depth is integrated into a truncated signed distance field (TSDF). Stereo pairs and photos need depth
+    first: run `scanloom depth`, and fuse its output.
 
     Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
+
+    Example: scanloom fuse my_scan fused.ply --set fuse.truncation=0.08 --set scan.first=100
     """
     require_new_file(target, MESH_SUFFIXES)
     source = read_scan(folder, scan)
@@ -53,8 +56,8 @@ def fuse(
     if scan.check_poses:
         require_poses(source)
     with out.progress("fuse", "frames") as progress:
-        fused = stages.fuse(source, params, progress=progress)
-    write_file(target, fused.mesh, out)
+        fused = stages.fuse(source, fuse, progress=progress)
+    write_mesh_file(target, fused.mesh, out)
     figures = fused.figures()
     emit_skipped(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -1,4 +1,4 @@
-"""The command `inspect`."""
+"""Command `inspect`."""
 
 from __future__ import annotations
 
@@ -20,19 +20,21 @@ from scanloom.stages.picturing.render import write_png
 
 def inspect(
     folder: ScanFolder,
-    params: ScanParams,
+    scan: ScanParams,
     out: Output,
     picture: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Picture (.png) of where the cameras stand, from above and from the side, and of the middle "
-            "frame's depth over its colour.",
+            help="Picture (.png) to write: camera positions from above and from the side, and depth over "
+            "colour.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Say what a scan folder holds: layout, frames, sizes, calibration, poses, depth, and what is odd.
+    """Describe a scan folder and its problems.
+
+    Prints layout, frames, sizes, calibration, poses and depth, and warns about what would spoil a mesh.
 
     Example: scanloom inspect my_scan --picture my_scan.png
     """
@@ -40,9 +42,9 @@ def inspect(
         require_new_file(picture, (".png",))
     # The diagnostics are printed with the result.
     with listening(out.count, forward=False):
-        scan = stages.read_scan(require_scan(folder), params, complete=False)
-        inspection = stages.inspect(scan)
+        source = stages.read_scan(require_scan(folder), scan, complete=False)
+        inspection = stages.inspect(source)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
-        write_png(picture, inspection_picture(scan))
+        write_png(picture, inspection_picture(source))
     out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))

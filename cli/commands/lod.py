@@ -1,140 +1,158 @@
-"""The commands on levels of detail: `lod build`, `lod info` and `lod cut`."""
+"""Commands `lod build`, `lod info` and `lod cut`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from scanloom.cli.baked import TEXTURED_SUFFIXES, baked_or_told, baked_text, baked_to
-from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, write_file
-from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.bake_output import TEXTURED_SUFFIXES, bake_and_write, bake_or_warn, format_bake
+from scanloom.cli.mesh_arguments import (
+    MeshFile,
+    NewMesh,
+    locate_diagnostics,
+    read_mesh_file,
+    read_with_up,
+    write_mesh_file,
+)
+from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.overlap import require_overlap
 from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from scanloom.stages import BakeParams, UsageError, lod
-from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from scanloom.stages import BakeParams, UsageError
+from scanloom.stages import lod as levels
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.lod import Hierarchy, LodParams
 from scanloom.stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
+from scanloom.stages.params import check, param
 from scanloom.stages.printing import at_most
 from scanloom.stages.simplification.regions import parse_region
 
 Slod = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Levels of detail (.slod), from lod build.", show_default=False)
+    Path, typer.Argument(metavar="FILE", help="Levels of detail (.slod) of lod build.", show_default=False)
 ]
 Point = tuple[float, float, float]
+_Y_AXIS = (0.0, 1.0, 0.0)
+# In place of a model: no texture.
+NO_TEXTURE = "none"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewParams:
+    """Picture that levels of detail are selected for."""
+
+    up: tuple[float, float, float] = param(_Y_AXIS, "Up direction of the picture.")
+    width: int = param(1280, "Width of the picture.", unit="px", low=1)
+    height: int = param(720, "Height of the picture.", unit="px", low=1)
+    field_of_view: float = param(
+        50.0, "Vertical angle of view.", unit="degrees", low=0, low_open=True, high=179
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 def build(
     source: MeshFile,
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write (.slod).", show_default=False)],
-    params: LodParams,
+    lod: LodParams,
     out: Output,
 ) -> None:
-    """Build levels of detail: a tree of cells, every level of each proven against the mesh.
+    """Build levels of detail of a mesh.
+
+    The levels form a tree of cells; the deviation of every level from the mesh is proven.
 
     Example: scanloom lod build clean.ply clean.slod
     """
     require_new_file(target, (".slod",))
-    mesh = read_standing(source)
-    with about_file(source), out.progress("lod", "triangles") as progress:
-        hierarchy = lod.build(mesh, params, progress=progress)
+    mesh = read_with_up(source)
+    with locate_diagnostics(source), out.progress("lod", "triangles") as progress:
+        hierarchy = levels.build(mesh, lod, progress=progress)
     target.parent.mkdir(parents=True, exist_ok=True)
-    lod.write_slod(target, hierarchy)
-    _tell(hierarchy, target, out)
+    levels.write_slod(target, hierarchy)
+    _print_levels(hierarchy, target, out)
 
 
 def info(source: Slod, out: Output) -> None:
-    """Say what levels of detail a file has, and what is proven of each.
+    """Print the levels of a file and their bounds.
 
     Example: scanloom lod info clean.slod
     """
-    hierarchy = lod.read_slod(require_file(source))
+    hierarchy = levels.read_slod(require_file(source))
     emit(*hierarchy.diagnostics)
-    _tell(hierarchy, source, out)
+    _print_levels(hierarchy, source, out)
 
 
 def cut(
     source: Slod,
     target: NewMesh,
+    view: ViewParams,
     out: Output,
     triangles: Annotated[
         int | None,
-        typer.Option(metavar="COUNT", min=1, help="At most so many triangles.", show_default=False),
+        typer.Option(metavar="COUNT", min=1, help="Maximum number of triangles.", show_default=False),
     ] = None,
     error_px: Annotated[
         float | None,
         typer.Option(
             metavar="PIXELS",
             min=0,
-            help="No more proven error than this in what is seen; asks for --eye and --look.",
+            help="Maximum proven error in the picture; needs --eye and --look.",
             show_default=False,
         ),
     ] = None,
     max_shape: Annotated[
         float | None,
-        typer.Option(metavar="METRES", min=0, help="No more proven error than this.", show_default=False),
+        typer.Option(metavar="METRES", min=0, help="Maximum proven error in metres.", show_default=False),
     ] = None,
     eye: Annotated[
-        Point | None, typer.Option(metavar="X Y Z", help="Where the eye is, in m.", show_default=False)
+        Point | None, typer.Option(metavar="X Y Z", help="Position of the viewer, in m.", show_default=False)
     ] = None,
     look: Annotated[
         Point | None,
-        typer.Option(metavar="X Y Z", help="A point it looks straight at, in m.", show_default=False),
+        typer.Option(metavar="X Y Z", help="Point in the middle of the picture, in m.", show_default=False),
     ] = None,
-    up: Annotated[Point, typer.Option(metavar="X Y Z", help="What is up in the picture.")] = (0.0, 1.0, 0.0),
-    size: Annotated[tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Pixels of the picture.")] = (
-        1280,
-        720,
-    ),
-    field: Annotated[
-        float, typer.Option(metavar="DEGREES", help="The angle that the picture's height spans.")
-    ] = 50.0,
     region: Annotated[
         str | None,
         typer.Option(
             metavar="REGION",
-            help='Refine here alone: "sphere x y z radius" or "box x y z x y z", in m.',
+            help='Refine only here: "sphere x y z radius" or "box x y z x y z", in m.',
             show_default=False,
         ),
     ] = None,
     texture: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            metavar="MODEL",
-            help="Mesh file of the same surface with a texture or vertex colours, of which the mesh gets an "
-            "image, as with bake; OUT is .glb, .obj or .ply then. By default the one that the levels were "
-            "built of, if that has a texture.",
+            metavar="MODEL|none",
+            help="Mesh file with the texture or vertex colours to bake into OUT (.glb, .obj, .ply), or "
+            "none for vertex colours. Default: the mesh that the levels were built from, if it has a "
+            "texture.",
             show_default=False,
         ),
     ] = None,
-    image: Annotated[
-        bool,
-        typer.Option("--image/--no-image", help="Whether the mesh gets an image, where there is one to get."),
-    ] = True,
 ) -> None:
-    """Take a mesh out of levels of detail: for a view, a number of triangles or an error.
+    """Extract a mesh for a view, size or error.
 
-    What was built of a mesh with a texture gets its image anew, in a format that holds one.
+    A mesh with a texture gets a new image, if the format of OUT holds one.
 
     Example: scanloom lod cut clean.slod near.ply --eye 0 0 0 --look 0 0 1 --error-px 1
     """
-    require_new_file(target, MESH_SUFFIXES if texture is None else TEXTURED_SUFFIXES)
+    model_file = None if texture in (None, NO_TEXTURE) else Path(str(texture))
+    require_new_file(target, MESH_SUFFIXES if model_file is None else TEXTURED_SUFFIXES)
     if (eye is None) != (look is None):
         raise UsageError(USAGE_OPTIONS_CONFLICT, "a view needs both --eye and --look.")
-    if texture is not None and not image:
-        raise UsageError(USAGE_VALUE_INVALID, "--texture asks for an image and --no-image for none.")
-    view = None
+    camera = None
     if eye is not None and look is not None:
-        view = lod.View(eye, look, up, *size, field)
-    # A region of simplify has an effect; here it only says where.
-    place = None if region is None else parse_region(f"{region} lock")
-    hierarchy = lod.read_slod(require_file(source))
+        camera = levels.View(eye, look, view.up, view.width, view.height, view.field_of_view)
+    # The effect of a region, which `simplify` needs, has no meaning here.
+    where = None if region is None else parse_region(f"{region} lock")
+    hierarchy = levels.read_slod(require_file(source))
     emit(*hierarchy.diagnostics)
-    model = None if texture is None else read_file(texture)
-    found = hierarchy.cut(view, triangles=triangles, error_px=error_px, max_shape=max_shape, region=place)
+    model = None if model_file is None else read_mesh_file(model_file)
+    found = hierarchy.cut(camera, triangles=triangles, error_px=error_px, max_shape=max_shape, region=where)
     figures = found.figures()
     if triangles is not None and figures["triangles"] > triangles:
         emit(
@@ -151,22 +169,22 @@ def cut(
             )
         )
     baked = None
-    if texture is not None and model is not None:
+    if model_file is not None and model is not None:
         mesh = found.mesh if found.mesh.up is not None else found.mesh.with_(up=model.up)
-        baked = baked_to(target, mesh, model, BakeParams(), out)
-        require_overlap(source, found.mesh, texture, model)
-    elif image and hierarchy.model is not None and target.suffix.lower() in TEXTURED_SUFFIXES:
-        baked = baked_or_told(target, found.mesh, hierarchy.model, out)
+        baked = bake_and_write(target, mesh, model, BakeParams(), out)
+        require_overlap(source, found.mesh, model_file, model)
+    elif texture is None and hierarchy.model is not None and target.suffix.lower() in TEXTURED_SUFFIXES:
+        baked = bake_or_warn(target, found.mesh, hierarchy.model, out)
     if baked is None:
-        write_file(target, found.mesh, out)
+        write_mesh_file(target, found.mesh, out)
     else:
-        # What is proven is of colours of vertices; the image has what is measured.
+        # The proven bound is of vertex colours; the error of the image is measured.
         figures |= {"color_bound_levels": None, "texture": baked}
-    text = _cut_text(figures) + ("" if baked is None else f"\n\n{baked_text(baked)}")
+    text = _cut_text(figures) + ("" if baked is None else f"\n\n{format_bake(baked)}")
     out.result(figures, None if out.as_json else text)
 
 
-def _tell(hierarchy: Hierarchy, path: Path, out: Output) -> None:
+def _print_levels(hierarchy: Hierarchy, path: Path, out: Output) -> None:
     figures = hierarchy.figures() | {"bytes": path.stat().st_size}
     out.result(figures, None if out.as_json else _text(figures))
 
@@ -197,8 +215,8 @@ def _text(figures: Mapping[str, Any]) -> str:
         ]
     )
     text = (
-        f"{table_of(rows)}\n\n{figures['stored_triangles']:,} triangles are kept for "
-        f"{figures['input_triangles']:,} of the input, in {size_of(figures['bytes'])}."
+        f"{format_table(rows)}\n\n{figures['stored_triangles']:,} triangles are kept for "
+        f"{figures['input_triangles']:,} of the input, in {format_size(figures['bytes'])}."
     )
     if figures["one_sided"]:
         text += (

@@ -1,4 +1,4 @@
-"""The command `patches`."""
+"""Command `patches`."""
 
 from __future__ import annotations
 
@@ -8,35 +8,41 @@ from typing import Any
 import numpy as np
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
-from scanloom.cli.output import Output, table_of
+from scanloom.cli.mesh_arguments import (
+    MeshFile,
+    NewMesh,
+    locate_diagnostics,
+    read_mesh_file,
+    remark_written,
+    write_mesh_file,
+)
+from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.stages import PatchParams
 from scanloom.stages.simplification.planar.patches import colored_by_patch
 from scanloom.stages.surface.formats.ply import write_ply
 
 
-def patches(source: MeshFile, target: NewMesh, params: PatchParams, out: Output) -> None:
-    """Find the near-planar patches of a mesh, its walls and floors, and write it coloured by them.
+def patches(source: MeshFile, target: NewMesh, patches: PatchParams, out: Output) -> None:
+    """Segment a mesh into near-planar patches.
 
-    These are what `scanloom simplify --method planar` triangulates anew, or those of a tighter bound where
-    they leave fewer triangles, but that it divides a patch that lies over itself, seen along its normal. In
-    a PLY, each face also has the number of its patch; patches are numbered by area, largest first.
+    OUT is the mesh, coloured by patch; faces of a PLY file have the index of their patch. Patches are sorted
+    by area, largest first. `scanloom simplify --method planar` triangulates these patches.
 
-    Example: scanloom patches clean.ply patches.ply --max-shape 0.02
+    Example: scanloom mesh patches clean.ply patches.ply --max-shape 0.02
     """
     require_new_file(target, MESH_SUFFIXES)
-    mesh = read_file(source)
-    with about_file(source), out.progress("patches", "triangles") as progress:
-        found = stages.planar_patches(mesh, params, progress=progress)
+    mesh = read_mesh_file(source)
+    with locate_diagnostics(source), out.progress("patches", "triangles") as progress:
+        found = stages.planar_patches(mesh, patches, progress=progress)
     colored = colored_by_patch(mesh, found.triangle_patch)
     if target.suffix.lower() == ".ply":
         kept = found.triangle_patch[found.triangle_patch >= 0]
         target.parent.mkdir(parents=True, exist_ok=True)
         write_ply(target, colored, {"patch": kept.astype(np.float64)})
-        tell_written(target, colored, out)
+        remark_written(target, colored, out)
     else:
-        write_file(target, colored, out)
+        write_mesh_file(target, colored, out)
     figures = {"output": str(target), **found.figures()}
     out.result(figures, None if out.as_json else _patches_text(figures))
 
@@ -50,5 +56,5 @@ def _patches_text(figures: Mapping[str, Any]) -> str:
     few = figures["patches_of_half_the_area"]
     return (
         f"{figures['patches']:,} patches, {figures['area_m2']:.4g} m²; half of that in the {few:,} largest."
-        f"\n\n{table_of(rows)}"
+        f"\n\n{format_table(rows)}"
     )

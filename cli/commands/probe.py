@@ -1,4 +1,4 @@
-"""The command `probe`."""
+"""Command `probe`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from scanloom.cli.options import OUTPUT_PANEL
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_file
 from scanloom.stages.diagnostics.collector import emit
@@ -20,23 +19,24 @@ from scanloom.stages.stereo.networks.sidecar import sidecar_of, written
 
 def probe(
     network: Annotated[
-        Path, typer.Argument(metavar="FILE.onnx", help="Network for depth.model.", show_default=False)
+        Path,
+        typer.Argument(metavar="FILE.onnx", help="Network (ONNX) for depth --model.", show_default=False),
     ],
     out: Output,
     write: Annotated[
         bool,
         typer.Option(
             "--write",
-            help="Write the guess to FILE.toml, which must not be there.",
-            rich_help_panel=OUTPUT_PANEL,
+            help="Write the result to FILE.toml, which must not exist.",
         ),
     ] = False,
 ) -> None:
-    """Guess what a network of your own takes and gives, on a pair of known shift.
+    """Detect the inputs and outputs of a depth network.
 
-    It prints the page of TOML that depth.model reads beside the network; look it over.
+    Runs the network on a pair of images with known disparity, and prints the TOML file that depth.model reads
+    next to the network. Check it before use.
 
-    Example: scanloom probe my_network.onnx --write
+    Example: scanloom lab probe my_network.onnx --write
     """
     target = sidecar_of(require_file(network))
     if write and target.exists():

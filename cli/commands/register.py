@@ -1,4 +1,4 @@
-"""The command `register`."""
+"""Command `register`."""
 
 from __future__ import annotations
 
@@ -20,20 +20,22 @@ from scanloom.stages.scans.read import require_complete
 def register(
     folder: ScanFolder,
     target: Annotated[
-        Path, typer.Argument(metavar="OUTDIR", help="Folder for poses and cloud.", show_default=False)
+        Path, typer.Argument(metavar="OUTDIR", help="New folder for poses and cloud.", show_default=False)
     ],
     scan: ScanParams,
-    params: RegisterParams,
+    register: RegisterParams,
     out: Output,
 ) -> None:
-    """Find the camera poses of a scan with depth from what its frames show.
+    """Estimate the camera poses of a scan with depth.
 
-    Poses it has are not used, except with --refine, which makes them better. OUTDIR gets trajectory.tum
-    (camera-to-world), registration.json (matrices, edges, pieces, where the chain broke), path.ply (a
-    coloured cloud, the camera's path in red), and pieces/ with the poses of what could not be joined. Of a
-    thing that turned before a camera that stood still, it gets masks/, which show it alone.
+    Poses of the scan are ignored, except with --refine. OUTDIR gets trajectory.tum (camera-to-world),
+    registration.json (matrices, pose graph, disconnected components), path.ply (a coloured cloud with the
+    path of the camera), and pieces/ with the poses of other components. For an object on a turntable before
+    a static camera, masks/ separates it from the background.
 
-    Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
+    Example: scanloom register my_scan poses
+
+    Example: scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
     """
     from scanloom.pipeline.artifacts.poses import write_poses
 
@@ -50,6 +52,6 @@ def register(
         )
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
-        figures = write_poses(draft, stages.register(source, params, progress=progress))
+        figures = write_poses(draft, stages.register(source, register, progress=progress))
     emit_skipped(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -1,4 +1,4 @@
-"""The command `remesh`."""
+"""Command `remesh`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import typer
 from numpy.typing import NDArray
 
 from scanloom import stages
-from scanloom.cli.baked import baked_by_default
-from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file
-from scanloom.cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
-from scanloom.cli.output import Output, size_of
+from scanloom.cli.bake_output import bake_lost_image
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, locate_diagnostics, read_mesh_file
+from scanloom.cli.normal_mesh_output import SaveLevels, print_normal_mesh, write_normal_mesh
+from scanloom.cli.output import Output, format_size
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from scanloom.stages import InputError, RemeshParams
 from scanloom.stages.diagnostics.collector import collecting, emit
@@ -27,14 +27,13 @@ _SNM = (".snm",)
 def remesh(
     source: MeshFile,
     target: NewMesh,
-    params: RemeshParams,
+    remesh: RemeshParams,
     out: Output,
     save: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Keep all levels in this file (.snm), for scanloom decode: small, and its beginning is a "
-            "coarser mesh.",
+            help="File (.snm) for all levels, for scanloom mesh decode; its beginning is a coarser mesh.",
             show_default=False,
         ),
     ] = None,
@@ -43,23 +42,22 @@ def remesh(
         bool,
         typer.Option(
             "--bake/--no-bake",
-            help="Where IN has an image and OUT is .glb, .obj or .ply, make a new image for OUT from it, as "
-            "`scanloom bake` does.",
+            help="Bake the texture of IN, if OUT is .glb, .obj or .ply. [default: on]",
+            show_default=False,
         ),
     ] = True,
 ) -> None:
-    """Make a normal mesh: a base mesh, refined level by level on the surface, one number a vertex.
+    """Remesh a surface into a normal mesh.
 
-    OUT is the finest level, which lies on the surface of IN with even triangles. Colours are carried along,
-    and so is a property `confidence` of a PLY file's vertices.
+    A normal mesh is a base mesh that is refined level by level, with one number per vertex. OUT is the finest
+    level, with even triangles on the surface of IN. Colours are kept, and so is a vertex property
+    `confidence` of a PLY file. Non-manifold input is split into sheets.
 
-    Where IN is no manifold it is split into sheets.
+    Example: scanloom mesh remesh clean.ply normal.ply --save normal.snm
 
-    Example: scanloom remesh clean.ply normal.ply --save normal.snm
+    Example: scanloom mesh remesh clean.ply normal.ply --save normal.snm --set remesh.tolerance=1e-4
 
-    Example: scanloom remesh clean.ply normal.ply --save normal.snm --tolerance 1e-4
-
-    Example: scanloom remesh clean.ply normal.ply --base-triangles 400 --levels 5 --scheme butterfly
+    Example: scanloom mesh remesh clean.ply normal.ply --levels 5 --set remesh.scheme=butterfly
     """
     require_new_file(target, MESH_SUFFIXES)
     if save is not None:
@@ -67,24 +65,24 @@ def remesh(
     if save_levels is not None:
         require_writable(save_levels)
     with collecting(forward=False) as diagnostics:
-        mesh = read_file(source)
+        mesh = read_mesh_file(source)
     # The confidence is used below.
     emit(*(one for one in diagnostics if one.code != MESH_CONFIDENCE_LEFT_OUT.name))
     with (
-        about_file(source),
+        locate_diagnostics(source),
         collecting(forward=False) as diagnostics,
         out.progress("remesh", "levels") as progress,
     ):
-        found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
-    baked = baked_by_default(target, found.mesh, mesh, out) if bake else None
-    with about_file(source):
+        found = stages.remesh(mesh, remesh, confidence=_confidence(source), progress=progress)
+    baked = bake_lost_image(target, found.mesh, mesh, out) if bake else None
+    with locate_diagnostics(source):
         emit(*(one for one in diagnostics if baked is None or one.code != SIMPLIFY_TEXTURE_LEFT_OUT.name))
     write_normal_mesh(target if baked is None else None, found, save_levels, out)
     if save is not None:
         save.parent.mkdir(parents=True, exist_ok=True)
         found.save(save)
-        out.remark(f"{save}: {size_of(len(found.data))}")
-    tell_normal_mesh(target, found, out, baked)
+        out.remark(f"{save}: {format_size(len(found.data))}")
+    print_normal_mesh(target, found, out, baked)
 
 
 def _confidence(path: Path) -> NDArray[np.float64] | None:

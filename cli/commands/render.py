@@ -1,4 +1,4 @@
-"""The command `render`."""
+"""Command `render`."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from typing import Annotated, Any
 import typer
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import read_file
-from scanloom.cli.options import Changes
+from scanloom.cli.mesh_arguments import read_mesh_file
+from scanloom.cli.options import SET_ONLY, Changes
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_new_file
 from scanloom.cli.scan_argument import read_scan
 from scanloom.stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
 from scanloom.stages.params import check, param
 from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from scanloom.stages.picturing.lettering import ScaleBar
 from scanloom.stages.picturing.panels import Panels
 from scanloom.stages.picturing.render import write_png
-from scanloom.stages.picturing.turntable import turntable
+from scanloom.stages.picturing.turntable import turntable as turntable_views
 from scanloom.stages.picturing.video import CODECS, write_video
 from scanloom.stages.picturing.viewpoints import looking_at, up_or_own
 from scanloom.stages.progress import Progress
@@ -33,54 +34,72 @@ from scanloom.stages.surface.upright import direction_of
 
 _PICTURE, _VIDEO = ".png", ".mp4"
 _SUFFIXES = (_PICTURE, _VIDEO)
-_FIELD = 40.0
+_FIELD_OF_VIEW = 40.0
 Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureParams:
-    """How a picture of a mesh is taken."""
+    """Picture of a mesh."""
 
-    viewpoint: int = param(1, "Which of the viewpoints around the mesh, counted from 1.", low=1, high=8)
+    viewpoint: int = param(
+        1, "Index of the viewpoint around the mesh, counted from 1.", low=1, high=8, common=True
+    )
     width: int = param(
-        1200, "Width of the picture; of each, if there are several.", unit="px", low=16, high=8192
+        1200,
+        "Width of the picture; of each, if there are several.",
+        unit="px",
+        low=16,
+        high=8192,
+        common=True,
     )
     height: int | None = param(
         None,
-        "Height of the picture; by default it is 4:3, or has the shape of the scan's camera.",
+        "Height of the picture. Default: 3/4 of the width, or the aspect ratio of the scan's camera.",
         unit="px",
         low=16,
         high=8192,
     )
     shading: str = param(
         "color",
-        "Colours under a soft light, colours as they are, plain clay that shows the shape, or clay with the "
-        "edges of the triangles.",
+        "`color`: lit colours; `unlit`: colours as they are; `plain`: grey shape; `edges`: grey shape with "
+        "the edges of the triangles.",
         choices=("color", "unlit", "plain", "edges"),
+        common=True,
     )
     up: str | None = param(
         None,
-        "What is up in the mesh: an axis (+x, -x, +y, -y, +z, -z), or a direction as three numbers. By "
-        "default what its file says, else +y.",
+        "Up axis of the mesh (+x, -x, +y, -y, +z, -z), or a direction as three numbers. Default: stated by "
+        "the file, else +y.",
+        common=True,
     )
-    inside: bool = param(
-        False, "Leave out triangles that are seen from behind, so that one looks into a room."
-    )
-    labels: bool | None = param(
+    field_of_view: float | None = param(
         None,
-        "Write the file's name and its triangles into each picture; by default, if there are several.",
+        "Vertical angle of view with --eye. Default: 40.",
+        unit="degrees",
+        low=0,
+        low_open=True,
+        high=179,
+    )
+    inside: bool = param(False, "Hide triangles that face away, to look into a room.")
+    labels: str = param(
+        "auto",
+        "Text in each picture: `files` (name and triangles), `off`, your own texts separated by `|`, or "
+        "`auto`: files, if there are several.",
     )
     scale_bar: bool = param(
         False,
-        "Draw a bar of a round length, in metres as the mesh is. It holds at the distance that stands beside "
-        "it, of what is in the middle of the picture: nearer things are drawn larger.",
+        "Draw a scale bar. Its length holds at the printed distance; nearer objects appear larger.",
+        common=True,
     )
 
     def __post_init__(self) -> None:
         check(self)
         if self.up == "none":
             raise UsageError(
-                USAGE_VALUE_INVALID, "up is none, but a picture has an upper side", remedy="give an axis."
+                USAGE_VALUE_INVALID,
+                "is none, but a picture needs an up axis.",
+                Where(parameter="up"),
             )
         if self.up is not None:
             direction_of(self.up)
@@ -88,14 +107,14 @@ class PictureParams:
 
 @dataclass(frozen=True, kw_only=True)
 class TurntableParams:
-    """How a video goes once around a mesh."""
+    """Video of a turntable."""
 
-    frames: int = param(180, "Pictures of a video, for one turn.", low=2, high=10_000)
-    fps: float = param(24.0, "Pictures a second.", low=1, high=240)
-    elevation: float = param(25.0, "From how far above a video looks down.", unit="degrees", low=-89, high=89)
+    frames: int = param(180, "Frames of one turn.", low=2, high=10_000)
+    fps: float = param(24.0, "Frames per second.", low=1, high=240)
+    elevation: float = param(25.0, "Elevation of the camera.", unit="degrees", low=-89, high=89)
     codec: str = param(
         "mpeg4",
-        "How a video is encoded: MPEG-4 is known to players and presentations, VP9 to browsers.",
+        "Video codec: MPEG-4 for players and presentations, VP9 for browsers.",
         choices=tuple(CODECS),
     )
 
@@ -108,47 +127,39 @@ def render(
         list[Path],
         typer.Argument(
             metavar="IN... OUT",
-            help="Mesh files, and the picture (.png) or the video (.mp4), once around, to write. Several "
-            "meshes are drawn beside one another, from where the first is looked at.",
+            help="Mesh files, then the picture (.png) or turntable video (.mp4) to write. Several meshes "
+            "are drawn side by side, from the viewpoint of the first.",
             show_default=False,
         ),
     ],
-    params: PictureParams,
-    reading: ScanParams,
-    video: Changes[TurntableParams],
+    picture: PictureParams,
+    scan: Annotated[ScanParams, SET_ONLY],
+    turntable: Changes[TurntableParams],
     out: Output,
-    scan: Annotated[
+    scan_folder: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Scan the mesh was made from: look from its cameras.", show_default=False
+            "--scan", metavar="SCAN", help="Use the viewpoints of the scan's cameras.", show_default=False
         ),
     ] = None,
     eye: Annotated[
         Point | None,
-        typer.Option(metavar="X Y Z", help="Look from here, in m; asks for --look.", show_default=False),
+        typer.Option(metavar="X Y Z", help="Position of the viewer, in m; needs --look.", show_default=False),
     ] = None,
     look: Annotated[
         Point | None,
-        typer.Option(metavar="X Y Z", help="What is in the middle of the picture, in m.", show_default=False),
-    ] = None,
-    field: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEGREES",
-            help="The angle that the height of the picture spans, with --eye; 40 if not given.",
-            show_default=False,
-        ),
-    ] = None,
-    label: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TEXT", help="Words for a picture, once for each mesh, in order.", show_default=False
-        ),
+        typer.Option(metavar="X Y Z", help="Point in the middle of the picture, in m.", show_default=False),
     ] = None,
 ) -> None:
-    """Draw a mesh, or several side by side, as a picture or a video, without a window or a GPU.
+    """Render meshes as a picture or a video.
+
+    Needs no window and no GPU.
 
     Example: scanloom render clean.ply simplified.ply both.png --shading edges --scale-bar
+
+    Example: scanloom render room.ply room.png --eye 0 0 1.5 --look 1 0 1.2 --set picture.inside=true
+
+    Example: scanloom render model.glb turn.mp4 --set turntable.frames=120
     """
     *sources, target = files
     if not sources:
@@ -159,34 +170,33 @@ def render(
     is_video = target.suffix.lower() == _VIDEO
     free = _free_view(eye, look)
     _require_effect(
-        params, video, field, is_video=is_video, has_scan=scan is not None, is_free=free is not None
+        picture, turntable, is_video=is_video, has_scan=scan_folder is not None, is_free=free is not None
     )
-    if scan is None and reading != ScanParams():
+    if scan_folder is None and scan != ScanParams():
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT,
-            "how to read a scan is said, but no scan is given",
-            remedy="name it with --scan.",
+            USAGE_OPTIONS_CONFLICT, "parameters of scan need a scan", remedy="give its folder with --scan."
         )
-    frames = read_scan(scan, reading).frames if scan is not None else ()
-    meshes = [read_file(source) for source in sources]
-    texts = _texts(sources, meshes, params, label)
+    frames = () if scan_folder is None else read_scan(scan_folder, scan).frames
+    meshes = [read_mesh_file(source) for source in sources]
+    texts = _texts(sources, meshes, picture.labels)
     if is_video:
-        views = _around(meshes[0], params, TurntableParams(**video))
+        views = _around(meshes[0], picture, TurntableParams(**turntable))
     elif free is not None:
-        size = (params.width, params.height or round(params.width * 3 / 4))
-        view = looking_at(*free, up_or_own(meshes[0], _up(params)), *size, field=field or _FIELD)
-        views = [replace(view, cull=params.inside)]
+        size = (picture.width, picture.height or round(picture.width * 3 / 4))
+        angle = picture.field_of_view or _FIELD_OF_VIEW
+        view = looking_at(*free, up_or_own(meshes[0], _up(picture)), *size, field=angle)
+        views = [replace(view, cull=picture.inside)]
     else:
-        views = [_chosen(meshes[0], params, frames)]
+        views = [_chosen(meshes[0], picture, frames)]
     panels = Panels(meshes, texts)
-    bar = panels.scale_bar(views[0]) if params.scale_bar else None
-    if params.scale_bar and bar is None:
-        emit(RENDER_NOTHING_TO_DRAW.warning("there is no scale bar: nothing is seen in the picture"))
+    bar = panels.scale_bar(views[0]) if picture.scale_bar else None
+    if picture.scale_bar and bar is None:
+        emit(RENDER_NOTHING_TO_DRAW.warning("there is no scale bar, because the picture is empty."))
     target.parent.mkdir(parents=True, exist_ok=True)
     figures: dict[str, Any] = {"output": str(target), "viewpoint": views[0].name}
-    camera, shading = views[0].camera, params.shading
+    camera, shading = views[0].camera, picture.shading
     if is_video:
-        _write_video(target, panels, views, shading, bar, TurntableParams(**video), out)
+        _write_video(target, panels, views, shading, bar, TurntableParams(**turntable), out)
         figures |= {"frames": len(views)}
     else:
         write_png(target, panels.draw(views[0], shading, bar))  # type: ignore[arg-type]
@@ -205,18 +215,17 @@ def _free_view(eye: Point | None, look: Point | None) -> tuple[Point, Point] | N
 def _require_effect(
     params: PictureParams,
     video: Mapping[str, Any],
-    field: float | None,
     *,
     is_video: bool,
     has_scan: bool,
     is_free: bool,
 ) -> None:
-    """Refuse what would have no effect on what is asked for."""
+    """Refuse options that would have no effect."""
     if video and not is_video:
-        named = ", ".join(f"--{name}" for name in video)
+        named = ", ".join(f"turntable.{name}" for name in video)
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "{named} is of videos",
+            "{named} needs a video",
             remedy="name an OUT that ends in {video}.",
             named=named,
             video=_VIDEO,
@@ -224,43 +233,43 @@ def _require_effect(
     if is_video and (has_scan or is_free or params.viewpoint != 1):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "a video goes once around: leave out --viewpoint, --scan, --eye and --look.",
+            "a video has no single viewpoint: omit --viewpoint, --scan, --eye and --look.",
         )
     if is_free and (has_scan or params.viewpoint != 1):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "--eye and --look say where to look from: leave out --viewpoint and --scan.",
+            "--eye and --look are a viewpoint: omit --viewpoint and --scan.",
         )
-    if field is not None and not is_free:
-        raise UsageError(USAGE_OPTIONS_CONFLICT, "--field is of a free view", remedy="give --eye and --look.")
+    if params.field_of_view is not None and not is_free:
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "picture.field_of_view needs --eye and --look.")
     if has_scan and (params.height is not None or params.up is not None):
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT, "--scan has cameras of its own: leave out --height and --up."
+            USAGE_OPTIONS_CONFLICT, "the cameras of --scan have an up axis: omit picture.height and --up."
         )
     sizes = [params.width, params.height or 0]
     if is_video and any(size % 2 for size in sizes):
         raise UsageError(USAGE_VALUE_INVALID, "a video has an even width and height.")
 
 
-def _texts(
-    sources: Sequence[Path], meshes: Sequence[Mesh], params: PictureParams, given: Sequence[str] | None
-) -> list[str]:
-    """Return the words for each picture: those given, or else what its file is."""
-    if given:
-        if len(given) != len(meshes):
-            raise UsageError(
-                USAGE_OPTIONS_CONFLICT,
-                "--label is given {given_count} times for {meshes_count} meshes",
-                remedy="give one for each.",
-                given_count=len(given),
-                meshes_count=len(meshes),
-            )
-        return list(given)
-    wanted = len(meshes) > 1 if params.labels is None else params.labels
-    return [
-        f"{source.name} · {len(mesh.triangles):,} triangles" if wanted else ""
-        for source, mesh in zip(sources, meshes, strict=True)
-    ]
+def _texts(sources: Sequence[Path], meshes: Sequence[Mesh], labels: str) -> list[str]:
+    """Return the text in each picture."""
+    if labels == "off" or (labels == "auto" and len(meshes) == 1):
+        return [""] * len(meshes)
+    if labels in ("auto", "files"):
+        return [
+            f"{source.name} · {len(mesh.triangles):,} triangles"
+            for source, mesh in zip(sources, meshes, strict=True)
+        ]
+    texts = [text.strip() for text in labels.split("|")]
+    if len(texts) != len(meshes):
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "picture.labels has {texts} texts for {meshes} meshes",
+            remedy="separate one text for each mesh by |.",
+            texts=len(texts),
+            meshes=len(meshes),
+        )
+    return texts
 
 
 def _up(params: PictureParams) -> list[float] | None:
@@ -289,7 +298,7 @@ def _chosen(mesh: Mesh, params: PictureParams, frames: Sequence[Frame]) -> Viewp
 
 
 def _around(mesh: Mesh, params: PictureParams, turning: TurntableParams) -> Sequence[Viewpoint]:
-    return turntable(
+    return turntable_views(
         mesh,
         turning.frames,
         width=params.width,
@@ -309,7 +318,7 @@ def _write_video(
     turning: TurntableParams,
     out: Output,
 ) -> None:
-    def told(progress: Progress) -> Iterator[ColorImage]:
+    def draw(progress: Progress) -> Iterator[ColorImage]:
         images = read_ahead(
             lambda view: panels.draw(view, shading, bar), views, threads=workers(), ahead=2 * workers()
         )
@@ -318,4 +327,4 @@ def _write_video(
             progress(number, len(views))
 
     with out.progress("render", "frames") as progress:
-        write_video(target, told(progress), turning.fps, turning.codec)
+        write_video(target, draw(progress), turning.fps, turning.codec)

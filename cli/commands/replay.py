@@ -1,4 +1,4 @@
-"""The command `replay`."""
+"""Command `replay`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import NewMesh, write_file
+from scanloom.cli.mesh_arguments import NewMesh, write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file
 from scanloom.stages import ReplayParams
@@ -18,19 +18,19 @@ def replay(
     record: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORD", help="File that `simplify --save-record` wrote.", show_default=False
+            metavar="RECORD", help="File (.npz) of scanloom simplify --save-record.", show_default=False
         ),
     ],
     target: NewMesh,
-    params: ReplayParams,
+    replay: ReplayParams,
     out: Output,
 ) -> None:
-    """Write a mesh as it was on the way of a simplification, at any number of triangles.
+    """Replay a simplification to a number of triangles.
 
-    Example: scanloom replay light.npz half.ply --ratio 0.5
+    Example: scanloom mesh replay light.npz half.ply --ratio 0.5
     """
     require_new_file(target, MESH_SUFFIXES)
-    replayed = stages.load_record(require_file(record)).replay(params)
-    write_file(target, replayed.mesh, out)
+    replayed = stages.load_record(require_file(record)).replay(replay)
+    write_mesh_file(target, replayed.mesh, out)
     figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
     out.result({"output": str(target), **figures, "collapses": replayed.collapses})

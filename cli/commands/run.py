@@ -1,92 +1,79 @@
-"""The command `run`: the whole way."""
+"""Command `run`."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from scanloom.cli.options import Changes
-from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.paths import require_scan, require_writable
-from scanloom.cli.plot_option import plot_option, require_plot
-from scanloom.cli.quality import QualityOption
+from scanloom.cli.plot_option import require_plot
+from scanloom.cli.quality_option import QualityOption
 from scanloom.cli.run_options import (
     CacheOption,
     ConfigOption,
-    DiskOption,
-    ForceOption,
-    MemoryOption,
+    ConfigWords,
+    DryRunOption,
+    LimitsParams,
+    OutOption,
     OverwriteOption,
-    PageOption,
-    ReportOption,
-    SetOption,
+    RunParams,
     UntilOption,
-    bytes_or_none,
-    run_config,
+    load_run_config,
 )
-from scanloom.cli.watch import watching
+from scanloom.cli.run_progress import show_run_progress
+from scanloom.cli.scan_argument import ScanFolder
 from scanloom.stages import ScanParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.params import param
 
 if TYPE_CHECKING:
     from scanloom.pipeline.run.dry_run import DryRun
     from scanloom.pipeline.run.run import RunResult
 
 
+@dataclass(frozen=True, kw_only=True)
+class SingleRunParams(RunParams):
+    """Stages that run although their results are cached, and the plot of their times."""
+
+    plot: str | None = param(
+        None,
+        "Picture (.png or .svg) of how long each stage took; needs the extra `plot`.",
+        is_path=True,
+    )
+
+
 def run(
-    scan: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCAN",
-            help="Folder of the scan, or a recording (.bag, .db3, .sens, .r3d).",
-            show_default=False,
-        ),
-    ],
-    target: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", show_default=False),
-    ],
-    scan_options: Changes[ScanParams],
+    folder: ScanFolder,
+    target: OutOption,
+    scan: Changes[ScanParams],
+    limits: LimitsParams,
+    run: SingleRunParams,
+    words: ConfigWords,
     out: Output,
     config_file: ConfigOption = None,
     quality: QualityOption = None,
-    settings: SetOption = None,
     until: UntilOption = None,
-    force: ForceOption = None,
     overwrite: OverwriteOption = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Only say what would be done, and write nothing: the stages, which of them are cached and "
-            "why the others are not, and the seconds and memory to expect.",
-        ),
-    ] = False,
+    dry_run: DryRunOption = False,
     cache: CacheOption = None,
-    page: PageOption = None,
-    report: ReportOption = None,
-    memory: MemoryOption = None,
-    disk: DiskOption = None,
-    plot: Annotated[Path | None, plot_option("how long each stage took")] = None,
 ) -> None:
-    """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
+    """Turn a scan into a textured mesh.
 
-    report.html shows the result in a browser, without a network: --no-page leaves it out.
+    OUT gets fused.ply, clean.ply, simplified.ply, textured.glb (simplified.glb if frames have no colour),
+    report.json, and report.html, a page that shows the result. A second run repeats only the stages whose
+    input or parameters have changed.
 
-    OUT then holds fused.ply, clean.ply, simplified.ply, textured.glb (the simplified mesh with what the
-    photos show), report.json and pictures. A second run does only what has changed since. --hold-out 10
-    keeps every tenth frame from all stages and tells how near the result comes to it. With --set
-    bake.enabled=true OUT also holds baked.glb: the simplified mesh with a texture that shows all colour of
-    the clean one. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all its levels, and
-    remeshed.snm. With --set lod.enabled=true it holds levels of detail of the clean mesh, lod.slod, and the
-    same as 3D Tiles in tiles/. Where frames have no colour, simplified.glb stands for textured.glb; both are
-    turned upright. With --set export.web=true it holds web.glb, of a few bytes for viewers of the web.
+    --quality draft is for a first look, best for final results; --config and --set override it.
 
-    --memory and --disk end a run that would take more, and say with which voxel size it would not.
+    Further results: --set bake.enabled=true (baked.glb, the colours of the clean mesh in a texture),
+    remesh.enabled=true (remeshed.ply and remeshed.snm), lod.enabled=true (lod.slod and tiles/),
+    export.web=true (web.glb), coverage.enabled=true. --set scan.hold_out=10 withholds every tenth frame
+    from all stages and compares its photo with the result. --set report.page=false omits the page.
 
-    --quality draft is for a first look, best for what is kept; --config and --set win over it.
+    Example: scanloom run my_scan -o my_mesh
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
@@ -94,26 +81,33 @@ def run(
     from scanloom.pipeline.run.limits import Limits
     from scanloom.pipeline.run.run import run as run_pipeline
 
-    require_scan(scan)
+    require_scan(folder)
+    plot = None if run.plot is None else Path(run.plot)
     if dry_run and plot is not None:
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT, "--plot draws how long stages took; --dry-run writes nothing."
+            USAGE_OPTIONS_CONFLICT, "run.plot draws how long stages took; --dry-run writes nothing."
         )
     require_plot(plot)
-    config = run_config(config_file, quality, settings, scan_options, page, report)
-    limits = Limits(bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk"))
+    config = load_run_config(config_file, quality, words, scan)
     require_writable(target)
     how: dict[str, Any] = {
         "until": until,
-        "force": tuple(force or ()),
+        "force": run.forced,
         "cache_dir": cache,
         "overwrite": overwrite,
     }
     if dry_run:
-        _tell_dry_run(foresee(scan, target, config, **how), out)
+        _print_plan(foresee(folder, target, config, **how), out)
         return
-    with watching(out) as events:
-        result = run_pipeline(scan, target, config, **how, limits=limits, events=events)
+    with show_run_progress(out) as events:
+        result = run_pipeline(
+            folder,
+            target,
+            config,
+            **how,
+            limits=Limits(limits.memory_bytes, limits.disk_bytes),
+            events=events,
+        )
     if plot is not None:
         _plot(plot, result)
     out.result(result.figures(), _summary(result))
@@ -128,8 +122,8 @@ def _plot(path: Path, result: RunResult) -> None:
     plot_seconds(path, seconds, {one.stage for one in result.stages if one.cached})
 
 
-def _tell_dry_run(found: DryRun, out: Output) -> None:
-    """Print what a run would do; that it would be refused is a warning."""
+def _print_plan(found: DryRun, out: Output) -> None:
+    """Print what a run would do."""
     figures = found.figures()
     rows = [["stage", "", "seconds", "memory", "expected from"]]
     for one in found.stages:
@@ -137,21 +131,27 @@ def _tell_dry_run(found: DryRun, out: Output) -> None:
         rows.append(
             [one.stage, "cached", "", "", ""]
             if take is None
-            else [one.stage, "runs", f"{take.seconds:.1f}", size_of(take.memory_bytes), _BASES[take.basis]]
+            else [
+                one.stage,
+                "runs",
+                f"{take.seconds:.1f}",
+                format_size(take.memory_bytes),
+                _BASES[take.basis],
+            ]
         )
     reasons = [f"{one.stage}: {one.reason}" for one in found.stages if not one.cached]
-    lines = [f"{found.layout}, {found.frames:,} frames; nothing is written.", "", table_of(rows)]
+    lines = [f"{found.layout}, {found.frames:,} frames; nothing is written.", "", format_table(rows)]
     if reasons:
         lines += [
             "",
             *reasons,
             "",
-            f"about {found.seconds:.0f} s, and {size_of(found.memory_bytes)} at the most",
+            f"about {found.seconds:.0f} s, and {format_size(found.memory_bytes)} at the most",
         ]
     out.result(figures, "\n".join(lines))
 
 
-# What an expectation rests on, in words.
+# Sources of an expected time, in words.
 _BASES = {
     "measured": "the same work before",
     "scaled": "other work before",
@@ -160,11 +160,11 @@ _BASES = {
 
 
 def _summary(result: RunResult) -> str:
-    """Say how good the final mesh is, and where the results are."""
+    """Return the quality of the final mesh and the location of the results."""
     mesh = result.report["mesh"]
     lines = []
     if mesh is not None:
-        # One way only: the other way would mostly tell how far away the islands were that cleaning removed.
+        # From the result to the fused mesh only: the other direction is dominated by removed islands.
         distance = mesh["to_fused"]["distance"]["b_to_a"]
         m = "m" if result.report["scan"]["metric"] else "units"
         color = (mesh["to_fused"]["color"] or {}).get("b_to_a")

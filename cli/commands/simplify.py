@@ -1,4 +1,4 @@
-"""The command `simplify`."""
+"""Command `simplify`."""
 
 from __future__ import annotations
 
@@ -11,13 +11,20 @@ import numpy as np
 import typer
 
 from scanloom import stages
-from scanloom.cli.baked import TEXTURED_SUFFIXES, baked_text
+from scanloom.cli.bake_output import TEXTURED_SUFFIXES, format_bake
+from scanloom.cli.bounds_output import SaveBounds, write_bounds
 from scanloom.cli.codes import SIMPLIFY_FILE_LARGER
-from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
-from scanloom.cli.output import Output, lines_of
+from scanloom.cli.mesh_arguments import (
+    MeshFile,
+    NewMesh,
+    locate_diagnostics,
+    read_mesh_file,
+    remark_written,
+    write_mesh_file,
+)
+from scanloom.cli.output import Output, format_lines
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.cli.rendering import option_name
-from scanloom.cli.written_bounds import SaveBounds, write_bounds
 from scanloom.stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import collecting, emit
@@ -35,15 +42,16 @@ from scanloom.stages.surface.formats.gltf_packing import lattice_of
 def simplify(
     source: MeshFile,
     target: NewMesh,
-    params: SimplifyParams,
+    simplify: SimplifyParams,
     out: Output,
     region: Annotated[
         list[str] | None,
         typer.Option(
             metavar="REGION",
-            help='A place to take care of: "sphere x y z radius" or "box x y z x y z" (lowest, then highest '
-            "corner), in m, followed by an importance (factor of the squared error there, or divisor of the "
-            "bounds), by lock (nothing moves there), or by both. Can be given several times.",
+            help='Protect a region: "sphere x y z radius" or "box x y z x y z" (lowest and highest '
+            "corner), in m, "
+            "followed by an importance (factor of the squared error, or divisor of the bounds), lock, or "
+            "both; may be repeated.",
             show_default=False,
         ),
     ] = None,
@@ -51,92 +59,85 @@ def simplify(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Keep all collapses in this file (.npz), for scanloom replay.",
+            help="File (.npz) for all collapses, for scanloom mesh replay.",
             show_default=False,
         ),
     ] = None,
     save_bounds: SaveBounds = None,
-    partial: Annotated[
+    keep_on_interrupt: Annotated[
         bool,
         typer.Option(
-            "--partial",
-            help="Ctrl-C writes what there is by then, instead of nothing; where bounds were given, after "
-            "proving how far that is from IN.",
+            "--keep-on-interrupt",
+            help="On Ctrl-C, write the mesh simplified so far instead of discarding it. If bounds were "
+            "given, its deviation is proven first.",
         ),
     ] = False,
 ) -> None:
-    """Simplify a mesh to a number of triangles, or within bounds on shape and colour.
+    """Simplify a mesh to a size, or within error bounds.
 
-    With --triangles or --ratio: to that number, with the least error.
-    With --max-shape, --max-color or both: as far as these are proven to hold at every point.
-    With a number and bounds: down to the number, never beyond the bounds; "stopped by" says which came first.
-    With neither: a textured model within 1/1000 of its size, others within default bounds.
+    Size and bounds:
 
-    Where OUT is .glb, .obj or .ply, images are baked anew, in the format and no more texels than those of IN.
-    --keep-uv keeps images and texture coordinates as they are, at the cost of shape. To a number, they are
-    also kept where baking loses much more colour; --bake bakes all the same.
+    - with --triangles or --ratio: to this size, with the least error;
+    - with --max-shape, --max-color or both: as far as these bounds are proven at every point;
+    - with a size and bounds: to the size, but never beyond the bounds; "stopped by" names the first reached;
+    - with neither: a textured model within 1/1000 of its size, other meshes within default bounds.
 
-    A glTF file that is quantized or compressed by meshopt stays so if OUT is glTF.
+    Textures are baked anew if OUT is .glb, .obj or .ply. --keep-uv keeps images and texture coordinates, at
+    the cost of shape; so does simplification to a size where baking loses much more colour, unless --bake is
+    given. A quantized or compressed glTF file stays so if OUT is glTF.
 
-    --close-bounds and --save-bounds go with bounds. --method says what each method is for, and which one is
-    taken. Most want a manifold mesh; run `scanloom clean` on it first when it is not.
+    Most methods need a manifold mesh: run `scanloom clean` first.
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
 
-    Example: scanloom simplify model.glb light.glb --ratio 0.1
-
-    Example: scanloom simplify clean.ply light.ply --ratio 0.1 --region "sphere 0 0 1.2 0.3 20"
-
     Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-color 20
 
-    Example: scanloom simplify clean.ply light.ply --triangles 20000 --max-shape 0.005
+    Example: scanloom simplify clean.ply light.ply --triangles 20000 --region "sphere 0 0 1.2 0.3 20"
 
     Example: scanloom simplify model.glb light.glb --ratio 0.1 --keep-uv
-
-    Example: scanloom simplify clean.ply light.glb --ratio 0.02 --bake
     """
-    require_new_file(target, TEXTURED_SUFFIXES if params.bake else MESH_SUFFIXES)
+    require_new_file(target, TEXTURED_SUFFIXES if simplify.bake else MESH_SUFFIXES)
     holds_texture = target.suffix.lower() in TEXTURED_SUFFIXES
-    if not holds_texture and params.bake is None:
-        params = replace(params, bake=False)
+    if not holds_texture and simplify.bake is None:
+        simplify = replace(simplify, bake=False)
     if save_record is not None:
         require_new_file(save_record, (".npz",))
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
-        if not chosen(params).proves:
+        if not chosen(simplify).proves:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "--save-bounds is for bounds that are proven; {how_to_prove}.",
                 how_to_prove=_how_to_prove(),
             )
     regions = [parse_region(text) for text in region or ()]
-    mesh = read_file(source)
+    mesh = read_mesh_file(source)
     packing = same_packing(source, mesh) if target.suffix.lower() in GLTF else ExportParams()
-    params, packing = _fit_packing(mesh, params, packing)
+    simplify, packing = _fit_packing(mesh, simplify, packing)
     with (
-        about_file(source),
+        locate_diagnostics(source),
         collecting(forward=False) as diagnostics,
         out.progress("simplify", "triangles") as progress,
     ):
         simplified = stages.simplify(
             mesh,
-            params,
+            simplify,
             regions=regions,
             record=save_record is not None,
-            partial=partial,
+            partial=keep_on_interrupt,
             progress=progress,
         )
-    with about_file(source):
-        # `write_file` warns about formats without textures.
+    with locate_diagnostics(source):
+        # `write_mesh_file` warns about formats without textures.
         emit(*(one for one in diagnostics if holds_texture or one.code != SIMPLIFY_TEXTURE_LEFT_OUT.name))
     rounding = 0.0
     source_bytes = stored_bytes(source, mesh)
     if packing.compress == "none":
-        write_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
+        write_mesh_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
     else:
         target.parent.mkdir(parents=True, exist_ok=True)
         rounding = stages.export(simplified.mesh, target, packing).position_error
-        tell_written(target, simplified.mesh, out)
+        remark_written(target, simplified.mesh, out)
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
@@ -170,7 +171,7 @@ def simplify(
             f"levels, {kept.baked_rmse_levels:.3g} levels with baked images (--bake)."
         )
     if simplified.baked is not None:
-        text += f"\n\n{baked_text(simplified.baked.figures())}"
+        text += f"\n\n{format_bake(simplified.baked.figures())}"
     if rounding:
         text += (
             f"\n\nOUT is compressed as IN is ({packing.compress}): positions are rounded by at most "
@@ -182,11 +183,11 @@ def simplify(
 
 
 def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
-    """Return the figures for a person: warnings are said apart, and tables are for programs."""
+    """Return the metrics without warnings and tables."""
     shown = {**figures, **simplified.details.figures()}
     for name in ("details", "baked", "default_max_shape_m"):
         shown.pop(name, None)
-    return lines_of({name: value for name, value in shown.items() if not _is_table(value)})
+    return format_lines({name: value for name, value in shown.items() if not _is_table(value)})
 
 
 def _fit_packing(
@@ -221,7 +222,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _how_to_prove() -> str:
-    """Say which options lead to a method that proves its bounds."""
+    """Return advice on options that lead to a method with proven bounds."""
     proving = [method for method in METHODS if method.proves]
     options = [option_name(name) for method in proving if method.needs for name in method.needs.names]
     names = " or ".join(method.name for method in proving)

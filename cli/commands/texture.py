@@ -1,4 +1,4 @@
-"""The command `texture`."""
+"""Command `texture`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import typer
 from numpy.typing import NDArray
 
 from scanloom import stages
-from scanloom.cli.baked import TEXTURED_SUFFIXES
-from scanloom.cli.mesh_arguments import about_file, read_file, write_file
+from scanloom.cli.bake_output import TEXTURED_SUFFIXES
+from scanloom.cli.mesh_arguments import locate_diagnostics, read_mesh_file, write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.cli.paths import new_folder, require_new_file
 from scanloom.cli.scan_argument import ScanFolder, read_scan
@@ -26,7 +26,7 @@ def texture(
     mesh_file: Annotated[
         Path,
         typer.Argument(
-            metavar="MESH", help="Mesh file in the world of the scan's poses.", show_default=False
+            metavar="MESH", help="Mesh file in the coordinates of the scan's poses.", show_default=False
         ),
     ],
     target: Annotated[
@@ -34,15 +34,15 @@ def texture(
         typer.Argument(metavar="OUT", help="Mesh file to write (.glb, .obj, .ply).", show_default=False),
     ],
     scan: ScanParams,
-    params: TextureParams,
+    texture: TextureParams,
     out: Output,
     up: Annotated[
         str | None,
         typer.Option(
             "--up",
             metavar="AXIS",
-            help="What is up in the scan, so that a .glb stands: +x, -x, +y, -y, +z, -z, three numbers, or "
-            "none, which turns nothing. By default where most of the surface looks.",
+            help="Up axis of the scan, to rotate a .glb upright: +x, -x, +y, -y, +z, -z, three numbers, or "
+            "none. Default: estimated.",
             show_default=False,
         ),
     ] = None,
@@ -51,39 +51,41 @@ def texture(
         typer.Option(
             "--maps",
             metavar="FOLDER",
-            help="New folder for maps of the images: which photo counts most at a texel, how many count, how "
-            "obliquely it was taken, and how wide a texel is.",
+            help="New folder for maps of the texels: best photo, number of photos, viewing angle and texel "
+            "size.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Give a mesh the colours that the photos of a scan show, as a texture.
+    """Texture a mesh from the photos of a scan.
 
-    Each place is looked up in the photos that show it best, and nothing is taken through other surfaces.
-    Any scan with colour and poses will do, also photos of another camera with poses in the mesh's world
-    (COLMAP, nerfstudio); name better poses with --poses. Where no photo shows the mesh, its own colours stay.
+    Each point gets its colour from the photos that see it best; occluded photos are not used. Surface that no
+    photo sees keeps the colours of the mesh. Any scan with colour and poses will do, also photos of another
+    camera with poses in the coordinates of the mesh (COLMAP, nerfstudio).
 
     Example: scanloom texture my_scan light.ply light.glb
     """
     require_new_file(target, TEXTURED_SUFFIXES)
     given = None if up is None else direction_of(up)
-    mesh = read_file(mesh_file)
+    mesh = read_mesh_file(mesh_file)
     source = read_scan(folder, scan)
-    with out.progress("texture", "‰") as progress, about_file(mesh_file):
-        textured = stages.texture(mesh, source, params, progress=progress)
-    standing = given if up is not None else _up_in(textured.mesh, source)
-    write_file(target, textured.mesh.with_(up=None if standing is None else tuple(standing.tolist())), out)
+    with out.progress("texture", "‰") as progress, locate_diagnostics(mesh_file):
+        textured = stages.texture(mesh, source, texture, progress=progress)
+    direction = given if up is not None else _up_in(textured.mesh, source)
+    write_mesh_file(
+        target, textured.mesh.with_(up=None if direction is None else tuple(direction.tolist())), out
+    )
     if maps is not None:
         with new_folder(maps) as draft:
             write_maps(draft, textured)
     figures = textured.figures()
     emit_skipped(figures["frames_skipped"])
-    told = None if standing is None else standing.tolist()
-    out.result({"output": str(target), **figures, "up": told})
+    up_axis = None if direction is None else direction.tolist()
+    out.result({"output": str(target), **figures, "up": up_axis})
 
 
 def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
-    """Return what is up by the mesh itself, or by the scan; None if neither tells."""
+    """Return the up direction of the mesh, or of the scan; None if both are unknown."""
     if mesh.up is not None:
         return np.array(mesh.up)
     from scanloom.pipeline.steps.upright import up_in

@@ -1,4 +1,4 @@
-"""The command `tradeoff`."""
+"""Command `tradeoff`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import MeshFile, about_file, read_file, write_file
-from scanloom.cli.output import Output, table_of
+from scanloom.cli.mesh_arguments import MeshFile, locate_diagnostics, read_mesh_file, write_mesh_file
+from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.cli.plot_option import plot_option, require_plot
 from scanloom.stages import Tradeoff, TradeoffParams, UsageError
@@ -20,38 +20,38 @@ from scanloom.stages.simplification.codes import SIMPLIFY_TRADEOFF
 
 def tradeoff(
     source: MeshFile,
-    params: TradeoffParams,
+    tradeoff: TradeoffParams,
     out: Output,
     counts: Annotated[
         str | None,
         typer.Option(
             metavar="N,N,…",
-            help="Numbers of triangles, with commas between them, in place of --steps and --least.",
+            help="Numbers of triangles to measure, with commas, instead of tradeoff.steps.",
             show_default=False,
         ),
     ] = None,
     plot: Annotated[Path | None, plot_option("the curve")] = None,
     save: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Mesh file for the one that is suggested.", show_default=False),
+        typer.Option(metavar="FILE", help="Mesh file to write: the suggested mesh.", show_default=False),
     ] = None,
     save_record: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Keep the collapses in this file (.npz): scanloom replay makes any of the meshes of it.",
+            help="File (.npz) for all collapses; scanloom mesh replay makes any of the meshes from it.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Tell how far a mesh would be off at any number of triangles, so that a person can pick one.
+    """Measure deviation against number of triangles.
 
-    It is simplified once, to the fewest; every number on the way is measured against IN, both ways, in shape
-    and in colour. `scanloom simplify IN OUT --triangles N` then makes the mesh of the number that is picked.
+    The mesh is simplified once, to the smallest number; the meshes on the way are compared with IN, both
+    ways, in shape and in colour. `scanloom simplify IN OUT --triangles N` then makes the chosen mesh.
 
-    Example: scanloom tradeoff clean.ply --plot curve.png
+    Example: scanloom mesh tradeoff clean.ply --plot curve.png
 
-    Example: scanloom tradeoff model.glb --within 0.001 --save light.glb
+    Example: scanloom mesh tradeoff model.glb --within 0.001 --save light.glb
     """
     require_plot(plot)
     if save is not None:
@@ -59,11 +59,11 @@ def tradeoff(
     if save_record is not None:
         require_new_file(save_record, (".npz",))
     wanted = [] if counts is None else [_count(word) for word in counts.split(",")]
-    mesh = read_file(source)
-    with about_file(source), out.progress("tradeoff", "meshes") as progress:
-        found = stages.tradeoff(mesh, params, counts=wanted, progress=progress)
+    mesh = read_mesh_file(source)
+    with locate_diagnostics(source), out.progress("tradeoff", "meshes") as progress:
+        found = stages.tradeoff(mesh, tradeoff, counts=wanted, progress=progress)
     if save is not None and found.suggested is not None:
-        write_file(save, found.mesh, out)
+        write_mesh_file(save, found.mesh, out)
     if save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         found.record.save(save_record)
@@ -72,7 +72,7 @@ def tradeoff(
 
         plot.parent.mkdir(parents=True, exist_ok=True)
         plot_tradeoff(plot, found)
-    if found.suggested is None and params.within is not None:
+    if found.suggested is None and tradeoff.within is not None:
         emit(
             SIMPLIFY_TRADEOFF.unmet(
                 "none of these numbers keeps {bound}",
@@ -97,5 +97,5 @@ def _count(word: str) -> int:
 
 def _text(found: Tradeoff) -> str:
     if found.suggested is None:
-        return table_of(found.rows())
-    return f"{table_of(found.rows())}\n\nsuggested: {found.suggested:,} triangles; {found.why}"
+        return format_table(found.rows())
+    return f"{format_table(found.rows())}\n\nsuggested: {found.suggested:,} triangles; {found.why}"

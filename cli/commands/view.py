@@ -1,4 +1,4 @@
-"""The command `view`."""
+"""Command `view`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Annotated
 
 import typer
 
-from scanloom.cli.mesh_arguments import read_standing
+from scanloom.cli.mesh_arguments import read_with_up
 from scanloom.cli.output import Output
+from scanloom.cli.page_params import PageParams
 from scanloom.cli.paths import require_new_file
 from scanloom.pipeline.report.page.files import tiles_page
 from scanloom.pipeline.report.page.serving import FolderServer
@@ -28,10 +29,11 @@ def view(
         Path,
         typer.Argument(
             metavar="WHAT",
-            help="Mesh file, the OUT of a run, or a folder of tiles, from lod tiles.",
+            help="Mesh file, OUT of a run, or folder of lod tiles.",
             show_default=False,
         ),
     ],
+    page: PageParams,
     out: Output,
     target: Annotated[
         Path | None,
@@ -39,29 +41,30 @@ def view(
             "-o",
             "--output",
             metavar="FILE",
-            help="Write the page to this file (.html), which opens without a server or a network.",
+            help="Write the page to a file (.html) that opens without a server, instead of showing it.",
             show_default=False,
         ),
     ] = None,
-    page_size: Annotated[
-        float, typer.Option(help="Megabytes that a page may take; models are made lighter for it.", min=1.2)
-    ] = 5.0,
-    port: Annotated[int, typer.Option(help="Port to listen on; 0 for a free one.", min=0, max=65535)] = 0,
+    port: Annotated[
+        int, typer.Option(metavar="PORT", help="Port of the server; 0: any free port.", min=0, max=65535)
+    ] = 0,
     open_browser: Annotated[
         bool | None,
         typer.Option(
             "--open/--no-open",
-            help="Open the page in a browser; if not given, where the output is a terminal.",
+            help="Open the page in a browser. [default: if the output is a terminal]",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Show a mesh, a run's results or tiles in the browser, from a server that answers this machine alone.
+    """Show a mesh, a run or tiles in the browser.
 
-    Of a run the page shows the result, the clean mesh it came from and how far it deviates, with one camera
-    for all, and tells stages, warnings and parameters. Nothing is written without -o. Ctrl-C ends it.
+    A run is shown with its result, the clean mesh, the deviation, and its stages, warnings and parameters.
+    The server answers this machine only. Ctrl-C stops it.
 
-    Example: scanloom view my_mesh -o my_mesh/report.html
+    Example: scanloom view my_mesh
+
+    Example: scanloom view model.glb -o model.html
     """
     if target is not None:
         require_new_file(target, (".html",))
@@ -75,19 +78,18 @@ def view(
     if is_tiles:
         _serve(what, tiles_page(), port, open_browser, out)
         return
-    most_bytes = int(1e6 * page_size)
     if what.is_dir():
-        page = page_of_run(what, most_bytes)
+        content = page_of_run(what, page.max_bytes)
     else:
-        page = page_of_mesh(what.resolve().stem, read_standing(what), most_bytes)
+        content = page_of_mesh(what.resolve().stem, read_with_up(what), page.max_bytes)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
             _serve(Path(empty), {PAGE_INDEX: page}, port, open_browser, out)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     with replacing(target) as draft:
-        draft.write_bytes(page)
-    out.result({"output": str(target), "bytes": len(page)})
+        draft.write_bytes(content)
+    out.result({"output": str(target), "bytes": len(content)})
 
 
 def _serve(folder: Path, pages: dict[str, bytes], port: int, open_browser: bool | None, out: Output) -> None:

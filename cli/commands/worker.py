@@ -1,4 +1,4 @@
-"""The command `worker`: work on a batch that was begun, with others, from any machine."""
+"""Command `worker`."""
 
 from __future__ import annotations
 
@@ -7,21 +7,12 @@ from typing import Annotated
 
 import typer
 
-from scanloom.cli.batch_options import (
-    AUTO,
-    JobsOption,
-    TakeOverOption,
-    ThreadsOption,
-    TimeoutOption,
-    ending_as_interrupted,
-    jobs_wanted,
-    worker_of,
-)
-from scanloom.cli.batch_result import tell_batch
-from scanloom.cli.batch_watch import watching_batch
+from scanloom.cli.batch_options import WorkerParams, create_worker, sigterm_as_interrupt
+from scanloom.cli.batch_progress import show_batch_progress
+from scanloom.cli.batch_result import report_batch
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_writable
-from scanloom.cli.run_options import DiskOption, MemoryOption, bytes_or_none
+from scanloom.cli.run_options import LimitsParams
 from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
@@ -32,35 +23,30 @@ def worker(
         Path,
         typer.Argument(metavar="OUT", help="Output folder of scanloom batch.", show_default=False),
     ],
+    worker: WorkerParams,
+    limits: LimitsParams,
     out: Output,
-    jobs: JobsOption = AUTO,
-    threads: ThreadsOption = None,
-    memory: MemoryOption = None,
-    disk: DiskOption = None,
-    timeout: TimeoutOption = None,
-    take_over_after: TakeOverOption = None,
     wait: Annotated[
         bool,
         typer.Option(
             "--wait/--no-wait",
-            help="When no scan is left to take, stay until the others are finished with theirs, to take over "
-            "those of a worker that dies; without, end at once and leave the machine to others.",
+            help="When no scan is left, wait for the other workers, and take over the scans of one that "
+            "dies. [default: on]",
+            show_default=False,
         ),
     ] = True,
 ) -> None:
-    """Work on the queue of a batch until every scan has come to an end.
+    """Process scans of a batch, with other machines.
 
-    Any number of workers may, on any number of machines that see OUT and the scans: nothing else is needed
-    between them. A worker that dies is noticed by its silence, and its scans are begun again from what is in
-    the cache. Clocks of machines need not agree. Whoever is there at the end writes the tables and the page.
+    Any number of workers may share a batch; each machine only needs access to OUT and the scans. If a worker
+    dies, others continue its scans from the cache. Clocks need not agree. The last worker writes the tables
+    and the page.
 
     Example: scanloom worker shared/out --jobs 4
     """
     from scanloom.pipeline.batch.queue import standing_queue
 
-    jobs_wanted(jobs)
-    sizes = bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk")
-    # Jobs run in processes that are elsewhere.
+    # Jobs run in other folders, so the path is made absolute.
     queue = standing_queue(target.resolve()) if target.is_dir() else None
     if queue is None:
         raise InputError(
@@ -70,15 +56,15 @@ def worker(
         )
     require_writable(queue.folder)
     require_version(queue.version)
-    with ending_as_interrupted(), watching_batch(out) as tell:
-        working = worker_of(queue, jobs, threads, *sizes, take_over_after, timeout, tell, out, stay=wait)
+    with sigterm_as_interrupt(), show_batch_progress(out) as tell:
+        working = create_worker(queue, worker, limits, tell, out, stay=wait)
         out.remark(f"worker {working.name}, {len(queue.numbers):,} scans")
         working.work()
-    tell_batch(queue, out, {})
+    report_batch(queue, out, {})
 
 
 def require_version(version: str) -> None:
-    """Warn of a queue that another version has written: its results may be other bytes."""
+    """Warn if another version has written the queue, because its results may differ."""
     from scanloom.stages import __version__
 
     if version != __version__:

@@ -11,11 +11,20 @@ from typer.main import get_command
 
 from making.markdown import code, definitions, escaped
 from scanloom.cli.app import app
+from scanloom.cli.command_table import GROUPS
+from scanloom.cli.help import panel_of, panel_order
 
 
 def reference() -> str:
-    """Return a section for each command, in the order of the help."""
-    return "\n\n".join(_section(name, command) for name, command in named())
+    """Return a section for each command and group, in the order of the help."""
+    written = []
+    for name, command in get_command(app()).commands.items():  # type: ignore[attr-defined]
+        if name in GROUPS:
+            written.append(f"## {name}\n\n{escaped(GROUPS[name].summary)}.")
+            written += [_section(f"{name} {own}", below, 3) for own, below in command.commands.items()]
+        else:
+            written.append(_section(name, command, 2))
+    return "\n\n".join(written)
 
 
 def named() -> Iterator[tuple[str, Any]]:
@@ -28,45 +37,34 @@ def named() -> Iterator[tuple[str, Any]]:
             yield name, command
 
 
-def _section(name: str, command: Any) -> str:
+def _section(name: str, command: Any, level: int) -> str:
     shown = [parameter for parameter in command.params if not getattr(parameter, "hidden", False)]
     arguments = [parameter for parameter in shown if parameter.param_type_name == "argument"]
     options = [parameter for parameter in shown if parameter.param_type_name != "argument"]
     words = " ".join([name, *(_argument(argument) for argument in arguments), "[OPTIONS]"])
-    written = [f"## {name}", f"```text\nscanloom {words}\n```", _text(command.help)]
+    written = [f"{'#' * level} {name}", f"```text\nscanloom {words}\n```", _text(command.help)]
     if arguments:
         entries = ((code(_argument(argument)), _help(argument), "") for argument in arguments)
         written.append(definitions(entries))
     context = command.context_class(command)
-    for panel, group in groupby(sorted(options, key=_is_common), key=_panel):
+    for panel, group in groupby(sorted(options, key=panel_order), key=panel_of):
         written.append(f"**{escaped(panel)}**")
-        # What the help of typer shows of an option: its names, and what it takes.
+        # The names of an option and its values, as in the help.
         entries = ((code(option.get_help_record(context)[0]), _help(option), "") for option in group)
         written.append(definitions(entries))
+    if command.hint:
+        words, _, line = command.hint.partition(": ")
+        written.append(f"{words}: {code(line)}")
     return "\n\n".join(written)
-
-
-def _panel(option: Any) -> str:
-    return getattr(option, "rich_help_panel", None) or "Options"
-
-
-def _is_common(option: Any) -> bool:
-    """Sort what is of all commands behind what is of this one; the rest stays in the order of the help."""
-    return _panel(option) == "Output"
 
 
 def _argument(argument: Any) -> str:
     name = argument.metavar or argument.name.upper()
-    return name if argument.required else f"[{name.strip('[]')}]"
+    return name if argument.required or name.startswith("[") else f"[{name}]"
 
 
 def _help(parameter: Any) -> str:
-    return escaped(_plain(parameter.help or ""))
-
-
-def _plain(text: str) -> str:
-    # Texts of options are protected against rich's markup.
-    return text.replace(r"\[", "[").strip()
+    return escaped((parameter.help or "").strip())
 
 
 def _text(text: str | None) -> str:
@@ -74,5 +72,5 @@ def _text(text: str | None) -> str:
     written = []
     for paragraph in re.split(r"\n\s*\n", (text or "").strip()):
         example = re.fullmatch(r"Example:\s*(scanloom .*)", paragraph.strip(), flags=re.DOTALL)
-        written.append(f"```text\n{example[1]}\n```" if example else escaped(_plain(paragraph)))
+        written.append(f"```text\n{example[1]}\n```" if example else escaped(paragraph))
     return "\n\n".join(written)

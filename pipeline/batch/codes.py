@@ -8,15 +8,15 @@ BATCH_SCAN_STUCK = Code(
     "batch.scan-stuck",
     "A scan that gets no further",
     """
-For `--timeout` seconds (an hour, if nothing is said) no new stage began, and no other share of the stage
+For `worker.timeout` seconds (an hour, if nothing is said) no new stage began, and no other share of the stage
 was done. Copy a
 file of the scan to see whether its drive answers; a process that the system cannot end goes when the
 drive answers again,
-or is gone for good (`umount -f`). If the machine is just slow, give a longer `--timeout`.
+or is gone for good (`umount -f`). If the machine is just slow, give a longer `worker.timeout`.
 """,
     (
         "it got no further in fuse for 600 s and was ended; see whether the drive of its files "
-        "answers, or give a longer --timeout, and run the batch again: it goes on from what is in "
+        "answers, or give a longer --set worker.timeout, and run the batch again: it goes on from what is in "
         "the cache."
     ),
 )
@@ -40,9 +40,9 @@ BATCH_WORKER_STOPPED = Code(
     "A worker that was stopped",
     """
 A worker was stopped (Ctrl-Z, a machine that slept, a drive that was gone) for longer than
-`--take-over-after`, and goes on.
+`worker.worker_timeout`, and goes on.
 Its scans are others' by now: it ends its own work on them, and nothing is lost. Give a longer
-`--take-over-after` if that
+`worker.worker_timeout` if that
 is usual.
 """,
     "another worker has taken it over while this one gave no sign of life",
@@ -68,13 +68,13 @@ BATCH_DASK = Code(
     """
 Dask's workers need scanloom in the same version, and must see the scans and OUT under the paths that are
 given. Dask
-gives a task up when several workers in a row died of it; `--threads 1` and workers with fewer threads let
-a scan have
+gives a task up when several workers in a row died of it; `worker.threads=1` and workers with fewer threads
+let a scan have
 more memory. A batch that no worker is there for waits, and says so once: on SLURM, `squeue` shows whether
 jobs are
 pending; workers that ended at once, as where they cannot reach the scheduler, say so in their jobs' logs.
 """,
-    "--executor is slurm; it must be own or dask.",
+    "--set batch.dask=slurm needs --jobs N: how many workers to ask it for.",
 )
 BATCH_QUEUE_DAMAGED = Code(
     "batch.queue-damaged",

@@ -184,9 +184,7 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise UsageError(
-            BATCH_DASK, "--executor dask needs Dask", remedy="install scanloom[dask]."
-        ) from error
+        raise UsageError(BATCH_DASK, "batch.dask needs Dask", remedy="install scanloom[dask].") from error
     if scheduler in SYSTEMS:
         with _cluster(scheduler, workers) as cluster, Client(cluster) as client:
             yield client
@@ -208,7 +206,7 @@ def _cluster(system: str, workers: int | None) -> Any:
     """Return a cluster whose workers a system of a computing centre starts, as the user has configured it."""
     if workers is None:
         raise UsageError(
-            BATCH_DASK, "--scheduler {system} needs --jobs N: how many workers to ask it for.", system=system
+            BATCH_DASK, "batch.dask={system} needs --jobs N: how many workers to ask it for.", system=system
         )
     ctrl_c = signal.getsignal(signal.SIGINT)
     try:
@@ -216,7 +214,7 @@ def _cluster(system: str, workers: int | None) -> Any:
     except ImportError as error:
         raise UsageError(
             BATCH_DASK,
-            "--scheduler {system} needs dask-jobqueue",
+            "batch.dask={system} needs dask-jobqueue",
             remedy="install scanloom[dask].",
             system=system,
         ) from error

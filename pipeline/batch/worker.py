@@ -294,7 +294,7 @@ class Worker:
         where = f"in {work.stage}" if work.stage else "while its files were read"
         return BATCH_SCAN_STUCK.error(
             "it got no further {place} for {seconds:g} s and was ended",
-            remedy="see whether the drive of its files answers, or give a longer --timeout, and run the "
+            remedy="see whether the drive of its files answers, or give a longer worker.timeout, and run the "
             "batch again: it goes on from what is in the cache.",
             place=where,
             seconds=self._timeout,

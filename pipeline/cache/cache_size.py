@@ -25,6 +25,7 @@ class CacheParams:
         "Size of the cache, such as `20 GB`, down to which results that were unused longest are removed "
         "after a run; never those that the latest run of an output folder used. Without it all is kept.",
         invalidates=False,
+        common=True,
     )
 
     def __post_init__(self) -> None:

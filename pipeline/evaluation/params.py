@@ -16,6 +16,7 @@ class ReportParams:
         "Measure the result against the meshes it came from, and draw them; without it there is no page.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
     pictures: bool = param(True, "Draw each stage's mesh, as PNG files.")
 
@@ -28,7 +29,10 @@ class ReportParams:
         high=1000,
     )
     page: bool = param(
-        True, "Write report.html, a page that shows the result in any browser.", invalidates=False
+        True,
+        "Write report.html, a page that shows the result in any browser.",
+        invalidates=False,
+        common=True,
     )
     page_size: float = param(
         5.0,

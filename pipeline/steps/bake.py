@@ -33,6 +33,7 @@ class BakeSection(BakeParams):
         "Bake the colours of the clean mesh into a texture of the simplified one, which shows them in full.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
 
 

@@ -33,7 +33,7 @@ USAGE_STAGE_SKIPPED = Code(
     "usage.stage-skipped",
     "A stage that this scan does not go through",
     """
-`--until` and `--force` name a stage that the scan has no use for, or that is switched off. The sentence
+`--until` and `run.force` name a stage that the scan has no use for, or that is switched off. The sentence
 says why, and
 with which parameter it would run. [The stages](../stages.md) say when each is there.
 """,

@@ -58,6 +58,7 @@ class CoverageSection(CoverageParams):
         "`scanloom coverage OUT` does it afterwards.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
 
 

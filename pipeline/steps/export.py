@@ -33,6 +33,7 @@ class ExportSection:
     web: bool = param(
         False,
         "Write web.glb: the result in few bytes, unlit, packed by meshopt, which viewers have to understand.",
+        common=True,
     )
 
     def __post_init__(self) -> None:

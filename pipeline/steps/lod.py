@@ -42,6 +42,7 @@ class LodSection(LevelsParams):
         "Build levels of detail of the clean mesh, each proven.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
     base_error: float | None = param(
         None,

@@ -32,6 +32,7 @@ class RemeshSection(RemeshParams):
         "file of them.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
 
 

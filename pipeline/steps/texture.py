@@ -45,6 +45,7 @@ class TextureSection(TextureParams):
         "Give the simplified mesh what the photos show, wherever frames have colour.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
     images: str | None = param(
         None,
@@ -53,6 +54,7 @@ class TextureSection(TextureParams):
         # The content of the folder decides the result, not its name.
         invalidates=False,
         is_path=True,
+        common=True,
     )
 
 

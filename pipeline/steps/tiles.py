@@ -36,13 +36,14 @@ class TilesSection(TileImageParams):
         "Write 3D Tiles of the levels of detail, where there are any (lod.enabled=true).",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
+        common=True,
     )
     images: bool = param(
         True,
         "Give each tile an image with the colours of textured.glb, where the run makes one; else tiles have "
         "colours of vertices.",
     )
-    page: bool = param(False, "Write a page beside the tiles that draws them in a browser.")
+    page: bool = param(False, "Write a page beside the tiles that draws them in a browser.", common=True)
     compress: str = param(
         "none",
         "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "

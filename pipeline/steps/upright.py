@@ -36,6 +36,7 @@ class UprightSection:
         "which turns nothing. By default as the scan's layout defines it (a phone's worlds have y up) or an "
         "accelerometer measured it; else where most of the surface looks that is within 60° of up in the "
         "frames: floors and tops of tables, also if they are left out by fuse.remove_plane.",
+        common=True,
     )
 
     def __post_init__(self) -> None:

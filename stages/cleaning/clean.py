@@ -65,6 +65,7 @@ class CleanParams:
         "thousandth of the largest component's area. 0 keeps all.",
         unit="m²",
         low=0,
+        common=True,
     )
     keep_largest: bool = param(False, "Keep only the connected component with the largest area.")
     fill_holes: float = param(

@@ -58,6 +58,7 @@ class CertifyParams:
         "Also check that no distance exceeds this limit. Without max_color, colours are not checked.",
         unit="m",
         low=0,
+        common=True,
     )
     max_color: float | None = param(
         None, "Also check that no colour difference exceeds this limit.", unit="levels", low=0

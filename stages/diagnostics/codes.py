@@ -79,7 +79,7 @@ CONFIG_PARAMETER_UNKNOWN = Code(
     """
 `scanloom config` prints every section and parameter as TOML. The message suggests the most similar name.
 """,
-    "scan.toml: fuse has no parameter 'voxelsize'; did you mean voxel_size?",
+    "scan.toml: fuse has no parameter 'voxelsize'; did you mean fuse.voxel_size?",
 )
 USAGE_VALUE_INVALID = Code(
     "usage.value-invalid",

@@ -72,6 +72,7 @@ class ExportParams:
         "(KHR_mesh_quantization), `meshopt` also packs these (EXT_meshopt_compression). Viewers must support "
         "the extension.",
         choices=COMPRESSIONS,
+        common=True,
     )
     position_bits: int = param(
         16,

@@ -27,6 +27,7 @@ class FuseParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     voxel_factor: float = param(
         1.0,
@@ -51,6 +52,7 @@ class FuseParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     max_jump: float = param(
         0.05,
@@ -80,6 +82,7 @@ class FuseParams:
         "`scanloom inspect` shows the extent of the scan.",
         unit="m",
         group=_CROP,
+        common=True,
     )
     radius: float | None = param(
         None,
@@ -100,6 +103,7 @@ class FuseParams:
         False,
         "Remove the table or floor under the object, and everything below it.",
         group=_CROP,
+        common=True,
     )
     plane_margin: float | None = param(
         None,

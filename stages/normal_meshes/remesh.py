@@ -80,6 +80,7 @@ class RemeshParams:
         group=_HOW_FAR,
         low=0,
         high=10,
+        common=True,
     )
     base_triangles: int | None = param(
         None,
@@ -89,6 +90,7 @@ class RemeshParams:
         "gets about as many triangles as the input, or more where fewer would be inaccurate.",
         group=_HOW_FAR,
         low=1,
+        common=True,
     )
     base_error: float | None = param(
         None,

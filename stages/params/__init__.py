@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, reduce
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
@@ -37,6 +38,7 @@ class Described:
     invalidates: bool
     group: str
     is_path: bool
+    common: bool
 
 
 def param(
@@ -51,6 +53,7 @@ def param(
     invalidates: bool = True,
     group: str = "",
     is_path: bool = False,
+    common: bool = False,
 ) -> Any:
     """Declare a field of a parameter class.
 
@@ -66,10 +69,8 @@ def param(
     group : heading that groups related parameters in a long help.
     is_path : the value is the name of a file or folder.
     """
-    return field(
-        default=default,
-        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group, is_path)},
-    )
+    about = Described(text, unit, low, high, low_open, choices, invalidates, group, is_path, common)
+    return field(default=default, metadata={"param": about})
 
 
 def described(cls: type) -> dict[str, Described]:
@@ -173,6 +174,25 @@ def row_length(hint: Any) -> int:
     return len(get_args(rows[0])) if rows else 0
 
 
+def describe_kinds(kinds: Iterable[Any]) -> str:
+    """Return the types of a parameter in words: "a number", "3 numbers", "a file or text"."""
+    return " or ".join(
+        f"{len(get_args(kind))} numbers"
+        if get_origin(kind) is tuple
+        else _KIND_NAMES.get(kind, f"of type {kind.__name__}")
+        for kind in kinds
+    )
+
+
+_KIND_NAMES: dict[Any, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Path: "a file",
+}
+
+
 def check(params: Any) -> None:
     """Check the type and range of every parameter; called by `__post_init__`.
 
@@ -244,16 +264,14 @@ def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
 
 
 def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
-    if float in kinds:
-        kinds = (*kinds, int)
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        names = " or ".join(sorted({k.__name__ for k in kinds}))
+    accepted = (*kinds, int) if float in kinds else kinds
+    if not isinstance(value, accepted) or (isinstance(value, bool) and bool not in kinds):
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "is {value!r}; it must be of type {names}.",
+            "is {value!r}; it must be {names}.",
             Where(parameter=name),
             value=value,
-            names=names,
+            names=describe_kinds(kinds),
         )
 
 

@@ -42,6 +42,7 @@ class RegisterParams:
         "static camera, as on a turntable, with all else masked out. `auto` selects the object if there is "
         "one.",
         choices=("auto", "scene", "object"),
+        common=True,
     )
     focal: bool = param(
         True,

@@ -39,7 +39,11 @@ class SimplifyParams(SharedParams):
     """
 
     method: str = param(
-        AUTO, _method_text(METHODS), group=HOW, choices=(AUTO, *(method.name for method in METHODS))
+        AUTO,
+        _method_text(METHODS),
+        group=HOW,
+        choices=(AUTO, *(method.name for method in METHODS)),
+        common=True,
     )
     certified: CertifiedParams = field(default=CertifiedParams())
     seams: SeamsParams = field(default=SeamsParams())

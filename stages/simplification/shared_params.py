@@ -21,7 +21,11 @@ class SharedParams:
     """Parameters of `simplify` that several or all methods share."""
 
     triangles: int | None = param(
-        None, "Stop when at most this many triangles are left.", group=HOW_FAR, low=1
+        None,
+        "Stop when at most this many triangles are left.",
+        group=HOW_FAR,
+        low=1,
+        common=True,
     )
     ratio: float | None = param(
         None,
@@ -30,6 +34,7 @@ class SharedParams:
         low=0,
         high=1,
         low_open=True,
+        common=True,
     )
     max_shape: float | None = param(
         None,
@@ -43,6 +48,7 @@ class SharedParams:
         group=HOW_FAR,
         low=0,
         low_open=True,
+        common=True,
     )
     max_color: float | None = param(
         None,
@@ -56,6 +62,7 @@ class SharedParams:
         unit="8-bit levels",
         group=HOW_FAR,
         low=0,
+        common=True,
     )
     drop_below: float | None = param(
         None,
@@ -86,6 +93,7 @@ class SharedParams:
         "Keep the model's own texture coordinates and images instead of baking new ones; "
         "texture seams then restrict the simplification.",
         group=HOW,
+        common=True,
     )
     bake: bool | None = param(
         None,
@@ -94,6 +102,7 @@ class SharedParams:
         "are discarded. Default: on if the input has images, unless keep_uv or a method that "
         "preserves them is given.",
         group=HOW,
+        common=True,
     )
     threads: int | None = param(
         None,

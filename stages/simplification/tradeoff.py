@@ -71,6 +71,7 @@ class TradeoffParams:
         "the logarithm of the count bends most.",
         unit="m",
         low=0,
+        common=True,
     )
     samples: int = param(
         100_000,

@@ -121,6 +121,7 @@ class DepthParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     max_relative_depth_error: float = param(
         0.05,
@@ -164,6 +165,7 @@ class DepthParams:
         # The cache key includes the content of the file and its sidecar instead of the name.
         invalidates=False,
         is_path=True,
+        common=True,
     )
     model_error: float = param(
         0.1,

@@ -73,6 +73,7 @@ class BakeParams:
         unit="m",
         low=0,
         low_open=True,
+        common=True,
     )
     max_size: int = param(
         4096,

@@ -92,6 +92,7 @@ class TextureParams:
         unit="texels",
         low=_MIN_SIZE,
         high=16384,
+        common=True,
     )
     max_texels: float = param(
         64.0,

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from scanloom.cli.errors import failure_of
+from scanloom.cli.errors import explain_failure
 from scanloom.cli.exit_codes import BAD_INPUT
-from scanloom.cli.output import one_line
+from scanloom.cli.output import to_one_line
 from scanloom.stages.diagnostics.errors import ScanloomError
 
 ACCEPTED, REFUSED, FAILED, SKIPPED = "accepted", "refused", "failed", "skipped"
@@ -31,9 +31,9 @@ def judged(case: Callable[[], str]) -> Verdict:
     try:
         return Verdict(ACCEPTED, case())
     except ScanloomError as error:
-        return Verdict(REFUSED, one_line(str(error)))
+        return Verdict(REFUSED, to_one_line(str(error)))
     except OSError as error:
-        failure = failure_of(error)
+        failure = explain_failure(error)
         if failure.exit_code == BAD_INPUT:
             return Verdict(REFUSED, failure.sentence)
         return Verdict(FAILED, _told(error))

@@ -46,7 +46,7 @@ def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path
     assert fused.exit_code == 0, fused.stderr
 
     # The same with all that was found; of this scan nothing more is to be gained.
-    found = ("--adjusted", tmp_path / "better" / "cameras.json")
+    found = ("--set", f"scan.adjusted={tmp_path}/better/cameras.json")
     again = scanloom("adjust", scan, tmp_path / "again", *found, "--json")
     assert not again.json["accepted"]
     assert again.json["transfer_before"]["median_px"] < 0.5

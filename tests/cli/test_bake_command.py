@@ -28,7 +28,7 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
     (image,) = light.texture.images
     assert ran.json["baked"]["images"] == [list(image.pixels.shape[:2])]
     # As measured from the file, what was baked is nearer to the original than colours of vertices.
-    figures = scanloom("compare", clean_ball, target, "--samples", 20_000, "--json").json
+    figures = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
     baked = ran.json["baked"]
     assert figures["color"]["a_to_b"]["rmse_levels"] == pytest.approx(baked["color"]["rmse_levels"], rel=0.1)
     assert baked["color"]["rmse_levels"] < baked["vertex_color"]["rmse_levels"]
@@ -38,7 +38,7 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
 def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     light, target = tmp_path / "light.ply", tmp_path / "new" / "light.glb"
     assert scanloom("simplify", clean_ball, light, "--ratio", 0.1).exit_code == 0
-    ran = scanloom("bake", light, clean_ball, target, "--max-size", 64)
+    ran = scanloom("bake", light, clean_ball, target, "--set", "bake.max_size=64")
     assert ran.exit_code == 0, ran.stderr
     assert "dB) with the texture" in ran.stdout
     assert read_mesh(target).texture.images[0].pixels.shape == (64, 64, 3)
@@ -49,9 +49,9 @@ def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -
     [
         (("bake", "{ball}", "{ball}", "out.stl"), 2, "stands for no format"),
         (
-            ("bake", "{ball}", "{ball}", "out.glb", "--max-size", "100"),
+            ("bake", "{ball}", "{ball}", "out.glb", "--set", "bake.max_size=100"),
             2,
-            "--max-size is 100 texels; it must be a",
+            "--set bake.max_size is 100 texels; it must be a",
         ),
         (("simplify", "{ball}", "out.off", "--bake"), 2, "stands for no format"),
         (("bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),

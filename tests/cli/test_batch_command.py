@@ -25,7 +25,7 @@ from scanloom.pipeline.batch.records import FAILED, UNUSABLE, Record, Records
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
-QUICK = ("--until", "adjust", "--jobs", 1, "--threads", 1)
+QUICK = ("--until", "adjust", "--jobs", 1, "--set", "worker.threads=1")
 
 
 @pytest.fixture
@@ -104,9 +104,11 @@ def test_a_queue_is_worked_on_by_whoever_comes(
     scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     out = tmp_path / "out"
-    queued = scanloom("batch", scans, "-o", out, "--queue-only", "--until", "adjust", "--take-over-after", 7)
+    queued = scanloom(
+        "batch", scans, "-o", out, "--queue-only", "--until", "adjust", "--set", "worker.worker_timeout=7"
+    )
     assert queued.exit_code == 0
-    assert f"3 scans queued; any machine works on them with: scanloom worker {out}" in queued.stdout
+    assert f"3 scans queued; start on each machine: scanloom worker {out}" in queued.stdout
     assert not (out / "index.html").exists()
     queue = standing_queue(out)
     assert queue is not None
@@ -116,7 +118,7 @@ def test_a_queue_is_worked_on_by_whoever_comes(
     shutil.move(out, tmp_path / "elsewhere" / "out")
     # As many at a time as are expected to fit, of which none says more than all that there is.
     monkeypatch.chdir(tmp_path / "elsewhere")
-    worked = scanloom("worker", "out", "--memory", "1 GB", "--take-over-after", 30)
+    worked = scanloom("worker", "out", "--memory", "1 GB", "--set", "worker.worker_timeout=30")
     assert worked.exit_code == 1
     assert re.search(r"^1 at a time, in 1\.0 GB of memory$", worked.stderr, re.MULTILINE)
     assert re.search(r"^worker \S+, 3 scans$", worked.stderr, re.MULTILINE)
@@ -219,21 +221,27 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
         (("batch", "scans", "-o", "out", "--include", "x*"), 3, "there is no scan that is asked for in it"),
         (("batch", "scans", "-o", "scans"), 2, "results and cache cannot stand among the scans"),
         (("batch", "scans", "-o", "out", "--cache", "scans"), 2, "results and cache cannot stand among"),
-        (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is 'many'; it must be a number"),
-        (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is '0'"),
+        (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is many; it must be a number"),
+        (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is 0"),
         (("batch", "scans", "-o", "out", "--memory", "lots"), 2, "--memory is 'lots'; it must be a size"),
         (
             ("batch", "scans", "-o", "out", "--memory", "0"),
             2,
-            "a limit of nothing (--memory 0) lets no scan through",
+            "--memory is 0, which would exclude every scan; omit it for no limit.",
         ),
-        (("batch", "scans", "-o", "out", "--timeout", "inf"), 2, "less than or equal to 1000000000"),
-        (("batch", "scans", "-o", "out", "--take-over-after", "inf"), 2, "less than or equal to"),
+        (
+            ("batch", "scans", "-o", "out", "--set", "worker.timeout=inf"),
+            2,
+            "--set worker.timeout is inf s; it must be at most 1e+09 s.",
+        ),
+        (
+            ("batch", "scans", "-o", "out", "--set", "worker.worker_timeout=inf"),
+            2,
+            "--set worker.worker_timeout is inf",
+        ),
         (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
-        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
-        (("batch", "scans", "-o", "out", "--executor", "ray"), 2, "--executor is 'ray'"),
-        (("batch", "scans", "-o", "out", "--executor", "dask"), 2, "--executor dask needs --scheduler"),
-        (("batch", "scans", "-o", "out", "--scheduler", "slurm"), 2, "--scheduler is Dask's"),
+        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only processes nothing"),
+        (("batch", "scans", "-o", "out", "--set", "batch.dusk=slurm"), 2, "did you mean batch.dask?"),
         (("batch", "scans", "-o", "taken"), 3, "index.html: no batch has written this"),
         (("batch", "scans", "-o", "taken/index.html"), 3, "this is a file; results need a folder"),
         (("worker", "empty"), 3, "no batch was begun here"),
@@ -266,7 +274,7 @@ def test_files_that_stand_here_are_named_for_workers_elsewhere(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "poses.txt").write_text("")
-    words = ("--poses", "poses.txt", "--calibration", "camera.toml", "--queue-only")
+    words = ("--set", "scan.poses=poses.txt", "--set", "scan.calibration=camera.toml", "--queue-only")
     assert scanloom("batch", scans, "-o", "out", *words).exit_code == 0
     queue = standing_queue(tmp_path / "out")
     assert queue is not None

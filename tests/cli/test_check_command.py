@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.cli.irregular_places import COLORS
+from scanloom.cli.check_output import COLORS
 from scanloom.stages.cleaning.check import CLASSES
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh
@@ -59,7 +59,7 @@ def test_wrong_words_and_bad_input(scanloom: Run, ball: Path, tmp_path: Path) ->
     # Before anything is read.
     ran = scanloom("check", tmp_path / "none.ply", "--require", "no-thin-triangles")
     assert (ran.exit_code, "needs min_thickness" in ran.stderr) == (2, True)
-    assert scanloom("check", ball, "--corner-angle", 40).exit_code == 2
+    assert scanloom("check", ball, "--set", "check.corner_angle=40").exit_code == 2
     assert scanloom("check", ball, "--save-ply", tmp_path / "places.obj").exit_code == 2
     assert scanloom("check", tmp_path / "none.ply").exit_code == 3
     far = tmp_path / "far.ply"

@@ -38,8 +38,8 @@ def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: P
         target / "d.ply",
         "--picture",
         target / "d.png",
-        "--samples",
-        20_000,
+        "--set",
+        "compare.samples=20000",
     )
     ran = scanloom("compare", clean_ball, larger, *words, "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -75,7 +75,7 @@ def test_a_moved_mesh_is_aligned(scanloom: Run, tmp_path: Path) -> None:
         (("--align", "magic"), "none or icp"),
         (("--save-aligned", "x.ply"), "needs --align icp"),
         (("--picture", "x.jpg"), "stands for no format"),
-        (("--palette", "grey"), "palette"),
+        (("--set", "deviation.palette=grey"), "palette"),
         (("--tolerance", "-1"), "tolerance"),
     ],
 )
@@ -96,7 +96,7 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
     )
     write_mesh(tmp_path / "a.ply", body)
     write_mesh(tmp_path / "b.ply", both)
-    pair = (tmp_path / "a.ply", tmp_path / "b.ply", "--samples", 20_000)
+    pair = (tmp_path / "a.ply", tmp_path / "b.ply", "--set", "compare.samples=20000")
     ran = scanloom("compare", *pair, "--change", "--save-change", tmp_path / "c.ply", "--json")
     assert ran.exit_code == 0, ran.stderr
     told = ran.json["change"]
@@ -114,8 +114,7 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
     [
         (("--save-change", "c.ply"), "--save-change needs --change"),
         (("--change", "--save-change", "c.stl"), ".stl"),
-        (("--save-views", "v"), "--save-views needs --views"),
-        (("--views", "-1"), "--views"),
+        (("--set", "views.views=-1"), "--set views.views"),
         (("--page", "p.htm"), "stands for no format"),
     ],
 )
@@ -138,8 +137,8 @@ def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) ->
     colors = np.tile(np.array((200, 120, 40), np.uint8), (len(body.vertices), 1))
     write_mesh(pair[0], body.with_(colors=colors))
     write_mesh(pair[1], body.with_(vertices=1.02 * body.vertices, colors=colors // 2))
-    few = ("--samples", 2000, "--signed-samples", 2000)
-    change = ("--change", "--change-distance", 0.01)
+    few = ("--set", "compare.samples=2000", "--set", "deviation.signed_samples=2000")
+    change = ("--change", "--set", "change.change_distance=0.01")
     text = scanloom("compare", *pair, "--tolerance", 0.02, *change, "--align", "icp", *few).stdout
     assert "ΔE2000" in text
     assert "largest changes" in text
@@ -156,7 +155,8 @@ def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) ->
 def test_pictures_from_around_are_compared_and_saved(
     scanloom: Run, clean_ball: Path, larger: Path, tmp_path: Path
 ) -> None:
-    words = ("--views", 2, "--view-width", 96, "--save-views", tmp_path / "new" / "v", "--samples", 500)
+    files = ("--save-views", tmp_path / "new" / "v")
+    words = ("--set", "views.views=2", "--set", "views.view_width=96", *files, "--set", "compare.samples=500")
     ran = scanloom("compare", clean_ball, larger, *words, "--json")
     assert ran.exit_code == 0, ran.stderr
     told = ran.json["views"]
@@ -169,7 +169,8 @@ def test_pictures_from_around_are_compared_and_saved(
     text = scanloom("compare", clean_ball, larger, *words).stdout
     assert "Their colours are compared" in text
     assert re.search(r"all +\d+\.\d dB +0\.\d{4} +\d+\.\d\d %", text)
-    assert scanloom("compare", clean_ball, larger, "--samples", 500, "--json").json["views"] is None
+    alone = scanloom("compare", clean_ball, larger, "--set", "compare.samples=500", "--json")
+    assert alone.json["views"] is None
 
 
 @pytest.fixture
@@ -182,7 +183,8 @@ def points(clean_ball: Path, tmp_path: Path) -> Path:
 def test_a_cloud_is_measured_from_a_mesh_and_drawn(
     scanloom: Run, clean_ball: Path, points: Path, tmp_path: Path
 ) -> None:
-    words = ("--save-ply", tmp_path / "d.ply", "--picture", tmp_path / "d.png", "--samples", 500)
+    files = ("--save-ply", tmp_path / "d.ply", "--picture", tmp_path / "d.png")
+    words = (*files, "--set", "compare.samples=500")
     ran = scanloom("compare", clean_ball, points, *words, "--tolerance", 0.005, "--json")
     assert ran.exit_code == 0, ran.stderr
     count = len(read_mesh(clean_ball).vertices)
@@ -198,7 +200,7 @@ def test_a_cloud_is_measured_from_a_mesh_and_drawn(
     assert (len(painted.vertices), len(painted.triangles)) == (count, 0)
     assert (painted.colors[:, 0] > painted.colors[:, 2]).all()
     assert cv2.imread(str(tmp_path / "d.png")).shape[1] > 1000
-    text = scanloom("compare", clean_ball, points, "--samples", 500).stdout
+    text = scanloom("compare", clean_ball, points, "--set", "compare.samples=500").stdout
     assert f"B: cloud of {count:,} points, all of them measured" in text
     assert "of its points is within" in text
 
@@ -206,7 +208,7 @@ def test_a_cloud_is_measured_from_a_mesh_and_drawn(
 def test_a_mesh_is_measured_from_a_cloud_that_tells_how_far_it_sees(
     scanloom: Run, clean_ball: Path, points: Path
 ) -> None:
-    ran = scanloom("compare", points, clean_ball, "--samples", 500)
+    ran = scanloom("compare", points, clean_ball, "--set", "compare.samples=500")
     assert ran.exit_code == 0, ran.stderr
     assert "taken as a cloud of" in ran.stderr
     assert "A is a cloud: a distance below 1" in ran.stdout
@@ -217,10 +219,10 @@ def test_a_mesh_is_measured_from_a_cloud_that_tells_how_far_it_sees(
 def test_what_a_cloud_cannot_tell_is_refused(
     scanloom: Run, clean_ball: Path, points: Path, tmp_path: Path
 ) -> None:
-    for words in (("--change",), ("--views", 2)):
+    for words in (("--change",), ("--set", "views.views=2")):
         ran = scanloom("compare", clean_ball, points, *words)
         assert ran.exit_code == 2
-        assert f"{words[0]} needs two surfaces" in ran.stderr
+        assert f"{' '.join(words).partition('=')[0]} needs two surfaces" in ran.stderr
         assert "points.laz is a cloud" in ran.stderr
     ran = scanloom("compare", clean_ball, points, "--align", "icp", "--save-aligned", tmp_path / "moved.glb")
     assert ran.exit_code == 2
@@ -245,7 +247,7 @@ def test_a_page_of_a_comparison_is_written(
 ) -> None:
     for other, words in ((larger, ("--change",)), (points, ())):
         target = tmp_path / "pages" / f"{other.stem}.html"
-        ran = scanloom("compare", clean_ball, other, "--samples", 500, *words, "--page", target)
+        ran = scanloom("compare", clean_ball, other, "--set", "compare.samples=500", *words, "--page", target)
         assert ran.exit_code == 0, ran.stderr
         assert is_page(target)
         assert target.stat().st_size < 5e6

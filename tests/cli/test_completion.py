@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from scanloom.cli.app import COMMANDS, run_command
-from scanloom.cli.completing import settings
+from scanloom.cli.app import run_command
+from scanloom.cli.command_table import COMMANDS
+from scanloom.cli.completion import complete_assignment
+from scanloom.cli.run_options import config_sections
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.graph import STAGES
 from scanloom.pipeline.quality import QUALITIES
@@ -42,16 +44,17 @@ def offered(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 def test_commands_and_options(offered: Offered) -> None:
     commands = [name for of_panel in COMMANDS.values() for name in of_panel]
-    assert set(offered("scanloom ")) == {*commands, "cache", "lod"}
+    assert set(offered("scanloom ")) == set(commands)
     assert offered("scanloom si") == ["simplify"]
     assert offered("scanloom lod ") == ["build", "info", "cut", "tiles"]
     assert offered("scanloom run x --unt") == ["--until"]
-    assert offered("scanloom simplify a b --max-s") == ["--max-shape", "--max-seam-drift"]
+    assert offered("scanloom simplify a b --max-") == ["--max-shape", "--max-color"]
+    assert offered("scanloom mesh p") == ["patches"]
 
 
 def test_words_that_stand_for_something(offered: Offered) -> None:
     names = [stage.name for stage in STAGES]
-    assert offered("scanloom run x --until ") == offered("scanloom run x --force ") == names
+    assert offered("scanloom run x --until ") == names
     assert offered("scanloom run x --quality ") == list(QUALITIES)
     assert offered("scanloom config --quality d") == ["draft"]
     assert "certified" in offered("scanloom simplify a b --method ")
@@ -64,8 +67,9 @@ def test_files_are_left_to_the_shell(offered: Offered) -> None:
 
 
 def test_parameters_section_by_section(offered: Offered) -> None:
-    assert offered("scanloom run x --set ") == [f"{section}." for section in Config.types()]
-    assert offered("scanloom run x --set s") == ["scan.", "simplify."]
+    own = ["limits", "run"]
+    assert set(offered("scanloom run x --set ")) == {f"{one}." for one in [*own, *Config.types()]}
+    assert set(offered("scanloom run x --set s")) == {"scan.", "simplify."}
     every = [f"report.{name}=" for name in described(Config.types()["report"])]
     assert offered("scanloom run x --set rep") == offered("scanloom run x --set report.") == every
     assert offered("scanloom run x --set nothing") == offered("scanloom run x --set nothing.x") == []
@@ -86,10 +90,22 @@ def test_values_where_one_parameter_is_meant(offered: Offered) -> None:
     assert offered("scanloom run x --set fuse.device=c") == ["fuse.device=cpu", "fuse.device=cuda"]
 
 
+def test_sections_of_a_command(offered: Offered) -> None:
+    assert offered("scanloom fuse x y --set ") == ["scan.", "fuse."]
+    assert offered("scanloom fuse x y --set fuse.trunc") == ["fuse.truncation=", "fuse.truncation=none"]
+    assert offered("scanloom mesh patches x y --set noth") == []
+    assert offered("scanloom mesh patches x y --set patches.noi") == [
+        *("patches.noise_angle=", "patches.noise_angle=75.0")
+    ]
+    assert offered("scanloom compare x y --set vie") == ["views.views=", "views.view_width="]
+    assert offered("scanloom config fus") == ["fuse"]
+
+
 def test_what_is_offered_can_be_set() -> None:
+    sections = config_sections()
     for section in Config.types():
-        for word, _ in settings(f"{section}."):
-            values = [value for value, _ in settings(word) if not value.endswith("=")]
+        for word, _ in complete_assignment(f"{section}.", sections):
+            values = [value for value, _ in complete_assignment(word, sections) if not value.endswith("=")]
             assert values
             Config().set(values[:1])
             Config().set(values[-1:])

@@ -43,16 +43,23 @@ def test_a_table_of_places_is_printed_and_json_tells_the_same(scanloom: Run, out
 
 
 def test_options_are_those_of_the_stage(scanloom: Run, out: Path) -> None:
-    told = json.loads(scanloom("coverage", out, "--json", "--places", 1, "--oblique", 45).stdout)
+    told = json.loads(
+        scanloom(
+            "coverage", out, "--json", "--set", "coverage.places=1", "--set", "coverage.oblique=45"
+        ).stdout
+    )
 
     assert len(told["places"]) == 1
     assert told["oblique_deg"] == pytest.approx(45)
     assert told["places_left_out"] > 0
-    assert "smaller places are not told" in scanloom("coverage", out, "--places", 1).stdout
+    assert (
+        "smaller places are not listed; see --set coverage.places"
+        in scanloom("coverage", out, "--set", "coverage.places=1").stdout
+    )
 
 
 def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
-    ran = scanloom("coverage", out, "--least-area", 100)
+    ran = scanloom("coverage", out, "--set", "coverage.least_area=100")
 
     assert ran.exit_code == 0
     assert ran.stdout.startswith("nothing is missing")
@@ -64,7 +71,7 @@ def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
         (["missing"], 3, "there is no such folder; give the OUT of a run"),
         ([".", "--scan", "nowhere"], 3, "there is no such folder or file; give that of a scan"),
         (["."], 3, "no run has left its results here"),
-        ([".", "--few-frames", "0"], 2, "--few-frames is 0"),
+        ([".", "--set", "coverage.few_frames=0"], 2, "--set coverage.few_frames is 0"),
         ([], 2, "OUT"),
     ],
 )

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scanloom.cli.exit_codes import MEANINGS, in_short
+from scanloom.cli.exit_codes import MEANINGS, summarize
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.surface.formats.ply import read_ply, write_ply
 from scanloom.stages.surface.mesh import Mesh
@@ -44,7 +44,7 @@ def test_the_readme_has_the_same_table() -> None:
 
 def test_the_help_says_them_in_short(scanloom: Run) -> None:
     text = re.sub(r"\s+", " ", scanloom("--help").stdout)
-    assert f"Exit codes: {in_short()}." in text
+    assert f"Exit codes: {summarize()}" in text
 
 
 def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pieces: Path) -> None:
@@ -70,18 +70,18 @@ def test_with_bounds_whichever_comes_first_is_what_was_asked_for(scanloom: Run, 
 def test_a_normal_mesh_that_is_too_far_ends_with_1(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.ply"
     few = ("--levels", 1, "--base-triangles", 40)
-    ran = scanloom("remesh", clean_ball, target, *few, "--max-error", 1e-9)
+    ran = scanloom("mesh", "remesh", clean_ball, target, *few, "--set", "remesh.max_error=1e-9")
     assert ran.exit_code == 1
     assert target.is_file()
     # Said once, as the warning it is.
     assert ran.stderr.count("the finest level is up to") == 1
-    assert scanloom("remesh", clean_ball, target, *few, "--max-error", 1).exit_code == 0
+    assert scanloom("mesh", "remesh", clean_ball, target, *few, "--set", "remesh.max_error=1").exit_code == 0
 
 
 def test_a_limit_that_is_not_kept_ends_with_1_and_a_sentence(scanloom: Run, clean_ball: Path) -> None:
     light = clean_ball.with_name("light.ply")
     scanloom("simplify", clean_ball, light, "--ratio", 0.3)
-    ran = scanloom("certify", light, clean_ball, "--max-shape", 1e-6)
+    ran = scanloom("mesh", "certify", light, clean_ball, "--max-shape", 1e-6)
     assert ran.exit_code == 1
     assert f"scanloom: {light}: the limits are not proven to be kept." in ran.stderr
     assert "Limits are not proven to be kept." in ran.stdout
@@ -90,8 +90,8 @@ def test_a_limit_that_is_not_kept_ends_with_1_and_a_sentence(scanloom: Run, clea
 def test_a_limit_loosens_no_number_that_is_printed(scanloom: Run, clean_ball: Path) -> None:
     light = clean_ball.with_name("light.ply")
     scanloom("simplify", clean_ball, light, "--ratio", 0.3)
-    bound = scanloom("certify", light, clean_ball, "--json").json["shape_bound_m"]
-    limited = scanloom("certify", light, clean_ball, "--max-shape", 0.9, "--json")
+    bound = scanloom("mesh", "certify", light, clean_ball, "--json").json["shape_bound_m"]
+    limited = scanloom("mesh", "certify", light, clean_ball, "--max-shape", 0.9, "--json")
     assert limited.exit_code == 0
     assert limited.json["shape_bound_m"] <= bound
     alone = scanloom("certify", light, clean_ball, "--only-decide")
@@ -107,7 +107,11 @@ def test_meshes_of_different_things_end_with_1(
     ball, far, target = read_ply(clean_ball), tmp_path / "far.ply", tmp_path / "out.glb"
     for away, code in ((1000.0, 1), (2.5, 0)):
         write_ply(far, ball.with_(vertices=ball.vertices + np.array([away, 0, 0])))
-        some = ("--samples", 1000) if command == "compare" else (target, "--max-size", 64)
+        some = (
+            ("--set", "compare.samples=1000")
+            if command == "compare"
+            else (target, "--set", "bake.max_size=64")
+        )
         ran = scanloom(command, clean_ball, far, *some)
         assert ran.exit_code == code, ran.stderr
         assert ("in the same world and unit" in ran.stderr) == bool(code)

@@ -34,13 +34,13 @@ def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) ->
     (image,) = read_mesh(target).texture.images
     assert image.mime == "image/webp"
     # What is given counts more than the preset.
-    assert scanloom("export", model, target, "--preset", "web", "--images", "jpeg").exit_code == 0
+    assert scanloom("export", model, target, "--preset", "web", "--set", "export.images=jpeg").exit_code == 0
     (image,) = read_mesh(target).texture.images
     assert image.mime == "image/jpeg"
     # What it is by default, too.
     told = [
         scanloom("export", model, target, "--preset", "web", *words, "--json").json["position_error_m"]
-        for words in ((), ("--position-bits", "16"), ("--compress", "none"))
+        for words in ((), ("--set", "export.position_bits=16"), ("--compress", "none"))
     ]
     assert told[0] > 3 * told[1] > told[2] == 0
 
@@ -58,7 +58,7 @@ def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -
 
 def test_gltf_of_others_has_y_up(scanloom: Run, tmp_path: Path) -> None:
     write_mesh(tmp_path / "a.glb", sheet())
-    ran = scanloom("export", tmp_path / "a.glb", tmp_path / "a.ply", "--axes", "z-up")
+    ran = scanloom("export", tmp_path / "a.glb", tmp_path / "a.ply", "--set", "export.axes=z-up")
     assert ran.exit_code == 0
     heights = np.sort(read_mesh(tmp_path / "a.ply").vertices[:, 2])
     np.testing.assert_allclose(heights, np.sort(sheet().vertices[:, 1]), atol=1e-6)

@@ -60,7 +60,7 @@ def test_every_method_gives_a_closed_mesh_with_an_image(
         assert ran.json["kept_images"]["rmse_levels"] < 0.35 * ran.json["kept_images"]["baked_rmse_levels"]
     else:
         assert ran.json["baked"]["image_bytes"] > 0
-    color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
+    color = scanloom("compare", textured, target, "--set", "compare.samples=20000", "--json").json["color"]
     assert color["a_to_b"]["rmse_levels"] < 40
 
 
@@ -86,7 +86,7 @@ def test_formats_of_the_shape_alone_say_so(
 
 def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     target = tmp_path / "normal.glb"
-    ran = scanloom("remesh", textured, target, "--json")
+    ran = scanloom("mesh", "remesh", textured, target, "--json")
     assert ran.exit_code == 0, ran.stderr
     light = read_mesh(target)
     assert light.texture is not None
@@ -137,7 +137,7 @@ def test_formats_with_images_hold_the_baked_one(
     target = tmp_path / f"light{suffix}"
     ran = scanloom("simplify", textured, target, "--ratio", 0.3, "--bake", "--json")
     assert ran.exit_code == 0, ran.stderr
-    color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
+    color = scanloom("compare", textured, target, "--set", "compare.samples=20000", "--json").json["color"]
     assert color["a_to_b"]["rmse_levels"] == pytest.approx(ran.json["baked"]["color"]["rmse_levels"], rel=0.3)
 
 

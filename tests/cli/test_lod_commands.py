@@ -20,14 +20,16 @@ Run = Callable[..., Any]
 @pytest.fixture
 def built(scanloom: Run, tmp_path: Path) -> Path:
     write_ply(tmp_path / "m.ply", sheet(40))
-    ran = scanloom("lod", "build", tmp_path / "m.ply", tmp_path / "new" / "m.slod", "--cell-triangles", 500)
+    ran = scanloom(
+        "lod", "build", tmp_path / "m.ply", tmp_path / "new" / "m.slod", "--set", "lod.cell_triangles=500"
+    )
     assert ran.exit_code == 0, ran.stderr
     return tmp_path / "new" / "m.slod"
 
 
 def test_build_and_info_tell_the_same_levels(scanloom: Run, built: Path, tmp_path: Path) -> None:
     again = scanloom(
-        "lod", "build", tmp_path / "m.ply", tmp_path / "n.slod", "--cell-triangles", 500, "--json"
+        "lod", "build", tmp_path / "m.ply", tmp_path / "n.slod", "--set", "lod.cell_triangles=500", "--json"
     )
     told = scanloom("lod", "info", built, "--json").json
     assert again.json["levels"] == told["levels"]
@@ -46,7 +48,20 @@ def test_cut_to_a_number_of_triangles_an_error_and_a_view(scanloom: Run, built: 
     ran = scanloom("lod", "cut", built, out, "--max-shape", 0)
     assert (ran.exit_code, len(read_mesh(out).triangles)) == (0, 3200)
     assert "proven." in ran.stdout
-    view = ("--eye", 0.5, 0.5, 3, "--look", 0.5, 0.5, 0, "--size", 640, 480)
+    view = (
+        "--eye",
+        0.5,
+        0.5,
+        3,
+        "--look",
+        0.5,
+        0.5,
+        0,
+        "--set",
+        "view.width=640",
+        "--set",
+        "view.height=480",
+    )
     near = scanloom("lod", "cut", built, out, *view, "--error-px", 0.5, "--json").json["triangles"]
     far = scanloom("lod", "cut", built, out, *view, "--error-px", 50, "--json").json["triangles"]
     assert near > far
@@ -75,7 +90,9 @@ def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: P
 def test_what_was_built_of_a_textured_mesh_gets_its_image_anew(scanloom: Run, tmp_path: Path) -> None:
     source, slod, out = tmp_path / "m.glb", tmp_path / "m.slod", tmp_path / "cut.glb"
     write_mesh(source, bake(sheet(16), sheet(16)).mesh)
-    ran = scanloom("lod", "build", source, slod, "--cell-triangles", 128, "--root-triangles", 100)
+    ran = scanloom(
+        "lod", "build", source, slod, "--set", "lod.cell_triangles=128", "--set", "lod.root_triangles=100"
+    )
     assert (ran.exit_code, ran.stderr) == (0, "")
     ran = scanloom("lod", "cut", slod, out, "--triangles", 300, "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
@@ -84,7 +101,7 @@ def test_what_was_built_of_a_textured_mesh_gets_its_image_anew(scanloom: Run, tm
     assert mesh.texture.images
     assert mesh.up == (0.0, 1.0, 0.0)
     assert ran.json["texture"]["color"]["rmse_levels"] < 10
-    ran = scanloom("lod", "cut", slod, out, "--triangles", 300, "--no-image", "--json")
+    ran = scanloom("lod", "cut", slod, out, "--triangles", 300, "--texture", "none", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert read_mesh(out).texture is None
     assert "texture" not in ran.json
@@ -92,9 +109,6 @@ def test_what_was_built_of_a_textured_mesh_gets_its_image_anew(scanloom: Run, tm
     ran = scanloom("lod", "cut", slod, tmp_path / "cut.stl", "--triangles", 300)
     assert ran.exit_code == 0
     assert "colours" in ran.stderr
-    ran = scanloom("lod", "cut", slod, out, "--texture", source, "--no-image")
-    assert ran.exit_code == 2
-    assert "--texture asks for an image and --no-image for none." in ran.stderr
 
 
 def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> None:
@@ -110,7 +124,16 @@ def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> N
     )
     write_ply(tmp_path / "m.ply", mesh)
     slod = tmp_path / "m.slod"
-    ran = scanloom("lod", "build", tmp_path / "m.ply", slod, "--cell-triangles", 500, "--drop-islands", 0.01)
+    ran = scanloom(
+        "lod",
+        "build",
+        tmp_path / "m.ply",
+        slod,
+        "--set",
+        "lod.cell_triangles=500",
+        "--set",
+        "lod.drop_islands=0.01",
+    )
     assert ran.exit_code == 0, ran.stderr
     assert "1 connected components" in ran.stderr
     ran = scanloom("lod", "info", slod)

@@ -26,7 +26,7 @@ def slod(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     target = tmp_path / "new" / "tiles"
-    ran = scanloom("lod", "tiles", slod, target, "--up", "+z", "--json")
+    ran = scanloom("lod", "tiles", slod, target, "--set", "tiles.up=+z", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     root = read_tiles(target)
     assert ran.json["tiles"] == len(list(root.all())) == len(list((target / "tiles").iterdir()))
@@ -35,10 +35,10 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert ran.json["grid_share_m"] < root.tree["geometricError"]
     assert "transform" not in root.tree
     # Once more, over them, packed.
-    ran = scanloom("lod", "tiles", slod, target, "--compress", "meshopt", "--json")
+    ran = scanloom("lod", "tiles", slod, target, "--set", "tiles.compress=meshopt", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert any(b"EXT_meshopt_compression" in file.read_bytes() for file in (target / "tiles").iterdir())
-    assert scanloom("lod", "tiles", slod, target, "--compress", "draco").exit_code == 2
+    assert scanloom("lod", "tiles", slod, target, "--set", "tiles.compress=draco").exit_code == 2
     # Once more, with the default and with words.
     ran = scanloom("lod", "tiles", slod, target)
     assert ran.exit_code == 0
@@ -65,7 +65,9 @@ def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_tiles_with_images(scanloom: Run, slod: Path, textured: Path, tmp_path: Path) -> None:
     target = tmp_path / "tiles"
-    ran = scanloom("lod", "tiles", slod, target, "--texture", textured, "--image-format", "webp", "--json")
+    ran = scanloom(
+        "lod", "tiles", slod, target, "--texture", textured, "--set", "tiles.image_format=webp", "--json"
+    )
     assert (ran.exit_code, ran.stderr) == (0, "")
     tiles = list(read_tiles(target).all())
     assert all(tile.image is not None and tile.image[8:12] == b"WEBP" for tile in tiles)
@@ -81,19 +83,16 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
     scanloom: Run, textured: Path, tmp_path: Path
 ) -> None:
     source, target = tmp_path / "m.slod", tmp_path / "tiles"
-    words = ("--cell-triangles", 128, "--root-triangles", 100, "--ratio", 4)
+    words = ("--set", "lod.cell_triangles=128", "--set", "lod.root_triangles=100", "--set", "lod.ratio=4")
     assert scanloom("lod", "build", textured, source, *words).exit_code == 0
     ran = scanloom("lod", "tiles", source, target, "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert ran.json["images"]["color_rms_levels_sampled"]["largest"] < 10
     assert all(tile.image is not None for tile in read_tiles(target).all())
-    ran = scanloom("lod", "tiles", source, target, "--no-image", "--json")
+    ran = scanloom("lod", "tiles", source, target, "--texture", "none", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert ran.json["images"] is None
     assert all(tile.image is None for tile in read_tiles(target).all())
-    ran = scanloom("lod", "tiles", source, target, "--texture", textured, "--no-image")
-    assert ran.exit_code == 2
-    assert "--texture asks for images and --no-image for none." in ran.stderr
 
 
 @pytest.mark.parametrize(
@@ -110,16 +109,20 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
         ),
         (("{slod}", "out", "--texture", "absent.glb"), 3, "absent.glb: there is no such file."),
         (
-            ("{slod}", "out", "--image-side", "8"),
+            ("{slod}", "out", "--set", "tiles.image_side=8"),
             2,
-            "--image-side is 8 texels; it must be at least 64 texels.",
+            "--set tiles.image_side is 8 texels; it must be at least 64 texels.",
         ),
         (
             ("{slod}", "out", "--texture", "{plain}"),
             3,
             "{plain}: has neither an image nor vertex colours for the tiles.",
         ),
-        (("{slod}", "out", "--up", "y"), 2, "--up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none."),
+        (
+            ("{slod}", "out", "--set", "tiles.up=y"),
+            2,
+            "--set tiles.up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none.",
+        ),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(

@@ -27,7 +27,7 @@ COMMANDS = {
     "clean": "clean mesh.ply out.ply",
     "clean, with repairs": "clean mesh.ply out.ply --repair",
     "check": "check mesh.ply",
-    "lod": "lod build mesh.ply out.slod --cell-triangles 1000",
+    "lod": "lod build mesh.ply out.slod --set lod.cell_triangles=1000",
     "lod tiles": "lod tiles made.slod tiles-{} --texture mesh.ply --compress meshopt",
     "lod cut": "lod cut made.slod out.glb --triangles 1000 --texture mesh.ply",
     "compare": "compare mesh.ply light.ply",
@@ -62,9 +62,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     simplified = ["simplify", files["mesh.ply"], files["light.ply"], "--ratio", "0.1"]
     assert run_command([*simplified, "--save-record", files["made.npz"]]) == 0
-    built = ["lod", "build", files["mesh.ply"], files["made.slod"], "--cell-triangles", "1000"]
+    built = ["lod", "build", files["mesh.ply"], files["made.slod"], "--set", "lod.cell_triangles=1000"]
     assert run_command(built) == 0
-    remeshed = ["remesh", files["mesh.ply"], files["made.ply"], "--levels", "1"]
+    remeshed = ["mesh", "remesh", files["mesh.ply"], files["made.ply"], "--levels", "1"]
     assert run_command([*remeshed, "--save", files["made.snm"]]) == 0
     return folder
 

@@ -43,7 +43,7 @@ def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: P
     a = (np.arange(5)[:, None] * 6 + np.arange(5)).ravel()
     triangles = np.concatenate([np.stack(t, 1) for t in ((a, a + 1, a + 7), (a, a + 7, a + 6))])
     write_ply(source, Mesh(vertices, triangles.astype(np.int32)))
-    ran = scanloom("clean", source, target, "--repair", "--max-shape", 0.01, "--json")
+    ran = scanloom("clean", source, target, "--repair", "--set", "clean.max_shape=0.01", "--json")
     assert ran.exit_code == 0
     figures = ran.json["repair"]
     needles = figures["classes"]["needles"]
@@ -62,7 +62,7 @@ def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path,
     scanloom("clean", ball, clean)
     ran = scanloom("simplify", clean, light, "--method", "jia01", "--max-shape", 0.05, "--triangles", 300)
     assert ran.exit_code == 0, ran.stderr
-    figures = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
+    figures = scanloom("compare", clean, light, "--set", "compare.samples=20000", "--json").json
     assert figures["distance"]["symmetric"]["maximum_m"] <= 0.05
     assert 4 <= len(read_mesh(light).triangles) < 1280
 
@@ -80,19 +80,21 @@ def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tm
     assert figures["details"]["color_bound_levels"] <= 20
     assert len(read_mesh(light).triangles) < 0.7 * 1280
 
-    measured = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
-    again = scanloom("certify", light, clean, "--json")
+    measured = scanloom("compare", clean, light, "--set", "compare.samples=20000", "--json").json
+    again = scanloom("mesh", "certify", light, clean, "--json")
     assert again.exit_code == 0
     assert measured["distance"]["symmetric"]["maximum_m"] <= again.json["shape_bound_m"] <= 0.05
     assert measured["color"]["symmetric"]["maximum_levels"] <= again.json["color_bound_levels"] <= 20.2
-    text = scanloom("certify", light, clean).stdout
+    text = scanloom("mesh", "certify", light, clean).stdout
     assert "proven to be at most" in text
     assert "colour difference levels" in text
 
-    kept = scanloom("certify", light, clean, "--max-shape", 0.05, "--max-color", 20)
+    kept = scanloom("mesh", "certify", light, clean, "--max-shape", 0.05, "--max-color", 20)
     assert (kept.exit_code, kept.stderr) == (0, "")
     assert "Limits are kept." in kept.stdout
-    broken = scanloom("certify", light, clean, "--max-shape", 0.9 * again.json["shape_attained_m"], "--json")
+    broken = scanloom(
+        "mesh", "certify", light, clean, "--max-shape", 0.9 * again.json["shape_attained_m"], "--json"
+    )
     assert (broken.exit_code, broken.json["within_limits"]) == (1, False)
 
 
@@ -118,7 +120,17 @@ def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path
     clean, light, again = (tmp_path / f"{name}.ply" for name in ("clean", "light", "again"))
     scanloom("clean", ball, clean)
     bounds = ("--max-shape", 0.05, "--max-color", 20)
-    ran = scanloom("simplify", clean, light, *bounds, "--close-bounds", "--save-bounds", light, "--json")
+    ran = scanloom(
+        "simplify",
+        clean,
+        light,
+        *bounds,
+        "--set",
+        "simplify.certified.close_bounds=true",
+        "--save-bounds",
+        light,
+        "--json",
+    )
     assert ran.exit_code == 0, ran.stderr
     plain = tmp_path / "plain.ply"
     scanloom("simplify", clean, plain, *bounds)
@@ -128,7 +140,7 @@ def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path
     assert face["color_bound"].max() <= ran.json["details"]["color_bound_levels"] <= 20
     assert len(np.unique(face["shape_bound"])) > 10
 
-    ran = scanloom("certify", light, clean, "--save-bounds", again)
+    ran = scanloom("mesh", "certify", light, clean, "--save-bounds", again)
     assert ran.exit_code == 0, ran.stderr
     assert "bounds of" in ran.stderr
     certified = trimesh.load(again).metadata["_ply_raw"]["face"]["data"]
@@ -147,11 +159,11 @@ def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path
     # Those of the bound that leaves fewest triangles.
     assert figures["details"]["patch_shape_m"] <= figures["details"]["max_shape_m"] == 0.05
     bounds = ("--max-shape", figures["details"]["patch_shape_m"])
-    ran = scanloom("patches", clean, colored, *bounds)
+    ran = scanloom("mesh", "patches", clean, colored, *bounds)
     assert ran.exit_code == 0, ran.stderr
     assert f"{figures['details']['patches']:,} patches, " in ran.stdout
     assert "largest patches" in ran.stdout
-    told = scanloom("patches", clean, colored, *bounds, "--json").json
+    told = scanloom("mesh", "patches", clean, colored, *bounds, "--json").json
     for name in ("patches", "area_m2", "largest_patches"):
         assert told[name] == figures["details"][name]
     written = read_mesh(colored)
@@ -199,10 +211,10 @@ def test_simplify_to_a_count_and_back(scanloom: Run, ball: Path, tmp_path: Path)
     right, left = (after.vertices[:, 0] * side > 0.8 for side in (1, -1))
     assert right.sum() > left.sum()
 
-    ran = scanloom("replay", record, half, "--ratio", 0.5, "--json")
+    ran = scanloom("mesh", "replay", record, half, "--ratio", 0.5, "--json")
     assert ran.exit_code == 0, ran.stderr
     assert ran.json["triangles"] == len(read_mesh(half).triangles) == 640
-    scanloom("replay", record, half, "--fit")
+    scanloom("mesh", "replay", record, half, "--set", "replay.fit=true")
     assert half.read_bytes() == light.read_bytes()
 
 
@@ -212,7 +224,7 @@ def test_simplify_within_bounds_and_back(scanloom: Run, ball: Path, tmp_path: Pa
     scanloom("clean", ball, clean)
     ran = scanloom("simplify", clean, light, "--max-shape", 0.01, "--save-record", record)
     assert ran.exit_code == 0, ran.stderr
-    assert scanloom("replay", record, again).exit_code == 0
+    assert scanloom("mesh", "replay", record, again).exit_code == 0
     assert again.read_bytes() == light.read_bytes()
 
 
@@ -235,7 +247,7 @@ def test_ctrl_c_writes_what_there_is_if_asked(
     words = ("simplify", source, target, "--ratio", 0.01)
     assert scanloom(*words).exit_code == 130
     assert not target.exists()
-    ran = scanloom(*words, "--partial", "--json")
+    ran = scanloom(*words, "--keep-on-interrupt", "--json")
     assert ran.exit_code == 0
     assert ran.json["stopped_by"] == "request"
     assert 0.01 * len(triangles) < len(read_mesh(target).triangles) < len(triangles)
@@ -248,9 +260,9 @@ def test_a_mesh_may_be_replaced_by_its_clean_self(scanloom: Run, ball: Path) -> 
 
 
 def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path) -> None:
-    figures = scanloom("compare", ball, ball, "--samples", 1000, "--json").json
+    figures = scanloom("compare", ball, ball, "--set", "compare.samples=1000", "--json").json
     assert figures["distance"]["symmetric"]["maximum_m"] == pytest.approx(0, abs=1e-6)
-    text = scanloom("compare", ball, ball, "--samples", 1000).stdout
+    text = scanloom("compare", ball, ball, "--set", "compare.samples=1000").stdout
     assert " mm  " in text
     assert "equal" in text
 
@@ -259,9 +271,10 @@ def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path
 def test_compare_is_repeatable_by_its_seed(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     light = tmp_path / "light.ply"
     scanloom("clean", ball, light)
-    words = ("compare", ball, light, "--samples", 1000, "--json")
-    assert scanloom(*words, "--seed", 3).stdout == scanloom(*words, "--seed", 3).stdout
-    assert scanloom(*words, "--seed", 3).stdout != scanloom(*words, "--seed", 4).stdout
+    words = ("compare", ball, light, "--set", "compare.samples=1000", "--json")
+    one, two = ("--set", "compare.seed=3"), ("--set", "compare.seed=4")
+    assert scanloom(*words, *one).stdout == scanloom(*words, *one).stdout
+    assert scanloom(*words, *one).stdout != scanloom(*words, *two).stdout
 
 
 def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> None:
@@ -299,16 +312,31 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
         ),
         (("simplify", "ball.ply", "out.ply", "--save-record", "r.txt"), 2, "use .npz"),
         (
-            ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--close-bounds"),
+            (
+                "simplify",
+                "ball.ply",
+                "out.ply",
+                "--ratio",
+                "0.5",
+                "--set",
+                "simplify.certified.close_bounds=true",
+            ),
             2,
             "needs max_shape or max_co",
         ),
         (
-            ("simplify", "ball.ply", "out.ply", "--method", "jia01", "--crease-angle", "30"),
+            (
+                "simplify",
+                "ball.ply",
+                "out.ply",
+                "--method",
+                "jia01",
+                "--set",
+                "simplify.planar.crease_angle=30",
+            ),
             2,
             "--crease-angle is not supported by method jia01; leave one of them out.",
         ),
-        (("simplify", "ball.ply", "out.ply", "--crease-angle", "95"), 2, "--crease-angle is 95 degrees"),
         (
             ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--save-bounds", "b.ply"),
             2,

@@ -25,7 +25,7 @@ SMALL = ("--levels", 2, "--base-triangles", 80)
 def made_kept(made_clean_ball: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of two levels, and remeshed.ply beside it."""
     path = tmp_path_factory.mktemp("kept") / "kept.snm"
-    words = ("remesh", made_clean_ball, path.with_name("remeshed.ply"), *SMALL, "--save", path)
+    words = ("mesh", "remesh", made_clean_ball, path.with_name("remeshed.ply"), *SMALL, "--save", path)
     assert run_command([str(word) for word in words]) == 0
     return path
 
@@ -41,7 +41,9 @@ def test_remesh_writes_the_finest_level_all_levels_and_a_file(
     scanloom: Run, clean_ball: Path, tmp_path: Path
 ) -> None:
     target, file, folder = tmp_path / "new" / "normal.ply", tmp_path / "files" / "n.snm", tmp_path / "levels"
-    ran = scanloom("remesh", clean_ball, target, *SMALL, "--save", file, "--save-levels", folder, "--json")
+    ran = scanloom(
+        "mesh", "remesh", clean_ball, target, *SMALL, "--save", file, "--save-levels", folder, "--json"
+    )
     assert ran.exit_code == 0
     assert ran.stderr == ""
     assert ran.json["output"] == str(target)
@@ -51,12 +53,14 @@ def test_remesh_writes_the_finest_level_all_levels_and_a_file(
     assert ran.json["file_bytes"] == file.stat().st_size
     assert sorted(path.name for path in folder.iterdir()) == ["level_0.ply", "level_1.ply", "level_2.ply"]
     assert (folder / "level_2.ply").read_bytes() == target.read_bytes()
-    figures = scanloom("compare", clean_ball, target, "--samples", 20_000, "--json").json
+    figures = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
     assert figures["distance"]["symmetric"]["maximum_m"] < 0.02
 
 
 def test_the_text_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
-    ran = scanloom("remesh", clean_ball, tmp_path / "out.ply", *SMALL, "--max-error", 1e-6)
+    ran = scanloom(
+        "mesh", "remesh", clean_ball, tmp_path / "out.ply", *SMALL, "--set", "remesh.max_error=1e-6"
+    )
     rows = [line.split() for line in ran.stdout.splitlines()]
     assert rows[0][:3] == ["level", "triangles", "vertices"]
     assert [row[0] for row in rows[1:4]] == ["0", "1", "2"]
@@ -67,11 +71,11 @@ def test_the_text_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_
 
 def test_decode_gives_what_was_remeshed_to_the_byte(scanloom: Run, kept: Path, tmp_path: Path) -> None:
     again, coarse, folder = tmp_path / "again.ply", tmp_path / "coarse.ply", tmp_path / "levels"
-    ran = scanloom("decode", kept, again, "--save-levels", folder, "--json")
+    ran = scanloom("mesh", "decode", kept, again, "--save-levels", folder, "--json")
     assert ran.exit_code == 0, ran.stderr
     assert again.read_bytes() == kept.with_name("remeshed.ply").read_bytes()
     assert (ran.json["levels"], ran.json["levels_promised"], ran.json["damage"]) == (2, 2, None)
-    ran = scanloom("decode", kept, coarse, "--level", 1, "--json")
+    ran = scanloom("mesh", "decode", kept, coarse, "--level", 1, "--json")
     assert ran.json["levels"] == 1
     assert coarse.read_bytes() == (folder / "level_1.ply").read_bytes()
 
@@ -81,19 +85,19 @@ def test_a_damaged_file_gives_what_is_whole_with_a_warning(scanloom: Run, kept: 
     data = kept.read_bytes()
     end = decode(data).level_ends[1]
     kept.write_bytes(data[: end + 3])
-    ran = scanloom("decode", kept, target)
+    ran = scanloom("mesh", "decode", kept, target)
     assert ran.exit_code == 0
     assert f"warning: {kept}: only levels 0 to 1 are whole: " in ran.stderr
     assert len(read_mesh(target).triangles) == 4 * 80
-    ran = scanloom("decode", kept, target, "--json")
+    ran = scanloom("mesh", "decode", kept, target, "--json")
     assert ran.json["levels"] == 1
     assert ran.json["damage"]
-    ran = scanloom("decode", kept, tmp_path / "none.ply", "--level", 2)
+    ran = scanloom("mesh", "decode", kept, tmp_path / "none.ply", "--level", 2)
     assert ran.exit_code == 3
     assert ran.stderr.startswith(f"scanloom: {kept}: has no level 2, only levels 0 to 1 are whole")
     assert not (tmp_path / "none.ply").exists()
     kept.write_bytes(data[:end])
-    assert "warning" not in scanloom("decode", kept, target).stderr
+    assert "warning" not in scanloom("mesh", "decode", kept, target).stderr
 
 
 def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> None:
@@ -101,16 +105,16 @@ def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> N
     mesh = Mesh(np.array(shape.vertices), np.array(shape.faces, np.int32))
     source, target, file, again = (tmp_path / name for name in ("in.ply", "out.ply", "out.snm", "again.ply"))
     write_ply(source, mesh, vertex_values={"confidence": 0.5 + 0.5 * mesh.vertices[:, 2]})
-    ran = scanloom("remesh", source, target, *SMALL, "--save", file)
+    ran = scanloom("mesh", "remesh", source, target, *SMALL, "--save", file)
     assert ran.exit_code == 0, ran.stderr
     confidence = read_vertex_values(target, "confidence")
     heights = 0.5 + 0.5 * read_mesh(target).vertices[:, 2]
     np.testing.assert_allclose(confidence, heights, atol=0.003)
-    scanloom("decode", file, again)
+    scanloom("mesh", "decode", file, again)
     assert again.read_bytes() == target.read_bytes()
-    assert scanloom("remesh", source, tmp_path / "out.obj", *SMALL).exit_code == 0
+    assert scanloom("mesh", "remesh", source, tmp_path / "out.obj", *SMALL).exit_code == 0
     write_ply(source, mesh, vertex_values={"confidence": np.full(len(mesh.vertices), np.nan)})
-    ran = scanloom("remesh", source, target)
+    ran = scanloom("mesh", "remesh", source, target)
     assert ran.exit_code == 3
     assert f"{source}: has a confidence that is not finite" in ran.stderr
 
@@ -118,18 +122,34 @@ def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("words", "exit_code", "sentence"),
     [
-        (("remesh", "missing.ply", "out.ply"), 3, "missing.ply: there is no such file."),
-        (("remesh", "clean.ply", "out.xyz"), 2, "the extension .xyz stands for no format"),
-        (("remesh", "clean.ply", "out.ply", "--save", "out.npz"), 2, "use .snm"),
-        (("remesh", "clean.ply", "out.ply", "--save-levels", "clean.ply"), 3, "clean.ply"),
-        (("remesh", "clean.ply", "out.ply", "--levels", "11"), 2, "--levels is 11; it must be at most 10"),
-        (("remesh", "clean.ply", "out.ply", "--scheme", "loop"), 2, "--scheme is 'loop'; it must be one of"),
-        (("remesh", "clean.ply", "out.ply", "--tolerance", "0"), 2, "--tolerance is 0"),
-        (("decode", "missing.snm", "out.ply"), 3, "missing.snm: there is no such file."),
-        (("decode", "clean.ply", "out.ply"), 3, "clean.ply: "),
-        (("decode", "kept.snm", "out.ply", "--level", "3"), 2, "kept.snm was made with levels 0 to 2"),
-        (("decode", "kept.snm", "out.ply", "--level", "-1"), 2, "level is -1"),
-        (("decode", "kept.snm", "out.snm"), 2, "the extension .snm stands for no format"),
+        (("mesh", "remesh", "missing.ply", "out.ply"), 3, "missing.ply: there is no such file."),
+        (("mesh", "remesh", "clean.ply", "out.xyz"), 2, "the extension .xyz stands for no format"),
+        (("mesh", "remesh", "clean.ply", "out.ply", "--save", "out.npz"), 2, "use .snm"),
+        (("mesh", "remesh", "clean.ply", "out.ply", "--save-levels", "clean.ply"), 3, "clean.ply"),
+        (
+            ("mesh", "remesh", "clean.ply", "out.ply", "--levels", "11"),
+            2,
+            "--levels is 11; it must be at most 10",
+        ),
+        (
+            ("mesh", "remesh", "clean.ply", "out.ply", "--set", "remesh.scheme=loop"),
+            2,
+            "--set remesh.scheme is 'loop'; it must be one of",
+        ),
+        (
+            ("mesh", "remesh", "clean.ply", "out.ply", "--set", "remesh.tolerance=0"),
+            2,
+            "--set remesh.tolerance is 0",
+        ),
+        (("mesh", "decode", "missing.snm", "out.ply"), 3, "missing.snm: there is no such file."),
+        (("mesh", "decode", "clean.ply", "out.ply"), 3, "clean.ply: "),
+        (
+            ("mesh", "decode", "kept.snm", "out.ply", "--level", "3"),
+            2,
+            "kept.snm was made with levels 0 to 2",
+        ),
+        (("mesh", "decode", "kept.snm", "out.ply", "--level", "-1"), 2, "level is -1"),
+        (("mesh", "decode", "kept.snm", "out.snm"), 2, "the extension .snm stands for no format"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(
@@ -153,7 +173,7 @@ def test_a_mesh_that_is_not_manifold_is_split_and_a_warning_says_so(scanloom: Ru
     fan = tmp_path / "fan.ply"
     vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, -1, 0]], float)
     write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))
-    ran = scanloom("remesh", fan, tmp_path / "out.ply")
+    ran = scanloom("mesh", "remesh", fan, tmp_path / "out.ply")
     assert ran.exit_code == 0
     assert f"warning: {fan}: 2 pinched vertices were split" in ran.stderr
 
@@ -164,6 +184,6 @@ def test_pinched_vertices_are_split_with_a_warning(scanloom: Run, tmp_path: Path
     upper = [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]
     lower = [[0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]]
     write_ply(hourglass, Mesh(np.array(corners, float), np.array(upper + lower, np.int32)))
-    ran = scanloom("remesh", hourglass, tmp_path / "out.ply", "--levels", 1)
+    ran = scanloom("mesh", "remesh", hourglass, tmp_path / "out.ply", "--levels", 1)
     assert ran.exit_code == 0, ran.stderr
     assert f"warning: {hourglass}: 1 pinched vertex was split" in ran.stderr

@@ -13,8 +13,8 @@ import pytest
 import typer
 
 from scanloom import stages
-from scanloom.cli.errors import bug_of, failure_of
-from scanloom.cli.output import Output, lines_of, one_line, to_json
+from scanloom.cli.errors import explain_bug, explain_failure
+from scanloom.cli.output import Output, format_lines, to_json, to_one_line
 from scanloom.pipeline.run.schema import SCHEMA
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import (
@@ -61,7 +61,7 @@ def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
         "max_shape_m": 0.00500001,
         "color_attained_levels": None,
     }
-    assert lines_of(figures).splitlines() == [
+    assert format_lines(figures).splitlines() == [
         "shape bound     0.005001 m",
         "shape attained  0.004999 m",
         "color bound     20 levels of 255",
@@ -81,7 +81,7 @@ def test_lines_for_a_person_carry_units() -> None:
         "skipped": [{"frame": "7", "reason": "dark"}],
         "none": [],
     }
-    assert lines_of(figures).splitlines() == [
+    assert format_lines(figures).splitlines() == [
         "voxel size  0.01235 m",
         "triangles   1,234,567",
         "used        25 %",
@@ -128,7 +128,7 @@ def test_no_bar_where_stderr_is_not_a_terminal(capsys: pytest.CaptureFixture[str
     ],
 )
 def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code: int, sentence: str) -> None:
-    failure = failure_of(error)
+    failure = explain_failure(error)
     assert (failure.exit_code, failure.sentence) == (exit_code, sentence)
 
 
@@ -149,7 +149,7 @@ def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code
 )
 def test_a_lack_of_memory_is_explained(error: Exception) -> None:
     assert is_lack_of_memory(error)
-    failure = failure_of(error)
+    failure = explain_failure(error)
     assert failure.exit_code == 1
     assert "memory" in failure.sentence
 
@@ -163,7 +163,7 @@ def test_a_library_that_is_loaded_too_late_is_no_lack_of_memory() -> None:
 
 
 def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:
-    failure = bug_of(KeyError("a\nb"))
+    failure = explain_bug(KeyError("a\nb"))
     assert failure.exit_code == 1
     assert "bug in scanloom" in failure.sentence
     assert "KeyError" in failure.sentence
@@ -172,7 +172,7 @@ def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:
 
 
 def test_a_message_that_quotes_a_long_file_leaves_out_its_middle() -> None:
-    said = one_line(f"mesh.ply: its format is {'{' * 1_000_000!r}; ascii is known.")
+    said = to_one_line(f"mesh.ply: its format is {'{' * 1_000_000!r}; ascii is known.")
     assert len(said) < 2100
     assert said.startswith("mesh.ply: its format")
     assert said.endswith("ascii is known.")

@@ -34,10 +34,10 @@ def test_another_word_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: P
 
 def test_what_a_file_keeps_from_the_quality_is_told(scanloom: Run, tmp_path: Path) -> None:
     file = tmp_path / "f.toml"
-    file.write_text(scanloom("config").stdout)
+    file.write_text(scanloom("config", "--all").stdout)
     ran = scanloom("config", "--check", file, "--quality", "draft")
     [line] = ran.stderr.splitlines()
-    assert line.startswith("warning: --quality draft leaves fuse.voxel_factor, ")
+    assert line.startswith(f"warning: {file}: the file overrides --quality draft in voxel_factor of fuse, ")
     file.write_text('quality = "best"\n[simplify]\nratio = 0.5\n')
     ran = scanloom("config", "--check", file, "--quality", "draft", "--json")
     assert ran.stderr == ""
@@ -49,7 +49,7 @@ def test_what_a_file_keeps_from_the_quality_is_told(scanloom: Run, tmp_path: Pat
 def test_a_draft_is_coarser_and_standard_is_what_there_was(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
-    words = ("run", tiny_scan, "-o", tmp_path / "out", "--no-page", "--json")
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--set", "report.page=false", "--json")
     few = ("--set", "report.viewpoints=1", "--set", "report.width=64", "--set", "compare.samples=1000")
     usual = scanloom(*words, *few).json
     again = scanloom(*words, *few, "--quality", "standard").json

@@ -21,9 +21,11 @@ def test_labels_and_scale_bar_are_drawn_over_the_same_picture(
     scanloom: Run, clean_ball: Path, tmp_path: Path
 ) -> None:
     plain, worded = tmp_path / "plain.png", tmp_path / "worded.png"
-    words = ("--width", 240, "--height", 200)
+    words = ("--width", 240, "--set", "picture.height=200")
     assert scanloom("render", clean_ball, plain, *words).exit_code == 0
-    ran = scanloom("render", clean_ball, worded, *words, "--labels", "--scale-bar", "--json")
+    ran = scanloom(
+        "render", clean_ball, worded, *words, "--set", "picture.labels=files", "--scale-bar", "--json"
+    )
     assert ran.exit_code == 0, ran.stderr
     assert image(plain).shape == (200, 240, 3)
     changed = (image(plain) != image(worded)).any(axis=2)
@@ -38,13 +40,15 @@ def test_two_are_drawn_beside_one_another_from_one_viewpoint(
     scanloom: Run, clean_ball: Path, tmp_path: Path
 ) -> None:
     target, alone = tmp_path / "both.png", tmp_path / "alone.png"
-    ran = scanloom("render", clean_ball, clean_ball, target, "--width", 100, "--no-labels")
+    ran = scanloom("render", clean_ball, clean_ball, target, "--width", 100, "--set", "picture.labels=off")
     assert ran.exit_code == 0, ran.stderr
     scanloom("render", clean_ball, alone, "--width", 100)
     np.testing.assert_array_equal(
         image(target), np.hstack([image(alone), np.full((75, 8, 3), 255), image(alone)])
     )
-    named = scanloom("render", clean_ball, clean_ball, target, "--width", 100, "--label", "A", "--label", "B")
+    named = scanloom(
+        "render", clean_ball, clean_ball, target, "--width", 100, "--set", "picture.labels=A | B"
+    )
     assert named.exit_code == 0, named.stderr
     left, right = image(target)[:, :100], image(target)[:, 108:]
     assert (left != image(alone)).any()
@@ -56,7 +60,18 @@ def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: 
     ran = scanloom("render", clean_ball, free, "--width", 64, "--eye", 0, 0, 9, "--look", 0, 0, 0, "--json")
     assert (ran.exit_code, ran.json["viewpoint"]) == (0, "free")
     ran = scanloom(
-        "render", clean_ball, video, "--width", 64, "--frames", 3, "--fps", 10, "--up", "+z", "--json"
+        "render",
+        clean_ball,
+        video,
+        "--width",
+        64,
+        "--set",
+        "turntable.frames=3",
+        "--set",
+        "turntable.fps=10",
+        "--up",
+        "+z",
+        "--json",
     )
     assert ran.exit_code == 0, ran.stderr
     opened = cv2.VideoCapture(str(video))
@@ -68,14 +83,17 @@ def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: 
     [
         (("out.png",), "one or more mesh files"),
         (("ball.ply", "out.png", "--eye", "0", "0", "1"), "both --eye and --look"),
-        (("ball.ply", "out.png", "--frames", "9"), "--frames is of videos"),
-        (("ball.ply", "out.png", "--field", "50"), "of a free view"),
-        (("ball.ply", "out.mp4", "--viewpoint", "2"), "once around"),
+        (("ball.ply", "out.png", "--set", "turntable.frames=9"), "--set turntable.frames needs a video"),
+        (
+            ("ball.ply", "out.png", "--set", "picture.field_of_view=50"),
+            "--set picture.field_of_view needs --eye and --look",
+        ),
+        (("ball.ply", "out.mp4", "--viewpoint", "2"), "no single viewpoint"),
         (("ball.ply", "out.mp4", "--width", "101"), "even"),
-        (("ball.ply", "out.png", "--label", "a", "--label", "b"), "2 times for 1 mesh"),
+        (("ball.ply", "out.png", "--set", "picture.labels=a|b"), "2 texts for 1 mesh"),
         (("ball.ply", "out.png", "--up", "left"), "up is 'left'"),
-        (("ball.ply", "out.png", "--up", "none"), "upper side"),
-        (("ball.ply", "out.png", "--scan", ".", "--height", "90"), "cameras of its own"),
+        (("ball.ply", "out.png", "--up", "none"), "needs an up axis"),
+        (("ball.ply", "out.png", "--scan", ".", "--set", "picture.height=90"), "cameras of --scan"),
     ],
 )
 def test_what_has_no_effect_is_refused(

@@ -17,7 +17,7 @@ import pytest
 import recordings
 
 from scanloom.pipeline.config import Config
-from scanloom.stages.params import describe_all
+from scanloom.stages.params import describe_all, get_default
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
@@ -59,7 +59,7 @@ def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
         r"^simplify .* triangles, stopped by triangles; a level of colour .* m \(", said, re.MULTILINE
     )
 
-    forced = states(scanloom(*words, "--set", "simplify.max_shape=0.02", "--force", "clean"))
+    forced = states(scanloom(*words, "--set", "simplify.max_shape=0.02", "--set", "run.force=clean"))
     assert (forced["fuse"], forced["clean"]) == ("cached", "run")
 
 
@@ -128,7 +128,7 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
 
 
 def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
-    assert scanloom("inspect", tiny_scan, "--first", 2, "--every", 2, "--json").json["frames"] == 2
+    assert scanloom("inspect", tiny_scan, "--set", "scan.first=2", "--every", 2, "--json").json["frames"] == 2
     words = (
         "run",
         tiny_scan,
@@ -141,7 +141,10 @@ def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Pat
         "--json",
     )
     assert scanloom(*words, "--set", "scan.first=1").json["scan"]["frames"] == 5
-    assert scanloom(*words, "--set", "scan.every=2", "--every", 1).json["scan"]["frames"] == 6
+    assert scanloom(*words, "--every", 2).json["scan"]["frames"] == 3
+    twice = scanloom(*words, "--set", "scan.every=2", "--every", 1)
+    assert twice.exit_code == 2
+    assert "both --every and --set scan.every are given; leave one of them out." in twice.stderr
 
 
 def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -194,7 +197,7 @@ def test_poses_taken_the_wrong_way_stop_fuse(scanloom: Run, shared_data: Path, t
     ran = scanloom(*words, "--voxel-size", 0.02)
     assert ran.exit_code == 3
     assert "the poses are probably world-to-camera" in ran.stderr
-    assert scanloom(*words, "--voxel-size", 0.02, "--no-check-poses").exit_code == 0
+    assert scanloom(*words, "--voxel-size", 0.02, "--set", "scan.check_poses=false").exit_code == 0
 
 
 def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -207,7 +210,7 @@ def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Pa
 
 def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) -> None:
     pairs = Path(__file__).parents[2] / "samples" / "stereo"
-    ran = scanloom("depth", pairs, tmp_path / "depth", "--last", 1, "--json")
+    ran = scanloom("depth", pairs, tmp_path / "depth", "--set", "scan.last=1", "--json")
     assert ran.exit_code == 0, ran.stderr
     assert ran.json["frames_used"] == 2
     assert [path.name for path in tmp_path.iterdir()] == ["depth"]
@@ -226,7 +229,7 @@ def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) ->
         (("run", "missing", "-o", "out"), 3, "missing: there is no such folder"),
         (("run", "file", "-o", "out"), 3, "file: this is a file"),
         (("inspect", "empty"), 3, "empty"),
-        (("inspect", "empty", "--layout", "cubist"), 2, "--layout is 'cubist'"),
+        (("inspect", "empty", "--set", "scan.layout=cubist"), 2, "--set scan.layout is 'cubist'"),
         (("inspect", "empty", "--intrinsics", "1,2"), 2, "--intrinsics"),
         (("run", "empty"), 2, "--out"),
         (("run", "empty", "-o", "file/out"), 3, "file"),
@@ -235,7 +238,7 @@ def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) ->
         (("run", "empty", "-o", "out", "--set", "fuse.voxel_size=-1"), 2, "voxel_size"),
         (("run", "empty", "-o", "out", "--set", "fuse.voxle_size=1"), 2, "voxel_size"),
         (("run", "empty", "-o", "out", "--until", "lunch"), 2, "lunch"),
-        (("run", "empty", "-o", "out", "--force", "lunch"), 2, "lunch"),
+        (("run", "empty", "-o", "out", "--set", "run.force=lunch"), 2, "lunch"),
         (("config", "--check", "file"), 2, "file"),
         (("cache", "ls", "missing"), 3, "missing"),
         (("cache", "ls"), 2, "SCANLOOM_CACHE"),
@@ -291,10 +294,10 @@ def test_depth_that_cannot_be_leaves_no_folder(scanloom: Run, tiny_scan: Path, t
 
 def test_the_printed_config_is_the_defaults(scanloom: Run, tmp_path: Path) -> None:
     file = tmp_path / "defaults.toml"
-    file.write_text(scanloom("config").stdout)
+    file.write_text(scanloom("config", "--all").stdout)
     assert Config.load(file) == Config()
     checked = scanloom("config", "--check", file, "--json")
-    assert checked.json == scanloom("config", "--json").json
+    assert checked.json == scanloom("config", "--all", "--json").json
 
 
 def test_the_cache_is_listed_verified_and_pruned(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -341,19 +344,32 @@ COMMANDS = [
 def test_help_teaches_with_an_example(scanloom: Run, command: tuple[str, ...]) -> None:
     ran = scanloom(*command, "--help")
     assert ran.exit_code == 0
-    assert f"Example: scanloom {' '.join(command)}" in ran.stdout
+    assert f"\n  scanloom {' '.join(command)}" in ran.stdout
     assert "--json" in ran.stdout
 
 
 @pytest.mark.parametrize("command", ["depth", "fuse", "clean", "simplify"])
-def test_help_of_a_stage_names_unit_and_default_of_every_parameter(scanloom: Run, command: str) -> None:
-    text = re.sub(r"[\s│]+", " ", scanloom(command, "--help").stdout)
+def test_help_of_a_stage_names_unit_and_default_of_every_option(scanloom: Run, command: str) -> None:
+    text = re.sub(r"\s+", " ", scanloom(command, "--help").stdout)
+    text = " " + text.partition(" Options: ")[2].partition(" Common options: ")[0]
     helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
-    for name, about in describe_all(Config.types()[command]).items():
+    cls = Config.types()[command]
+    for name, about in describe_all(cls).items():
         option = name.rpartition(".")[2].replace("_", "-")
-        facts = re.search(r"\(([^()]*)(default: [^()]+|no fixed default)\)", helps[option])
-        assert facts, name
-        assert about.unit in facts[1]
+        if not about.common:
+            assert option not in helps
+            continue
+        facts = "".join(re.findall(r"\[([^\[\]]*)\]", helps[option]))
+        assert about.unit in facts, name
+        assert ("default: " in facts) == (get_default(cls, name) is not None), name
+
+
+def test_an_option_that_only_set_has_is_named(scanloom: Run) -> None:
+    ran = scanloom("fuse", "scan", "out.ply", "--truncation", 0.1)
+    assert ran.exit_code == 2
+    assert "No such option: --truncation; use --set fuse.truncation=VALUE. See" in ran.stderr
+    ran = scanloom("run", "scan", "-o", "out", "--no-page")
+    assert "use --set tiles.page=VALUE or --set report.page=VALUE. See" in ran.stderr
 
 
 @pytest.mark.slow
@@ -436,7 +452,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     # Pictures are none of the page's.
     quick = ("--set", "report.pictures=false", "--set", "compare.samples=1000")
     words = ("run", tiny_scan, "-o", tmp_path / "out", *quick)
-    assert scanloom(*words, "--no-page").exit_code == 0
+    assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     page = tmp_path / "out" / "report.html"
     assert not page.exists()
     ran = scanloom(*words, "--json")
@@ -456,14 +472,14 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert scanloom(*words, "--set", "simplify.max_shape=0.02").exit_code == 0
     assert "no point is farther" in page.read_text()
     # Of another result none stays, also where all of it is cached; asked for again, it is there again.
-    assert scanloom(*words, "--no-page").exit_code == 0
+    assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     assert not page.exists()
-    back = scanloom(*words, "--set", "report.page=false", "--page", "--json")
+    back = scanloom(*words, "--set", "report.page=true", "--json")
     assert {stage["cached"] for stage in back.json["stages"].values()} == {True}
     assert "no point is farther" not in page.read_text()
-    assert scanloom(*words, "--no-report").exit_code == 0
+    assert scanloom(*words, "--set", "report.enabled=false").exit_code == 0
     assert not page.exists()
-    assert scanloom(*words, "--set", "report.enabled=false", "--report").exit_code == 0
+    assert scanloom(*words, "--set", "report.enabled=false", "--set", "report.enabled=true").exit_code == 0
     assert scanloom(*words, "--set", "report.page_size=1.3").exit_code == 0
     # Not less than before to the byte: the page tells seconds, and their digits.
     assert page.stat().st_size <= 1_300_000
@@ -471,7 +487,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     refused = scanloom(*words, "--set", "simplify.ratio=0.4")
     assert (refused.exit_code, "no run has placed this" in refused.stderr) == (3, True)
     assert page.read_text() == "mine"
-    assert scanloom(*words, "--no-page").exit_code == 0
+    assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     assert page.read_text() == "mine"
     assert scanloom(*words, "--overwrite").exit_code == 0
     assert page.read_text() != "mine"
@@ -482,7 +498,9 @@ def test_a_crop_is_typed_as_numbers_and_told_in_the_figures(
 ) -> None:
     words = ("fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02)
     box = (-0.4, -0.4, -0.1, 0.4, 0.4, 1.1)
-    ran = scanloom(*words, "--box", *box, "--center", 0, 0, 0.9, "--radius", 0.6, "--json")
+    ran = scanloom(
+        *words, "--box", *box, "--set", "fuse.center=0 0 0.9", "--set", "fuse.radius=0.6", "--json"
+    )
     assert ran.exit_code == 0, ran.stderr
     crop = ran.json["crop"]
     assert (crop["box_m"], crop["center_m"], crop["radius_m"]) == (list(box), [0, 0, 0.9], 0.6)

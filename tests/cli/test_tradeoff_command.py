@@ -11,11 +11,11 @@ import pytest
 from scanloom import load_record, read_mesh
 
 Run = Callable[..., Any]
-FEW = ("--steps", 4, "--samples", 500)
+FEW = ("--set", "tradeoff.steps=4", "--set", "tradeoff.samples=500")
 
 
 def test_a_table_and_a_suggestion(scanloom: Run, clean_ball: Path) -> None:
-    ran = scanloom("tradeoff", clean_ball, *FEW, "--glb-bytes")
+    ran = scanloom("mesh", "tradeoff", clean_ball, *FEW, "--set", "tradeoff.glb_bytes=true")
     assert ran.exit_code == 0, ran.stderr
     lines = ran.stdout.splitlines()
     assert lines[0].split()[0] == "triangles"
@@ -27,7 +27,9 @@ def test_a_table_and_a_suggestion(scanloom: Run, clean_ball: Path) -> None:
 def test_everything_that_can_be_kept(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     new = tmp_path / "new"
     kept = ("--plot", new / "c.png", "--save", new / "light.ply", "--save-record", new / "r.npz")
-    ran = scanloom("tradeoff", clean_ball, "--counts", "600,300,1_000", "--within", 0.1, *kept, "--json")
+    ran = scanloom(
+        "mesh", "tradeoff", clean_ball, "--counts", "600,300,1_000", "--within", 0.1, *kept, "--json"
+    )
     assert ran.exit_code == 0, ran.stderr
     assert [point["triangles"] for point in ran.json["points"]] == [1000, 600, 300]
     assert ran.json["suggested_triangles"] == 300
@@ -37,7 +39,9 @@ def test_everything_that_can_be_kept(scanloom: Run, clean_ball: Path, tmp_path: 
 
 
 def test_a_distance_that_no_number_keeps_is_not_reached(scanloom: Run, clean_ball: Path) -> None:
-    ran = scanloom("tradeoff", clean_ball, "--counts", "100", "--samples", 500, "--within", 1e-6)
+    ran = scanloom(
+        "mesh", "tradeoff", clean_ball, "--counts", "100", "--set", "tradeoff.samples=500", "--within", 1e-6
+    )
     assert ran.exit_code == 1
     assert "none of these numbers keeps 95 % of the surface within 1e-06 m" in ran.stderr
 
@@ -48,18 +52,27 @@ def test_a_distance_that_no_number_keeps_is_not_reached(scanloom: Run, clean_bal
         (("--counts", "5,x"), "--counts has 'x'; give whole numbers, say 50000,20000,5000."),
         (("--counts", "0"), "counts has 0"),
         (("--plot", "a.gif"), "a.gif: the extension .gif stands for no format; use .png, .svg."),
-        (("--steps", "1"), "--steps is 1"),
+        (("--set", "tradeoff.steps=1"), "--set tradeoff.steps is 1"),
     ],
 )
 def test_wrong_words(scanloom: Run, clean_ball: Path, words: tuple[str, ...], told: str) -> None:
-    ran = scanloom("tradeoff", clean_ball, *words)
+    ran = scanloom("mesh", "tradeoff", clean_ball, *words)
     assert ran.exit_code == 2
     assert told in ran.stderr
 
 
 @pytest.mark.slow
 def test_run_draws_how_long_its_stages_took(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
-    words = ("run", tiny_scan, "-o", tmp_path / "out", "--until", "fuse", "--plot", tmp_path / "p" / "s.svg")
+    words = (
+        "run",
+        tiny_scan,
+        "-o",
+        tmp_path / "out",
+        "--until",
+        "fuse",
+        "--set",
+        f"run.plot={tmp_path}/p/s.svg",
+    )
     assert scanloom(*words).exit_code == 0
     text = (tmp_path / "p" / "s.svg").read_text()
     assert "<!-- fuse -->" in text

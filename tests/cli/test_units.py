@@ -30,7 +30,8 @@ def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path
     assert lengths
     assert all(" units" in line for line in lengths)
     assert not any(line.endswith(" m") or " m " in line or " m;" in line or "mm" in line for line in lengths)
-    assert "--scale=METRES_PER_UNIT, --known-distance='MEASURED METRES' or --tag-size=METRES" in text
+    given = ("scale=METRES_PER_UNIT, ", "known_distance='MEASURED METRES' or ", "tag_size=METRES")
+    assert "".join(f"--set scan.{one}" for one in given) in text
     figures = scanloom("inspect", unit_scan, "--json").json
     assert (figures["metric"], figures["scale"]) == (False, None)
     assert (figures["up"], figures["up_source"]) == ([0, -1, 0], "scan.json")
@@ -41,7 +42,7 @@ def test_inspect_says_the_scale_that_it_has(scanloom: Run, unit_scan: Path) -> N
     assert "scale     0.25 m per unit, a known distance" in text
     assert " units" not in text
     assert "no metric scale" not in text
-    figures = scanloom("inspect", unit_scan, "--scale", 0.25, "--json").json
+    figures = scanloom("inspect", unit_scan, "--set", "scan.scale=0.25", "--json").json
     plain = scanloom("inspect", unit_scan, "--json").json
     assert figures["metric"]
     assert figures["scale"]["metres_per_unit"] == 0.25
@@ -64,20 +65,20 @@ def test_run_says_units_and_then_metres(scanloom: Run, unit_scan: Path, tmp_path
     assert any(one["code"] == "scale.not-metric" for one in report["scan"]["diagnostics"])
     before = report["stages"]["fuse"]["figures"]["voxel_size_m"]
 
-    said, (fused,), report = lines("--scale", 0.5)
+    said, (fused,), report = lines("--set", "scan.scale=0.5")
     assert "warning" not in said
     assert " m, truncation " in fused
     assert (report["scan"]["metric"], report["scan"]["scale"]["metres_per_unit"]) == (True, 0.5)
     assert report["stages"]["fuse"]["figures"]["voxel_size_m"] == pytest.approx(before / 2, rel=0.1)
     # A unit that is a metre leaves results as they were made.
-    _, _, report = lines("--scale", 1)
+    _, _, report = lines("--set", "scan.scale=1")
     assert [one["cached"] for name, one in report["stages"].items() if name != "upright"] == [True] * 4
 
 
 def test_an_option_that_is_no_scale_is_named_as_it_was_typed(scanloom: Run, unit_scan: Path) -> None:
-    ran = scanloom("inspect", unit_scan, "--known-distance", "far")
+    ran = scanloom("inspect", unit_scan, "--set", "scan.known_distance=far")
     assert ran.exit_code == 2
-    assert "--known-distance is 'far'" in ran.stderr
+    assert "--set scan.known_distance is 'far'" in ran.stderr
 
 
 def test_a_picture_is_taken_from_the_cameras_of_a_scan_in_its_scale(
@@ -90,6 +91,6 @@ def test_a_picture_is_taken_from_the_cameras_of_a_scan_in_its_scale(
         )
         return cv2.imread(str(tmp_path / "p.png"))
 
-    near, far = (picture("--scan", unit_scan, "--scale", factor) for factor in (1, 40))
+    near, far = (picture("--scan", unit_scan, "--set", f"scan.scale={factor}") for factor in (1, 40))
     assert np.abs(near.astype(int) - far).max() > 30
-    assert scanloom("render", ball, tmp_path / "p.png", "--scale", 2).exit_code == 2
+    assert scanloom("render", ball, tmp_path / "p.png", "--set", "scan.scale=2").exit_code == 2

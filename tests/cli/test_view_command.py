@@ -91,7 +91,7 @@ def test_a_page_of_a_mesh_is_one_file(scanloom: Run, clean_ball: Path, tmp_path:
     assert ran.json["bytes"] == target.stat().st_size < 2_000_000
     text = target.read_text()
     assert "http:" not in text.split("<!--")[0].replace("http://www.w3.org", "")
-    small = scanloom("view", clean_ball, "-o", target, "--page-size", 1.2, "--json")
+    small = scanloom("view", clean_ball, "-o", target, "--set", "page.size=1.2", "--json")
     assert small.exit_code == 0
 
 

@@ -15,7 +15,7 @@ import pytest
 from scanloom import Mesh, stages
 from scanloom.cli.output import Output
 from scanloom.cli.rendering import render
-from scanloom.cli.watch import watching
+from scanloom.cli.run_progress import show_run_progress
 from scanloom.pipeline.run.events import Waiting
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.diagnostic import Where
@@ -130,9 +130,9 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
     for words in (
         ("clean", clean_ball, light),
         ("simplify", clean_ball, light, "--ratio", 0.5),
-        ("compare", clean_ball, light, "--samples", 1000),
-        ("certify", light, clean_ball, "--max-shape", 1, "--only-decide"),
-        ("patches", clean_ball, light),
+        ("compare", clean_ball, light, "--set", "compare.samples=1000"),
+        ("mesh", "certify", light, clean_ball, "--max-shape", 1, "--only-decide"),
+        ("mesh", "patches", clean_ball, light),
         ("render", light, tmp_path / "p.png", "--width", 64),
     ):
         ran = scanloom(*words, "--json")
@@ -191,7 +191,7 @@ def test_that_another_run_is_waited_for_is_said_at_once_and_only_remarked(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     for quiet, said in ((False, ["waits"]), (True, [])):
-        with watching(Output(quiet=quiet)) as events:
+        with show_run_progress(Output(quiet=quiet)) as events:
             events(Waiting("waits"))
             assert capsys.readouterr().err.splitlines() == said
 
@@ -201,5 +201,5 @@ def test_parameters_are_options_and_stages_are_named() -> None:
     assert render(about) == "--voxel-size is 0."
     assert render(about.within(section="fuse", file="a.toml")) == "a.toml: fuse.voxel_size is 0."
     advice = MACHINE_BUG.warning("odd", "a.png", remedy="set scan.depth_scale=1000").within(stage="fuse")
-    assert render(advice) == "fuse: a.png: odd; set --depth-scale=1000"
+    assert render(advice) == "fuse: a.png: odd; give --set scan.depth_scale=1000"
     assert str(advice) == "fuse: a.png: odd; set scan.depth_scale=1000"

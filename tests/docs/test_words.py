@@ -15,7 +15,9 @@ from typer.main import get_command
 
 from scanloom import read_mesh, write_mesh
 from scanloom.cli.app import app, run_command
-from scanloom.pipeline.config import Config
+from scanloom.cli.command_table import load_command
+from scanloom.cli.options import set_sections
+from scanloom.pipeline.sections import read_assignments
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -35,12 +37,15 @@ def test_every_command_line_of_a_page_is_understood(page: str):
     for line in lines_of(page):
         _, *words = shlex.split(line)
         command = get_command(app())
+        names = []
         while hasattr(command, "commands"):
             name, *words = words
             assert name in command.commands, line
+            names.append(name)
             command = command.commands[name]
         context = command.make_context(line, words)
-        Config().set(context.params.get("settings") or ())
+        sections = set_sections(load_command(tuple(names)))
+        list(read_assignments(context.params.get("set_words") or (), sections))
 
 
 def run_all(lines: list[str]) -> None:
@@ -62,7 +67,8 @@ def test_the_tutorial_runs(small_sample: Path, capsys: pytest.CaptureFixture[str
     lines = [line for line in lines_of("docs/tutorial.md") if "MY_SCAN" not in line]
 
     # What the second run measures and draws is enough.
-    run_all([f"{line} --no-report" if line.endswith("-o my_mesh") else line for line in lines[:-1]])
+    without = "--set report.enabled=false"
+    run_all([f"{line} {without}" if line.endswith("-o my_mesh") else line for line in lines[:-1]])
 
     assert len(lines) == 7
     assert "params changed: max_shape not set → 0.003" in capsys.readouterr().err

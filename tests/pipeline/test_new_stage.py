@@ -31,7 +31,7 @@ RESULT_VERSION = 1
 class AreaParams:
     """Measure the area of the surface."""
 
-    factor: float = param(1.0, "Multiply the area by this.", low=0)
+    factor: float = param(1.0, "Multiply the area by this.", low=0, common=True)
 
     def __post_init__(self) -> None:
         check(self)
@@ -79,15 +79,15 @@ STAGE = Stage(
 '''
 COMMAND = '''"""The command `area`."""
 
-from scanloom.cli.mesh_arguments import MeshFile, read_file
+from scanloom.cli.mesh_arguments import MeshFile, read_mesh_file
 from scanloom.cli.output import Output
 from scanloom.stages.area.area import AreaParams
 from scanloom.stages.area.area import area as measure
 
 
-def area(source: MeshFile, params: AreaParams, out: Output) -> None:
+def area(source: MeshFile, area: AreaParams, out: Output) -> None:
     """Measure the area of a mesh."""
-    out.result({"area_m2": measure(read_file(source), params)})
+    out.result({"area_m2": measure(read_mesh_file(source), area)})
 '''
 LINES = (
     ("pipeline/graph.py", "    clean,\n", "    area,\n    clean,\n"),
@@ -102,7 +102,7 @@ LINES = (
         "    upright: ",
         "    area: AreaParams = field(default_factory=AreaParams)\n    upright: ",
     ),
-    ("cli/app.py", '        "clean",\n', '        "clean",\n        "area",\n'),
+    ("cli/command_table.py", '        "clean",\n', '        "clean",\n        "area",\n'),
 )
 
 

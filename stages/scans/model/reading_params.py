@@ -22,6 +22,7 @@ class ReadingParams:
         None,
         "Camera intrinsics `fx,fy,cx,cy` (for both cameras of a stereo pair), instead of the folder's.",
         unit="px",
+        common=True,
     )
     baseline: float | None = param(
         None,
@@ -40,6 +41,7 @@ class ReadingParams:
         "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv), instead of the folder's. Poses are "
         "camera-to-world, in a .traj world-to-camera.",
         is_path=True,
+        common=True,
     )
     pose_convention: str = param(
         AS_WRITTEN,
@@ -91,7 +93,7 @@ class ReadingParams:
     last: int | None = param(
         None, "Index of the last frame to use; by default the scan's last.", unit="frames", low=0
     )
-    every: int = param(1, "Use every n-th frame.", unit="frames", low=1)
+    every: int = param(1, "Use every n-th frame.", unit="frames", low=1, common=True)
     max_frames: int | None = param(
         None,
         "Maximum number of frames, evenly spaced. Ignored for frames without poses and for single views, "

@@ -61,6 +61,7 @@ class PatchParams(PlanarParams):
         low=0,
         low_open=True,
         group=HOW_FAR,
+        common=True,
     )
     max_color: float | None = param(
         None,

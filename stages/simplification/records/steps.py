@@ -27,13 +27,16 @@ class ReplayParams:
     At most one of the three targets can be given; the default is the end of the record.
     """
 
-    triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
+    triangles: int | None = param(
+        None, "Replay until at most this many triangles are left.", low=1, common=True
+    )
     ratio: float | None = param(
         None,
         "Replay until at most this fraction of the input's triangles is left.",
         low=0,
         high=1,
         low_open=True,
+        common=True,
     )
     collapses: int | None = param(None, "Replay this many collapses.", low=0)
     fit: bool = param(

@@ -28,7 +28,7 @@ from scanloom.stages.diagnostics.errors import InputError, UsageError
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
 
-WORDS = ("--quiet", "--until", "clean", "--executor", "dask", "--take-over-after", "2")
+WORDS = ("--quiet", "--until", "clean", "--set", "worker.worker_timeout=2")
 
 
 def started(*words: object, **environment: str) -> subprocess.Popen[str]:
@@ -94,7 +94,7 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
     scans, out = write_small_scans(tmp_path / "scans", 5), tmp_path / "out"
     (scans / "scan-0003" / "scan.json").write_text("{")
     # Others tell something sooner, however busy the machine is.
-    words = (*WORDS, "--timeout", 20, "--scheduler", scheduler)
+    words = (*WORDS, "--set", "worker.timeout=20", "--set", f"batch.dask={scheduler}")
     batch = started("scanloom.cli.app", "batch", scans, "-o", out, *words)
     killed = worker_at_work(hung.parent, time.monotonic() + 240)
     os.kill(killed, signal.SIGKILL)
@@ -124,7 +124,7 @@ def test_a_scheduler_that_is_gone_is_told(tmp_path: Path):
     words = ("--host", "127.0.0.1", "--port", port, "--no-dashboard")
     scheduler = started("distributed.cli.dask_scheduler", *words)
     write_small_scans(tmp_path / "scans", 1)
-    words = (*WORDS, "--scheduler", f"tcp://127.0.0.1:{port}")
+    words = (*WORDS, "--set", f"batch.dask=tcp://127.0.0.1:{port}")
     while scheduler.poll() is None and not _answers(port):
         time.sleep(0.05)
     batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words)
@@ -188,7 +188,7 @@ def test_workers_are_started_by_slurm_and_others_where_their_time_is_over(
     slurm: dict[str, str], tmp_path: Path
 ):
     scans, out = write_small_scans(tmp_path / "scans", 3), tmp_path / "out"
-    words = (*WORDS, "--scheduler", "slurm", "--jobs", 1)
+    words = (*WORDS, "--set", "batch.dask=slurm", "--jobs", 1)
     batch = started("scanloom.cli.app", "batch", scans, "-o", out, *words, **slurm, PYTHONFAULTHANDLER="1")
     while batch.poll() is None and not (out / "scan-0000" / "clean.ply").is_file():
         time.sleep(0.05)
@@ -207,7 +207,7 @@ def test_workers_are_started_by_slurm_and_others_where_their_time_is_over(
 def test_what_slurm_refuses_is_said_in_one_sentence(slurm: dict[str, str], tmp_path: Path):
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho no such partition >&2\nexit 1\n")
     write_small_scans(tmp_path / "scans", 1)
-    words = (*WORDS, "--scheduler", "slurm", "--jobs", 2)
+    words = (*WORDS, "--set", "batch.dask=slurm", "--jobs", 2)
     batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm)
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 3, said
@@ -270,7 +270,7 @@ def test_ctrl_c_stays_an_interruption(tmp_path: Path):
 def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path):
     queue = new_queue(tmp_path, 1, Settings(""), [Job(0, "x", "x")])
     assert queue is not None
-    with pytest.raises(UsageError, match="--scheduler slurm needs --jobs N"):
+    with pytest.raises(UsageError, match=r"batch\.dask=slurm needs --jobs N"):
         work_by_dask(queue, "slurm")
     with pytest.raises(InputError, match=r"no scheduler of Dask answers at nowhere://x: "):
         work_by_dask(queue, "nowhere://x")

@@ -170,8 +170,8 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
         str(queue.out),
         "--jobs",
         "1",
-        "--threads",
-        "1",
+        "--set",
+        "worker.threads=1",
     ]
     claims = Claims(queue.folder / "claims", "")
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as first:

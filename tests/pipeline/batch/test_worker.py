@@ -191,8 +191,8 @@ def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin
         str(queue.out),
         "--jobs",
         "1",
-        "--threads",
-        "1",
+        "--set",
+        "worker.threads=1",
         "-q",
     ]
 

@@ -11,7 +11,7 @@ from scanloom.stages.params import check, param
 class CutParams:
     """Parameters of method `cut`."""
 
-    max_height: float | None = param(None, "Height above which nothing stays.", unit="m")
+    max_height: float | None = param(None, "Height above which nothing stays.", unit="m", common=True)
     slope: float = param(0.25, "How much the height grows along x.", low=0)
 
     def __post_init__(self) -> None:

@@ -71,5 +71,5 @@ def test_what_is_wrong_is_one_sentence(tmp_path, text, said):
 
 
 def test_without_one_it_says_how_to_get_it(tmp_path):
-    with pytest.raises(InputError, match=r"scanloom probe net\.onnx --write"):
+    with pytest.raises(InputError, match=r"scanloom lab probe net\.onnx --write"):
         read_sidecar(tmp_path / "net.onnx")

@@ -1,4 +1,4 @@
-"""What a person sees of a run: a bar while a stage works, and one line when it is done."""
+"""Progress of a run: a bar while a stage works, and one line for each finished stage."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from scanloom.cli.output import Output
-from scanloom.cli.passing_bar import PassingBar
+from scanloom.cli.transient_progress import TransientProgress
 from scanloom.pipeline.graph import find_stage
 from scanloom.pipeline.run.events import (
     Event,
@@ -28,8 +28,8 @@ _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
 
 
 @contextmanager
-def watching(out: Output) -> Iterator[Events]:
-    """Give the function a run tells its events to."""
+def show_run_progress(out: Output) -> Iterator[Events]:
+    """Show progress, and yield the callback for the events of a run."""
     watcher = _Watcher(out)
     try:
         yield watcher
@@ -40,7 +40,7 @@ def watching(out: Output) -> Iterator[Events]:
 class _Watcher:
     def __init__(self, out: Output) -> None:
         self._out = out
-        self.bar = PassingBar(out)
+        self.bar = TransientProgress(out)
         self._is_metric = True
 
     def __call__(self, event: Event) -> None:
@@ -52,7 +52,7 @@ class _Watcher:
             case StageProgress():
                 self._bar_of(event.stage)(event.done, event.total)
             case StageFinished():
-                self._out.remark(line_of(event, is_metric=self._is_metric))
+                self._out.remark(format_stage(event, is_metric=self._is_metric))
             case Waiting():
                 self._out.remark(event.text)
 
@@ -66,8 +66,8 @@ class _Watcher:
         return self.bar.show(stage, "files" if known is None else known.progress_unit)
 
 
-def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
-    """Return the line of a finished stage: its name, cached or the seconds, what came out, why it ran."""
+def format_stage(event: StageFinished, *, is_metric: bool = True) -> str:
+    """Return the line of a finished stage: name, cached or seconds, headline, reason."""
     state = "cached" if event.cached else f"{event.seconds:.1f} s"
     reason = f" ({event.reason})" if event.reason else ""
     came_out = headline(event.stage, event.figures, is_metric=is_metric)
@@ -75,7 +75,7 @@ def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
 
 
 def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) -> str:
-    """Return the figures of a stage that say most, as one line; lengths in units where they are no metres."""
+    """Return the most important metrics of a stage in one line; in units if the scan is not metric."""
     known = find_stage(stage)
     summary = "" if known is None else known.headline
     line = summary if isinstance(summary, str) else summary(figures)
@@ -84,7 +84,7 @@ def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) 
 
 
 class _Figures(string.Formatter):
-    """Formats figures by their names; one that a stage had nothing to say for is a dash."""
+    """Formatter of metrics by name; a missing metric is a dash."""
 
     def __init__(self, figures: Mapping[str, Any]) -> None:
         self._figures = figures

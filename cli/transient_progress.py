@@ -1,4 +1,4 @@
-"""A progress bar that is there while nothing else is written: for one thing, then for another."""
+"""Progress bar that disappears while something else is written, and shows one task after another."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from scanloom.cli.output import Output
 from scanloom.stages.progress import Progress, silent
 
 
-class PassingBar:
-    """The bar of one command."""
+class TransientProgress:
+    """Progress bar of one command."""
 
     def __init__(self, out: Output) -> None:
         self._out = out
@@ -19,7 +19,7 @@ class PassingBar:
         out.before_line = self.close
 
     def show(self, label: str, unit: str) -> Progress:
-        """Draw the bar of a thing, and return the function that moves it."""
+        """Show the bar of a task, and return the function that updates it."""
         if label != self._label:
             self.close()
             self._update = self._shown.enter_context(self._out.progress(label, unit))
@@ -27,6 +27,6 @@ class PassingBar:
         return self._update
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         self._shown.close()
         self._label = ""

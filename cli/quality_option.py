@@ -1,4 +1,4 @@
-"""The option --quality, and the configuration that it and --config come to."""
+"""Option --quality, and the configuration that --quality and --config result in."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ QualityOption = Annotated[
     typer.Option(
         "--quality",
         metavar="|".join(QUALITIES),
-        help="What parameters that are not given are: for a first look in a fraction of the time, as usual, "
-        f"or as good as it gets. Default: that of --config, else {STANDARD}.",
+        help="Defaults of parameters: for a first look, as usual, or for best results. Default: that of "
+        f"--config, else {STANDARD}.",
         autocompletion=lambda: list(QUALITIES),
         show_default=False,
     ),
 ]
 
 
-def config_of(file: Path | None, quality: str | None) -> Config:
-    """Return the parameters of a file, and for all that it leaves open those of a quality.
+def load_config(file: Path | None, quality: str | None) -> Config:
+    """Load the parameters of a file, with the defaults of a quality.
 
-    What the file keeps from the quality that was asked for is a warning.
+    Warns if the file overrides parameters of the quality.
     """
     from scanloom.pipeline.config import Config
 
@@ -40,7 +40,7 @@ def config_of(file: Path | None, quality: str | None) -> Config:
         return Config.of(STANDARD if quality is None else quality)
     config = Config.load(file, quality)
     kept = [
-        f"{section}.{name}"
+        f"{name} of {section}"
         for section, values in QUALITIES[quality or STANDARD].items()
         for name, value in flatten(values).items()
         if get_value(getattr(config, section), name) != value
@@ -48,20 +48,22 @@ def config_of(file: Path | None, quality: str | None) -> Config:
     if kept:
         emit(
             USAGE_OPTIONS_CONFLICT.warning(
-                "--quality {quality} leaves {parameters} as {file} sets them",
-                remedy="leave them out there.",
+                "the file overrides --quality {quality} in {parameters}",
+                file,
+                remedy="remove them from it.",
                 quality=quality,
                 parameters=", ".join(kept),
-                file=file,
             )
         )
     return config
 
 
-def quality_toml(quality: str) -> str:
-    """Return the line of a configuration that names a quality, after a comment on what it sets."""
+def format_quality(quality: str) -> str:
+    """Return the line of TOML that names a quality, after a comment with the parameters that it sets."""
     sets = [f"{section}.{name}" for section, values in QUALITIES[quality].items() for name in flatten(values)]
-    told = f"{quality} sets {', '.join(sets)}." if sets else f"{quality} sets nothing: all are the defaults."
-    words = f"What parameters that are left out are: {', '.join(QUALITIES)}. {told}"
+    effect = (
+        f"{quality} sets {', '.join(sets)}." if sets else f"{quality} sets nothing: all are the defaults."
+    )
+    words = f"Defaults of the other parameters: {', '.join(QUALITIES)}. {effect}"
     comment = textwrap.wrap(words, 100, initial_indent="# ", subsequent_indent="# ")
     return "\n".join([*comment, f'quality = "{quality}"', ""])

@@ -1,4 +1,4 @@
-"""What is proven of each triangle, written beside or into a mesh."""
+"""Proven bounds of each triangle, written as properties of a PLY file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ SaveBounds = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="PLY file for the mesh with what is proven of each triangle, as properties of its face: "
-        "shape_bound in m, color_bound in 8-bit levels. It may be the mesh file itself.",
+        help="PLY file for the mesh with the proven bounds of each face: shape_bound in m, color_bound in "
+        "8-bit levels. It may be the mesh file.",
         show_default=False,
     ),
 ]

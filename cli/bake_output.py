@@ -1,4 +1,4 @@
-"""Baking, writing what was baked, and telling of it: for the command `bake`, and after `simplify --bake`."""
+"""Bake textures, write the result, and print its metrics."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from scanloom import stages
-from scanloom.cli.mesh_arguments import write_file
-from scanloom.cli.output import Output, lines_of
+from scanloom.cli.mesh_arguments import write_mesh_file
+from scanloom.cli.output import Output, format_lines
 from scanloom.stages import BakeParams, Mesh
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import ScanloomError
@@ -18,7 +18,7 @@ TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")
 
 
 def loses_image(light: Mesh, original: Mesh) -> bool:
-    """Return whether the original has an image that the light mesh has not."""
+    """Check if the simplified mesh has lost the image of the original."""
     return _has_image(original) and not _has_image(light)
 
 
@@ -26,21 +26,20 @@ def _has_image(mesh: Mesh) -> bool:
     return mesh.texture is not None and bool(mesh.texture.images) and bool(mesh.texture.has_uvs().any())
 
 
-def baked_by_default(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
-    """Bake the image of an original anew where the light mesh has lost it, and the format has room for it.
+def bake_lost_image(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
+    """Bake the image of an original anew if the simplified mesh has lost it and the format holds one.
 
-    Returns the figures. None where there is nothing to bake, or it cannot be done, which is told: the mesh is
-    still to be written then.
+    Returns the metrics, or None if the mesh is still to be written.
     """
     if target.suffix.lower() not in TEXTURED_SUFFIXES or not loses_image(light, original):
         return None
-    return baked_or_told(target, light, original, out)
+    return bake_or_warn(target, light, original, out)
 
 
-def baked_or_told(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
-    """Bake as `baked_to` does; where that cannot be, say why: None, and the mesh is still to be written."""
+def bake_or_warn(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
+    """Bake like `bake_and_write`; if baking fails, warn and return None."""
     try:
-        return baked_to(target, light, original, BakeParams(), out)
+        return bake_and_write(target, light, original, BakeParams(), out)
     except ScanloomError as error:
         emit(
             SIMPLIFY_IMAGES_NOT_BAKED.warning(
@@ -50,18 +49,22 @@ def baked_or_told(target: Path, light: Mesh, original: Mesh, out: Output) -> dic
         return None
 
 
-def baked_to(target: Path, light: Mesh, original: Mesh, params: BakeParams, out: Output) -> dict[str, Any]:
-    """Bake, write the textured mesh, and return the figures."""
+def bake_and_write(
+    target: Path, light: Mesh, original: Mesh, params: BakeParams, out: Output
+) -> dict[str, Any]:
+    """Bake, write the textured mesh, and return the metrics."""
     with out.progress("bake", "rows") as progress:
         baked = stages.bake(light, original, params, progress=progress)
-    write_file(target, baked.mesh, out)
+    write_mesh_file(target, baked.mesh, out)
     return baked.figures()
 
 
-def baked_text(figures: dict[str, Any]) -> str:
-    """Return the figures as lines, errors in words."""
+def format_bake(figures: dict[str, Any]) -> str:
+    """Return the metrics as lines, with the colour errors in a sentence."""
     plain = {name: value for name, value in figures.items() if name not in ("color", "vertex_color")}
-    text = f"{lines_of(plain)}\n\nColour error on the original: {_error(figures['color'])} with the texture"
+    text = (
+        f"{format_lines(plain)}\n\nColour error on the original: {_error(figures['color'])} with the texture"
+    )
     before = figures["vertex_color"]
     return text + (f", {_error(before)} with vertex colours." if before else ".")
 

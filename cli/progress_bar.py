@@ -1,4 +1,4 @@
-"""The one progress bar: what, how far, how fast, how long still."""
+"""Progress bar: label, count, rate and time left."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scanloom.stages.progress import Progress
 
 
 class _RateColumn(ProgressColumn):
-    """Units a second, over the last moments."""
+    """Recent rate in units per second."""
 
     def __init__(self, unit: str) -> None:
         super().__init__()
@@ -28,8 +28,8 @@ class _RateColumn(ProgressColumn):
 
 
 @contextmanager
-def bar(label: str, unit: str) -> Iterator[Progress]:
-    """Draw a bar on stderr while the block runs; it is gone afterwards."""
+def draw_progress_bar(label: str, unit: str) -> Iterator[Progress]:
+    """Draw a progress bar on stderr while the block runs."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -1,13 +1,13 @@
-"""What a person sees of a batch: a bar over all scans, and one line for each that came to an end."""
+"""Progress of a batch: a bar over all scans, and one line for each finished scan."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from scanloom.cli.output import Output, table_of
-from scanloom.cli.passing_bar import PassingBar
+from scanloom.cli.output import Output, format_table
 from scanloom.cli.rendering import as_typed
+from scanloom.cli.transient_progress import TransientProgress
 from scanloom.pipeline.batch.records import DONE, RUNNING, WAITING, Record
 from scanloom.pipeline.batch.summary import Summary
 from scanloom.pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
@@ -15,8 +15,8 @@ from scanloom.stages.diagnostics.diagnostic import Severity
 
 
 @contextmanager
-def watching_batch(out: Output) -> Iterator[Tell]:
-    """Give the function a worker tells its jobs to."""
+def show_batch_progress(out: Output) -> Iterator[Tell]:
+    """Show progress, and yield the callback for the events of a worker."""
     watcher = _Watcher(out)
     try:
         yield watcher
@@ -27,7 +27,7 @@ def watching_batch(out: Output) -> Iterator[Tell]:
 class _Watcher:
     def __init__(self, out: Output) -> None:
         self._out = out
-        self.bar = PassingBar(out)
+        self.bar = TransientProgress(out)
         self._counted = (0, 0)
 
     def __call__(self, told: Told) -> None:
@@ -36,8 +36,8 @@ class _Watcher:
                 self._counted = (told.ended, told.total)
                 self._show()
             case JobEnded():
-                self._out.remark(line_of(told.record))
-                tell_warnings(self._out, told.record)
+                self._out.remark(format_record(told.record))
+                report_warnings(self._out, told.record)
             case Noted():
                 self._out.remark(told.text)
             case JobBegun():
@@ -50,22 +50,22 @@ class _Watcher:
         self.bar.show("scans", "scans")(*self._counted)
 
 
-def tell_warnings(out: Output, record: Record) -> None:
-    """Tell the warnings of a scan, each with its name before it."""
+def report_warnings(out: Output, record: Record) -> None:
+    """Report the warnings of a scan, each with the name of the scan."""
     for diagnostic in record.diagnostics:
         if diagnostic.severity is Severity.WARNING:
             out.report(diagnostic.within(scan=record.name))
 
 
-def line_of(record: Record) -> str:
-    """Return the line of a scan that came to an end."""
+def format_record(record: Record) -> str:
+    """Return the line of a finished scan."""
     triangles = record.figures.get("triangles")
     came_out = record.reason or ("" if triangles is None else f"{triangles:,} triangles")
     return as_typed(f"{record.name}  {record.state}, {record.seconds:.1f} s  {came_out}".rstrip())
 
 
-def summary_text(summary: Summary, places: list[str]) -> str:
-    """Return the table of a batch, then why scans are not done, then where the results are."""
+def format_summary(summary: Summary, places: list[str]) -> str:
+    """Return the table of a batch, the reasons of failures, and the location of the results."""
     rows = [["scan", "state", "seconds", "frames", "triangles", "warnings"]]
     for one in summary.records:
         is_open = one.state in (WAITING, RUNNING)
@@ -84,6 +84,6 @@ def summary_text(summary: Summary, places: list[str]) -> str:
         as_typed(f"{one.name}: {one.reason}") for one in summary.records if one.state != DONE and one.reason
     ]
     counts = ", ".join(f"{count:,} {state}" for state, count in summary.counts.items())
-    lines = [table_of(rows), "", *reasons, *([""] if reasons else []), counts]
+    lines = [format_table(rows), "", *reasons, *([""] if reasons else []), counts]
     lines.append(f"results in {summary.out}" + (f": {', '.join(places)}" if places else ""))
     return "\n".join(lines)

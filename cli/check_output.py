@@ -1,4 +1,4 @@
-"""The places that `check` finds, as lists and as colours of a mesh."""
+"""Defects that `check` finds, as lists and as colours of a mesh."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from scanloom.cli.mesh_arguments import write_file
+from scanloom.cli.mesh_arguments import write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.stages import Checked, Mesh
 from scanloom.stages.cleaning.check import CLASSES
@@ -18,7 +18,7 @@ SavePlaces = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="JSON file for all places, class by class, with a point of each.",
+        help="JSON file for all defects by class, with a point of each.",
         show_default=False,
     ),
 ]
@@ -26,13 +26,12 @@ SavePly = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="PLY file for the mesh with irregular places in colours: triangles, and those at irregular "
-        "edges and vertices. The colours are told.",
+        help="PLY file for the mesh, coloured by class of defect.",
         show_default=False,
     ),
 ]
 
-# Of classes, told apart by hue and by lightness; what is regular is grey. Later ones lie over earlier ones.
+# Colours of classes, which differ in hue and lightness. Later classes cover earlier ones.
 COLORS = {
     "border_edges": (86, 180, 233),
     "inconsistent_edges": (0, 114, 178),
@@ -52,8 +51,8 @@ COLORS = {
 _REGULAR = (190, 190, 190)
 
 
-def place_lists(found: Checked) -> dict[str, Any]:
-    """Return all places of each class by their numbers, and a point of each in metres."""
+def list_places(found: Checked) -> dict[str, Any]:
+    """Return all defects of each class by their indices, with a point of each in metres."""
     return {
         name: {
             "kind": CLASSES[name][0],
@@ -65,8 +64,8 @@ def place_lists(found: Checked) -> dict[str, Any]:
     }
 
 
-def write_coloured(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
-    """Write a mesh whose triangles have the colour of their class; say which colours those are."""
+def write_colored_classes(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
+    """Write a mesh with its triangles coloured by class of defect, and remark the colours."""
     triangles = mesh.triangles
     colors = np.full((len(triangles), 3), _REGULAR, np.uint8)
     for name, color in COLORS.items():
@@ -79,11 +78,11 @@ def write_coloured(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
         np.arange(len(corners), dtype=np.int32).reshape(-1, 3),
         colors=np.repeat(colors, 3, axis=0),
     )
-    write_file(path, apart, out)
+    write_mesh_file(path, apart, out)
 
 
 def _triangles_at(found: Checked, name: str) -> NDArray[np.bool_]:
-    """Return which triangles (m,) are of a class, or have an edge or a vertex of it."""
+    """Return a mask (m,) of the triangles that are, or touch, a defect of a class."""
     places, kind = found.places[name], CLASSES[name][0]
     triangles = found.triangles.astype(np.int64)
     if kind == "triangle":

@@ -1,0 +1,194 @@
+"""Every command line that a text names can be typed: in pages, in the help, in messages, and in scripts."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from scanloom.cli.app import app
+from scanloom.cli.command_table import GROUPS, iterate_commands, load_command
+from scanloom.cli.options import set_sections
+from scanloom.cli.sections import all_sections
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.sections import read_assignments
+from scanloom.stages.params import describe_all
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ("README.md", "CONTRIBUTING.md", "samples/README.md")
+# Figures of earlier versions, with the commands that gave them.
+HISTORY = ("measured.md",)
+COMMANDS = {" ".join(words): words for words in iterate_commands()}
+# Words after "scanloom" that have to be a command.
+WORDS = {word for words in COMMANDS.values() for word in words} | set(GROUPS)
+# Options of other programs that pages name.
+OTHERS = {
+    *("--again", "--visitor", "--truth", "--reach"),  # of scripts
+    *("--cores", "--nthreads", "--executor", "--default-resources", "--keep-going"),  # Dask and Snakemake
+}
+
+
+def pages() -> list[Path]:
+    docs = [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.name not in HISTORY]
+    return [*(ROOT / page for page in PAGES), *docs]
+
+
+def named(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def code_of(text: str) -> Iterator[str]:
+    """Yield the lines of code blocks and the inline code of a page."""
+    blocks = re.findall(r"^ *```[^\n]*\n(.*?)^ *```", text, flags=re.MULTILINE | re.DOTALL)
+    for block in blocks:
+        yield from block.splitlines()
+    outside = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
+    # Inline code may go on in the next line.
+    yield from (" ".join(span.split()) for span in re.findall(r"`([^`]+)`", outside))
+
+
+@cache
+def parser() -> Any:
+    return get_command(app())
+
+
+@cache
+def parser_of(name: str) -> Any:
+    command = parser()
+    for word in COMMANDS[name]:
+        command = command.commands[word]
+    return command
+
+
+def options_of(command: Any) -> set[str]:
+    return {one for parameter in command.params for one in (*parameter.opts, *parameter.secondary_opts)}
+
+
+@cache
+def sections_of(name: str) -> dict[str, type]:
+    return set_sections(load_command(COMMANDS[name]))
+
+
+def parse(line: str) -> None:
+    """Parse a whole command line, and the words of its --set, without running the command."""
+    words = [word for word in shlex.split(line, comments=True) if word not in (";", "\\")][1:]
+    name = " ".join(words[:2]) if words[0] in GROUPS else words[0]
+    assert name in COMMANDS, line
+    # Only the first of several commands in a line.
+    rest = words[len(COMMANDS[name]) :]
+    ends = [rest.index(word) for word in (">", "|", "&&", "2>") if word in rest]
+    context = parser_of(name).make_context(line, list(rest[: min(ends)] if ends else rest))
+    list(read_assignments(context.params.get("set_words") or (), sections_of(name)))
+
+
+def mistakes_of(text: str) -> Iterator[str]:
+    """Yield what is wrong with the commands, options and keys that a text names in passing."""
+    for found in re.finditer(r"\bscanloom ([a-z]+)(?: ([a-z]+))?((?:(?!scanloom )[^\n`;])*)", text):
+        word, below, rest = found.groups()
+        if word not in WORDS:
+            continue
+        name = f"{word} {below}" if word in GROUPS else word
+        if name not in COMMANDS:
+            if word in GROUPS and not below:
+                continue
+            yield f"no command: {found[0]}"
+            continue
+        command = parser_of(name)
+        options = options_of(command)
+        for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest):
+            if option not in options | {"--help"}:
+                yield f"{name} has no option {option}: {found[0]}"
+        yield from mistakes_of_keys(rest, sections_of(name))
+
+
+def mistakes_of_keys(text: str, sections: dict[str, type]) -> Iterator[str]:
+    for section, key in re.findall(r"--set ([a-z_0-9]+)\.([a-z_0-9.]*[a-z_0-9])", text):
+        if section == "section":
+            continue
+        if section not in sections or key not in describe_all(sections[section]):
+            yield f"no parameter {section}.{key}: {text}"
+
+
+@pytest.mark.parametrize("page", pages(), ids=named)
+def test_commands_and_options_of_a_page_exist(page: Path) -> None:
+    known = {one for name in COMMANDS for one in options_of(parser_of(name))}
+    known |= options_of(parser()) | {"--help"} | OTHERS
+    # Sections of commands alone have to be looked for as well.
+    anywhere: dict[str, list[type]] = {name: [cls] for name, cls in Config.types().items()}
+    for name in COMMANDS:
+        for section, cls in sections_of(name).items():
+            anywhere.setdefault(section, []).append(cls)
+    wrong = []
+    for line in code_of(page.read_text(encoding="utf-8")):
+        wrong += mistakes_of(line)
+        if re.search(r"scanloom |\b(python|pytest|docker|pip|make|benches|dask|snakemake)\b", line):
+            continue
+        if line.startswith("--"):
+            wrong += [one for one in re.findall(r"(?<![\w-])--[a-z][a-z-]*", line) if one not in known]
+        for section, key in re.findall(r"--set ([a-z_0-9]+)\.([a-z_0-9.]*[a-z_0-9])", line):
+            if section != "section" and not any(
+                key in describe_all(cls) for cls in anywhere.get(section, [])
+            ):
+                wrong.append(f"no parameter {section}.{key}")
+    assert wrong == []
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_of_the_help_are_understood(name: str) -> None:
+    text = parser_of(name).help
+    examples = re.findall(r"^Example: (scanloom [^\n]+)", text, flags=re.MULTILINE)
+    assert examples
+    for example in examples:
+        parse(example)
+    assert list(mistakes_of(text)) == []
+
+
+def test_messages_name_commands_and_options_that_exist() -> None:
+    wrong = {}
+    for room in ("cli", "pipeline", "stages"):
+        for path in (ROOT / room).rglob("*.py"):
+            # Adjacent literals are one text.
+            text = re.sub(r"\"\n\s*f?\"", "", path.read_text(encoding="utf-8"))
+            if found := list(mistakes_of(text)):
+                wrong[named(path)] = found
+    assert wrong == {}
+
+
+def test_keys_that_messages_name_exist() -> None:
+    """Of `section.parameter=…`, which is rendered as it is typed."""
+    known = all_sections()
+    wrong = []
+    for room in ("pipeline", "stages"):
+        for path in (ROOT / room).rglob("*.py"):
+            text = re.sub(r"\"\n\s*f?\"", "", path.read_text(encoding="utf-8"))
+            for section, key in re.findall(r"[\"`( ]([a-z]+)\.([a-z_0-9.]+)=[\w{<']", text):
+                if section in Config.types() and key not in describe_all(known[section]):
+                    wrong.append((named(path), f"{section}.{key}"))
+    assert [one for one in wrong if not re.search(r"np|self|cfg", one[1])] == []
+
+
+def test_command_lines_of_comparisons_are_understood(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benches")
+    monkeypatch.delitem(sys.modules, "outputs", raising=False)
+    from outputs.jobs import all_jobs
+
+    for job in all_jobs(shared_data):
+        for step in job.steps:
+            words = shlex.split(step)
+            # Snippets of Python, and what is meant to be wrong.
+            if words and not words[0].endswith(".py") and not job.name.startswith("words/"):
+                parse(f"scanloom {step}")
+
+
+@pytest.mark.parametrize("script", [".github/workflows/wheels.yml", "Makefile", "Dockerfile"])
+def test_scripts_name_commands_and_options_that_exist(script: str) -> None:
+    assert list(mistakes_of((ROOT / script).read_text(encoding="utf-8"))) == []
