@@ -53,8 +53,8 @@ def coverage(
 
     if scan is not None:
         require_scan(scan)
-    with watching(out) as events:
-        result = run_again(folder, "coverage", params, scan=scan, cache_dir=cache, events=events)
+    with show_run_progress(out) as events:
+        result = run_again(folder, "coverage", coverage, scan=scan, cache_dir=cache, events=events)
     figures: Any = read_json(result.out / COVERAGE)
     files = [str(path) for stage in result.stages if stage.stage == "coverage" for path in stage.results]
     is_metric = bool(result.report["scan"]["metric"])

@@ -13,12 +13,12 @@ from scanloom.cli.mesh_arguments import locate_diagnostics, read_mesh_file
 from scanloom.cli.output import Output, format_size
 from scanloom.cli.paths import require_file, require_writable
 from scanloom.pipeline.report.page.files import write_tiles_page
-from scanloom.stages import UsageError, lod
-from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages import lod
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.files.replacing_folder import require_replaceable_folder
 from scanloom.stages.lod import TileImageParams, TilesParams
 from scanloom.stages.lod.tiles import TILESET, WHAT, is_tileset
+from scanloom.stages.params import param
 from scanloom.stages.printing import at_most
 
 # In place of a model: no texture.
@@ -27,7 +27,11 @@ NO_TEXTURE = "none"
 
 @dataclass(frozen=True, kw_only=True)
 class AllTilesParams(TileImageParams, TilesParams):
-    """3D Tiles and their images."""
+    """3D Tiles, their images and their page."""
+
+    page: bool = param(
+        False, "Also write a page, index.html, that shows the tiles in a browser.", common=True
+    )
 
     def __post_init__(self) -> None:
         TileImageParams.__post_init__(self)
@@ -58,17 +62,6 @@ def tiles(
             show_default=False,
         ),
     ] = None,
-    image: Annotated[
-        bool,
-        typer.Option("--image/--no-image", help="Whether tiles get images, where there are any to get."),
-    ] = True,
-    page: Annotated[
-        bool,
-        typer.Option(
-            "--page/--no-page",
-            help="Write a page beside the tiles, index.html and what it needs, that draws them in a browser.",
-        ),
-    ] = False,
 ) -> None:
     """Write levels of detail as 3D Tiles 1.1.
 
@@ -86,9 +79,9 @@ def tiles(
     model = None if model_file is None else read_mesh_file(model_file)
     if texture == NO_TEXTURE:
         hierarchy = replace(hierarchy, model_glb=None)
-    with about_file(texture or source, "model"), out.progress("tiles", "tiles") as progress:
-        written = lod.write_tiles(hierarchy, target, params, texture=model, images=images, progress=progress)
-    if page:
+    with locate_diagnostics(model_file or source, "model"), out.progress("tiles", "tiles") as progress:
+        written = lod.write_tiles(hierarchy, target, tiles, texture=model, images=tiles, progress=progress)
+    if tiles.page:
         write_tiles_page(target)
     full = sum(image.is_full for image in written.images)
     if full:

@@ -84,7 +84,7 @@ def view(
         content = page_of_mesh(what.resolve().stem, read_with_up(what), page.max_bytes)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
-            _serve(Path(empty), {PAGE_INDEX: page}, port, open_browser, out)
+            _serve(Path(empty), {PAGE_INDEX: content}, port, open_browser, out)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     with replacing(target) as draft:

@@ -67,9 +67,13 @@ class CleanParams:
         low=0,
         common=True,
     )
-    keep_largest: bool = param(False, "Keep only the connected component with the largest area.")
+    keep_largest: bool = param(False, "Keep only the connected component with the largest area.", common=True)
     fill_holes: float = param(
-        0.0, "Fill holes whose border is at most this long; 0 fills none.", unit="m", low=0
+        0.0,
+        "Fill holes whose border is at most this long; 0 fills none.",
+        unit="m",
+        low=0,
+        common=True,
     )
     stitch: bool = param(True, "Join borders at exactly equal positions, such as seams of textured files.")
     weld_distance: float = param(
@@ -83,6 +87,7 @@ class CleanParams:
         "Repair caps, needles, folds and spikes, if the repair creates no other defect, "
         "tears no seam and provably keeps the surface within max_shape. Remaining defects "
         "are reported.",
+        common=True,
     )
     repair_angle: float = param(
         CheckParams().corner_angle,

@@ -61,12 +61,17 @@ class CertifyParams:
         common=True,
     )
     max_color: float | None = param(
-        None, "Also check that no colour difference exceeds this limit.", unit="levels", low=0
+        None,
+        "Also check that no colour difference exceeds this limit.",
+        unit="levels",
+        low=0,
+        common=True,
     )
     only_decide: bool = param(
         False,
         "With max_shape or max_color: stop as soon as it is decided whether the limits hold, which is much "
         "faster. Bounds are then no tighter than the limits.",
+        common=True,
     )
     effort: float = param(
         16.0,

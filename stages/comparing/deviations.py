@@ -45,7 +45,11 @@ class DeviationParams:
     """Tolerance, sampling and colours of a deviation measurement."""
 
     tolerance: float | None = param(
-        None, "Maximum distance from the reference that is within tolerance.", unit="m", low=0
+        None,
+        "Maximum distance from the reference that is within tolerance.",
+        unit="m",
+        low=0,
+        common=True,
     )
     signed_samples: int = param(
         200_000,

@@ -53,6 +53,7 @@ class ExportParams:
         None,
         "Up direction of the mesh: an axis (+x, -x, +y, -y, +z, -z), a vector of three numbers, or `none` "
         "for no rotation. Default: as stated by the file. glTF is y-up, or stores the rotation of its scan.",
+        common=True,
     )
     axes: str = param(
         "scan",
@@ -60,7 +61,9 @@ class ExportParams:
         "glTF and USD are always y-up.",
         choices=AXES,
     )
-    unit: str = param("m", "Unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
+    unit: str = param(
+        "m", "Unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS), common=True
+    )
     on_floor: bool = param(
         False,
         "Move the mesh so that its lowest point is at height 0 and its centre is above the origin, in PLY, "

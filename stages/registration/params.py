@@ -30,6 +30,7 @@ class RegisterParams:
         False,
         "Refine the existing poses of the scan, in the same world. The existing poses are kept if the "
         "refined poses are not better on held-out points.",
+        common=True,
     )
     piece: int = param(
         1,
