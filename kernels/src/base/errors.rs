@@ -1,42 +1,44 @@
-//! What the kernels refuse to work on; every message names the elements.
+//! Errors of the kernels. Messages list the affected vertices, edges or triangles.
 
 use std::fmt;
 
-/// How many offenders a message lists before it only counts them.
+/// Elements that a message lists before it only counts them.
 const NAMED: usize = 5;
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum KernelError {
-    /// A triangle refers to a vertex that is not there.
+    /// A triangle refers to a vertex that does not exist.
     IndexOutOfRange { triangle: usize, vertex: i64, vertices: usize },
-    /// A coordinate or attribute is infinite, not a number, or so large that its square overflows.
+    /// A coordinate or attribute is infinite, NaN, or so large that its square overflows.
     NotFinite { vertex: usize },
     /// Edges with more than two triangles.
     NonManifoldEdges(Vec<[u32; 2]>),
-    /// Edges whose two triangles run through them in the same direction.
+    /// Edges whose two triangles traverse them in the same direction.
     InconsistentEdges(Vec<[u32; 2]>),
-    /// Triangles back to back: sound edge by edge, but their edges are there twice as soon as one is split.
+    /// Two triangles with the same three vertices. Each edge is manifold, but a split of one edge would
+    /// duplicate the others.
     SameVertices(Vec<[u32; 2]>),
-    /// Vertices where two fans of triangles touch.
+    /// Vertices that join several fans of triangles which share no edge.
     PinchedVertices(Vec<u32>),
-    /// More elements than 32-bit indices or the stated limit allow.
+    /// More elements than 32-bit indices or the given limit allow.
     TooManyTriangles { wanted: f64, limit: usize },
-    /// More blocks of voxels than memory was granted for.
+    /// More voxel blocks than the memory limit allows.
     TooManyBlocks { wanted: usize, limit: usize },
-    /// A place is farther from the origin of a field of voxels than so many blocks.
+    /// A voxel is more than this number of blocks from the origin of the volume.
     BeyondReach { blocks: usize },
-    /// The mesh is so small or large, or the tolerance so fine, that its numbers have no room.
+    /// The mesh is too small or too large, or the tolerance too fine, for the quantised coordinates of the
+    /// file.
     Extent { diagonal: f64 },
     /// A normal mesh cannot be written.
     Unwritable(&'static str),
-    /// The system has no more memory.
+    /// The system is out of memory.
     OutOfMemory,
-    /// The caller asked to stop.
+    /// The caller interrupted the run.
     Interrupted,
 }
 
 impl KernelError {
-    /// Whether the work was given up, rather than something being wrong with the mesh.
+    /// Return true if the run was interrupted or ran out of memory; false if the input is invalid.
     pub fn is_given_up(&self) -> bool {
         matches!(self, Self::Interrupted | Self::OutOfMemory)
     }
