@@ -46,7 +46,7 @@ fn crossing(a: [f64; 2], b: [f64; 2], y: f64) -> f64 {
 /// Texels of one image, sorted by triangle.
 #[derive(Debug, Default)]
 pub struct Texels {
-    /// Row × width + column.
+    /// Pixel index: row × width + column.
     pub pixels: Vec<u32>,
     pub triangles: Vec<u32>,
     /// Barycentric weights in the triangle.

@@ -75,7 +75,7 @@ impl<'a> Progress<'a> {
         Self { control, ticks: 0, scope: Scope::All }
     }
 
-    /// A handle for a part of the work that comes after `before` of `total` units.
+    /// Create a handle for a part of the work that starts after `before` of `total` units.
     pub fn part(&self, before: u64, total: u64) -> Self {
         Self { scope: Scope::Part(before, total), ..self.clone() }
     }

@@ -428,7 +428,7 @@ mod tests {
                 let Some(start) = block.take(layout) else { continue };
                 assert_eq!(start as usize % layout.align(), 0);
                 assert!(block.holds(start) && block.holds(start.wrapping_add(layout.size() - 1)));
-                // SAFETY: the piece has so many bytes.
+                // SAFETY: the piece has at least this number of bytes.
                 unsafe { start.write_bytes(turn as u8, layout.size()) };
                 pieces.push((start, layout, turn as u8));
             }
