@@ -9,9 +9,9 @@ use crate::mesh::triangle_mesh::Mesh;
 #[derive(Clone, Copy, Debug)]
 pub struct Wing<const D: usize> {
     pub triangle: TriangleId,
-    /// Which end of the edge it hangs on, 0 or 1.
+    /// Incident end of the edge, 0 or 1.
     pub end: usize,
-    /// The side across, counter-clockwise; seen from the end the triangle is (end, from, to).
+    /// Ends of the opposite side; the triangle (end, from, to) is counter-clockwise.
     pub from: VertexId,
     pub to: VertexId,
     pub from_point: [f64; D],

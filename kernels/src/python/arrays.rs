@@ -1,4 +1,4 @@
-//! Meshes from NumPy arrays, and arrays from what became of them.
+//! Conversion between NumPy arrays and meshes.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::base::errors::KernelError;
 /// Points with their attributes, and triangles.
 type PointsAndTriangles<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
 
-/// What vertices carry, n × k: levels of colour, or numbers.
+/// Vertex attributes (n, k): colour levels, or floating-point numbers.
 #[derive(FromPyObject)]
 pub enum Attributes<'py> {
     Levels(PyReadonlyArray2<'py, u8>),
@@ -28,7 +28,7 @@ impl Attributes<'_> {
     }
 }
 
-/// The arrays of a mesh as Python gives them.
+/// Arrays of a mesh, as passed from Python.
 pub struct Inputs<'py> {
     pub vertices: PyReadonlyArray2<'py, f64>,
     pub attributes: Attributes<'py>,
@@ -36,12 +36,12 @@ pub struct Inputs<'py> {
 }
 
 impl Inputs<'_> {
-    /// Attributes a vertex: 0, 1 (intensity) or 3 (RGB), else [`unknown_attributes`].
+    /// Return the attributes per vertex: 0, 1 (intensity) or 3 (RGB) are valid, else [`unknown_attributes`].
     pub fn attribute_count(&self) -> usize {
         self.attributes.shape()[1]
     }
 
-    /// Vertices and triangles.
+    /// Return the number of vertices plus triangles.
     pub fn rows(&self) -> usize {
         self.vertices.as_array().nrows() + self.triangles.as_array().nrows()
     }
@@ -52,7 +52,7 @@ impl Inputs<'_> {
         Ok((points, triangles))
     }
 
-    /// One value for each vertex, or none at all.
+    /// Copy an array with one value per vertex, or an empty one.
     pub fn by_vertex<T: Element + Copy>(
         &self,
         name: &str,
@@ -118,7 +118,7 @@ pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) ->
     Ok(values.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect())
 }
 
-/// Some of the columns of a table: of points, 0..3 are their places, and the attributes follow.
+/// Copy some columns of a table. For points, columns 0..3 are the position, and attributes follow.
 pub fn columns<const D: usize>(
     py: Python<'_>,
     rows: &[[f64; D]],
@@ -138,7 +138,7 @@ pub fn id_array(py: Python<'_>, ids: impl Iterator<Item = u32>) -> Py<PyArray1<i
     PyArray1::from_vec(py, ids.map(|id| id as i32).collect()).unbind()
 }
 
-/// Rows of so many numbers.
+/// Copy an array of rows with D numbers.
 pub fn rows<T: Element + Copy, const D: usize>(array: &PyReadonlyArray2<'_, T>) -> PyResult<Vec<[T; D]>> {
     let array = array.as_array();
     if array.ncols() != D {

@@ -13,10 +13,10 @@ use super::guarded::guarded;
 use crate::atlas::neighbours::NONE;
 use crate::atlas::{cut, pack, texels as under};
 
-/// Texels with their triangles, and the shares of its corners.
+/// Pixel indices of texels, their triangles, and barycentric weights.
 type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
 
-/// A surface laid out in images.
+/// Surface flattened into atlas images.
 #[pyclass(frozen, get_all, module = "scanloom.stages._kernels")]
 pub struct LaidOut {
     charts: Py<PyArray1<i32>>,
@@ -25,7 +25,8 @@ pub struct LaidOut {
     heights: Vec<usize>,
 }
 
-/// Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle.
+/// Lay a surface out in images of `side` × `side` texels; `density` is the number of texels per metre of each
+/// triangle.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, density, *, side, padding, progress))]
 pub fn lay_out(
@@ -66,7 +67,7 @@ pub fn lay_out(
     })
 }
 
-/// The texels of the triangles of one image, and of the rows and columns next to their charts.
+/// Find the texels of the triangles of one image, and the texels next to their charts.
 #[pyfunction]
 #[pyo3(signature = (corners, pages, *, page, width, height))]
 pub fn texels(
@@ -94,7 +95,7 @@ pub fn texels(
     })
 }
 
-/// Corners of triangles in a plane, m × 3 × 2.
+/// Copy 2-D triangle corners, m × 3 × 2.
 pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f64; 2]; 3]>> {
     let corners = corners.as_array();
     if corners.shape()[1..] != [3, 2] {

@@ -9,7 +9,7 @@ use super::detached::detached;
 use super::guarded::guarded;
 use crate::certify::{Certificate, Deviation, Options, Surface};
 
-/// What `certify` returns.
+/// Result of `certify`.
 #[pyclass(frozen, get_all)]
 pub struct Certified {
     shape_bound: Py<PyArray1<f64>>,
@@ -25,7 +25,7 @@ pub struct Certified {
 
 type Soup<'py> = (PyReadonlyArray2<'py, f64>, Attributes<'py>, PyReadonlyArray2<'py, i32>);
 
-/// Bound how far two meshes (vertices, attributes, triangles) are apart.
+/// Bound the distance between two meshes (vertices, attributes, triangles).
 #[pyfunction]
 #[pyo3(signature = (result, original, *, tolerance, absolute_tolerance, limit, effort, slack, threads, progress))]
 #[allow(clippy::too_many_arguments)]

@@ -14,11 +14,11 @@ use crate::certify::{self, Deviation};
 use crate::lod::assemble::{Open, assemble};
 use crate::lod::ladder::{Hierarchy, Options, build};
 
-/// Height over longest side that triangles of levels have: other programs overlook more needles than
-/// [`certify::NEEDLE`] says, Open3D up to 0.007.
+/// Minimum ratio of height to longest side for triangles of levels. Above [`certify::NEEDLE`], because other
+/// programs drop thinner triangles: Open3D up to 0.007.
 const THIN: f64 = 0.01;
 
-/// A hierarchy of levels; nodes from the root down. Pairs are (shape in metres, colour in levels).
+/// Hierarchy of levels, nodes from the root down. Pairs are (shape in metres, colour in levels).
 #[pyclass(frozen, get_all)]
 pub struct Levels {
     parent: Py<PyArray1<i32>>,
@@ -27,18 +27,18 @@ pub struct Levels {
     color_bound: Py<PyArray1<f64>>,
     shape_attained: Py<PyArray1<f64>>,
     color_attained: Py<PyArray1<f64>>,
-    /// Triangles of each node when no vertex of it is split.
+    /// Triangles of each node without any split.
     coarse: Py<PyArray1<i32>>,
-    /// Vertices that are there before any split.
+    /// Number of vertices before any split.
     roots: usize,
     vertices: Py<PyArray2<f64>>,
     attributes: Py<PyArray2<f64>>,
-    /// By vertex from `roots` on: the one it becomes.
+    /// Per vertex from `roots` on: the vertex it merges into.
     origin: Py<PyArray1<i32>>,
-    /// By split: the vertices and the triangles it brings.
+    /// Per split: the number of new vertices and new triangles.
     made: Py<PyArray1<u8>>,
     born: Py<PyArray1<u8>>,
-    /// Splits of node n: `first_split[n]..first_split[n + 1]`; triangles alike.
+    /// Splits of node n: `first_split[n]..first_split[n + 1]`; triangles accordingly.
     first_split: Py<PyArray1<i64>>,
     first_triangle: Py<PyArray1<i64>>,
     triangles: Py<PyArray2<i32>>,
@@ -118,7 +118,7 @@ fn build_points<const D: usize, const K: usize>(
     let numbers =
         |of: &dyn Fn(usize) -> f64| PyArray1::from_vec(py, (0..nodes.len()).rev().map(of).collect()).unbind();
     let offsets = |all: &[usize]| PyArray1::from_vec(py, all.iter().map(|&i| i as i64).collect()).unbind();
-    // No parent is −1.
+    // A node without parent gets −1.
     let parent = down().map(|n| n.parent.checked_add(1).map_or(u32::MAX, |above| last - above));
     Ok(Levels {
         parent: id_array(py, parent),
@@ -151,7 +151,8 @@ pub struct Front {
     source: Py<PyArray1<i32>>,
 }
 
-/// Put together the mesh of some nodes: of each the first `count` triangles from `start` on, with vertices below `below`.
+/// Assemble the mesh of a front: per node the first `count` triangles from `start` on, with vertices below
+/// `below`.
 #[pyfunction]
 #[pyo3(signature = (triangles, origin, *, roots, start, count, below))]
 pub fn assemble_front(

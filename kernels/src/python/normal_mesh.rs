@@ -32,7 +32,7 @@ create_exception!(
     "A file is no normal mesh, or damaged before the first level ends."
 );
 
-/// A base mesh and its refinements.
+/// Base mesh with its levels.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct NormalMesh {
     made: Made,
@@ -186,7 +186,7 @@ impl NormalMesh {
 }
 
 impl NormalMesh {
-    /// What a level gives out.
+    /// Run `work` with a memory reserve for the output of a level.
     fn guarded<R>(&self, level: usize, work: impl FnOnce() -> PyResult<R>) -> PyResult<R> {
         let level = self.level(level)?;
         guarded(level.points.len() + level.topology.triangles.len(), work)
@@ -196,7 +196,7 @@ impl NormalMesh {
         self.made.levels.get(level).ok_or_else(|| PyIndexError::new_err(format!("there is no level {level}")))
     }
 
-    /// The level before, and what was done to it.
+    /// Return the previous level, and the step from it to this level.
     fn step(&self, level: usize) -> PyResult<(&Level, &Step)> {
         let none = || PyIndexError::new_err(format!("nothing leads to level {level}"));
         let before = level.checked_sub(1).ok_or_else(none)?;
@@ -204,7 +204,7 @@ impl NormalMesh {
         Ok((self.level(before)?, step))
     }
 
-    /// Points where the caller has them.
+    /// Convert points to the caller's coordinates.
     fn placed(&self, points: &[Vec3]) -> Vec<Vec3> {
         let header = &self.made.header;
         let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));

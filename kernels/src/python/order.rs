@@ -11,7 +11,7 @@ use crate::mesh::triangle_mesh::check_points;
 
 type Rows = Py<PyArray1<u32>>;
 
-/// Vertices (n,) and triangles (m,) in an order in which neighbours in space are neighbours in memory.
+/// Compute a Z-order of vertices (n,) and triangles (m,), so that neighbours in space are close in memory.
 #[pyfunction]
 pub fn spatial_order(
     py: Python<'_>,

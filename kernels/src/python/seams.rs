@@ -38,14 +38,14 @@ impl SeamKnobs {
     }
 }
 
-/// A mesh simplified along its seams.
+/// Mesh simplified with its texture seams.
 #[pyclass(frozen, get_all)]
 pub struct BySeams {
     vertices: Py<PyArray2<f64>>,
     triangles: Py<PyArray2<i32>>,
-    /// (3 q, k) attributes of the corners.
+    /// Attributes of the corners (3 q, k).
     corners: Py<PyArray2<f64>>,
-    /// (3 q,) the corner of the input with the same attributes, −1 for none.
+    /// Input corner with the same attributes (3 q,), −1 for none.
     corner_source: Py<PyArray1<i32>>,
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
@@ -55,12 +55,13 @@ pub struct BySeams {
     attempts: u64,
     seam_drift: f64,
     fitted: bool,
-    /// The distance that can be proven, if one was asked for: that one, or the least there is.
+    /// Provable maximum distance in metres, if a bound was given: the bound, or the smallest provable
+    /// distance above it.
     provable: Option<f64>,
     log: Option<Py<SeamLog>>,
 }
 
-/// All collapses; see `scanloom_kernels::seams::record::Log`.
+/// Log of all collapses; see `scanloom_kernels::seams::record::Log`.
 #[pyclass(frozen, get_all)]
 pub struct SeamLog {
     removed: Py<PyArray1<i32>>,
@@ -77,10 +78,11 @@ pub struct SeamLog {
     corner_vertex: Py<PyArray1<i32>>,
 }
 
-/// Simplify a mesh whose vertices are doubled along seams. `sets` (n,) says which vertices are one; `corners` (3 m, k)
-/// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
-/// then three or six more. `importance` (m,) multiplies the error around triangles, (0,) for 1. `within` is a distance in
-/// metres, the share of it that vertices may use, and a factor of that for each vertex (n,).
+/// Simplify a mesh with vertices duplicated along seams. `sets` (n,) is equal for duplicates of a vertex.
+/// `corners` (3 m, k) are the corner attributes as lengths: the texture coordinate (0 unless the triangle is
+/// `textured`, (m,)), then three or six more. `importance` (m,) multiplies the error around triangles; empty
+/// for 1. `within` is a maximum distance in metres, the ratio of it available to vertices, and a factor per
+/// vertex (n,).
 #[pyfunction]
 #[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, locked, *, knobs, fit, within=None, running, progress))]
 #[allow(clippy::too_many_arguments)]
@@ -101,7 +103,7 @@ pub fn simplify_seams(
     running: PyRef<'_, Running>,
     progress: Py<PyAny>,
 ) -> PyResult<BySeams> {
-    // Corners are rows of their own.
+    // Each corner counts as a row.
     let count = vertices.as_array().nrows() + 4 * triangles.as_array().nrows();
     guarded(count, || {
         let points = rows::<3>(&vertices)?;
@@ -154,7 +156,7 @@ pub fn simplify_seams(
     })
 }
 
-/// Sheets between which a surface was taken apart; see `scanloom_kernels::seams::weld`.
+/// Manifold sheets of a surface; see `scanloom_kernels::seams::weld`.
 #[pyclass(frozen, get_all)]
 pub struct WeldedSheets {
     triangles: Py<PyArray2<i32>>,
@@ -162,7 +164,8 @@ pub struct WeldedSheets {
     touches: Py<PyArray1<bool>>,
 }
 
-/// Join triangles where two of them meet between the same `sets` (n,), and take them apart where more do.
+/// Weld triangles where two share an edge between the same `sets` (n,), and split them into sheets where more
+/// do.
 #[pyfunction]
 pub fn weld_sheets(
     py: Python<'_>,
@@ -188,7 +191,7 @@ pub fn weld_sheets(
     })
 }
 
-/// How to simplify, and how far.
+/// Simplification settings.
 struct How<'a> {
     knobs: Knobs,
     within: Option<Within>,
@@ -196,7 +199,7 @@ struct How<'a> {
     running: &'a Running,
 }
 
-/// A surface without its attributes.
+/// Surface without corner attributes.
 struct Light {
     points: Vec<[f64; 3]>,
     sets: Vec<u32>,

@@ -1,4 +1,5 @@
-//! `scanloom.stages._kernels.match_pair` and `weighted_medians`.
+//! `scanloom.stages._kernels.match_pair`, `sweep_planes`, `agreeing`, `inside_all`, `not_before`,
+//! `first_inside` and `weighted_medians`.
 
 use numpy::ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3};
@@ -17,7 +18,7 @@ use crate::stereo::volume::{LANES, Search, Size};
 
 type Image<'py> = PyReadonlyArray3<'py, u8>;
 type Map<T> = Py<PyArray2<T>>;
-/// Disparity of the left and of the right image; sum, margin and cost of the best.
+/// Disparity of the left and of the right image; path sum, margin and cost of the best disparity.
 type Found = (Map<f32>, Map<f32>, Map<i16>, Map<i16>, Map<i16>);
 
 fn pixels(image: &Image<'_>) -> PyResult<(Vec<[u8; 3]>, Size)> {
@@ -40,12 +41,12 @@ fn map<T: Element>(py: Python<'_>, size: Size, values: Vec<T>) -> PyResult<Map<T
     Ok(Array2::from_shape_vec((size.height, size.width), values).map_err(shape)?.into_pyarray(py).unbind())
 }
 
-/// What a search takes, as rows of 192 bytes: three volumes of two bytes.
+/// Estimate the memory of a search, in rows of 192 bytes: three volumes of two bytes per value.
 fn rows_of(size: Size, count: usize) -> usize {
     size.pixels().saturating_mul(count.saturating_mul(6) / 192 + 1)
 }
 
-/// Disparities of a rectified pair, by semi-global matching.
+/// Compute the disparities of a rectified pair by semi-global matching.
 #[pyfunction]
 #[pyo3(signature = (left, right, *, lowest, count, wanted_threads))]
 pub fn match_pair(
@@ -81,7 +82,7 @@ pub fn match_pair(
 }
 
 type Grey<'py> = PyReadonlyArray2<'py, u8>;
-/// A partner's warped image, what of it is shown, and the map of each plane.
+/// Warped image of a partner, its mask ([`Shown`]), and the map of each plane.
 type WarpedPartner<'py> = (Grey<'py>, Grey<'py>, PyReadonlyArray2<'py, f32>);
 
 fn size_of(shape: &[usize]) -> PyResult<Size> {
@@ -113,7 +114,8 @@ fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult
     })
 }
 
-/// The planes on which a view's pixels lie, as its partners show: number with a fraction, and margin.
+/// Find the best depth plane of each pixel of a view, from its partners: plane index with a fraction, and
+/// margin.
 #[pyfunction]
 #[pyo3(signature = (grey, partners, first, count, bound = None, *, planes, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
@@ -143,7 +145,7 @@ pub fn sweep_planes(
     }
     let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
     let images: usize = partners.iter().map(|one| one.0.as_array().len()).sum();
-    // Three volumes of two bytes, and what describes the images, as rows of 192 bytes.
+    // Three volumes of two bytes per value, and the image descriptors, in rows of 192 bytes.
     guarded(numbers / 32 + (images + size.pixels()) / 8, || {
         let threads = threads(wanted_threads);
         let partners =
@@ -161,7 +163,7 @@ pub fn sweep_planes(
     })
 }
 
-/// Another view: the matrix from pixels to it, 3 × 4, and its map.
+/// Another view: the 3 × 4 projection from pixels into it, and its map.
 type OtherView<'py, T> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, T>);
 
 fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
@@ -174,7 +176,7 @@ fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
     Ok(Other { from_pixels, size, map: map.iter().copied().collect() })
 }
 
-/// How many other views have the same depth, within the first and within the second tolerance.
+/// Count the other views with a consistent depth, within the first and within the second tolerance.
 #[pyfunction]
 #[pyo3(signature = (depth, others, *, tolerances, wanted_threads))]
 pub fn agreeing(
@@ -197,7 +199,7 @@ pub fn agreeing(
     })
 }
 
-/// Whether all other views that see a place have it in their masks.
+/// Check whether points are inside the masks of all views that see them.
 #[pyfunction]
 #[pyo3(signature = (depth, masks, *, wanted_threads))]
 pub fn inside_all(
@@ -217,7 +219,8 @@ pub fn inside_all(
     })
 }
 
-/// How many other views have nothing before a place: their depth there is more than a share of the place's.
+/// Count the other views in which nothing occludes a point: their depth is more than `share` times the
+/// point's depth.
 #[pyfunction]
 #[pyo3(signature = (depth, others, *, share, wanted_threads))]
 pub fn not_before(
@@ -238,7 +241,7 @@ pub fn not_before(
     })
 }
 
-/// Depth of the nearest places of pixels' rays that all other views have in their masks.
+/// Find the depth at which pixels' rays enter the visual hull of the masks.
 #[pyfunction]
 #[pyo3(signature = (wanted, masks, *, least, span, steps, wanted_threads))]
 pub fn first_inside(
@@ -267,7 +270,7 @@ pub fn first_inside(
     })
 }
 
-/// Medians of the disparities around the pixels that `wanted` names, weighted by likeness of colour.
+/// Compute weighted medians of disparities at the pixels in `wanted`, with weights from colour similarity.
 #[pyfunction]
 #[pyo3(signature = (image, disparity, wanted, *, lowest, count, radius, falloff, wanted_threads))]
 #[allow(clippy::too_many_arguments)]

@@ -16,20 +16,20 @@ use crate::base::parallel::{collect, threads};
 use crate::texture::sampling::{Drawn, Image, Wrap, sample, sample_points as samples};
 use crate::texture::texel_sources::{Charts, Corners, Sources, draw};
 
-/// Texels of an image, which have numbers of 32 bits, and triangles.
+/// Maximum number of texels of an image, so that 32-bit indices suffice.
 const MAX_TEXELS: usize = 1 << 30;
 
-/// Triangles in the atlas, their charts, and their corners in space.
+/// Triangles in the atlas, their charts, and their corner positions in 3-D.
 type Placed<'py> = (PyReadonlyArray3<'py, f64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray3<'py, f64>);
 
-/// Such arrays.
+/// The same arrays as slices.
 type Slices<'a> = (&'a [Corners], &'a [i32], &'a [[Vec3; 3]]);
-/// Images of triangles.
+/// Images of triangle indices.
 type Drawings = (Py<PyArray2<i32>>, Py<PyArray2<i32>>);
 
-/// Draw the triangles of a simplified mesh, and the triangles of its original into their charts.
+/// Rasterise the triangles of a simplified mesh, and the triangles of its original into their charts.
 ///
-/// Returns images (height, width) of both, which hold triangles, or −1 for none.
+/// Returns images (height, width) of both, with triangle indices, or −1 for none.
 #[pyfunction]
 #[pyo3(signature = (simplified, original, max_distances, *, width, height, wanted_threads))]
 pub fn draw_sources(
@@ -61,7 +61,7 @@ pub fn draw_sources(
     })
 }
 
-/// Barycentric weights (n, 3) of the point of a triangle that is nearest to the centre of a texel.
+/// Compute the barycentric weights (n, 3) of the points of triangles nearest to texel centres.
 #[pyfunction]
 #[pyo3(signature = (corners, triangles, texels, *, width, wanted_threads))]
 pub fn locate_texels(
@@ -89,7 +89,8 @@ pub fn locate_texels(
     })
 }
 
-/// Sample an image into the texels of an atlas whose triangles show it; the others stay.
+/// Write samples of an image into the texels of an atlas whose triangles use the image; other texels do not
+/// change.
 #[pyfunction]
 #[pyo3(signature = (atlas, triangles, corners, uvs, is_shown, image, *, wrap, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
@@ -158,7 +159,7 @@ pub fn sample_points(
     })
 }
 
-/// Check that an image has enough channels.
+/// Borrow an image; checks that it has enough channels.
 fn image_of<'a>(
     image: &'a PyReadonlyArray3<'_, u8>,
     wrap: &(String, String),
@@ -202,12 +203,12 @@ fn placed<'a>(arrays: &'a Placed<'_>) -> PyResult<Slices<'a>> {
     Ok((corners, charts, positions))
 }
 
-/// Corners of triangles in a plane, m × 3 × 2.
+/// Borrow 2-D triangle corners, m × 3 × 2.
 fn corners_of<'a>(array: &'a PyReadonlyArray3<'_, f64>) -> PyResult<&'a [Corners]> {
     Ok(finite(array, 2)?.as_chunks::<2>().0.as_chunks::<3>().0)
 }
 
-/// Numbers of an array m × 3 × k.
+/// Borrow the numbers of an array m × 3 × k; checks that they are finite.
 fn finite<'a>(array: &'a PyReadonlyArray3<'_, f64>, k: usize) -> PyResult<&'a [f64]> {
     if array.shape()[1..] != [3, k] {
         let found = array.shape();

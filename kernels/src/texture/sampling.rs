@@ -89,7 +89,7 @@ fn round(one: u32, other: u32, share: u32) -> u8 {
 /// Triangles drawn into an atlas.
 #[derive(Clone, Copy)]
 pub struct Drawn<'a> {
-    /// The triangle of each texel of the atlas, row by row; negative for none.
+    /// Triangle of each texel of the atlas, row by row; negative for no triangle.
     pub triangles: &'a [i32],
     /// Corners in texels of the atlas, and texture coordinates in the image.
     pub corners: &'a [Corners],
