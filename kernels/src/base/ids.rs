@@ -2,7 +2,7 @@
 
 macro_rules! id {
     ($name:ident, $what:literal) => {
-        #[doc = concat!("Number of ", $what, ".")]
+        #[doc = concat!("Index of ", $what, ".")]
         #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
         #[repr(transparent)]
         pub struct $name(pub u32);

@@ -47,7 +47,7 @@ pub struct Levels {
     unproven: usize,
 }
 
-/// Build the levels of a manifold.
+/// Build the levels of a manifold mesh.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, locked, *, first, ratio, most, root, weight, share, tolerance, effort, single,
                     running, progress))]
@@ -143,7 +143,7 @@ fn build_points<const D: usize, const K: usize>(
     })
 }
 
-/// The mesh of a front: its triangles, numbered anew, their places in the hierarchy, and the vertices they use.
+/// Mesh of a front: its renumbered triangles, their indices in the hierarchy, and the vertices they use.
 #[pyclass(frozen, get_all)]
 pub struct Front {
     vertices: Py<PyArray1<i32>>,

@@ -212,7 +212,7 @@ impl NormalMesh {
     }
 }
 
-/// Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
+/// Build a normal mesh; `colors` and `confidence` may be empty.
 #[pyfunction]
 #[pyo3(signature = (vertices, colors, confidence, triangles, original, *, levels, base_triangles, base_error, at_any_price,
                     max_error, butterfly, relaxations, tolerance, color_tolerance, up, threads, progress))]
@@ -294,7 +294,8 @@ fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
     Ok(threads(wanted.extract()?))
 }
 
-/// Read a file up to a level, −1 for all; what is damaged behind the base mesh is left out, and `damage` says so.
+/// Decode a file up to a level, −1 for all. Damaged levels after the base mesh are dropped, and `damage`
+/// describes the damage.
 #[pyfunction]
 pub fn decode_normal_mesh(py: Python<'_>, data: &[u8], level: i64) -> PyResult<NormalMesh> {
     let wanted = usize::try_from(level).unwrap_or(usize::MAX);

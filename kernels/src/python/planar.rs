@@ -16,7 +16,7 @@ use crate::planar::{Options, Patches, Planar, facets, propagate, reasons, simpli
 /// Near-planar patches of a mesh, largest area first.
 #[pyclass(frozen, get_all, subclass)]
 pub struct PlanarPatches {
-    /// For each triangle of the input its patch; −1 for one that names a vertex twice.
+    /// Patch of each input triangle; −1 for triangles with repeated vertices.
     input_patch: Py<PyArray1<i32>>,
     normals: Py<PyArray2<f64>>,
     origins: Py<PyArray2<f64>>,
