@@ -48,10 +48,13 @@ impl fmt::Display for KernelError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::IndexOutOfRange { triangle, vertex, vertices } => {
-                write!(f, "triangle {triangle} uses vertex {vertex}, but there are only {vertices} vertices")
+                write!(
+                    f,
+                    "triangle {triangle} has vertex index {vertex}, but the mesh has only {vertices} vertices"
+                )
             }
             Self::NotFinite { vertex } => {
-                write!(f, "vertex {vertex} has a value that is not finite or is beyond ±1e60")
+                write!(f, "vertex {vertex} has a value that is not finite, or is beyond ±1e60")
             }
             Self::NonManifoldEdges(edges) => {
                 let phrases =
@@ -60,8 +63,8 @@ impl fmt::Display for KernelError {
             }
             Self::InconsistentEdges(edges) => {
                 let phrases = [
-                    "edge lies between triangles of opposite orientation",
-                    "edges lie between triangles of opposite orientation",
+                    "edge joins triangles of opposite orientation",
+                    "edges join triangles of opposite orientation",
                 ];
                 named(f, phrases, edges.iter().map(pair))
             }
@@ -78,20 +81,20 @@ impl fmt::Display for KernelError {
                 named(f, phrases, vertices.iter().map(u32::to_string))
             }
             Self::TooManyTriangles { wanted, limit } => {
-                write!(f, "it takes at least {wanted:.0} triangles; the limit is {limit}")
+                write!(f, "the result needs at least {wanted:.0} triangles; the limit is {limit}")
             }
             Self::TooManyBlocks { wanted, limit } => {
-                write!(f, "it takes {wanted} blocks of voxels; the limit is {limit}")
+                write!(f, "the volume needs {wanted} voxel blocks; the limit is {limit}")
             }
             Self::BeyondReach { blocks } => {
-                write!(f, "a place is more than {blocks} blocks of voxels from the origin")
+                write!(f, "a surface point is more than {blocks} voxel blocks from the origin")
             }
             Self::Extent { diagonal } => write!(
                 f,
-                "the mesh has a diagonal of {diagonal:e}, and the numbers of a file have no room for it at this tolerance"
+                "the bounding-box diagonal of the mesh is {diagonal:e}; the file format cannot represent it at this tolerance"
             ),
             Self::Unwritable(why) => write!(f, "the normal mesh cannot be written: {why}"),
-            Self::OutOfMemory => write!(f, "there is not enough memory"),
+            Self::OutOfMemory => write!(f, "not enough memory"),
             Self::Interrupted => write!(f, "interrupted"),
         }
     }

@@ -62,12 +62,12 @@ impl Inputs<'_> {
         if values.is_empty() || values.len() == self.vertices.as_array().nrows() {
             return Ok(values);
         }
-        Err(PyValueError::new_err(format!("{name} needs one value a vertex")))
+        Err(PyValueError::new_err(format!("{name} must have one value for each vertex")))
     }
 }
 
 pub fn unknown_attributes(k: usize) -> PyErr {
-    PyValueError::new_err(format!("{k} attributes a vertex; 0, 1 (intensity) or 3 (RGB) are known"))
+    PyValueError::new_err(format!("{k} attributes per vertex; 0, 1 (intensity) or 3 (RGB) are supported"))
 }
 
 pub fn points_from<const D: usize>(
@@ -86,7 +86,7 @@ fn joined<T: Copy + Into<f64>, const D: usize>(
 ) -> PyResult<Vec<[f64; D]>> {
     if vertices.ncols() != 3 || attributes.nrows() != vertices.nrows() {
         return Err(PyValueError::new_err(format!(
-            "vertices are {:?} and attributes {:?}; n × 3 and n × k are expected",
+            "vertices have shape {:?} and attributes {:?}; n × 3 and n × k are expected",
             vertices.shape(),
             attributes.shape()
         )));
@@ -105,7 +105,7 @@ pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) ->
     let triangles = triangles.as_array();
     if triangles.ncols() != 3 {
         return Err(PyValueError::new_err(format!(
-            "triangles are {:?}; m × 3 is expected",
+            "triangles have shape {:?}; m × 3 is expected",
             triangles.shape()
         )));
     }
@@ -142,7 +142,10 @@ pub fn id_array(py: Python<'_>, ids: impl Iterator<Item = u32>) -> Py<PyArray1<i
 pub fn rows<T: Element + Copy, const D: usize>(array: &PyReadonlyArray2<'_, T>) -> PyResult<Vec<[T; D]>> {
     let array = array.as_array();
     if array.ncols() != D {
-        return Err(PyValueError::new_err(format!("an array is {:?}; n × {D} is expected", array.shape())));
+        return Err(PyValueError::new_err(format!(
+            "an array has shape {:?}; n × {D} is expected",
+            array.shape()
+        )));
     }
     Ok((0..array.nrows()).map(|i| std::array::from_fn(|k| array[[i, k]])).collect())
 }

@@ -39,7 +39,9 @@ pub fn lay_out(
     progress: Py<PyAny>,
 ) -> PyResult<LaidOut> {
     if side <= 2 * padding + 1 {
-        return Err(PyValueError::new_err("the images have no room beside the padding"));
+        return Err(PyValueError::new_err(
+            "side is too small for the padding; it must be above 2 × padding + 1 texels",
+        ));
     }
     let count = vertices.as_array().nrows() + triangles.as_array().nrows();
     guarded(count + side * side / 64, || {
@@ -47,7 +49,7 @@ pub fn lay_out(
         let triangles = triangles_from(&triangles, points.len())?;
         let density = density.as_array().to_vec();
         if density.len() != triangles.len() {
-            return Err(PyValueError::new_err("density needs one value for each triangle"));
+            return Err(PyValueError::new_err("density must have one value for each triangle"));
         }
         let (charts, packed) = detached(py, Some(&progress), false, |progress| {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
@@ -82,7 +84,7 @@ pub fn texels(
         let corners = triangle_corners(&corners)?;
         let pages = pages.as_array().to_vec();
         if pages.len() != corners.len() {
-            return Err(PyValueError::new_err("pages needs one value for each triangle"));
+            return Err(PyValueError::new_err("pages must have one value for each triangle"));
         }
         let found = py.detach(|| under::texels(&corners, |t| pages[t] == page, width, height));
         let count = found.pixels.len();
@@ -100,7 +102,7 @@ pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f
     let corners = corners.as_array();
     if corners.shape()[1..] != [3, 2] {
         return Err(PyValueError::new_err(format!(
-            "corners are {:?}; m × 3 × 2 is expected",
+            "corners have shape {:?}; m × 3 × 2 is expected",
             corners.shape()
         )));
     }

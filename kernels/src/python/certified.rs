@@ -53,7 +53,7 @@ pub fn simplify_certified(
     let all = [bounds.0, bounds.1, weight, tolerance.0, tolerance.1, effort];
     if !(all.iter().all(|x| *x >= 0.0) && weight.is_finite() && share > 0.0 && share <= 1.0) {
         return Err(PyValueError::new_err(
-            "bounds, weight, tolerance and effort must not be negative, and share be up to 1",
+            "bounds, weight, tolerance and effort must not be negative, and share must be above 0 and at most 1",
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };

@@ -60,7 +60,7 @@ pub fn certify(
         (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
         (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
         (a, b) => Err(PyValueError::new_err(format!(
-            "{a} and {b} attributes a vertex; 0, 1 (intensity) or 3 (RGB) on both sides are known"
+            "{a} and {b} attributes per vertex; 0, 1 (intensity) or 3 (RGB) in both meshes are supported"
         ))),
     })
 }

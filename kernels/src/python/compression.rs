@@ -173,12 +173,16 @@ pub fn decode_indices(
     mode: &str,
 ) -> PyResult<Py<PyBytes>> {
     if size != 2 && size != 4 {
-        return Err(PyValueError::new_err(format!("an index has {size} bytes; it must have 2 or 4")));
+        return Err(PyValueError::new_err(format!("indices have {size} bytes; 2 or 4 are supported")));
     }
     let decode = match mode {
         "TRIANGLES" if count.is_multiple_of(3) => ffi::meshopt_decodeIndexBuffer,
         "INDICES" => ffi::meshopt_decodeIndexSequence,
-        _ => return Err(PyValueError::new_err(format!("{count} indices cannot be of the mode {mode}"))),
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "{count} indices cannot be decoded in the mode {mode}"
+            )));
+        }
     };
     require_held(count, packed.len(), INDICES_IN_A_BYTE)?;
     let filled = PyBytes::new_with(py, count * size, |indices| {
@@ -199,10 +203,10 @@ fn undoing(filter: &str, size: usize) -> PyResult<Option<Filter>> {
         "OCTAHEDRAL" => (ffi::meshopt_decodeFilterOct, size == 4 || size == 8),
         "QUATERNION" => (ffi::meshopt_decodeFilterQuat, size == 8),
         "EXPONENTIAL" => (ffi::meshopt_decodeFilterExp, true),
-        _ => return Err(PyValueError::new_err(format!("there is no filter {filter}"))),
+        _ => return Err(PyValueError::new_err(format!("filter {filter} is unknown"))),
     };
     if !fits {
-        return Err(PyValueError::new_err(format!("the filter {filter} is not for rows of {size} bytes")));
+        return Err(PyValueError::new_err(format!("filter {filter} does not support rows of {size} bytes")));
     }
     Ok(Some(undo))
 }
@@ -217,13 +221,13 @@ fn require_held(asked: usize, held: usize, most: usize) -> PyResult<()> {
 }
 
 fn damaged() -> PyErr {
-    PyValueError::new_err("the data is damaged or cut short")
+    PyValueError::new_err("the data is damaged or truncated")
 }
 
 fn checked(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<u32>> {
     let rows = triangles.as_array();
     if rows.ncols() != 3 {
-        return Err(PyValueError::new_err("a triangle has three corners"));
+        return Err(PyValueError::new_err("triangles must be m × 3"));
     }
     // Negative indices become too large and are rejected, too.
     let found: Vec<[u32; 3]> =

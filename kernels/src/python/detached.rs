@@ -71,6 +71,8 @@ pub fn detached<R: Send>(
     match outcome {
         None => Err(KernelError::OutOfMemory.into()),
         Some(Ok(Ok(result))) => result.map_err(PyErr::from),
-        _ => Err(PyRuntimeError::new_err("the mesh kernels failed; please report the mesh that shows it")),
+        _ => Err(PyRuntimeError::new_err(
+            "internal error in the mesh kernels; please report it with the mesh that causes it",
+        )),
     }
 }

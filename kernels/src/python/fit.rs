@@ -71,7 +71,7 @@ fn fit_points<const D: usize>(
         .map(|&v| if (0..vertices as i64).contains(&v.into()) { VertexId(v as u32) } else { VertexId::NONE })
         .collect();
     if became.len() != original_points.len() {
-        return Err(PyValueError::new_err("became needs one value for each original vertex"));
+        return Err(PyValueError::new_err("became must have one value for each original vertex"));
     }
     let points = detached(py, Some(progress), false, |progress| {
         let whole = Whole::<D, ()>::new(points, triangles, locked)?;

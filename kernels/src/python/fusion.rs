@@ -56,7 +56,7 @@ fn camera(posed: &Posed<'_>) -> PyResult<Camera> {
     let (pinhole, ref pose) = *posed;
     let pose = pose.as_array();
     if pose.shape() != [4, 4] || !pose.iter().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("a camera needs a finite 4 × 4 pose"));
+        return Err(PyValueError::new_err("the camera pose must be a finite 4 × 4 matrix"));
     }
     at(pinhole, [0, 1, 2].map(|i| [0, 1, 2, 3].map(|k| pose[[i, k]])))
 }
@@ -64,13 +64,13 @@ fn camera(posed: &Posed<'_>) -> PyResult<Camera> {
 fn at((fx, fy, cx, cy, width, height): Pinhole, pose: Affine) -> PyResult<Camera> {
     if ![fx, fy, cx, cy].iter().all(|x| x.is_finite()) || fx <= 0.0 || fy <= 0.0 {
         return Err(PyValueError::new_err(
-            "a camera needs finite focal lengths above 0, and a finite centre",
+            "the camera must have finite focal lengths above 0, and a finite principal point",
         ));
     }
     let is_small = width.max(height) < LONGEST && (width + 1).saturating_mul(height + 1) <= MOST_PIXELS;
     if width == 0 || height == 0 || !is_small {
         return Err(PyValueError::new_err(
-            "a camera needs an image of a pixel at least, fewer than 2³⁰, and of sides below 2²⁴",
+            "a camera image must have at least one pixel, fewer than 2³⁰ pixels, and sides below 2²⁴ pixels",
         ));
     }
     Ok(Camera::new((width, height), [fx, fy], [cx, cy], pose))
@@ -80,7 +80,7 @@ fn at((fx, fy, cx, cy, width, height): Pinhole, pose: Affine) -> PyResult<Camera
 fn pixels<'a, T: Element>(image: &'a PyReadonlyArray2<'_, T>, camera: &Camera) -> PyResult<&'a [T]> {
     match image.as_slice() {
         Ok(pixels) if image.as_array().shape() == [camera.height, camera.width] => Ok(pixels),
-        _ => Err(PyValueError::new_err("an image is not contiguous, or of another size than its camera")),
+        _ => Err(PyValueError::new_err("an image is not contiguous, or its size differs from the camera's")),
     }
 }
 
@@ -166,7 +166,7 @@ impl Volume {
         }
         let wanted = instructions.unwrap_or(versions()[0].0);
         let Some((_, add)) = versions().into_iter().find(|(name, _)| *name == wanted) else {
-            return Err(PyValueError::new_err(format!("this processor has no {wanted}")));
+            return Err(PyValueError::new_err(format!("this processor does not support {wanted}")));
         };
         let field = crate::fusion::volume::Volume::new(voxel_size, truncation, color, most_blocks).using(add);
         Ok(Self { inner: Mutex::new(field), truncation: truncation as f32 })
@@ -215,12 +215,14 @@ impl Volume {
         guarded(keys.as_array().len() + camera.width * camera.height, || {
             let (typical, constant, quadratic) = weighing;
             if ![typical, constant, quadratic].iter().all(|x| x.is_finite() && *x >= 0.0) {
-                return Err(PyValueError::new_err("weighing needs finite numbers that are not below 0"));
+                return Err(PyValueError::new_err("weighing must have finite values that are not negative"));
             }
             let threads = threads(wanted_threads);
             let color = color.as_ref().map(|color| levels(color, &camera)).transpose()?;
             if color.is_none() && self.locked().blocks().is_colored() {
-                return Err(PyValueError::new_err("the voxels have colours, but the frame has none"));
+                return Err(PyValueError::new_err(
+                    "the volume has colours, but the frame has no colour image",
+                ));
             }
             let images = Images {
                 depth: pixels(&depth, &camera)?,
@@ -325,7 +327,7 @@ fn levels<'a>(color: &'a PyReadonlyArray3<'_, u8>, camera: &Camera) -> PyResult<
     match color.as_slice() {
         Ok(levels) if color.as_array().shape() == [camera.height, camera.width, 3] => Ok(levels),
         _ => Err(PyValueError::new_err(
-            "a colour image is not contiguous h × w × 3, or not of its camera's size",
+            "a colour image is not contiguous h × w × 3, or its size differs from the camera's",
         )),
     }
 }

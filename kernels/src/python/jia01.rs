@@ -61,7 +61,7 @@ pub fn simplify(
     }
     if ![bounds.0, bounds.1, bounds.2, attribute_scale].iter().all(|x| *x >= 0.0) || bounds.0 == 0.0 {
         return Err(PyValueError::new_err(
-            "bounds and attribute_scale must not be negative, nor the length 0",
+            "bounds and attribute_scale must not be negative, and the length bound must be above 0",
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
@@ -137,7 +137,7 @@ pub fn side_lengths(
 ) -> PyResult<Py<PyArray2<f64>>> {
     let (vertices, triangles) = (vertices.as_array(), triangles.as_array());
     if vertices.ncols() != 3 || triangles.ncols() != 3 {
-        return Err(PyValueError::new_err("vertices are n × 3 and triangles m × 3"));
+        return Err(PyValueError::new_err("vertices must be n × 3 and triangles m × 3"));
     }
     guarded(vertices.nrows() + triangles.nrows(), || {
         let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());

@@ -73,11 +73,13 @@ pub fn build_levels(
     let all = [first, weight, tolerance.0, tolerance.1, effort];
     if !(all.iter().all(|x| *x >= 0.0 && x.is_finite()) && first > 0.0 && ratio >= 1.1 && ratio.is_finite()) {
         return Err(PyValueError::new_err(
-            "first, weight, tolerance and effort must not be negative, and ratio be 1.1 or more",
+            "weight, tolerance and effort must not be negative, first must be above 0, and ratio at least 1.1",
         ));
     }
     if most < 4 || !(share > 0.0 && share <= 1.0) {
-        return Err(PyValueError::new_err("a cell has 4 triangles or more, and share is up to 1"));
+        return Err(PyValueError::new_err(
+            "most must be at least 4 triangles, and share above 0 and at most 1",
+        ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
     guarded(inputs.rows(), || {
@@ -169,7 +171,9 @@ pub fn assemble_front(
     let vertices = roots as usize + origin.len();
     let (start, count, below) = (start.as_slice()?, count.as_slice()?, below.as_slice()?);
     if triangles.as_array().ncols() != 3 || start.len() != count.len() || start.len() != below.len() {
-        return Err(PyValueError::new_err("triangles are m × 3, and a front has as many of each"));
+        return Err(PyValueError::new_err(
+            "triangles must be m × 3, and start, count and below must have equal lengths",
+        ));
     }
     let there = (corners.len() / 3) as i64;
     let mut front = Vec::with_capacity(start.len());

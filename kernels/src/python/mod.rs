@@ -45,13 +45,13 @@ create_exception!(
     scanloom.stages._kernels,
     InvalidMeshError,
     PyValueError,
-    "The mesh breaks a rule the kernels need; the message names the elements."
+    "The mesh violates a requirement of the kernels; the message lists the elements."
 );
 create_exception!(
     scanloom.stages._kernels,
     LimitError,
     PyOverflowError,
-    "The result would be larger than the stated limit."
+    "The result would exceed the given limit."
 );
 
 impl From<KernelError> for PyErr {

@@ -71,7 +71,7 @@ impl NearestSurface {
         guarded(points.as_array().nrows(), || {
             let (points, normals) = (positions(&points)?, positions(&normals)?);
             if points.len() != normals.len() {
-                return Err(PyValueError::new_err("normals need one row for each point"));
+                return Err(PyValueError::new_err("normals must have one row for each point"));
             }
             let found = py.detach(|| self.0.facing(&points, &normals, reach, threads(wanted_threads)));
             arrays(py, &found, |one| one.is_turned)
@@ -82,7 +82,7 @@ impl NearestSurface {
 fn positions(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vec3>> {
     let found = rows::<f64, 3>(array)?;
     if !found.iter().flatten().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("an array has numbers that are not finite"));
+        return Err(PyValueError::new_err("an array has values that are not finite"));
     }
     Ok(found)
 }

@@ -29,7 +29,7 @@ create_exception!(
     scanloom.stages._kernels,
     SnmError,
     PyValueError,
-    "A file is no normal mesh, or damaged before the first level ends."
+    "The bytes are not an `.snm` file, or are damaged before the end of the base mesh."
 );
 
 /// Base mesh with its levels.
@@ -193,12 +193,15 @@ impl NormalMesh {
     }
 
     fn level(&self, level: usize) -> PyResult<&Level> {
-        self.made.levels.get(level).ok_or_else(|| PyIndexError::new_err(format!("there is no level {level}")))
+        self.made
+            .levels
+            .get(level)
+            .ok_or_else(|| PyIndexError::new_err(format!("level {level} does not exist")))
     }
 
     /// Return the previous level, and the step from it to this level.
     fn step(&self, level: usize) -> PyResult<(&Level, &Step)> {
-        let none = || PyIndexError::new_err(format!("nothing leads to level {level}"));
+        let none = || PyIndexError::new_err(format!("level {level} has no refinement step"));
         let before = level.checked_sub(1).ok_or_else(none)?;
         let step = self.made.steps.get(before).ok_or_else(none)?;
         Ok((self.level(before)?, step))
@@ -247,14 +250,14 @@ pub fn remesh(
             || !(confidence.is_empty() || confidence.len() == count)
         {
             return Err(PyValueError::new_err(format!(
-                "vertices are {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
+                "vertices have shape {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
                 vertices.shape(),
                 colors.shape(),
                 confidence.len()
             )));
         }
         if confidence.iter().any(|c| !c.is_finite()) {
-            return Err(PyValueError::new_err("confidence holds a value that is not finite"));
+            return Err(PyValueError::new_err("confidence has a value that is not finite"));
         }
         let points: Vec<Vec3> = vertices.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect();
         let colors =

@@ -83,11 +83,13 @@ fn options(
         return Err(PyValueError::new_err("cosines must not be negative"));
     }
     if !(max_distance > 0.0 && max_distance.is_finite() && max_color >= 0.0) {
-        return Err(PyValueError::new_err("the distance must be above 0 and finite, the colour not below 0"));
+        return Err(PyValueError::new_err(
+            "the shape bound must be above 0 and finite, and the colour bound must not be negative",
+        ));
     }
     let labels: Vec<u32> = labels.as_array().iter().map(|&label| label as u32).collect();
     if !labels.is_empty() && labels.len() != triangles {
-        return Err(PyValueError::new_err("labels need one value a triangle, or none at all"));
+        return Err(PyValueError::new_err("labels must have one value for each triangle, or be empty"));
     }
     Ok(Options { labels, fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
 }

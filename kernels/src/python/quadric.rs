@@ -40,7 +40,7 @@ pub fn simplify_by_quadrics(
     progress: Py<PyAny>,
 ) -> PyResult<Py<ByQuadrics>> {
     if !(weight >= 0.0 && weight.is_finite()) {
-        return Err(PyValueError::new_err("the weight must not be negative"));
+        return Err(PyValueError::new_err("weight must be finite and not negative"));
     }
     let inputs = Inputs { vertices, attributes, triangles };
     guarded(inputs.rows(), || {

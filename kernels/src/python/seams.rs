@@ -32,7 +32,7 @@ impl SeamKnobs {
     ) -> PyResult<Self> {
         let knobs = [across_materials, across_parts, valence, wedges, shape, seam_drift];
         if !knobs.iter().all(|&x| x >= 0.0) {
-            return Err(PyValueError::new_err("no penalty or weight may be negative"));
+            return Err(PyValueError::new_err("penalties and weights must not be negative"));
         }
         Ok(Self(Knobs { across_materials, across_parts, valence, wedges, shape, seam_drift }))
     }
@@ -121,12 +121,14 @@ pub fn simplify_seams(
             || sets.iter().any(|&s| s < 0 || s as usize >= points.len())
         {
             return Err(PyValueError::new_err(
-                "sets, locked, corners, textured, materials and parts must fit the mesh",
+                "sets, locked, corners, textured, materials or parts do not match the mesh",
             ));
         }
         let importance = importance.as_array().to_vec();
         if !importance.is_empty() && importance.len() != triangles.len() {
-            return Err(PyValueError::new_err("importance needs one value a triangle, or none at all"));
+            return Err(PyValueError::new_err(
+                "importance must have one value for each triangle, or be empty",
+            ));
         }
         let within = within.map(|(shape, share, factors)| Within {
             shape,
@@ -134,7 +136,7 @@ pub fn simplify_seams(
             factors: factors.as_array().iter().map(|&factor| factor as f32).collect(),
         });
         if within.as_ref().is_some_and(|within| within.factors.len() != points.len()) {
-            return Err(PyValueError::new_err("within needs one factor a vertex"));
+            return Err(PyValueError::new_err("within must have one factor for each vertex"));
         }
         let light = Light {
             points,
@@ -151,7 +153,7 @@ pub fn simplify_seams(
             2 => light.simplify::<5, 2>(py, &corners, &how, &progress),
             5 => light.simplify::<8, 5>(py, &corners, &how, &progress),
             8 => light.simplify::<11, 8>(py, &corners, &how, &progress),
-            k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
+            k => Err(PyValueError::new_err(format!("{k} attributes per corner; 2, 5 or 8 are supported"))),
         }
     })
 }
@@ -176,7 +178,7 @@ pub fn weld_sheets(
         let sets = sets.as_array();
         let triangles = triangles_from(&triangles, sets.len())?;
         if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
-            return Err(PyValueError::new_err("sets must be numbered from 0"));
+            return Err(PyValueError::new_err("sets must be vertex indices"));
         }
         let sets: Vec<u32> = sets.iter().map(|&s| s as u32).collect();
         let welded = py.detach(|| weld(&sets, &triangles))?;
@@ -297,7 +299,10 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Optio
 fn rows<const K: usize>(table: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; K]>> {
     let table = table.as_array();
     if table.ncols() != K {
-        return Err(PyValueError::new_err(format!("{} columns where {K} are expected", table.ncols())));
+        return Err(PyValueError::new_err(format!(
+            "an array has {} columns; {K} are expected",
+            table.ncols()
+        )));
     }
     Ok(table.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
 }

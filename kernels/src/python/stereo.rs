@@ -25,7 +25,7 @@ fn pixels(image: &Image<'_>) -> PyResult<(Vec<[u8; 3]>, Size)> {
     let levels = image.as_array();
     let [height, width, 3] = *levels.shape() else {
         return Err(PyValueError::new_err(format!(
-            "an image is {:?}; h × w × 3 is expected",
+            "an image has shape {:?}; h × w × 3 is expected",
             levels.shape()
         )));
     };
@@ -59,10 +59,12 @@ pub fn match_pair(
 ) -> PyResult<Found> {
     let [height, width, _] = *left.as_array().shape() else { unreachable!("an array of three dimensions") };
     if left.as_array().shape() != right.as_array().shape() {
-        return Err(PyValueError::new_err("the images of a pair are of different sizes"));
+        return Err(PyValueError::new_err("the two images have different sizes"));
     }
     if count == 0 || !count.is_multiple_of(LANES) || count > 1 << 14 || lowest.unsigned_abs() > 1 << 20 {
-        return Err(PyValueError::new_err(format!("{count} disparities; a multiple of {LANES} is expected")));
+        return Err(PyValueError::new_err(format!(
+            "{count} disparities from {lowest} on; a multiple of {LANES} up to 16384 is expected"
+        )));
     }
     guarded(rows_of(Size { width, height }, count), || {
         let ((left, size), (right, _)) = (pixels(&left)?, pixels(&right)?);
@@ -90,7 +92,9 @@ fn size_of(shape: &[usize]) -> PyResult<Size> {
         [height, width] if width > 0 && height > 0 && width.max(height) < 1 << 20 => {
             Ok(Size { width, height })
         }
-        _ => Err(PyValueError::new_err(format!("an image is {shape:?}"))),
+        _ => Err(PyValueError::new_err(format!(
+            "an image has shape {shape:?}; h × w with sides from 1 to below 2²⁰ is expected"
+        ))),
     }
 }
 
@@ -98,7 +102,7 @@ fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult
     let (grey, shown, maps) = given;
     let size = size_of(grey.as_array().shape())?;
     if shown.as_array().shape() != grey.as_array().shape() || *maps.as_array().shape() != [planes, 3] {
-        return Err(PyValueError::new_err("what is shown, or the maps, do not fit a partner's image"));
+        return Err(PyValueError::new_err("the mask or the maps of a partner do not match its image"));
     }
     let grey: Vec<u8> = grey.as_array().iter().copied().collect();
     let shown: Vec<u8> = shown.as_array().iter().copied().collect();
@@ -134,13 +138,15 @@ pub fn sweep_planes(
         || count.as_array().shape() != grey.as_array().shape()
         || bound.as_ref().is_some_and(|(nearest, _)| nearest.as_array().shape() != grey.as_array().shape())
     {
-        return Err(PyValueError::new_err("ranges are of another size than the view"));
+        return Err(PyValueError::new_err("the size of first, count or bound differs from the view"));
     }
     let (first, count) = (first.as_array(), count.as_array());
     for (&first, &count) in first.iter().zip(count) {
         let end = i64::from(first) + i64::from(count);
         if first < 0 || count == 0 || usize::from(count) % LANES != 0 || end > planes as i64 {
-            return Err(PyValueError::new_err(format!("planes {first} to {end} of {planes}")));
+            return Err(PyValueError::new_err(format!(
+                "planes {first} to {end} are not within 0 to {planes}, or not a multiple of {LANES}"
+            )));
         }
     }
     let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
@@ -170,7 +176,10 @@ fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
     let (matrix, map) = (given.0.as_array(), given.1.as_array());
     let size = size_of(map.shape())?;
     if *matrix.shape() != [3, 4] {
-        return Err(PyValueError::new_err(format!("a matrix is {:?}; 3 × 4 is expected", matrix.shape())));
+        return Err(PyValueError::new_err(format!(
+            "a matrix has shape {:?}; 3 × 4 is expected",
+            matrix.shape()
+        )));
     }
     let from_pixels: Matrix = std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
     Ok(Other { from_pixels, size, map: map.iter().copied().collect() })
@@ -256,7 +265,7 @@ pub fn first_inside(
     let size = size_of(wanted.as_array().shape())?;
     let [near, far] = span;
     if !(near > 0.0 && far > near && far.is_finite() && steps > 0 && steps <= 1 << 20) {
-        return Err(PyValueError::new_err("depth is looked for from near to far, in steps"));
+        return Err(PyValueError::new_err("span must be 0 < near < far, and steps 1 to 2²⁰"));
     }
     let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
     guarded((images + 4 * size.pixels()) / 96, || {
@@ -288,10 +297,12 @@ pub fn weighted_medians(
     let [height, width, _] = *image.as_array().shape() else { unreachable!("an array of three dimensions") };
     let expected = [height, width];
     if disparity.as_array().shape() != expected || wanted.as_array().shape() != expected {
-        return Err(PyValueError::new_err("disparity is of another size than its image"));
+        return Err(PyValueError::new_err("the size of disparity or wanted differs from the image"));
     }
     if radius > 64 || count > 1 << 14 || falloff.is_nan() || falloff <= 0.0 {
-        return Err(PyValueError::new_err("a median is of at most 64 pixels each way"));
+        return Err(PyValueError::new_err(
+            "radius must be at most 64, count at most 16384, and falloff above 0",
+        ));
     }
     guarded(width * height, || {
         let (image, size) = pixels(&image)?;

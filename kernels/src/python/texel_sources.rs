@@ -49,7 +49,7 @@ pub fn draw_sources(
         let (corners, charts, positions) = placed(&original)?;
         let max_distances = max_distances.as_slice()?;
         if max_distances.len() != corners.len() {
-            return Err(PyValueError::new_err("max_distances needs one value for each triangle"));
+            return Err(PyValueError::new_err("max_distances must have one value for each triangle"));
         }
         let sources = Sources { corners, charts, positions, max_distances };
         let found = py.detach(|| draw(of_simplified, sources, width, height, threads(wanted_threads)));
@@ -76,7 +76,7 @@ pub fn locate_texels(
         let (corners, triangles, texels) = (corners_of(&corners)?, triangles.as_slice()?, texels.as_slice()?);
         let is_known = |&t: &i32| usize::try_from(t).is_ok_and(|t| t < corners.len());
         if triangles.len() != texels.len() || !triangles.iter().all(is_known) || width == 0 {
-            return Err(PyValueError::new_err("texels do not go with their triangles or an image"));
+            return Err(PyValueError::new_err("texels do not match their triangles or the image"));
         }
         let weights = py.detach(|| {
             collect(texels.len(), threads(wanted_threads), |i| {
@@ -179,12 +179,14 @@ fn wrap_of(name: &str) -> PyResult<Wrap> {
         "repeat" => Ok(Wrap::Repeat),
         "clamp" => Ok(Wrap::Clamp),
         "mirror" => Ok(Wrap::Mirror),
-        _ => Err(PyValueError::new_err(format!("{name:?} is no way to continue an image"))),
+        _ => Err(PyValueError::new_err(format!(
+            "wrap mode {name:?} is unknown; repeat, clamp and mirror are supported"
+        ))),
     }
 }
 
 fn unfit(what: &str) -> PyErr {
-    PyValueError::new_err(format!("{what} does not go with the other arrays"))
+    PyValueError::new_err(format!("{what} does not match the other arrays"))
 }
 
 fn check_size(width: usize, height: usize) -> PyResult<()> {
@@ -198,7 +200,7 @@ fn placed<'a>(arrays: &'a Placed<'_>) -> PyResult<Slices<'a>> {
     let (corners, charts) = (corners_of(&arrays.0)?, arrays.1.as_slice()?);
     let positions = finite(&arrays.2, 3)?.as_chunks::<3>().0.as_chunks::<3>().0;
     if [charts.len(), positions.len()] != [corners.len(); 2] || corners.len() > i32::MAX as usize {
-        return Err(PyValueError::new_err("charts and positions need one row for each triangle"));
+        return Err(PyValueError::new_err("charts and positions must have one row for each triangle"));
     }
     Ok((corners, charts, positions))
 }
@@ -212,11 +214,11 @@ fn corners_of<'a>(array: &'a PyReadonlyArray3<'_, f64>) -> PyResult<&'a [Corners
 fn finite<'a>(array: &'a PyReadonlyArray3<'_, f64>, k: usize) -> PyResult<&'a [f64]> {
     if array.shape()[1..] != [3, k] {
         let found = array.shape();
-        return Err(PyValueError::new_err(format!("an array is {found:?}; m × 3 × {k} is expected")));
+        return Err(PyValueError::new_err(format!("an array has shape {found:?}; m × 3 × {k} is expected")));
     }
     let numbers = array.as_slice()?;
     if !numbers.iter().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("an array has numbers that are not finite"));
+        return Err(PyValueError::new_err("an array has values that are not finite"));
     }
     Ok(numbers)
 }

@@ -46,7 +46,7 @@ fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
     let pose = pose.as_array();
     if pose.shape() != [4, 4] || width < 2 || height < 2 {
         return Err(PyValueError::new_err(
-            "a camera needs an image of 2 × 2 pixels at least and a 4 × 4 pose",
+            "a camera must have an image of at least 2 × 2 pixels and a 4 × 4 pose",
         ));
     }
     Ok(Pinhole {
@@ -116,7 +116,7 @@ impl Photo {
         let (photo, blurred) = (image(&photo)?, image(&blurred)?);
         for picture in [&photo, &blurred] {
             if (picture.width, picture.height) != (camera.width, camera.height) {
-                return Err(PyValueError::new_err("a photo is of another size than its camera"));
+                return Err(PyValueError::new_err("the size of a photo differs from its camera's"));
             }
         }
         let warp = warp.map(|warp| shifts(&warp)).transpose()?;
@@ -164,7 +164,7 @@ fn image(image: &Image<'_>) -> PyResult<Pixels> {
     let [height, width, channels] = *pixels.shape() else { unreachable!("an array of three dimensions") };
     if channels != 3 || width < 2 || height < 2 {
         return Err(PyValueError::new_err(format!(
-            "an image is {:?}; h × w × 3 is expected",
+            "an image has shape {:?}; h × w × 3 of at least 2 × 2 pixels is expected",
             pixels.shape()
         )));
     }
@@ -177,7 +177,7 @@ fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -
     let camera = pinhole(camera)?;
     let [nearest, exact] = [nearest, exact].map(|map| map.as_array());
     if [&nearest, &exact].iter().any(|map| map.shape() != [camera.height, camera.width]) {
-        return Err(PyValueError::new_err("depth is of another size than its camera"));
+        return Err(PyValueError::new_err("the size of a depth map differs from its camera's"));
     }
     let [nearest, exact] = [nearest, exact]
         .map(|map| map.as_slice().map_or_else(|| map.iter().copied().collect(), <[f32]>::to_vec));
@@ -187,10 +187,10 @@ fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -
 fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
     let warp = warp.as_array();
     let [rows, columns, 2] = *warp.shape() else {
-        return Err(PyValueError::new_err("shifts are h × w × 2"));
+        return Err(PyValueError::new_err("warp must be h × w × 2"));
     };
     if rows < 2 || columns < 2 {
-        return Err(PyValueError::new_err("shifts need two rows and columns at least"));
+        return Err(PyValueError::new_err("warp must have at least two rows and columns"));
     }
     let shifts = (0..rows * columns).map(|i| [0, 1].map(|k| warp[[i / columns, i % columns, k]])).collect();
     Ok(Warp { columns, rows, shifts })
@@ -231,7 +231,7 @@ impl SurfacePoints {
                 || normals.len() != points.len()
                 || !(1..=MOST_KEPT).contains(&kept)
             {
-                return Err(PyValueError::new_err("points do not go with their mesh"));
+                return Err(PyValueError::new_err("points do not match their mesh, or kept is out of range"));
             }
             let mut first = vec![0u32; triangles.len() + 1];
             of.iter().for_each(|&t| first[t as usize + 1] += 1);
@@ -363,7 +363,7 @@ impl SurfacePoints {
                 || !(1.0..=MOST_REACH).contains(&reach)
             {
                 return Err(PyValueError::new_err(
-                    "colours and pixels do not go with the points or an image",
+                    "colours or pixels do not match the points or the image, or reach is out of range",
                 ));
             }
             detached(py, None, false, |progress| {
@@ -387,7 +387,7 @@ impl SurfacePoints {
         guarded(points.len(), || {
             let (labels, pixels) = (labels.as_slice()?, pixels.as_slice()?);
             if [labels.len(), pixels.len()] != [points.len(); 2] || !is_image(pixels, width) || every == 0 {
-                return Err(PyValueError::new_err("labels and pixels do not go with the points or an image"));
+                return Err(PyValueError::new_err("labels or pixels do not match the points or the image"));
             }
             let found = detached(py, None, false, |progress| {
                 neighbours(&points, labels, pixels, width, every, progress)
@@ -444,7 +444,7 @@ impl TexturedSurface {
             let pages: Vec<u16> =
                 pages.as_array().iter().map(|&p| u16::try_from(p).unwrap_or(u16::MAX)).collect();
             if corners.len() != triangles.len() || pages.len() != triangles.len() {
-                return Err(PyValueError::new_err("corners and pages need one row for each triangle"));
+                return Err(PyValueError::new_err("corners and pages must have one row for each triangle"));
             }
             let images = images.iter().map(image).collect::<PyResult<Vec<_>>>()?;
             let clusters = Clusters::new(&points, &triangles);
