@@ -10,8 +10,10 @@ use pyo3::prelude::*;
 use super::arrays::{rows, triangles_from};
 use super::detached::detached;
 use super::guarded::guarded;
+use crate::atlas::cut::cut;
 use crate::atlas::neighbours::NONE;
-use crate::atlas::{cut, pack, texels as under};
+use crate::atlas::pack::pack;
+use crate::atlas::texels as under;
 
 /// Pixel indices of texels, their triangles, and barycentric weights.
 type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
@@ -53,8 +55,8 @@ pub fn lay_out(
         }
         let (charts, packed) = detached(py, Some(&progress), false, |progress| {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            let charts = cut::cut(&points, &triangles, &density, side, padding, progress)?;
-            let packed = pack::pack(&charts, side, padding, progress)?;
+            let charts = cut(&points, &triangles, &density, side, padding, progress)?;
+            let packed = pack(&charts, side, padding, progress)?;
             Ok((charts, packed))
         })?;
         let numbers = |values: Vec<i32>| PyArray1::from_vec(py, values).unbind();

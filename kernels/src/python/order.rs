@@ -6,7 +6,6 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, Inputs};
 use super::guarded::guarded;
 use crate::mesh::connect::check_indices;
-use crate::mesh::spatial;
 use crate::mesh::triangle_mesh::check_points;
 
 type Rows = Py<PyArray1<u32>>;
@@ -25,7 +24,7 @@ pub fn spatial_order(
         let (points, triangles) = inputs.copied::<3>()?;
         check_points(&points)?;
         check_indices(points.len(), &triangles)?;
-        let (vertices, triangles) = py.detach(|| spatial::spatial_order(&points, &triangles));
+        let (vertices, triangles) = py.detach(|| crate::mesh::spatial::spatial_order(&points, &triangles));
         Ok((PyArray1::from_vec(py, vertices).unbind(), PyArray1::from_vec(py, triangles).unbind()))
     })
 }
