@@ -99,6 +99,7 @@ pub fn grown<'a>(
     Ok((charts, growth))
 }
 
+/// Working data of chart growth: mesh, normals, areas and neighbours.
 pub struct Growth<'a> {
     pub points: &'a [Vec3],
     pub triangles: &'a [[u32; 3]],

@@ -6,6 +6,7 @@ const WORD: usize = 64;
 /// Number of steps per shape height in the vertical search for a position.
 const STEPS: usize = 16;
 
+/// Occupied texels of an atlas image.
 #[derive(Debug)]
 pub struct Page {
     side: usize,
@@ -19,6 +20,7 @@ pub struct Page {
 }
 
 impl Page {
+    /// Create an empty page of `side` × `side` texels.
     pub fn new(side: usize) -> Self {
         let words = side.div_ceil(WORD);
         Self { side, words, taken: vec![0; words * side], free: vec![side; side], height: 0 }
@@ -59,6 +61,7 @@ impl Page {
         None
     }
 
+    /// Mark the texels of a shape as occupied, at a position found by [`Page::find`].
     pub fn put(&mut self, shape: &Shape, [x, y]: [usize; 2]) {
         for row in 0..shape.height {
             for range in shape.row(row) {

@@ -56,6 +56,7 @@ impl Shape {
         Self { width, height, starts, ranges }
     }
 
+    /// Return the occupied ranges of columns in a row.
     pub fn row(&self, row: usize) -> &[[u32; 2]] {
         &self.ranges[self.starts[row] as usize..self.starts[row + 1] as usize]
     }

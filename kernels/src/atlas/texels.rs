@@ -135,6 +135,7 @@ pub fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
     best.0
 }
 
+/// Compute the squared distance from a point to the border of a triangle.
 pub fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
     (0..3).map(|k| along(&corners[k], &corners[(k + 1) % 3], p).1).fold(f64::INFINITY, f64::min)
 }

@@ -5,6 +5,7 @@ use std::fmt;
 /// Elements that a message lists before it only counts them.
 const NAMED: usize = 5;
 
+/// Error of a kernel: invalid input, exceeded limit, lack of memory, or interruption.
 #[derive(Clone, Debug, PartialEq)]
 pub enum KernelError {
     /// A triangle refers to a vertex that does not exist.

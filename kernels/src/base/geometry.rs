@@ -1,18 +1,21 @@
 //! Small vector algebra, and distances to triangles and segments.
 
+/// 3-D vector or point.
 pub type Vec3 = [f64; 3];
 
+/// Extract the position of a vertex (the first three coordinates).
 #[inline]
 pub fn position<const D: usize>(p: &[f64; D]) -> Vec3 {
     [p[0], p[1], p[2]]
 }
 
+/// Compute a − b.
 #[inline]
 pub fn sub<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// Compute the bounding box [low, high] of points; [+∞, −∞] if there are none.
+/// Compute the bounding box [low, high] of points; [+∞, −∞] without points.
 pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
     points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
         [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
@@ -36,21 +39,25 @@ pub fn add_scaled<const D: usize>(a: &[f64; D], t: f64, b: &[f64; D]) -> [f64; D
     std::array::from_fn(|i| a[i] + t * b[i])
 }
 
+/// Compute the midpoint of a and b.
 #[inline]
 pub fn midpoint<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
     std::array::from_fn(|i| 0.5 * (a[i] + b[i]))
 }
 
+/// Compute the dot product.
 #[inline]
 pub fn dot(a: &Vec3, b: &Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// Compute the cross product.
 #[inline]
 pub fn cross(a: &Vec3, b: &Vec3) -> Vec3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
+/// Compute the squared norm.
 #[inline]
 pub fn norm2(a: &Vec3) -> f64 {
     dot(a, a)

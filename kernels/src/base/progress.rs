@@ -71,6 +71,7 @@ enum Scope {
 }
 
 impl<'a> Progress<'a> {
+    /// Create a handle for the whole run.
     pub fn new(control: &'a Control) -> Self {
         Self { control, ticks: 0, scope: Scope::All }
     }

@@ -64,10 +64,12 @@ impl Blocks {
         Self { slots: HashMap::default(), keys: vec![], pages: vec![], is_colored, most }
     }
 
+    /// Return the number of blocks.
     pub fn count(&self) -> usize {
         self.keys.len()
     }
 
+    /// Return true if voxels have colours.
     pub fn is_colored(&self) -> bool {
         self.is_colored
     }
@@ -77,14 +79,17 @@ impl Blocks {
         self.pages.len() * PAGE * block_bytes(self.is_colored)
     }
 
+    /// Return the Z-order key of the block in a slot.
     pub fn key(&self, slot: usize) -> u64 {
         self.keys[slot]
     }
 
+    /// Return the distances of the block in a slot.
     pub fn distances(&self, slot: usize) -> &Distances {
         &self.pages[slot / PAGE].distances[slot % PAGE]
     }
 
+    /// Return the colours of the block in a slot; None if voxels have no colours.
     pub fn colors(&self, slot: usize) -> Option<&Colors> {
         self.pages[slot / PAGE].colors.get(slot % PAGE)
     }

@@ -38,6 +38,7 @@ pub struct Cubes {
     triangles: Vec<[u8; 3]>,
 }
 
+/// The triangle table, computed on first use.
 pub static CUBES: LazyLock<Cubes> = LazyLock::new(Cubes::new);
 
 impl Cubes {

@@ -32,6 +32,7 @@ pub struct Sample {
 }
 
 impl Sample {
+    /// Interpolate linearly between two samples.
     pub fn between(a: Self, b: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + (b - a) * share;
         Self {

@@ -84,6 +84,7 @@ impl Behind {
 }
 
 impl<'a> Frame<'a> {
+    /// Prepare the projection of voxels into a frame.
     pub fn new(view: &'a View, voxel_size: f64) -> Self {
         let camera = &view.camera;
         let row = |i: usize, k: usize| {

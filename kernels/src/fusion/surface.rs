@@ -49,6 +49,7 @@ pub struct BlockBox {
 }
 
 impl BlockBox {
+    /// Check whether a block is inside the box.
     pub fn contains(&self, block: [i32; 3]) -> bool {
         (0..3).all(|k| self.low[k] <= block[k] && block[k] < self.high[k])
     }

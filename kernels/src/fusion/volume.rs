@@ -36,6 +36,7 @@ impl Volume {
         Self { add, ..self }
     }
 
+    /// Return the block storage.
     pub fn blocks(&self) -> &Blocks {
         &self.blocks
     }

@@ -33,6 +33,7 @@ struct Branch {
     count: u32,
 }
 
+/// Bounding volume hierarchy over shapes stored by the caller.
 #[derive(Clone, Debug)]
 pub struct Bvh {
     root: Option<Branch>,
@@ -79,8 +80,8 @@ impl Bvh {
         [self.local(&low).map(down), self.local(&high).map(|x| -down(-x))]
     }
 
-    /// Find the slot nearest to `p` and nearer than `best` (slot, squared distance); returns `best` if there
-    /// is none.
+    /// Find the slot nearest to `p` and nearer than `best` (slot, squared distance); returns `best` if no
+    /// slot is nearer.
     #[inline]
     pub fn nearest(&self, p: &Vec3, best: (u32, f64), distance2: impl Fn(u32) -> f64) -> (u32, f64) {
         let (mut slot, mut least) = best;

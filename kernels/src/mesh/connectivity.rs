@@ -57,56 +57,67 @@ impl Connectivity {
         self.halfedges.len() / 3
     }
 
+    /// Iterate over the remaining vertices that have triangles.
     pub fn vertices(&self) -> impl Iterator<Item = VertexId> + '_ {
         let alive = |v: &VertexId| self.outgoing[v.index()].is_some();
         (0..self.outgoing.len()).map(VertexId::from_index).filter(alive)
     }
 
+    /// Iterate over the remaining edges.
     pub fn edges(&self) -> impl Iterator<Item = EdgeId> + '_ {
         let alive = |e: &EdgeId| self.edges[e.index()].is_some();
         (0..self.edges.len()).map(EdgeId::from_index).filter(alive)
     }
 
+    /// Iterate over the remaining triangles.
     pub fn triangles(&self) -> impl Iterator<Item = TriangleId> + '_ {
         let alive = |t: &TriangleId| self.halfedges[3 * t.index()].origin.is_some();
         (0..self.triangle_slots()).map(TriangleId::from_index).filter(alive)
     }
 
+    /// Return the corners of a triangle, counter-clockwise.
     pub fn corners(&self, triangle: TriangleId) -> [VertexId; 3] {
         let first = 3 * triangle.index();
         [0, 1, 2].map(|corner| self.halfedges[first + corner].origin)
     }
 
+    /// Return the next halfedge of the triangle.
     #[inline]
     pub fn next(h: HalfedgeId) -> HalfedgeId {
         HalfedgeId(if h.0 % 3 == 2 { h.0 - 2 } else { h.0 + 1 })
     }
 
+    /// Return the previous halfedge of the triangle.
     #[inline]
     pub fn prev(h: HalfedgeId) -> HalfedgeId {
         HalfedgeId(if h.0.is_multiple_of(3) { h.0 + 2 } else { h.0 - 1 })
     }
 
+    /// Return the triangle of a halfedge.
     #[inline]
     pub fn triangle(h: HalfedgeId) -> TriangleId {
         TriangleId(h.0 / 3)
     }
 
+    /// Return the start vertex of a halfedge.
     #[inline]
     pub fn origin(&self, h: HalfedgeId) -> VertexId {
         self.halfedges[h.index()].origin
     }
 
+    /// Return the end vertex of a halfedge.
     #[inline]
     pub fn target(&self, h: HalfedgeId) -> VertexId {
         self.origin(Self::next(h))
     }
 
+    /// Return the opposite halfedge; NONE on a boundary.
     #[inline]
     pub fn twin(&self, h: HalfedgeId) -> HalfedgeId {
         self.halfedges[h.index()].twin
     }
 
+    /// Return the edge of a halfedge.
     #[inline]
     pub fn edge(&self, h: HalfedgeId) -> EdgeId {
         self.halfedges[h.index()].edge
@@ -124,17 +135,20 @@ impl Connectivity {
         self.halfedge(edge).is_some()
     }
 
+    /// Return the two ends of an edge.
     #[inline]
     pub fn ends(&self, edge: EdgeId) -> [VertexId; 2] {
         let h = self.halfedge(edge);
         [self.origin(h), self.target(h)]
     }
 
+    /// Check whether an edge has only one triangle.
     #[inline]
     pub fn is_boundary_edge(&self, edge: EdgeId) -> bool {
         self.twin(self.halfedge(edge)).is_none()
     }
 
+    /// Check whether a vertex is on a boundary.
     #[inline]
     pub fn is_boundary_vertex(&self, v: VertexId) -> bool {
         self.twin(self.outgoing[v.index()]).is_none()
@@ -233,7 +247,7 @@ impl Connectivity {
     }
 
     /// Split `edge` at a new vertex. Returns the vertex and the new edges: the far half of `edge`, then
-    /// one to the far corner of each triangle beside it.
+    /// one to the opposite corner of each adjacent triangle.
     ///
     /// ```text
     ///        a                   a

@@ -35,6 +35,7 @@ pub struct Marks {
 }
 
 impl Marks {
+    /// Create cleared marks for a number of vertex slots.
     pub fn new(slots: usize) -> Self {
         Self { stamps: vec![0; slots], stamp: 0 }
     }

@@ -114,6 +114,7 @@ impl<const D: usize> Star<D> {
         last
     }
 
+    /// Return the point of an end of the edge.
     #[inline]
     pub fn end_point(&self, end: usize) -> &[f64; D] {
         &self.end_points[end]

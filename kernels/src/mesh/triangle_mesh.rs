@@ -106,6 +106,7 @@ impl<const D: usize> Mesh<D> {
         Ok(Self { connectivity, points, vertex_source, triangle_source: kept, locks })
     }
 
+    /// Return the lock of a vertex.
     #[inline]
     pub fn lock(&self, v: VertexId) -> Lock {
         self.locks[v.index()]
@@ -121,6 +122,7 @@ impl<const D: usize> Mesh<D> {
             .map(|v| self.lock(v) == Lock::Locked || (inside && self.connectivity.is_boundary_vertex(v)))
     }
 
+    /// Return the point of a vertex.
     #[inline]
     pub fn point(&self, v: VertexId) -> &[f64; D] {
         &self.points[v.index()]

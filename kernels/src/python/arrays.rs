@@ -20,6 +20,7 @@ pub enum Attributes<'py> {
 }
 
 impl Attributes<'_> {
+    /// Return the shape [n, k].
     pub fn shape(&self) -> [usize; 2] {
         match self {
             Self::Levels(levels) => levels.as_array().dim().into(),
@@ -46,6 +47,7 @@ impl Inputs<'_> {
         self.vertices.as_array().nrows() + self.triangles.as_array().nrows()
     }
 
+    /// Copy points and triangles; checks their shapes and signs.
     pub fn copied<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
         let points = points_from::<D>(&self.vertices, &self.attributes)?;
         let triangles = triangles_from(&self.triangles, points.len())?;
@@ -66,10 +68,12 @@ impl Inputs<'_> {
     }
 }
 
+/// Make the error for an unsupported number of attributes.
 pub fn unknown_attributes(k: usize) -> PyErr {
     PyValueError::new_err(format!("{k} attributes per vertex; 0, 1 (intensity) or 3 (RGB) are supported"))
 }
 
+/// Copy vertices and attributes into points; checks their shapes.
 pub fn points_from<const D: usize>(
     vertices: &PyReadonlyArray2<'_, f64>,
     attributes: &Attributes<'_>,
@@ -101,6 +105,7 @@ fn joined<T: Copy + Into<f64>, const D: usize>(
     Ok(places.enumerate().map(point).collect())
 }
 
+/// Copy triangles; rejects negative indices.
 pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
     let triangles = triangles.as_array();
     if triangles.ncols() != 3 {
@@ -129,11 +134,13 @@ pub fn columns<const D: usize>(
     Ok(PyArray1::from_vec(py, values).reshape(shape)?.unbind())
 }
 
+/// Convert triangles to an array (m, 3).
 pub fn triangle_array(py: Python<'_>, triangles: &[[u32; 3]]) -> PyResult<Py<PyArray2<i32>>> {
     let values: Vec<i32> = triangles.iter().flatten().map(|&v| v as i32).collect();
     Ok(PyArray1::from_vec(py, values).reshape([triangles.len(), 3])?.unbind())
 }
 
+/// Convert indices to an array (n,).
 pub fn id_array(py: Python<'_>, ids: impl Iterator<Item = u32>) -> Py<PyArray1<i32>> {
     PyArray1::from_vec(py, ids.map(|id| id as i32).collect()).unbind()
 }

@@ -112,6 +112,7 @@ pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f
     Ok((0..corners.shape()[0]).map(|t| [0, 1, 2].map(|c| [0, 1].map(|k| value(t, c, k)))).collect())
 }
 
+/// Convert a shape error to ValueError.
 pub fn shape(error: numpy::ndarray::ShapeError) -> PyErr {
     PyValueError::new_err(error.to_string())
 }

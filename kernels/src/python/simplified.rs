@@ -39,6 +39,7 @@ impl Running {
 }
 
 impl Running {
+    /// Convert the settings for the collapse engine.
     pub fn goal(&self) -> Goal {
         Goal {
             triangles: self.target_triangles,
@@ -79,6 +80,7 @@ pub fn stopped_by(stop: Stop) -> &'static str {
 }
 
 impl Simplified {
+    /// Convert a simplified mesh and its statistics to arrays.
     pub fn new<const D: usize, const RULES: usize>(
         py: Python<'_>,
         mesh: &Compact<D>,

@@ -13,6 +13,7 @@ const LENGTH: f32 = 16384.0;
 /// Target descriptors per block; the block stays in the L1 cache.
 const TOGETHER: usize = 64;
 
+/// SIFT descriptor.
 pub type Descriptor = [u8; VALUES];
 type Rooted = [i16; VALUES];
 

@@ -18,6 +18,7 @@ pub struct Ranges {
 }
 
 impl Ranges {
+    /// Create ranges from the first hypothesis and the count of each pixel.
     pub fn new(first: Vec<i32>, count: Vec<u16>) -> Self {
         debug_assert!(count.iter().all(|&n| n > 0 && usize::from(n) % LANES == 0));
         let mut starts = Vec::with_capacity(count.len() + 1);

@@ -6,6 +6,7 @@ pub const LANES: usize = 16;
 /// RGB image, row by row.
 pub type Pixels = [[u8; 3]];
 
+/// Image size in pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Size {
     pub width: usize,
@@ -13,6 +14,7 @@ pub struct Size {
 }
 
 impl Size {
+    /// Return the number of pixels.
     pub fn pixels(self) -> usize {
         self.width * self.height
     }

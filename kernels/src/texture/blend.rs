@@ -37,6 +37,7 @@ pub struct Blended {
     pub views: Vec<u8>,
 }
 
+/// Marker for a point without photos.
 pub const NO_VIEW: u16 = u16::MAX;
 
 /// Blend the samples of all points.

@@ -46,6 +46,7 @@ impl Grid {
         }
     }
 
+    /// Return the index of a cell.
     #[inline]
     pub fn cell(&self, x: usize, y: usize) -> usize {
         (y + 1) * self.stride + x + 1

@@ -23,6 +23,7 @@ const BEYOND: f64 = 2.9;
 /// Additional rows drawn around a band: the search radius, plus one because the triangles of the simplified
 /// mesh are dilated by a texel.
 const HALO: usize = REACH + 1;
+/// Triangle corners in 2-D.
 pub type Corners = [[f64; 2]; 3];
 
 /// Triangles of the simplified mesh in an atlas image.

@@ -76,6 +76,7 @@ impl Colors {
     }
 }
 
+/// Photo with the rendered and the measured depth of its viewpoint.
 #[derive(Debug)]
 pub struct View {
     pub colors: Arc<Colors>,
@@ -137,6 +138,7 @@ pub struct Places<'a> {
 }
 
 impl Places<'_> {
+    /// Return the position of a point.
     #[inline(always)]
     pub fn of(&self, i: usize) -> Vec3 {
         [0, 1, 2].map(|k| self.origin[k] + f64::from(self.places[k][i]))
