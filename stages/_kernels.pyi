@@ -1,4 +1,4 @@
-"""Mesh kernels in Rust. Private: `scanloom.stages.simplification.simplify` is the way in."""
+"""Mesh kernels in Rust. Private: use `scanloom.stages.simplification.simplify` and the other stages."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeAlias, final
@@ -76,21 +76,21 @@ __all__ = [
     "weld_sheets",
 ]
 
-# Height over longest side below which only the longest side of a triangle counts in a proof.
+# Ratio of height to longest side; in a proof, a thinner triangle counts as its longest side.
 NEEDLE: float
 
 class InvalidMeshError(ValueError):
-    """The mesh breaks a rule the kernels need; the message names the elements."""
+    """The mesh violates a requirement of the kernels; the message lists the elements."""
 
 class LimitError(OverflowError):
-    """The result would be larger than the stated limit."""
+    """The result would exceed the given limit."""
 
 class SnmError(ValueError):
-    """The bytes are no `.snm` file, or so damaged that no level is whole; the message says where."""
+    """The bytes are not an `.snm` file, or are damaged before the end of the base mesh."""
 
 @final
 class Running:
-    """How a simplifier runs."""
+    """Common settings of the simplifiers."""
 
     def __new__(
         cls,
@@ -129,7 +129,7 @@ class SeamKnobs:
 
 @final
 class SeamLog:
-    """All collapses of `simplify_seams`; the properties are those of a `CollapseRecord` and its `Wedges`."""
+    """Log of all collapses of `simplify_seams`; properties as in `CollapseRecord` and its `Wedges`."""
 
     @property
     def removed(self) -> NDArray[np.int32]: ...
@@ -158,7 +158,7 @@ class SeamLog:
 
 @final
 class BySeams:
-    """A mesh simplified along its seams."""
+    """Mesh simplified with its texture seams."""
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -209,7 +209,7 @@ def simplify_seams(
 
 @final
 class WeldedSheets:
-    """What `weld_sheets` returns."""
+    """Manifold sheets of a surface, the result of `weld_sheets`."""
 
     @property
     def triangles(self) -> NDArray[np.int32]: ...
@@ -220,17 +220,17 @@ class WeldedSheets:
 
 def weld_sheets(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> WeldedSheets: ...
 
-# (n, k): levels of colour, or numbers.
+# (n, k): colour levels, or floating-point numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
-# fx, fy, cx, cy, width and height; and the (4, 4) matrix that takes the world to the camera.
-# The first block of a box along each axis, and the one after its last.
+# First block of a box along each axis, and the end (exclusive).
 _Blocks: TypeAlias = tuple[Sequence[int], Sequence[int]]
+# fx, fy, cx, cy, width and height; and a (4, 4) matrix: camera-to-world for fusion, else world-to-camera.
 _Camera: TypeAlias = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
 @final
 class Certified:
-    """Upper bounds by triangle; pairs are (shape in metres, colour in levels)."""
+    """Upper bounds per triangle; pairs are (shape in metres, colour in levels)."""
 
     @property
     def shape_bound(self) -> NDArray[np.float64]: ...
@@ -253,7 +253,7 @@ class Certified:
 
 @disjoint_base
 class Simplified:
-    """A simplified mesh and how it came about."""
+    """Simplified mesh with statistics of the run."""
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -282,7 +282,7 @@ class Simplified:
 
 @final
 class BySums(Simplified):
-    """A mesh simplified with JIA01, and the sums that came up."""
+    """Mesh simplified with JIA01, with the largest accumulated changes."""
 
     @property
     def split(
@@ -307,7 +307,7 @@ class BySums(Simplified):
 def side_lengths(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
 ) -> NDArray[np.float64]:
-    """Return the lengths (m, 3) of the sides: entry k is that from corner k − 1 to corner k."""
+    """Compute the side lengths (m, 3): entry k is the side from corner k − 1 to corner k."""
 
 def simplify(
     vertices: NDArray[np.float64],
@@ -323,11 +323,11 @@ def simplify(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> BySums:
-    """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound."""
+    """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture). Infinity disables a bound."""
 
 @final
 class ByQuadrics(Simplified):
-    """A mesh simplified by attribute quadrics."""
+    """Mesh simplified by attribute quadrics."""
 
     @property
     def became(self) -> NDArray[np.int32]: ...
@@ -343,7 +343,7 @@ def simplify_by_quadrics(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> ByQuadrics:
-    """Simplify by attribute quadrics; `weight` is the length that counts as one level of an attribute."""
+    """Simplify by attribute quadrics; `weight` is the length in metres equivalent to one attribute level."""
 
 def fit(
     vertices: NDArray[np.float64],
@@ -362,7 +362,7 @@ def fit(
 
 @final
 class LaidOut:
-    """A surface laid out: charts and images of triangles, −1 for none, and their corners in texels."""
+    """Surface flattened into an atlas: chart and page of each triangle (−1 for none), corners in texels."""
 
     @property
     def charts(self) -> NDArray[np.int32]: ...
@@ -382,19 +382,19 @@ def lay_out(
     padding: int,
     progress: Callable[[int, int], object],
 ) -> LaidOut:
-    """Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle."""
+    """Lay a surface out in images of `side` × `side` texels; `density` is texels per metre per triangle."""
 
 def give_back() -> None:
-    """Give free memory that the allocator holds back to the system."""
+    """Return free memory of the allocator to the system."""
 
 def texels(
     corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the texels of one image, by triangles: pixels, triangles and shares of their corners."""
+    """Find the texels of one page, sorted by triangle: pixels, triangles and barycentric weights."""
 
 @final
 class NearestSurface:
-    """A surface that is asked for its nearest points."""
+    """Surface with a search tree for nearest-point queries."""
 
     def __new__(
         cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
@@ -402,7 +402,7 @@ class NearestSurface:
     def closest(
         self, points: NDArray[np.float64], *, wanted_threads: int
     ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the nearest points to points (n, 3): triangles (n,), weights (n, 3) and distances (n,)."""
+        """Find the nearest points to points (n, 3): triangles (n,), weights (n, 3) and distances (n,)."""
 
     def facing(
         self,
@@ -412,10 +412,10 @@ class NearestSurface:
         reach: float,
         wanted_threads: int,
     ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the same for points of another surface with its unit normals (n, 3).
+        """Find the nearest points to points with unit normals (n, 3) of another surface.
 
-        A point that faces away is passed over for one that does not, along the normal and within reach.
-        Instead of distances, where that was so.
+        A nearest point whose triangle faces away is replaced by one along the normal, within `reach`, that
+        does not. Returns triangles, weights, and flags of replaced points instead of distances.
         """
 
 def draw_sources(
@@ -427,10 +427,10 @@ def draw_sources(
     height: int,
     wanted_threads: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Draw the triangles of a simplified mesh, and its original's into their charts.
+    """Rasterise the triangles of a simplified mesh, and of its original, into their charts.
 
-    A mesh is given by corners (m, 3, 2) in texels, charts (m,), and corners in space (m, 3, 3). Returns
-    images (height, width) of both, which hold triangles, or −1 for none.
+    Each mesh is (corners (m, 3, 2) in texels, charts (m,), corner positions (m, 3, 3)). Returns an image
+    (height, width) of triangle indices for each mesh, −1 for none.
     """
 
 def locate_texels(
@@ -441,7 +441,7 @@ def locate_texels(
     width: int,
     wanted_threads: int,
 ) -> NDArray[np.float32]:
-    """Return weights (n, 3) of the point of a triangle that is nearest to the centre of a texel."""
+    """Compute barycentric weights (n, 3) of the points of triangles nearest to texel centres."""
 
 def sample_texels(
     atlas: NDArray[np.uint8],
@@ -454,7 +454,7 @@ def sample_texels(
     wrap: tuple[str, str],
     wanted_threads: int,
 ) -> None:
-    """Sample an image into the texels of an atlas whose triangles show it; the others stay."""
+    """Write samples of an image into the atlas texels of triangles that use the image, in place."""
 
 def sample_points(
     image: NDArray[np.uint8],
@@ -468,7 +468,7 @@ def sample_points(
 
 @final
 class Volume:
-    """A field of signed distances in blocks of 8³ voxels; lengths in metres."""
+    """TSDF volume in blocks of 8³ voxels; lengths in metres."""
 
     def __new__(
         cls,
@@ -481,13 +481,13 @@ class Volume:
     ) -> Volume: ...
     @staticmethod
     def instructions() -> list[str]:
-        """List the sets of instructions that a field may use, the widest first; all give the same bits."""
+        """List the supported instruction sets, widest first; all give identical bits."""
     @property
     def blocks(self) -> int:
-        """Blocks in use."""
+        """Number of blocks in use."""
     @property
     def bytes(self) -> int:
-        """Memory of the voxels."""
+        """Memory of the voxels in bytes."""
     def integrate(
         self,
         keys: NDArray[np.uint64],
@@ -499,19 +499,21 @@ class Volume:
         weighing: tuple[float, float, float],
         wanted_threads: int,
     ) -> None:
-        """Add a frame to the blocks with some keys; raises LimitError where there would be too many."""
+        """Integrate a frame into the blocks with the given keys; LimitError above `most_blocks` blocks."""
     def frame_counts(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
-        """Of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
+        """Compute the histogram (256,) of observation counts near the surface, in a box of blocks."""
     def surface(
         self, least: int, *, within: _Blocks | None, wanted_threads: int
     ) -> tuple[
         tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]],
         list[NDArray[np.uint64]],
     ]:
-        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,).
+        """Extract the surface through voxels observed by at least `least` frames.
 
-        With a box of blocks, of these alone; triangles name vertices of others from n upward. Then of these
-        the blocks, and codes of edges; and of those that others may name blocks, codes and numbers.
+        Returns vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) of 0 to 255 and mean observation
+        counts (n,). `within` restricts the surface to a box of blocks; triangle indices from n on then refer
+        to foreign vertices. The list is for stitching: block keys and edge codes of foreign vertices; block
+        keys, edge codes and indices of shared vertices.
         """
     def voxels(
         self,
@@ -522,22 +524,22 @@ class Volume:
         NDArray[np.uint8],
         NDArray[np.float32] | None,
     ]:
-        """Blocks (n, 3), distances (n, 512) in truncations, weights, frames, colours (n, 512, 3) or None."""
+        """Copy blocks (n, 3), distances (n, 512) in truncations, weights, observation counts and colours."""
 
 @final
 class DrawnMesh:
-    """A mesh that many cameras look at."""
+    """Mesh for rendering from many cameras."""
 
     def __new__(cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> DrawnMesh: ...
     def zbuffer(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
+        """Render depth and triangle at each pixel; infinity and −1 where nothing is visible."""
 
     def parts(self) -> NDArray[np.uint32]:
-        """Return the part that each triangle (m,) is in; parts that follow each other are near each other."""
+        """Return the spatial cluster of each triangle (m,); consecutive clusters are close in space."""
 
 @final
 class Photo:
-    """The colours that a camera took; `warp` holds shifts of the photo at the corners of a grid."""
+    """Photo of a camera; `warp` is its displacement in pixels at the nodes of a grid."""
 
     def __new__(
         cls,
@@ -550,7 +552,7 @@ class Photo:
 
 @final
 class View:
-    """A photo with what its camera sees of a mesh, and what it measured."""
+    """Photo with the rendered mesh and the measured depth of its view."""
 
     def __new__(
         cls,
@@ -568,7 +570,7 @@ class View:
 
 @final
 class SurfacePoints:
-    """Points of a surface, by their triangles, each with the few views that show it best."""
+    """Points of a surface, grouped by triangle, each with the few views that show it best."""
 
     def __new__(
         cls,
@@ -581,27 +583,27 @@ class SurfacePoints:
         kept: int,
     ) -> SurfacePoints: ...
     def see(self, view: View, number: int, *, remember: bool, wanted_threads: int) -> NDArray[np.uint32]:
-        """Look at all points from one more view, and return the triangles that it may show.
+        """Add the samples of one more view, and return the triangles that it may show.
 
-        `see_again` takes those that were to be remembered.
+        With `remember`, `see_again` can update the view later.
         """
 
     def see_again(self, photo: Photo, number: int, *, wanted_threads: int) -> None:
-        """Take the colours of a view anew, at the points at which it is one of the best."""
+        """Update the colours of a view's samples at the points for which it is one of the best."""
 
     def samples(self) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]:
-        """Return views (n, k), the best first, −1 for none; colours (n, k, 3) and scores (n, k)."""
+        """Return views (n, k), best first, −1 for none; colours (n, k, 3) and scores (n, k)."""
 
     def density(self) -> NDArray[np.float32]:
-        """Return pixels a metre in the nearest view (n,), 0 where none shows a point."""
+        """Return the maximum resolution of all views in pixels per metre (n,); 0 without a view."""
 
     def flat(self) -> NDArray[np.bool_]:
-        """Return which points (n,) are seen, but flatter than anybody would want it."""
+        """Return the mask (n,) of points that are only seen at grazing angles."""
 
     def blend(
         self, *, blurred: int, details: int, deviations: float, levels: float, wanted_threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
-        """Return colours (n, 3), the best view (n,), −1 for none, and how many views count (n,)."""
+        """Blend colours (n, 3); also returns the best view (n,), −1 for none, and the inlier count (n,)."""
 
     def level(
         self,
@@ -612,23 +614,24 @@ class SurfacePoints:
         reach: float,
         wanted_threads: int,
     ) -> None:
-        """Level colours (n, 3), in place, where the photos that count change from one pixel to the next.
+        """Level colours (n, 3) in place, where the set of contributing photos changes between texels.
 
-        `pixels` (n,) are row × width + column in an image; `reach` is how many pixels a border is felt.
+        `pixels` (n,) are row × width + column in an image; `reach` is the decay length of corrections in
+        pixels.
         """
 
     def neighbours(
         self, labels: NDArray[np.int32], pixels: NDArray[np.uint32], *, width: int, every: int
     ) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
-        """Return points (k, 2) beside each other in every so many rows of an image, and colours (k, 2, 3).
+        """Collect adjacent points (k, 2) in every `every`-th row of an image, and their colours (k, 2, 3).
 
-        They are those that the photo which counts most (`labels`, (n,), −1 for none) at the first, or else at
-        the second, shows of both; other neighbours are left out. `pixels` as in `level`.
+        The colours are from the photo with the highest weight (`labels`, (n,), −1 for none) at the first
+        point, or else at the second. Pairs that this photo does not show are skipped. `pixels` as in `level`.
         """
 
 @final
 class TexturedSurface:
-    """A mesh laid out in images."""
+    """Mesh with texture images, for rendering."""
 
     def __new__(
         cls,
@@ -639,7 +642,7 @@ class TexturedSurface:
         images: Sequence[NDArray[np.uint8]],
     ) -> TexturedSurface: ...
     def seen_by(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return what a camera sees, (h, w, 3), and whether each pixel shows a triangle with an image."""
+        """Render the surface from a camera: colours (h, w, 3), and the mask of textured pixels."""
 
 def color_weight(
     vertices: NDArray[np.float64],
@@ -650,17 +653,17 @@ def color_weight(
     tried: bool,
     wanted_threads: int,
 ) -> float:
-    """Return the length that should count as much as a level in a result of `target` triangles."""
+    """Compute the length in metres equivalent to one attribute level in a result of `target` triangles."""
 
 def match_descriptors(
     source: NDArray[np.uint8], target: NDArray[np.uint8], *, distinct: float
 ) -> NDArray[np.int64]:
-    """Return (m, 2) indices of descriptors that are each other's likest, and distinctly so, by the source's.
+    """Match descriptors that are mutual nearest neighbours; returns index pairs (m, 2), sorted by source.
 
     Parameters
     ----------
-    source, target : (n, 128) each, compared by the roots of their shares (RootSIFT).
-    distinct : the likest must be nearer than this share of the distance to the next.
+    source, target : (n, 128) SIFT descriptors, compared as RootSIFT.
+    distinct : ratio test; the nearest must be closer than this times the distance of the second nearest.
     """
 
 def match_pair(
@@ -671,12 +674,14 @@ def match_pair(
     count: int,
     wanted_threads: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
-    """Match a rectified pair (h, w, 3) semi-globally at the disparities `lowest` to `lowest + count - 1`.
+    """Match a rectified pair (h, w, 3) by semi-global matching.
+
+    Disparities from `lowest` to `lowest + count - 1` are searched.
 
     Returns
     -------
-    Disparity of the left image, px; of the right image, whole px, NaN where the left shows nothing of it;
-    the sum of costs of the best, by how much the second best is more, and the cost of the best alone.
+    Disparity of the left image in px; disparity of the right image in whole px, NaN where no left pixel maps
+    to it; path sum of the best disparity, its margin to the second best, and its matching cost.
     """
 
 def sweep_planes(
@@ -689,18 +694,19 @@ def sweep_planes(
     planes: int,
     wanted_threads: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Find the plane, of `count` from `first` on, on which each pixel of a view lies.
+    """Find the best depth plane of each pixel of a view by a plane sweep.
 
     Parameters
     ----------
-    partners : warped images (h', w'), what of them is shown (0 nothing, 1 the scene, 2 nothing of the thing),
-        and (planes, 3) maps: on a plane (x, y) of the view is seen at (s·x + a, s·y + b), as s, a, b.
-    first, count : (h, w); `count` is a multiple of 16.
-    bound : (h, w) the nearest plane of each pixel, NaN where any may be, and what each plane farther costs.
+    partners : per partner view the warped image (h', w'), its mask (0 outside the image, 1 scene, 2 outside
+        the object's silhouette), and maps (planes, 3): (s, a, b) maps pixel (x, y) of the view to
+        (s·x + a, s·y + b).
+    first, count : (h, w) range of planes per pixel; `count` is a multiple of 16.
+    bound : (h, w) nearest possible plane of each pixel, NaN for no limit, and the cost per plane behind it.
 
     Returns
     -------
-    The plane's number with a fraction, and by how much the next best sum of costs is more.
+    Plane index with a fraction, and margin to the second-best sum of costs.
     """
 
 def agreeing(
@@ -710,11 +716,11 @@ def agreeing(
     tolerances: tuple[float, float],
     wanted_threads: int,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Count the other views whose depth maps say the same, within two shares of depth.
+    """Count the other views with a consistent depth, for each of two relative tolerances.
 
     Parameters
     ----------
-    others : (3, 4) matrices from (u z, v z, z, 1) to (u' z', v' z', z'), and depth maps.
+    others : (3, 4) projections from (u z, v z, z, 1) to (u' z', v' z', z'), and depth maps.
     """
 
 def inside_all(
@@ -723,7 +729,7 @@ def inside_all(
     *,
     wanted_threads: int,
 ) -> NDArray[np.bool_]:
-    """Return which places lie in the masks of all views that look at them; matrices as of `agreeing`."""
+    """Check whether points are inside the masks of all views that see them; matrices as in `agreeing`."""
 
 def not_before(
     depth: NDArray[np.float32],
@@ -732,7 +738,10 @@ def not_before(
     share: float,
     wanted_threads: int,
 ) -> NDArray[np.uint8]:
-    """Count the other views whose depth is more than a share of the place's; matrices as of `agreeing`."""
+    """Count the other views in which nothing occludes a point; matrices as in `agreeing`.
+
+    A point counts as unoccluded if the depth of the view is more than `share` times the point's depth.
+    """
 
 def first_inside(
     wanted: NDArray[np.bool_],
@@ -743,17 +752,17 @@ def first_inside(
     steps: int,
     wanted_threads: int,
 ) -> NDArray[np.float32]:
-    """Return the depth at which rays of wanted pixels first lie in the masks of all views that look there.
+    """Find the depth at which the rays of wanted pixels enter the visual hull.
 
     Parameters
     ----------
-    masks : matrices as of `agreeing`, and masks.
-    least : as many views must look there.
-    span : the nearest and the farthest depth that is tried, in so many `steps` of inverse depth.
+    masks : matrices as in `agreeing`, and silhouette masks.
+    least : minimum number of views that must see the point.
+    span : minimum and maximum depth, sampled in `steps` steps of inverse depth.
 
     Returns
     -------
-    (h, w), 0 where there is none.
+    Depth (h, w), 0 where a ray misses the hull.
     """
 
 def oriented_depth(
@@ -767,7 +776,10 @@ def oriented_depth(
     tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     NDArray[np.float32],
 ]:
-    """Filter a depth map; also the normals of its surface, and their lengths."""
+    """Filter a depth map; also returns its scaled surface normals (one image per axis) and their lengths.
+
+    `limits` are (minimum depth, maximum depth, relative jump, minimum cosine).
+    """
 
 def touched_blocks(
     camera: _Camera,
@@ -780,7 +792,7 @@ def touched_blocks(
     truncation: float,
     within: _Blocks | None,
 ) -> NDArray[np.uint64]:
-    """List the keys of the blocks that a frame touches, sorted."""
+    """Find the sorted keys of the blocks that a frame touches."""
 
 def weighted_medians(
     image: NDArray[np.uint8],
@@ -793,12 +805,12 @@ def weighted_medians(
     falloff: float,
     wanted_threads: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return medians of disparities (NaN where not known), weighted by likeness of colour.
+    """Compute medians of disparities (NaN where unknown), weighted by colour similarity.
 
     Returns
     -------
-    The median at the pixels that are wanted, NaN elsewhere and where nothing around is known; the share of
-    the known weight that is within a pixel of it; the share of all weight that is known.
+    Median at the wanted pixels, NaN elsewhere and where no disparity in the window is known; weight ratio of
+    the known pixels within one disparity of the median; weight ratio of the known pixels.
     """
 
 def certify(
@@ -813,11 +825,11 @@ def certify(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> Certified:
-    """Bound how far two triangle soups (vertices, attributes, triangles) are apart."""
+    """Bound the distance between two triangle soups (vertices, attributes, triangles)."""
 
 @final
 class Proven(Simplified):
-    """A simplified mesh and what is proven of it; pairs are (shape in metres, colour in levels)."""
+    """Simplified mesh with proven bounds; pairs are (shape in metres, colour in levels)."""
 
     @property
     def shape_bound(self) -> NDArray[np.float64]: ...
@@ -854,11 +866,11 @@ def simplify_certified(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> Proven:
-    """Simplify within bounds that are proven to hold everywhere; infinite for none."""
+    """Simplify within bounds that are proven everywhere; infinity disables a bound."""
 
 @final
 class Levels:
-    """A hierarchy of levels; nodes from the root down."""
+    """Hierarchy of levels, nodes from the root down."""
 
     @property
     def parent(self) -> NDArray[np.int32]: ...
@@ -917,11 +929,11 @@ def build_levels(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> Levels:
-    """Build the levels of a manifold."""
+    """Build the levels of a manifold mesh."""
 
 @final
 class Front:
-    """The mesh of a front: its triangles, their places in the hierarchy, and the vertices they use."""
+    """Mesh of a front: its triangles, their indices in the hierarchy, and the vertices they use."""
 
     @property
     def vertices(self) -> NDArray[np.int32]: ...
@@ -939,14 +951,14 @@ def assemble_front(
     count: NDArray[np.int64],
     below: NDArray[np.int64],
 ) -> Front:
-    """Put together the mesh of some nodes.
+    """Assemble the mesh of a front.
 
-    Of each the first `count` triangles from `start` on, with vertices below `below`.
+    Each node contributes the first `count` triangles from `start` on, with vertices below `below`.
     """
 
 @disjoint_base
 class PlanarPatches:
-    """The near-planar patches of a mesh, largest area first."""
+    """Near-planar patches of a mesh, largest area first."""
 
     @property
     def input_patch(self) -> NDArray[np.int32]: ...
@@ -965,7 +977,7 @@ class PlanarPatches:
 
 @final
 class ByPatches(PlanarPatches):
-    """A mesh simplified by near-planar patches; its vertices are those of `vertex_source`."""
+    """Mesh simplified by near-planar patches; its vertices are the input vertices in `vertex_source`."""
 
     @property
     def triangles(self) -> NDArray[np.int32]: ...
@@ -1012,7 +1024,7 @@ def planar_patches(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> PlanarPatches:
-    """Return the patches alone. Raises InvalidMeshError for a mesh it cannot work on."""
+    """Compute the patches without simplifying. Raises InvalidMeshError for a non-manifold mesh."""
 
 def intersecting_triangles(
     vertices: NDArray[np.float64],
@@ -1021,16 +1033,16 @@ def intersecting_triangles(
     wanted_threads: int,
     progress: Callable[[int, int], object],
 ) -> NDArray[np.uint32]:
-    """Return for each triangle one that it meets beyond what both share; 2³² − 1 for none."""
+    """Find for each triangle one that it intersects beyond their shared vertices; 2³² − 1 for none."""
 
 def spatial_order(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return vertices and triangles in an order in which neighbours in space are neighbours in memory."""
+    """Compute a Z-order of vertices and triangles, so that neighbours in space are close in memory."""
 
 @final
 class NormalMesh:
-    """A base mesh and its refinements. Level 0 is the base; what leads to a level has the level's number."""
+    """Base mesh with its levels. Level 0 is the base; a refinement step has the index of its result."""
 
     @property
     def levels(self) -> int: ...
@@ -1040,13 +1052,13 @@ class NormalMesh:
     def damage(self) -> str | None: ...
     @property
     def folded(self) -> list[int]:
-        """Triangles of each level that are turned over or have no area; empty after decoding."""
+        """Number of flipped or degenerate triangles of each level; empty after decoding."""
     @property
     def tolerance(self) -> float | None:
-        """Of the file, in diagonals; None after decoding."""
+        """Tolerance of the file relative to the bounding-box diagonal; None after decoding."""
     @property
     def tolerance_source(self) -> str | None:
-        """What says so: given, distance, noise, bound or precision; None after decoding."""
+        """Origin of the tolerance: given, distance, noise, bound or precision; None after decoding."""
     @property
     def data(self) -> bytes: ...
     @property
@@ -1057,25 +1069,25 @@ class NormalMesh:
     def reached(self) -> list[float]: ...
     @property
     def up(self) -> list[float] | None:
-        """What is up (3,), of length 1, where that is known."""
+        """Up direction (3,) of length 1, None if unknown."""
     def vertices(self, level: int) -> NDArray[np.float64]:
-        """Return (n, 3), metres."""
+        """Return the positions (n, 3) in metres."""
     def triangles(self, level: int) -> NDArray[np.int32]:
-        """Return (m, 3)."""
+        """Return the triangles (m, 3)."""
     def colors(self, level: int) -> NDArray[np.uint8] | None:
-        """Return (n, 3), None without colours."""
+        """Return the colours (n, 3); None without colours."""
     def confidence(self, level: int) -> NDArray[np.float64] | None:
-        """Return (n,), None without confidence."""
+        """Return the confidence (n,); None without confidence."""
     def hit_triangle(self, level: int) -> NDArray[np.int32] | None:
-        """Return (n,), None after decoding."""
+        """Return the input triangle (n,) of each vertex; None after decoding."""
     def kinds(self, level: int) -> NDArray[np.uint8]:
-        """Return (k,) for the new vertices of a level: 0 scalar, 1 vector, 2 vector on the boundary."""
+        """Return the offset kind (k,) of a level's new vertices: 0 scalar, 1 vector, 2 boundary vector."""
     def offsets(self, level: int) -> NDArray[np.float64]:
-        """Return (k, 3), metres along the normal and two directions across; scalars have 0 for the latter."""
+        """Return the offsets (k, 3) in metres along the normal and two tangents; scalars have tangents 0."""
     def predicted(self, level: int) -> NDArray[np.float64]:
-        """Return (k, 3), metres, where the new vertices of a level would be without offsets."""
+        """Return the predicted positions (k, 3) in metres of a level's new vertices, without offsets."""
     def frames(self, level: int) -> NDArray[np.float64]:
-        """Return (k, 3), the unit normals at the new vertices of a level."""
+        """Return the unit normals (k, 3) at the new vertices of a level."""
 
 def remesh(
     vertices: NDArray[np.float64],
@@ -1097,25 +1109,25 @@ def remesh(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> NormalMesh:
-    """Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
+    """Build a normal mesh; `colors` and `confidence` may be empty.
 
-    `original` is the surface of which a simplified mesh without levels was made.
+    `original` is the surface from which a simplified mesh without levels was made.
     """
 
 def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:
     """Decode an `.snm` file up to a level, or all of it with -1."""
 
 def strip_order(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
-    """Return triangles (m, 3) of so many vertices in an order that packs well."""
+    """Reorder triangles (m, 3) for compression; `vertices` is the vertex count."""
 
 def encode_rows(rows: NDArray[np.uint8]) -> bytes:
-    """Pack rows (n, k) of bytes, k a multiple of 4 up to 256, as EXT_meshopt_compression's ATTRIBUTES."""
+    """Encode rows (n, k) of bytes, k a multiple of 4 up to 256, as ATTRIBUTES of EXT_meshopt_compression."""
 
 def decode_rows(packed: bytes, count: int, size: int, filtered: str) -> bytes:
-    """Return rows of `size` bytes of what is packed as ATTRIBUTES; ValueError if it is damaged."""
+    """Decode rows of `size` bytes from ATTRIBUTES data; ValueError if the data is damaged."""
 
 def decode_indices(packed: bytes, count: int, size: int, mode: str) -> bytes:
-    """Return indices of 2 or 4 bytes of what is packed as TRIANGLES or INDICES; else ValueError."""
+    """Decode indices of 2 or 4 bytes from TRIANGLES or INDICES data; ValueError if it is damaged."""
 
 def encode_triangles(triangles: NDArray[np.int32], vertices: int) -> bytes:
-    """Pack triangles (m, 3) as EXT_meshopt_compression's TRIANGLES."""
+    """Encode triangles (m, 3) as TRIANGLES of EXT_meshopt_compression."""

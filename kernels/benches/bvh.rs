@@ -1,4 +1,4 @@
-//! The tree over triangles: built, and asked for the nearest one to as many points.
+//! Benchmark of the bounding volume hierarchy over triangles: construction, and nearest-triangle queries.
 
 use std::rc::Rc;
 
@@ -21,7 +21,7 @@ pub fn bench(criterion: &mut Criterion) {
     let asked = |size| {
         let (points, triangles) = plain_field(size);
         let surface = Surface::new(&points, &triangles, 1).expect("finite");
-        // Above the middle of each triangle.
+        // Query points above the centroid of each triangle.
         let above = triangles.iter().map(|t| {
             let [a, b, c] = t.map(|v| points[v as usize]);
             [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0 + if i == 2 { 0.5 } else { 0.0 })

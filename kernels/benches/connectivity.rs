@@ -1,4 +1,4 @@
-//! Halfedges from triangles.
+//! Benchmark of halfedge construction from triangles.
 
 use criterion::Criterion;
 use scanloom_kernels::mesh::connectivity::Connectivity;

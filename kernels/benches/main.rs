@@ -1,7 +1,7 @@
-//! What each kernel takes, on one core, for ten thousand, a hundred thousand and a million elements.
+//! Benchmarks of the kernels on one core, for ten thousand, a hundred thousand and a million elements.
 //!
-//! `make bench` runs all of them; `make bench BENCH=planar` those whose name has the word. "thrpt" is how many elements,
-//! triangles of the input if nothing else is said, go through in a second.
+//! `make bench` runs all; `make bench BENCH=planar` runs those whose name contains the word. "thrpt" is
+//! elements per second; elements are triangles of the input unless stated otherwise.
 
 mod common;
 

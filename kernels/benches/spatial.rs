@@ -1,4 +1,4 @@
-//! An order in which neighbours in space are neighbours in memory.
+//! Benchmark of the Z-order sorting of a mesh.
 
 use criterion::Criterion;
 use scanloom_kernels::mesh::spatial::spatial_order;

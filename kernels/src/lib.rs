@@ -1,27 +1,27 @@
-//! Mesh kernels of scanloom: a pure library; the Python layer sits behind the `python` feature.
+//! Mesh kernels of scanloom: a pure Rust library, with Python bindings behind the `python` feature.
 //!
-//! | room | what | knows |
+//! | module | content | depends on |
 //! | --- | --- | --- |
-//! | [`base`] | ids, errors, geometry, threads, progress | |
-//! | [`mesh`] | what a mesh is: connectivity, legality of a collapse, trees and orders in space | `base` |
-//! | [`subdivision`] | triangles in four, and what is kept of the step | `mesh` |
-//! | [`quadrics`] | quadrics of shape and attributes | `base` |
-//! | [`collapse`] | the one loop of edge collapses, region by region, on all threads | `mesh` |
-//! | [`fitting`] | fitting a result to its input by least squares | `mesh` |
-//! | [`certify`] | proven bounds between two surfaces | `mesh` |
-//! | [`jia01`] | texture-preserving simplification by what a collapse changes | `collapse` |
+//! | [`base`] | indices, errors, geometry, threads, progress | |
+//! | [`mesh`] | connectivity, legality of edge collapses, bounding volume hierarchy, spatial orders | `base` |
+//! | [`subdivision`] | 1-to-4 triangle subdivision, and the data stored per level | `mesh` |
+//! | [`quadrics`] | error quadrics of shape and attributes | `base` |
+//! | [`collapse`] | the edge-collapse engine, multithreaded over mesh regions | `mesh` |
+//! | [`fitting`] | least-squares fit of a simplified mesh to its input | `mesh` |
+//! | [`certify`] | proven distance bounds between two surfaces | `mesh` |
+//! | [`jia01`] | texture-preserving simplification, with a cost per changed shape and attribute | `collapse` |
 //! | [`quadric`] | simplification by attribute quadrics | `collapse`, `quadrics`, `certify` |
 //! | [`certified`] | simplification within proven bounds | `collapse`, `quadric`, `certify` |
-//! | [`lod`] | levels of detail: a tree of cells, each proven on every level | `certified`, `certify` |
-//! | [`seams`] | surfaces whose vertices are doubled along texture seams | `collapse`, `quadrics`, `fitting` |
+//! | [`lod`] | levels of detail: a tree of cells, with proven bounds on every level | `certified`, `certify` |
+//! | [`seams`] | simplification of meshes with vertices duplicated along texture seams | `collapse`, `quadrics`, `fitting` |
 //! | [`planar`] | simplification by near-planar patches | `mesh` |
-//! | [`atlas`] | the surface cut into charts that lie flat, packed into images | `base` |
-//! | [`texture`] | the colours of a mesh from photos of it | `base` |
-//! | [`recognition`] | descriptors of points in images, each with its likest in another | `base` |
-//! | [`stereo`] | disparity of a rectified pair by semi-global matching | `base` |
-//! | [`fusion`] | depth maps fused into a field of distances, and its surface | `base` |
-//! | [`snm`] | the file that keeps normal meshes | `subdivision` |
-//! | [`normal`] | normal meshes: base, levels, and the search that places their vertices | `collapse`, `quadrics`, `subdivision`, `snm` |
+//! | [`atlas`] | texture atlas: flat charts of the surface, packed into images | `base` |
+//! | [`texture`] | colours of a mesh from photos | `base` |
+//! | [`recognition`] | matching of image descriptors | `base` |
+//! | [`stereo`] | disparity of a rectified stereo pair by semi-global matching | `base` |
+//! | [`fusion`] | depth maps fused into a TSDF, and surface extraction | `base` |
+//! | [`snm`] | the file format of normal meshes | `subdivision` |
+//! | [`normal`] | normal meshes: base mesh, levels, and the search for vertex positions | `collapse`, `quadrics`, `subdivision`, `snm` |
 
 pub mod atlas;
 pub mod base;
@@ -47,8 +47,8 @@ pub mod texture;
 #[cfg(feature = "python")]
 mod python;
 
-// What tests/ holds the rooms to, by their public names alone. It is compiled with the tests within the rooms, as one
-// program: beside it, as a program of its own, it would have the whole crate compiled and optimised twice.
+// Integration tests of tests/, which use public names only. They are compiled into the unit-test program,
+// because a separate test program would compile and optimise the whole crate a second time.
 #[cfg(test)]
 extern crate self as scanloom_kernels;
 #[cfg(test)]

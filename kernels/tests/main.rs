@@ -1,4 +1,4 @@
-//! What the rooms of the crate promise, room by room.
+//! Integration tests, by module of the crate.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! Surfaces for all benches, and one way of measuring.
+//! Input surfaces and the measuring function of all benchmarks.
 
 use std::cell::OnceCell;
 use std::time::Duration;
@@ -10,8 +10,8 @@ pub type Triangles = Vec<[u32; 3]>;
 
 const SIZES: [(&str, usize); 3] = [("10k", 10_000), ("100k", 100_000), ("1M", 1_000_000)];
 
-/// Measure what is done with an input, for inputs of all sizes. An input is made when its bench is asked for, once, and
-/// each run is given a copy.
+/// Benchmark a function on inputs of all sizes. Each input is built once, on first use; every run gets a
+/// copy.
 pub fn measure<I: Clone, O>(
     criterion: &mut Criterion,
     name: &str,
@@ -19,7 +19,7 @@ pub fn measure<I: Clone, O>(
     run: impl Fn(I) -> O,
 ) {
     let mut group = criterion.benchmark_group(name);
-    // The longest of them take many seconds each time.
+    // The slowest benchmarks take many seconds per run.
     group.sample_size(10).sampling_mode(SamplingMode::Flat);
     group.warm_up_time(Duration::from_millis(300)).measurement_time(Duration::from_secs(2));
     for (label, size) in SIZES {
@@ -33,19 +33,19 @@ pub fn measure<I: Clone, O>(
     group.finish();
 }
 
-/// Something that is done with a progress nobody looks at.
+/// Run a closure with a progress handle that nobody observes.
 pub fn alone<T>(run: impl FnOnce(&mut Progress) -> T) -> T {
     run(&mut Progress::new(&Control::default()))
 }
 
-/// Between 0 and 1, scattered by position alone: neighbours have nothing in common.
+/// Hash a position to a pseudo-random number from 0 to 1; neighbours are uncorrelated.
 fn noise(x: u32, y: u32) -> f64 {
     let mixed = (u64::from(x) << 32 | u64::from(y)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let mixed = (mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     ((mixed ^ mixed >> 32) & 0xffff) as f64 / 65536.0
 }
 
-/// Squares across and along a field of so many triangles: two in each square.
+/// Compute the numbers of squares along both axes of a field with about `size` triangles, two per square.
 fn squares(size: usize) -> [u32; 2] {
     let half = size as u32 / 2;
     let across =
@@ -53,8 +53,8 @@ fn squares(size: usize) -> [u32; 2] {
     [across, half / across]
 }
 
-/// Coloured hills as benches/simplify_speed.py has them, with a spacing of 1: noise as of a depth camera, and gentle waves
-/// of colour.
+/// Build the coloured height field of benches/simplify_speed.py with vertex spacing 1: depth-camera noise,
+/// and smooth waves of colour.
 pub fn field(size: usize) -> (Vec<[f64; 6]>, Triangles) {
     let [w, h] = squares(size);
     let point = |x: u32, y: u32| {
@@ -75,7 +75,7 @@ pub fn field(size: usize) -> (Vec<[f64; 6]>, Triangles) {
     (points, triangles.collect())
 }
 
-/// A field's places alone.
+/// Build the positions and triangles of the field without colours.
 pub fn plain_field(size: usize) -> (Vec<[f64; 3]>, Triangles) {
     let (points, triangles) = field(size);
     (points.iter().map(|p| [p[0], p[1], p[2]]).collect(), triangles)

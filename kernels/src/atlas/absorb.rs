@@ -1,7 +1,8 @@
-//! Small charts taken up by those around them: each triangle is turned about the edge it shares with another chart, into the
-//! plane of that chart, if it lies on nothing there.
+//! Dissolution of small charts: each triangle is rotated about an edge that it shares with a neighbouring
+//! chart, into the plane of that chart, unless it would overlap other triangles there.
 //!
-//! Around each chart there is room that shows nothing, so that a few large ones keep more of an image than many small ones.
+//! Every chart needs padding around it, so fewer and larger charts use more of the image than many small
+//! ones.
 
 use super::charts::{ALIKE, Charts, Growth, STAYS};
 use super::neighbours::NONE;
@@ -9,10 +10,11 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::{dot, sub};
 use crate::base::progress::Progress;
 
-/// Of rounding, what a triangle may come out larger than it is.
+/// Relative tolerance for rounding when the area of a rotated triangle is compared with its original area.
 const ROUNDING: f64 = 1e-9;
 
-/// Take up what charts of fewer texels than `small` hold, where all of it finds a place.
+/// Dissolve charts smaller than `small` texels into their neighbours. A chart stays unless all its triangles
+/// fit elsewhere.
 ///
 /// # Errors
 /// As [`Progress::check`].
@@ -72,7 +74,8 @@ fn around(area: &Area, corners: &[[f64; 2]; 3]) -> Area {
 }
 
 impl Charts {
-    /// Give all triangles of a chart to its neighbours; if one finds no place, all stay.
+    /// Move all triangles of a chart into neighbouring charts; if one does not fit, restore all and return
+    /// false.
     fn dissolve(&mut self, members: &[u32], growth: &Growth<'_>, boxes: &mut [Area]) -> bool {
         let own = self.of[members[0] as usize];
         let mut left = members.to_vec();
@@ -102,7 +105,7 @@ impl Charts {
         false
     }
 
-    /// Turn a triangle into the plane of a chart next to it.
+    /// Rotate a triangle into the plane of a neighbouring chart; return false if it fits into none.
     fn attach(&mut self, t: u32, own: u32, growth: &Growth<'_>, boxes: &mut [Area]) -> bool {
         let across = growth.across[t as usize];
         let hosts = across.map(|n| if n == NONE { NONE } else { self.of[n as usize] });
@@ -117,7 +120,7 @@ impl Charts {
             if !(1.0 / ALIKE..=ALIKE).contains(&ratio) {
                 continue;
             }
-            // Where a second side touches the chart, too, the third corner is there already.
+            // If a second edge touches the same chart, the third corner is already laid out there.
             let next = (side + 1) % 3;
             let there = (hosts[next] == host)
                 .then(|| self.edge(growth, t, next, across[next]))
@@ -144,7 +147,8 @@ impl Charts {
         false
     }
 
-    /// Where both ends of a side of a triangle lie in the chart of its neighbour, if that runs the same way round.
+    /// Get the chart coordinates of an edge in the chart of its neighbour; None if the neighbour traverses it
+    /// in the same direction.
     fn edge(&self, growth: &Growth<'_>, t: u32, side: usize, neighbour: u32) -> Option<[[f64; 2]; 2]> {
         let corners = growth.triangles[t as usize];
         let (from, to) = (corners[side], corners[(side + 1) % 3]);
@@ -154,7 +158,8 @@ impl Charts {
         Some([places[(k + 1) % 3], places[k]])
     }
 
-    /// Number charts anew, without those that are empty, and bring each to the corner of its box, by whole texels.
+    /// Renumber charts without the empty ones, and shift each by whole texels so that its box starts at the
+    /// origin.
     fn tidy(&mut self) {
         let boxes = boxes(self);
         let mut numbers = vec![NONE; boxes.len()];
@@ -176,7 +181,8 @@ impl Charts {
 }
 
 impl Growth<'_> {
-    /// The third corner of a triangle, one side of which lies in a plane: as high above it as it is.
+    /// Compute the third corner of a triangle in a chart plane, given one edge there, at the height that the
+    /// triangle has in 3-D.
     fn turned(&self, t: u32, side: usize, a: &[f64; 2], b: &[f64; 2], scale: f64) -> [f64; 2] {
         let corners = self.triangles[t as usize];
         let [from, to, apex] = [0, 1, 2].map(|k| self.points[corners[(side + k) % 3] as usize]);

@@ -1,14 +1,14 @@
-//! The texels of a chart.
+//! Occupied texels of a chart.
 
 use super::texels::spans;
 
-/// Room that a bitmap which has become too small gets more than it needs, to each side.
+/// Texels by which a bitmap grows beyond the required size on each side.
 const MARGIN: i64 = 16;
 
-/// Which texels are taken, in rows; grows as is needed, also to the left and upwards.
+/// Occupied texels in row-major order; grows on demand, also to the left and upwards.
 #[derive(Debug)]
 pub struct Bitmap {
-    /// Of its first texel.
+    /// Coordinates of the first texel.
     origin: [i64; 2],
     width: usize,
     height: usize,
@@ -16,14 +16,14 @@ pub struct Bitmap {
 }
 
 impl Bitmap {
-    /// Room for triangles that begin at (0, 0), nothing taken.
+    /// Create an empty bitmap large enough for triangles whose box starts at (0, 0).
     pub fn around(triangles: &[[[f64; 2]; 3]]) -> Self {
         let size = |k: usize| triangles.iter().flatten().map(|p| p[k]).fold(0.0, f64::max) as usize + 1;
         let (width, height) = (size(0), size(1));
         Self { origin: [0, 0], width, height, taken: vec![false; width * height] }
     }
 
-    /// Take the texels whose centres lie in a triangle, unless one is taken.
+    /// Mark the texels whose centres are inside a triangle; return false and mark nothing if one is occupied.
     pub fn claim(&mut self, corners: &[[f64; 2]; 3]) -> bool {
         self.hold(corners);
         let mut is_free = true;
@@ -34,7 +34,7 @@ impl Bitmap {
         is_free
     }
 
-    /// Give back what a triangle has claimed.
+    /// Clear the texels that a triangle has claimed.
     pub fn release(&mut self, corners: &[[f64; 2]; 3]) {
         self.each(corners, |texels| texels.fill(false));
     }
@@ -46,7 +46,7 @@ impl Bitmap {
         }
     }
 
-    /// Make room for a triangle.
+    /// Grow the bitmap so that it contains a triangle.
     fn hold(&mut self, corners: &[[f64; 2]; 3]) {
         let end = [self.origin[0] + self.width as i64, self.origin[1] + self.height as i64];
         let mut room = [self.origin, end];

@@ -1,8 +1,9 @@
-//! Pieces of the surface that face one way, each laid in its plane.
+//! Charts: parts of the surface with similar normals, each flattened into a plane.
 //!
-//! A chart grows from a triangle over those across its border, first those that face as the chart does in the mean. In its
-//! plane no triangle is turned over or very thin; that none lies on another is found out texel by texel, and what does
-//! becomes a chart of its own. Where the photos show more, a chart gets more texels.
+//! A chart grows from a seed triangle across its border, first to triangles whose normals are nearest to the
+//! mean normal of the chart. In the chart plane no triangle is flipped or very thin. Overlaps are detected
+//! texel by texel; triangles that overlap others are removed and seed new charts. Charts get more texels
+//! where the photos have a higher resolution.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -13,27 +14,28 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, cross, dot, norm2, sub, unit};
 use crate::base::progress::Progress;
 
-/// A triangle may join a chart that faces within this cosine of it, and is thrown out again below the other.
+/// A triangle may join a chart if the cosine between its normal and the mean normal is above `JOINS`. It is
+/// removed again if the final cosine is below `STAYS`.
 const JOINS: f64 = 0.72;
 pub const STAYS: f64 = 0.4;
-/// Of the cost of a triangle, what remains where two of its sides touch the chart: borders get short.
+/// Factor on the cost of a triangle with two edges on the chart; favours short borders.
 const TOUCHING: f64 = 0.4;
-/// Texels a metre within a chart differ by no more than this factor.
+/// Maximum ratio of texel densities (texels per metre) within a chart.
 pub const ALIKE: f64 = 2.5;
-/// Triangles of less area than this share of their longest side's square are flat.
+/// Triangles with an area below this ratio of their longest edge squared count as degenerate.
 const FLAT: f64 = 1e-9;
-/// Directions that a chart is turned to, a quarter turn in all, to find the one that takes least room.
+/// Number of rotations tried over a quarter turn to minimise the bounding box of a chart.
 const TURNS: usize = 18;
 
-/// Charts of a mesh: every triangle belongs to one, but those without area.
+/// Charts of a mesh. Every triangle belongs to one, except triangles without area.
 #[derive(Debug)]
 pub struct Charts {
-    /// [`NONE`] for triangles without area.
+    /// Chart of each triangle; [`NONE`] for triangles without area.
     pub of: Vec<u32>,
     pub count: usize,
-    /// Of each triangle, in texels, from the corner of its chart's box.
+    /// Corners of each triangle in texels, relative to the origin of its chart's box.
     pub corners: Vec<[[f64; 2]; 3]>,
-    /// Of each chart, texels a metre, and the texels it has.
+    /// Texels per metre of each chart.
     pub scales: Vec<f64>,
     pub bitmaps: Vec<Bitmap>,
 }
@@ -58,8 +60,8 @@ impl PartialOrd for Candidate {
     }
 }
 
-/// Grow charts over a surface, none wider or higher than `side` texels; `density` is the texels a metre that each triangle
-/// should have.
+/// Grow charts over a surface, none wider or higher than `side` texels. `density` is the desired number of
+/// texels per metre of each triangle.
 ///
 /// # Errors
 /// As [`Progress::check`].
@@ -81,7 +83,7 @@ pub fn grown<'a>(
         scales: vec![],
         bitmaps: vec![],
     };
-    // Those that were thrown out of a chart are seeds again.
+    // Triangles that were removed from a chart become seeds again.
     while !seeds.is_empty() {
         let mut again = vec![];
         for seed in seeds {
@@ -97,16 +99,17 @@ pub fn grown<'a>(
     Ok((charts, growth))
 }
 
+/// Working data of chart growth: mesh, normals, areas and neighbours.
 pub struct Growth<'a> {
     pub points: &'a [Vec3],
     pub triangles: &'a [[u32; 3]],
     pub across: Vec<[u32; 3]>,
     normals: Vec<Vec3>,
-    /// Area, 0 for none.
+    /// Area in square metres; 0 for degenerate triangles.
     pub size: Vec<f64>,
     pub density: &'a [f32],
     pub side: f64,
-    /// The seed of the chart a triangle was last refused or taken by.
+    /// Seed of the chart that last accepted each triangle.
     looked: Vec<u32>,
 }
 
@@ -127,7 +130,7 @@ impl<'a> Growth<'a> {
         Self { points, triangles, across, normals, size, density, side: side as f64, looked }
     }
 
-    /// The triangles that join a seed, which is the first.
+    /// Collect the triangles of the chart that grows from a seed, seed first.
     fn grown(&mut self, seed: u32, charts: &Charts) -> Vec<u32> {
         let start = seed as usize;
         let [u, v] = plane(&self.normals[start]);
@@ -154,7 +157,7 @@ impl<'a> Growth<'a> {
                     higher[k] = higher[k].max(place);
                 }
             }
-            // Turned by an eighth it is as long as its diagonal.
+            // A box rotated by an eighth turn can be as long as its diagonal.
             if !members.is_empty() && (higher[0] - lower[0]).hypot(higher[1] - lower[1]) > self.side {
                 continue;
             }
@@ -184,7 +187,7 @@ impl<'a> Growth<'a> {
 }
 
 impl Charts {
-    /// Lay triangles in their plane; those that do not fit there go to `again`.
+    /// Flatten triangles into the plane of a new chart; triangles that do not fit are appended to `again`.
     fn lay_out(&mut self, members: &[u32], growth: &Growth<'_>, again: &mut Vec<u32>) {
         let mut sum = [0.0; 3];
         let (mut area, mut texels) = (0.0, 0.0);
@@ -207,7 +210,7 @@ impl Charts {
         let number = self.count as u32;
         for (&t, corners) in members.iter().zip(&flat) {
             let leaves = dot(&growth.normals[t as usize], &axis) < STAYS || !bitmap.claim(corners);
-            // A single triangle always fits.
+            // The chart of a single triangle always fits.
             if leaves && members.len() > 1 {
                 again.push(t);
             } else {
@@ -220,7 +223,8 @@ impl Charts {
     }
 }
 
-/// Triangles in the plane across an axis, turned so that their box is smallest, and shifted to its corner.
+/// Project triangles onto the plane perpendicular to an axis, rotated to the smallest box, and shift the box
+/// to the origin.
 fn best_turn(members: &[u32], growth: &Growth<'_>, axis: &Vec3, scale: f64) -> Vec<[[f64; 2]; 3]> {
     let [u, v] = plane(axis);
     let flat: Vec<[[f64; 2]; 3]> = members
@@ -249,7 +253,7 @@ fn best_turn(members: &[u32], growth: &Growth<'_>, axis: &Vec3, scale: f64) -> V
         let room = (high[0] - low[0] + 1.0) * (high[1] - low[1] + 1.0);
         if room < least * (1.0 - 1e-9) {
             let upright = high[1] - low[1] >= high[0] - low[0];
-            // Another quarter turn brings the longer side upright, as the packer likes it.
+            // Another quarter turn makes the box higher than wide, which suits the packer.
             (best, least) =
                 (if upright { [angle.cos(), angle.sin()] } else { [-angle.sin(), angle.cos()] }, room);
         }
@@ -265,7 +269,7 @@ fn best_turn(members: &[u32], growth: &Growth<'_>, axis: &Vec3, scale: f64) -> V
         .collect()
 }
 
-/// Two directions across a normal.
+/// Compute two unit vectors perpendicular to a normal and to each other.
 fn plane(normal: &Vec3) -> [Vec3; 2] {
     let least = (0..3).min_by(|&i, &j| normal[i].abs().total_cmp(&normal[j].abs())).unwrap_or(0);
     let mut other = [0.0; 3];

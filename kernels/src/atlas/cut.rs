@@ -1,4 +1,4 @@
-//! A surface cut into charts.
+//! Segmentation of a surface into charts.
 
 use super::absorb::absorb;
 use super::charts::{Charts, grown};
@@ -6,11 +6,11 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
 use crate::base::progress::Progress;
 
-/// Charts of fewer texels than a square of so many paddings are taken up by others.
+/// Charts smaller than a square of this many paddings are dissolved into their neighbours.
 const SMALL: usize = 6;
 
-/// Cut a surface into charts that fit into images of `side` × `side` with `padding` around each; `density` is the texels a
-/// metre that each triangle should have.
+/// Cut a surface into charts that fit into images of `side` × `side` texels with `padding` texels around
+/// each. `density` is the desired number of texels per metre of each triangle.
 ///
 /// # Errors
 /// As [`Progress::check`].

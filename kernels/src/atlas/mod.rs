@@ -1,16 +1,16 @@
-//! The surface laid out in images.
+//! Texture atlas: the surface flattened into images.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`neighbours`] | triangles across edges, of any mesh |
-//! | [`cut`] | a surface cut into charts |
-//! | [`charts`] | pieces of the surface that lie flat, each in a plane |
-//! | [`absorb`] | small charts taken up by those around them |
-//! | [`bitmap`] | the texels of a chart |
-//! | [`shape`] | the room that a chart takes |
-//! | [`page`] | an image, and which of its texels are taken |
-//! | [`pack`] | charts in images |
-//! | [`texels`] | what lies under each texel |
+//! | [`neighbours`] | adjacent triangles of any mesh |
+//! | [`cut`] | segmentation of a surface into charts |
+//! | [`charts`] | growth and flattening of charts |
+//! | [`absorb`] | dissolution of small charts into their neighbours |
+//! | [`bitmap`] | occupied texels of a chart |
+//! | [`shape`] | padded outline of a chart |
+//! | [`page`] | occupied texels of an image |
+//! | [`pack`] | packing of charts into images |
+//! | [`texels`] | rasterisation: triangle and barycentric weights of each texel |
 
 pub mod absorb;
 pub mod bitmap;

@@ -1,9 +1,10 @@
-//! Triangles across edges, of any mesh: where more than two with an area share an edge, none is across.
+//! Adjacent triangles of any mesh. Edges of more than two non-degenerate triangles have no neighbours.
 
-/// Stands for no triangle.
+/// Marker for no triangle.
 pub const NONE: u32 = u32::MAX;
 
-/// The triangle across the edge that begins at each corner; `sizes` are areas.
+/// Find the triangle across the edge that begins at each corner. `sizes` are areas; triangles with area 0 are
+/// ignored.
 pub fn neighbours(triangles: &[[u32; 3]], sizes: &[f64]) -> Vec<[u32; 3]> {
     let mut sides: Vec<(u64, u32)> = (0..3 * triangles.len())
         .filter(|side| sizes[side / 3] > 0.0)

@@ -1,5 +1,5 @@
-//! Charts in images: the largest first, each turned by quarters to where its middle comes to lie highest, also in the gaps
-//! between those that lie there already.
+//! Packing of charts into images, largest chart first. Each is rotated by quarter turns to the orientation in
+//! which its centre ends up highest, and may fill gaps between charts already placed.
 
 use std::collections::BTreeMap;
 
@@ -10,28 +10,30 @@ use super::shape::{Shape, TURNS, turned};
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 
-/// Shapes whose sides differ by less than this factor are looked for a place from where the last one of them lies.
-/// With a smaller one, and more steps in `Page::find`, images are a few rows lower after twice the time.
+/// Shapes whose sides differ by less than this factor share a search start: the position of the last one
+/// placed. With a smaller factor, and more steps in `Page::find`, images are a few rows lower after twice the
+/// time.
 const ALIKE: f64 = 1.3;
 
-/// Charts in images of one width.
+/// Charts packed into images of one width.
 #[derive(Debug)]
 pub struct Packed {
-    /// The image of each triangle, `u16::MAX` for those without a chart.
+    /// Image of each triangle; `u16::MAX` for triangles without a chart.
     pub pages: Vec<u16>,
-    /// In texels of the image.
+    /// Corners of each triangle, in texels of its image.
     pub corners: Vec<[[f64; 2]; 3]>,
-    /// Rows that are used of each image.
+    /// Number of used rows of each image.
     pub heights: Vec<usize>,
 }
 
-/// A page, and a place on it: column, row.
+/// Page index, and position on the page (column, row).
 type Place = (usize, [usize; 2]);
 
-/// Put charts into images of `side` × `side`, each with `padding` texels around it.
+/// Pack charts into images of `side` × `side` texels, with `padding` texels around each.
 ///
 /// # Errors
-/// As [`Progress::check`]; [`KernelError::TooManyTriangles`] where more images were needed than can be numbered.
+/// As [`Progress::check`]; [`KernelError::TooManyTriangles`] if more images are needed than 16-bit indices
+/// allow.
 pub fn pack(
     charts: &Charts,
     side: usize,
@@ -95,7 +97,7 @@ pub fn pack(
     Ok(packed)
 }
 
-/// The first place for a shape, on a new page if there is none.
+/// Find the first free position for a shape, starting at a previous one; append a page if no page has space.
 fn place(pages: &mut Vec<Page>, shape: &Shape, (first, at): Place, side: usize) -> Place {
     for (number, page) in pages.iter().enumerate().skip(first) {
         if let Some(found) = page.find(shape, if number == first { at } else { [0, 0] }) {

@@ -1,30 +1,33 @@
-//! An image that charts are put into: which of its texels are taken.
+//! Page of the atlas: an image with a bitmap of occupied texels.
 
 use super::shape::Shape;
 
 const WORD: usize = 64;
-/// Of a shape's height, steps in which places for it are looked for from top to bottom.
+/// Number of steps per shape height in the vertical search for a position.
 const STEPS: usize = 16;
 
+/// Occupied texels of an atlas image.
 #[derive(Debug)]
 pub struct Page {
     side: usize,
-    /// Words of a row.
+    /// 64-bit words per row.
     words: usize,
     taken: Vec<u64>,
     /// Longest range of free columns in each row.
     free: Vec<usize>,
-    /// Rows that are used.
+    /// Number of used rows.
     pub height: usize,
 }
 
 impl Page {
+    /// Create an empty page of `side` × `side` texels.
     pub fn new(side: usize) -> Self {
         let words = side.div_ceil(WORD);
         Self { side, words, taken: vec![0; words * side], free: vec![side; side], height: 0 }
     }
 
-    /// The first place with room for a shape, from a place on: row by row, and from the left.
+    /// Find the first free position for a shape from `from` on, in row-major order. None if the page has no
+    /// space.
     pub fn find(&self, shape: &Shape, from: [usize; 2]) -> Option<[usize; 2]> {
         if shape.width > self.side || shape.height > self.side {
             return None;
@@ -34,7 +37,7 @@ impl Page {
             .map(|row| shape.row(row).iter().map(|range| (range[1] - range[0]) as usize).max().unwrap_or(0))
             .collect();
         let mut x = from[0];
-        // The row that is in the way most often.
+        // Row that blocked the last position; tested first because it probably blocks the next one, too.
         let mut worst = 0;
         for y in (from[1]..=self.side - shape.height).step_by(step) {
             if widest.iter().zip(&self.free[y..]).any(|(wanted, free)| wanted > free) {
@@ -58,6 +61,7 @@ impl Page {
         None
     }
 
+    /// Mark the texels of a shape as occupied, at a position found by [`Page::find`].
     pub fn put(&mut self, shape: &Shape, [x, y]: [usize; 2]) {
         for row in 0..shape.height {
             for range in shape.row(row) {
@@ -70,7 +74,7 @@ impl Page {
         self.height = self.height.max(y + shape.height);
     }
 
-    /// Length of the longest range of free columns.
+    /// Compute the length of the longest range of free columns in a row.
     fn longest_free(&self, row: usize) -> usize {
         let (mut longest, mut start) = (0, 0);
         for (index, &word) in self.taken[row * self.words..][..self.words].iter().enumerate() {
@@ -78,7 +82,7 @@ impl Page {
             while rest != 0 {
                 let bit = rest.trailing_zeros() as usize;
                 longest = longest.max((index * WORD + bit).saturating_sub(start));
-                // Goes on behind the bits that follow each other.
+                // Continue after the run of set bits.
                 let run = (rest >> bit).trailing_ones() as usize;
                 start = index * WORD + bit + run;
                 rest = if bit + run < WORD { rest & (u64::MAX << (bit + run)) } else { 0 };
@@ -87,7 +91,7 @@ impl Page {
         longest.max(self.side.saturating_sub(start))
     }
 
-    /// The last column of a range that is taken.
+    /// Find the last occupied column in a range of a row.
     fn last_taken(&self, row: usize, range: [usize; 2]) -> Option<usize> {
         let words = &self.taken[row * self.words..][..self.words];
         masks(range).rev().find_map(|(word, mask)| {
@@ -97,7 +101,7 @@ impl Page {
     }
 }
 
-/// Words that hold columns of a range, and which of their bits.
+/// Iterate over the words that contain columns of a range, each with a mask of those columns.
 fn masks([start, end]: [usize; 2]) -> impl DoubleEndedIterator<Item = (usize, u64)> {
     (start / WORD..end.div_ceil(WORD)).map(move |word| {
         let first = start.saturating_sub(word * WORD);

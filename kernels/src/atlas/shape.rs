@@ -1,27 +1,27 @@
-//! The room that a chart takes in an image, with what is around it, turned as it may be put there.
+//! Outline of a chart with its padding, rotated by quarter turns, as ranges of columns.
 
 use super::texels::spans;
 
-/// Quarter turns that are tried.
+/// Number of quarter turns to try.
 pub const TURNS: usize = 4;
 
-/// Columns that are taken, row by row.
+/// Occupied columns as ranges, row by row.
 #[derive(Debug)]
 pub struct Shape {
     pub width: usize,
     pub height: usize,
-    /// Where the ranges of each row begin, and after the last.
+    /// Start index of each row's ranges, and the total at the end.
     starts: Vec<u32>,
     ranges: Vec<[u32; 2]>,
 }
 
 impl Shape {
-    /// What triangles take with `padding` texels around them, to all sides; they begin at (0, 0).
+    /// Rasterise triangles whose box starts at (0, 0), and dilate them by `padding` texels on all sides.
     pub fn new(triangles: &[[[f64; 2]; 3]], size: [usize; 2], padding: usize) -> Self {
         let [width, height] = size.map(|s| s + 2 * padding);
         let mut taken = vec![false; width * height];
         for corners in triangles {
-            // Corners too: a triangle may be thinner than a texel.
+            // Mark the corners too, because a triangle may be thinner than a texel.
             for p in corners {
                 let [x, y] = [0, 1].map(|k| (p[k] as usize).min(size[k] - 1));
                 taken[y * width + x] = true;
@@ -30,7 +30,8 @@ impl Shape {
                 taken[row * width..][columns].fill(true);
             }
         }
-        // What is taken lies in the corner: wide ranges to the right, and rows downwards, bring it into the middle.
+        // The triangles start at (0, 0). Extending them by 2 × padding to the right and downwards centres
+        // them in the padded box.
         let reach = 2 * padding + 1;
         let mut below = vec![0u32; width];
         let (mut starts, mut ranges) = (vec![0], Vec::<[u32; 2]>::new());
@@ -55,12 +56,13 @@ impl Shape {
         Self { width, height, starts, ranges }
     }
 
+    /// Return the occupied ranges of columns in a row.
     pub fn row(&self, row: usize) -> &[[u32; 2]] {
         &self.ranges[self.starts[row] as usize..self.starts[row + 1] as usize]
     }
 }
 
-/// Triangles in a box after some quarter turns, and the box.
+/// Rotate triangles in a box by quarter turns; returns the triangles and the size of the rotated box.
 pub fn turned(
     triangles: &[[[f64; 2]; 3]],
     [width, height]: [usize; 2],

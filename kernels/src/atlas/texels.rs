@@ -1,4 +1,4 @@
-//! What lies under each texel: a triangle, or the nearest place of one that ends close by.
+//! Triangle and barycentric weights of each texel, also for texels just outside a chart.
 
 use std::ops::Range;
 
@@ -6,12 +6,12 @@ use super::neighbours::NONE;
 use crate::base::geometry::Vec3;
 use crate::base::parallel::{collect, threads};
 
-/// How far beyond the border of a chart texels take its colours, so that what lies between two texels is right at the
-/// border, too.
+/// Texels beyond the border of a chart that get its colours, so that bilinear filtering is correct at the
+/// border.
 const BEYOND: f64 = 1.5;
 
-/// The columns of each row whose texels' centres lie in a triangle. An edge is crossed at the same place whichever of its
-/// triangles asks, so that neighbours share no texel and leave none out.
+/// Iterate over rows, each with the columns whose texel centres are inside a triangle. Both triangles at an
+/// edge compute the same crossings, so they share no texel and leave no gap.
 pub fn spans(
     corners: &[[f64; 2]; 3],
     width: usize,
@@ -30,7 +30,7 @@ pub fn spans(
 }
 
 fn between(low: f64, high: f64, size: usize) -> Range<usize> {
-    // Rounded up by hand: without wide instructions that is a call.
+    // Rounded up by hand, because `ceil` is a function call without SSE4.1.
     let bound = |at: f64| {
         let at = (at - 0.5).clamp(0.0, size as f64);
         at as usize + usize::from(at > (at as usize) as f64)
@@ -43,19 +43,20 @@ fn crossing(a: [f64; 2], b: [f64; 2], y: f64) -> f64 {
     if height > 0.0 { a[0] + (y - a[1]) / height * (b[0] - a[0]) } else { a[0] }
 }
 
-/// Texels of one image, in the order of their triangles.
+/// Texels of one image, sorted by triangle.
 #[derive(Debug, Default)]
 pub struct Texels {
-    /// Row × width + column.
+    /// Pixel index: row × width + column.
     pub pixels: Vec<u32>,
     pub triangles: Vec<u32>,
-    /// Shares of the triangle's corners.
+    /// Barycentric weights in the triangle.
     pub shares: Vec<[f32; 3]>,
 }
 
-/// The texels of the triangles of an image: those in charts, and those next to their borders.
+/// Find the texels of one image: inside the triangles, and up to [`BEYOND`] texels outside their borders.
 ///
-/// `corners` are in texels; the centre of the first texel is at (0.5, 0.5). Triangles of another page are left out.
+/// `corners` are in texels; the centre of the first texel is at (0.5, 0.5). Triangles of other images are
+/// skipped.
 pub fn texels(
     corners: &[[[f64; 2]; 3]],
     is_here: impl Fn(usize) -> bool,
@@ -93,7 +94,7 @@ pub fn texels(
         }
     }
     drop((inside, nearest));
-    // Where those of each triangle begin.
+    // Start index of each triangle's texels (counting sort).
     let mut next = vec![0usize; corners.len() + 1];
     owner.iter().filter(|&&t| t != NONE).for_each(|&t| next[t as usize + 1] += 1);
     (0..corners.len()).for_each(|t| next[t + 1] += next[t]);
@@ -134,11 +135,12 @@ pub fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
     best.0
 }
 
+/// Compute the squared distance from a point to the border of a triangle.
 pub fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
     (0..3).map(|k| along(&corners[k], &corners[(k + 1) % 3], p).1).fold(f64::INFINITY, f64::min)
 }
 
-/// How far along a segment the place nearest to a point is, and its squared distance.
+/// Find the position along a segment (0 to 1) nearest to a point, and the squared distance.
 fn along(a: &[f64; 2], b: &[f64; 2], p: [f64; 2]) -> (f64, f64) {
     let (d, e) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
     let length2 = d[0] * d[0] + d[1] * d[1];
@@ -150,7 +152,7 @@ fn turn(a: &[f64; 2], b: &[f64; 2], c: &[f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// The points of a mesh under its texels.
+/// Compute the surface point (in mesh coordinates) of each texel.
 pub fn places(texels: &Texels, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     texels
         .triangles
@@ -160,7 +162,7 @@ pub fn places(texels: &Texels, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<V
         .collect()
 }
 
-/// The mean of three values by shares.
+/// Interpolate three values with barycentric weights.
 pub fn mixed(shares: &[f32; 3], values: &[Vec3; 3]) -> Vec3 {
     [0, 1, 2].map(|k| (0..3).map(|c| f64::from(shares[c]) * values[c][k]).sum())
 }

@@ -1,7 +1,8 @@
-//! Inner loops in the widest instructions that the processor has.
+//! Dispatch of inner loops to the widest SIMD instructions of the processor.
 
-/// A function that is compiled twice, and called in the version that the processor has instructions for. The results are
-/// the same to the bit: of whole numbers anyway, and of others because each product, sum and quotient is rounded by itself.
+/// Define a function that is compiled for AVX2 and for the baseline, and dispatched at run time. Both
+/// versions give identical bits: integer arithmetic is exact, and every floating-point product, sum and
+/// quotient is rounded separately.
 macro_rules! by_processor {
     ($(#[$meta:meta])* $visible:vis fn $name:ident($($arg:ident: $kind:ty),* $(,)?) $(-> $result:ty)? = $inner:path) => {
         $(#[$meta])*
@@ -14,7 +15,7 @@ macro_rules! by_processor {
                     $inner($($arg),*)
                 }
                 if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
-                    // SAFETY: the processor has these instructions.
+                    // SAFETY: the processor supports AVX2 and POPCNT.
                     return unsafe { wide($($arg),*) };
                 }
             }

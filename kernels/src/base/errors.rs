@@ -1,42 +1,45 @@
-//! What the kernels refuse to work on; every message names the elements.
+//! Errors of the kernels. Messages list the affected vertices, edges or triangles.
 
 use std::fmt;
 
-/// How many offenders a message lists before it only counts them.
+/// Elements that a message lists before it only counts them.
 const NAMED: usize = 5;
 
+/// Error of a kernel: invalid input, exceeded limit, lack of memory, or interruption.
 #[derive(Clone, Debug, PartialEq)]
 pub enum KernelError {
-    /// A triangle refers to a vertex that is not there.
+    /// A triangle refers to a vertex that does not exist.
     IndexOutOfRange { triangle: usize, vertex: i64, vertices: usize },
-    /// A coordinate or attribute is infinite, not a number, or so large that its square overflows.
+    /// A coordinate or attribute is infinite, NaN, or so large that its square overflows.
     NotFinite { vertex: usize },
     /// Edges with more than two triangles.
     NonManifoldEdges(Vec<[u32; 2]>),
-    /// Edges whose two triangles run through them in the same direction.
+    /// Edges whose two triangles traverse them in the same direction.
     InconsistentEdges(Vec<[u32; 2]>),
-    /// Triangles back to back: sound edge by edge, but their edges are there twice as soon as one is split.
+    /// Two triangles with the same three vertices. Each edge is manifold, but a split of one edge would
+    /// duplicate the others.
     SameVertices(Vec<[u32; 2]>),
-    /// Vertices where two fans of triangles touch.
+    /// Vertices that join several fans of triangles which share no edge.
     PinchedVertices(Vec<u32>),
-    /// More elements than 32-bit indices or the stated limit allow.
+    /// More elements than 32-bit indices or the given limit allow.
     TooManyTriangles { wanted: f64, limit: usize },
-    /// More blocks of voxels than memory was granted for.
+    /// More voxel blocks than the memory limit allows.
     TooManyBlocks { wanted: usize, limit: usize },
-    /// A place is farther from the origin of a field of voxels than so many blocks.
+    /// A voxel is more than this number of blocks from the origin of the volume.
     BeyondReach { blocks: usize },
-    /// The mesh is so small or large, or the tolerance so fine, that its numbers have no room.
+    /// The mesh is too small or too large, or the tolerance too fine, for the quantised coordinates of the
+    /// file.
     Extent { diagonal: f64 },
     /// A normal mesh cannot be written.
     Unwritable(&'static str),
-    /// The system has no more memory.
+    /// The system is out of memory.
     OutOfMemory,
-    /// The caller asked to stop.
+    /// The caller interrupted the run.
     Interrupted,
 }
 
 impl KernelError {
-    /// Whether the work was given up, rather than something being wrong with the mesh.
+    /// Return true if the run was interrupted or ran out of memory; false if the input is invalid.
     pub fn is_given_up(&self) -> bool {
         matches!(self, Self::Interrupted | Self::OutOfMemory)
     }
@@ -46,10 +49,13 @@ impl fmt::Display for KernelError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::IndexOutOfRange { triangle, vertex, vertices } => {
-                write!(f, "triangle {triangle} uses vertex {vertex}, but there are only {vertices} vertices")
+                write!(
+                    f,
+                    "triangle {triangle} has vertex index {vertex}, but the mesh has only {vertices} vertices"
+                )
             }
             Self::NotFinite { vertex } => {
-                write!(f, "vertex {vertex} has a value that is not finite or is beyond ±1e60")
+                write!(f, "vertex {vertex} has a value that is not finite, or is beyond ±1e60")
             }
             Self::NonManifoldEdges(edges) => {
                 let phrases =
@@ -58,8 +64,8 @@ impl fmt::Display for KernelError {
             }
             Self::InconsistentEdges(edges) => {
                 let phrases = [
-                    "edge lies between triangles of opposite orientation",
-                    "edges lie between triangles of opposite orientation",
+                    "edge joins triangles of opposite orientation",
+                    "edges join triangles of opposite orientation",
                 ];
                 named(f, phrases, edges.iter().map(pair))
             }
@@ -76,20 +82,20 @@ impl fmt::Display for KernelError {
                 named(f, phrases, vertices.iter().map(u32::to_string))
             }
             Self::TooManyTriangles { wanted, limit } => {
-                write!(f, "it takes at least {wanted:.0} triangles; the limit is {limit}")
+                write!(f, "the result needs at least {wanted:.0} triangles; the limit is {limit}")
             }
             Self::TooManyBlocks { wanted, limit } => {
-                write!(f, "it takes {wanted} blocks of voxels; the limit is {limit}")
+                write!(f, "the volume needs {wanted} voxel blocks; the limit is {limit}")
             }
             Self::BeyondReach { blocks } => {
-                write!(f, "a place is more than {blocks} blocks of voxels from the origin")
+                write!(f, "a surface point is more than {blocks} voxel blocks from the origin")
             }
             Self::Extent { diagonal } => write!(
                 f,
-                "the mesh has a diagonal of {diagonal:e}, and the numbers of a file have no room for it at this tolerance"
+                "the bounding-box diagonal of the mesh is {diagonal:e}; the file format cannot represent it at this tolerance"
             ),
             Self::Unwritable(why) => write!(f, "the normal mesh cannot be written: {why}"),
-            Self::OutOfMemory => write!(f, "there is not enough memory"),
+            Self::OutOfMemory => write!(f, "not enough memory"),
             Self::Interrupted => write!(f, "interrupted"),
         }
     }

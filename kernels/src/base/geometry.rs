@@ -1,99 +1,106 @@
-//! Small vector algebra and distances to triangles and segments.
+//! Small vector algebra, and distances to triangles and segments.
 
+/// 3-D vector or point.
 pub type Vec3 = [f64; 3];
 
+/// Extract the position of a vertex (the first three coordinates).
 #[inline]
 pub fn position<const D: usize>(p: &[f64; D]) -> Vec3 {
     [p[0], p[1], p[2]]
 }
 
+/// Compute a − b.
 #[inline]
 pub fn sub<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// The box around points; from +∞ to −∞ around none.
+/// Compute the bounding box [low, high] of points; [+∞, −∞] without points.
 pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
     points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
         [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
     })
 }
 
-/// Length of the diagonal of a box; 0 of one around nothing.
+/// Compute the diagonal length of a box; 0 for an empty box.
 pub fn diagonal([low, high]: &[Vec3; 2]) -> f64 {
     norm2(&sub(high, low).map(|side| side.max(0.0))).sqrt()
 }
 
-/// A box that is larger on each side by a share of its diagonal.
+/// Grow a box on each side by `share` times its diagonal.
 pub fn enlarged([low, high]: &[Vec3; 2], share: f64) -> [Vec3; 2] {
     let margin = share * diagonal(&[*low, *high]);
     [low.map(|x| x - margin), high.map(|x| x + margin)]
 }
 
-/// a + t·b
+/// Compute a + t·b.
 #[inline]
 pub fn add_scaled<const D: usize>(a: &[f64; D], t: f64, b: &[f64; D]) -> [f64; D] {
     std::array::from_fn(|i| a[i] + t * b[i])
 }
 
+/// Compute the midpoint of a and b.
 #[inline]
 pub fn midpoint<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
     std::array::from_fn(|i| 0.5 * (a[i] + b[i]))
 }
 
+/// Compute the dot product.
 #[inline]
 pub fn dot(a: &Vec3, b: &Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// Compute the cross product.
 #[inline]
 pub fn cross(a: &Vec3, b: &Vec3) -> Vec3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
+/// Compute the squared norm.
 #[inline]
 pub fn norm2(a: &Vec3) -> f64 {
     dot(a, a)
 }
 
-/// The vector with length 1; zero stays zero.
+/// Normalise a vector to length 1; the zero vector stays zero.
 #[inline]
 pub fn unit(v: &Vec3) -> Vec3 {
     let length = norm2(v).sqrt();
     if length > 0.0 { v.map(|x| x / length) } else { [0.0; 3] }
 }
 
-/// The area of a triangle.
+/// Compute the area of a triangle.
 #[inline]
 pub fn area([a, b, c]: [&Vec3; 3]) -> f64 {
     0.5 * norm2(&cross(&sub(b, a), &sub(c, a))).sqrt()
 }
 
-/// Squared distance of two vertices in space.
+/// Compute the squared distance of the positions of two vertices (the first three coordinates).
 #[inline]
 pub fn distance2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
     norm2(&sub(&position(a), &position(b)))
 }
 
-/// Squared distance from `p` to the segment `a`–`b`.
+/// Compute the squared distance from `p` to the segment `a`–`b`.
 #[inline]
 pub fn segment_distance2(p: &Vec3, a: &Vec3, b: &Vec3) -> f64 {
     let (along, to_p) = (sub(b, a), sub(p, a));
     let length2 = norm2(&along);
-    // A segment without length is its end.
+    // A segment of zero length degenerates to its end point.
     let t = if length2 > 0.0 { (dot(&to_p, &along) / length2).clamp(0.0, 1.0) } else { 0.0 };
     norm2(&sub(&to_p, &along.map(|x| t * x)))
 }
 
-/// Squared distance from `p` to the triangle `a b c`, which may be a needle or a point.
+/// Compute the squared distance from `p` to the triangle `a b c`, which may be degenerate.
 #[inline]
 pub fn triangle_distance2(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> f64 {
     let (ab, ac, to_p) = (sub(b, a), sub(c, a), sub(p, a));
     let normal = cross(&ab, &ac);
     let area2 = norm2(&normal);
-    // Below this the normal is rounding error; the sides alone are then the triangle.
+    // Below this ratio the normal is rounding error, and the triangle is treated as its three edges.
     if area2 > 1e-24 * norm2(&ab) * norm2(&ac) {
-        // Barycentric coordinates of the foot of the perpendicular, times area2.
+        // Barycentric coordinates of the perpendicular foot, times area2.
         let at_c = dot(&cross(&ab, &to_p), &normal);
         let at_b = dot(&cross(&to_p, &ac), &normal);
         if at_b >= 0.0 && at_c >= 0.0 && at_b + at_c <= area2 {
@@ -104,7 +111,7 @@ pub fn triangle_distance2(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> f64 {
     segment_distance2(p, a, b).min(segment_distance2(p, b, c)).min(segment_distance2(p, c, a))
 }
 
-/// Barycentric coordinates of the point of triangle `a b c` nearest to `p`, and its squared distance
+/// Find the point of the triangle `a b c` nearest to `p`: its barycentric coordinates and squared distance
 /// (Ericson, "Real-time collision detection", 2005, section 5.1.5).
 #[inline]
 pub fn nearest_on_triangle(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> ([f64; 3], f64) {
@@ -123,7 +130,7 @@ pub fn nearest_on_triangle(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> ([f64; 3], f64) {
         return finish([0.0, 1.0, 0.0]);
     }
     let vc = d1 * d4 - d3 * d2;
-    // A side without length is no side: the other two tell.
+    // An edge of zero length is skipped, because the other two edges cover its points.
     if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
         let t = d1 / (d1 - d3);
         return finish([1.0 - t, t, 0.0]);
@@ -168,7 +175,7 @@ mod tests {
         assert_eq!(d([-3.0, -4.0, 0.0]), 5.0);
     }
 
-    /// Two corners of a triangle may be one, as after vertices were joined.
+    /// Welding can make two corners of a triangle coincide.
     #[test]
     fn nearest_on_a_triangle_with_equal_corners_is_on_its_side() {
         for (corners, expected) in

@@ -1,14 +1,14 @@
-//! Typed indices: a vertex number cannot be taken for an edge number.
+//! Typed indices, so that a vertex index cannot be passed as an edge index.
 
 macro_rules! id {
     ($name:ident, $what:literal) => {
-        #[doc = concat!("Number of ", $what, ".")]
+        #[doc = concat!("Index of ", $what, ".")]
         #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
         #[repr(transparent)]
         pub struct $name(pub u32);
 
         impl $name {
-            /// No such element: the other side of a boundary, or one that a collapse took away.
+            /// Marker for a missing element: across a boundary edge, or removed by a collapse.
             pub const NONE: Self = Self(u32::MAX);
 
             #[inline]

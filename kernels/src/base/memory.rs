@@ -1,11 +1,11 @@
-//! Memory that is free, but still held by the allocator.
+//! Return of free memory from the allocator to the system.
 
-/// Give free pages back to the system.
+/// Return free pages to the system.
 ///
-/// What regions leave lies between what they needed for a while. glibc's allocator keeps all of it, in pieces too small
-/// for the next large table; others give pages back by themselves.
+/// Long-lived results of a region are allocated between its temporary tables. glibc keeps the freed space in
+/// fragments too small for the next large table. Other allocators return pages without this call.
 pub fn give_back() {
-    // SAFETY: it takes no pointer, and may be called at any time from any thread.
+    // SAFETY: the call takes no pointer, and is allowed at any time from any thread.
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     unsafe {
         libc::malloc_trim(0);

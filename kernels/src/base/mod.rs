@@ -1,15 +1,15 @@
-//! What every room uses.
+//! Basics that every module uses.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | `by_processor` | inner loops in the widest instructions that the processor has |
-//! | [`ids`] | numbers of vertices, halfedges, edges and triangles |
-//! | [`errors`] | what can be wrong with a mesh |
+//! | `by_processor` | dispatch of inner loops to the widest SIMD instructions |
+//! | [`ids`] | typed indices of vertices, halfedges, edges and triangles |
+//! | [`errors`] | errors of the kernels |
 //! | [`geometry`] | vectors, triangles, distances |
-//! | [`parallel`] | work on several threads, with the same result for any number of them |
-//! | [`progress`] | how far a run is, and whether to stop |
-//! | [`memory`] | giving back what is free |
-//! | [`reserve`] | what happens when there is no more memory |
+//! | [`parallel`] | multithreaded loops with results independent of the thread count |
+//! | [`progress`] | progress counters, and cancellation |
+//! | [`memory`] | return of free memory to the system |
+//! | [`reserve`] | reserved memory for a clean exit when the system is out of memory |
 
 pub(crate) mod by_processor;
 pub mod errors;

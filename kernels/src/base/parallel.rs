@@ -1,5 +1,5 @@
-//! The same work on many parts, on several threads, with results that do not depend on how many. Where the system has no
-//! room for a thread, there are fewer.
+//! Multithreaded loops whose results do not depend on the thread count. If the system refuses a thread, fewer
+//! are used.
 
 use std::mem::MaybeUninit;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -8,12 +8,12 @@ use std::thread::{self, Scope, ScopedJoinHandle};
 
 use super::reserve;
 
-/// What must be there before a thread is made: its stack, and what the C library takes at a thread's first steps, where it
-/// ends the process if it cannot have it. glibc keeps blocks of other sizes than before once it has freed one of up to
-/// 32 MiB, so that this must be more.
+/// Bytes that must be available before a thread is created: its stack, and the allocations of the C library
+/// at thread start, which abort the process if they fail. Must exceed 32 MiB, because glibc raises its mmap
+/// threshold up to that size once it has freed such a block.
 const THREAD: usize = 64 << 20;
 
-/// `work` on a thread of its own, none if the system refuses one.
+/// Run `work` on a new thread; None if the system refuses one.
 pub fn spawn<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     work: impl FnOnce() -> T + Send + 'scope,
@@ -24,9 +24,10 @@ pub fn spawn<'scope, T: Send + 'scope>(
     thread::Builder::new().spawn_scoped(scope, work).ok()
 }
 
-/// `work` on every number below `count`; the results in this order. Each thread makes its `scratch` once.
+/// Call `work` for every index below `count`, and return the results in index order. Each thread creates its
+/// `scratch` once.
 ///
-/// Which thread takes which part is left to chance, so `work` must depend on nothing but its number.
+/// Indices are assigned to threads dynamically, so `work` must depend on its index only.
 pub fn map<T: Send, S>(
     count: usize,
     threads: usize,
@@ -65,12 +66,12 @@ pub fn map<T: Send, S>(
     results.into_iter().map(|r| r.1).collect()
 }
 
-/// Fill a slice with a value for each place, each thread a part of it.
+/// Fill a slice with `value(index)`; each thread fills a contiguous part.
 pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> T + Sync) {
     update(values, threads, |i, slot| *slot = value(i));
 }
 
-/// Change each place of a slice, each thread a part of them.
+/// Update each element of a slice with `change(index, element)`; each thread updates contiguous parts.
 pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, &mut T) + Sync) {
     let part = values.len().div_ceil(threads.max(1)).max(1);
     each(values.chunks_mut(part).enumerate().collect(), threads, |(number, values): (usize, &mut [T])| {
@@ -80,20 +81,21 @@ pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, 
     });
 }
 
-/// A value for each number below `count`, each thread a part of them.
+/// Collect `value(index)` for each index below `count`; each thread computes a contiguous part.
 pub fn collect<T: Send>(count: usize, threads: usize, value: impl Fn(usize) -> T + Sync) -> Vec<T> {
     if threads <= 1 {
         return (0..count).map(value).collect();
     }
     let mut values = Vec::with_capacity(count);
-    // Memory is touched first where it is filled: that costs more than filling it.
+    // The memory is first touched by the threads that fill it, because page faults cost more than the values.
     fill(&mut values.spare_capacity_mut()[..count], threads, |i| MaybeUninit::new(value(i)));
-    // SAFETY: there is room for `count` values, and each place has got one: the threads that fill have ended, none by a panic.
+    // SAFETY: the capacity is at least `count`, and every element was written: all threads have ended, none
+    // by a panic.
     unsafe { values.set_len(count) };
     values
 }
 
-/// `work` on each of some parts, which it takes with it.
+/// Call `work` on each part and pass it by value; threads take the next part dynamically.
 pub fn each<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
     let threads = threads.min(parts.len());
     let parts = Mutex::new(parts.into_iter());
@@ -109,7 +111,7 @@ pub fn each<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
     });
 }
 
-/// Two pieces of work side by side, if there is a thread to spare.
+/// Run two closures concurrently if a second thread is available, otherwise one after the other.
 pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
     if threads <= 1 {
         one();
@@ -126,12 +128,12 @@ pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
         let _other = spawn(scope, run);
         other();
     });
-    // If there was no thread for it.
+    // No thread was available for `one`.
     run();
 }
 
-/// The number of threads to use when `wanted` is 0: what the environment says, where several processes share a machine,
-/// else one for each core.
+/// Return the thread count: `wanted` if above 0, else SCANLOOM_THREADS (set if several processes share a
+/// machine), else one per core.
 pub fn threads(wanted: usize) -> usize {
     static USUAL: OnceLock<usize> = OnceLock::new();
     if wanted > 0 { wanted } else { *USUAL.get_or_init(|| said().unwrap_or_else(cores)) }

@@ -1,4 +1,4 @@
-//! How far the work is, and whether to go on: what the threads at work share with the one that waits for them.
+//! Progress and cancellation, shared by the worker threads and the waiting thread.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
@@ -9,16 +9,16 @@ const GO_ON: u8 = 0;
 const ENOUGH: u8 = 1;
 const ABORT: u8 = 2;
 
-/// Ticks between two looks at the control.
+/// Calls between two accesses of the shared atomics.
 const STRIDE: u32 = 256;
 
-/// One run's control; the thread that waits reads how far it is and may stop it.
+/// Shared state of one run. The waiting thread reads the progress and may stop the run.
 #[derive(Debug)]
 pub struct Control {
     signal: AtomicU8,
     done: AtomicU64,
     total: AtomicU64,
-    /// Shortages of memory before the run.
+    /// Memory shortages counted before the run.
     shortages: u64,
 }
 
@@ -34,17 +34,17 @@ impl Default for Control {
 }
 
 impl Control {
-    /// Give up: the work ends with [`KernelError::Interrupted`].
+    /// Abort the run: it ends with [`KernelError::Interrupted`].
     pub fn abort(&self) {
         self.signal.store(ABORT, Relaxed);
     }
 
-    /// Stop where it is and give out what there is; [`Control::abort`] goes first.
+    /// Ask the run to stop and return the result so far. [`Control::abort`] takes precedence.
     pub fn enough(&self) {
         let _ = self.signal.compare_exchange(GO_ON, ENOUGH, Relaxed, Relaxed);
     }
 
-    /// Units of work done and in all: whoever asks again never sees fewer, nor more done than there are.
+    /// Return (done, total) units of work. Both never decrease between calls, and done never exceeds total.
     pub fn done(&self) -> (u64, u64) {
         let done = self.done.load(Relaxed);
         let total = self.total.load(Relaxed);
@@ -52,7 +52,7 @@ impl Control {
     }
 }
 
-/// One thread's handle on the control.
+/// Handle of one thread on the shared control.
 #[derive(Clone, Debug)]
 pub struct Progress<'a> {
     control: &'a Control,
@@ -60,35 +60,33 @@ pub struct Progress<'a> {
     scope: Scope,
 }
 
-/// What a handle's units are of the work that is told of.
+/// Relation between the units of a handle and the reported progress.
 #[derive(Clone, Copy, Debug)]
 enum Scope {
     All,
-    /// Units before these, and in all.
+    /// Units before this part, and in total.
     Part(u64, u64),
-    /// None of it.
+    /// Nothing is reported.
     Nothing,
 }
 
 impl<'a> Progress<'a> {
+    /// Create a handle for the whole run.
     pub fn new(control: &'a Control) -> Self {
         Self { control, ticks: 0, scope: Scope::All }
     }
 
-    /// A handle for a part of the work that comes after `before` of `total` units.
+    /// Create a handle for a part of the work that starts after `before` of `total` units.
     pub fn part(&self, before: u64, total: u64) -> Self {
         Self { scope: Scope::Part(before, total), ..self.clone() }
     }
 
-    /// A handle for work that is counted in other units than what is told of: it only looks whether to go on.
+    /// Create a handle for work counted in other units: it reports nothing, and only checks for cancellation.
     pub fn silent(&self) -> Self {
         Self { scope: Scope::Nothing, ..self.clone() }
     }
 
-    /// Now and then, say how far the work is and look whether to go on.
-    ///
-    /// # Errors
-    /// As [`Progress::check`].
+    /// Every [`STRIDE`] calls, report the progress and check for cancellation.
     #[inline]
     pub fn tick(&mut self, done: impl FnOnce() -> (u64, u64)) -> Result<(), KernelError> {
         self.ticks += 1;
@@ -100,10 +98,7 @@ impl<'a> Progress<'a> {
         self.tell(done, total)
     }
 
-    /// Now and then, look whether to go on.
-    ///
-    /// # Errors
-    /// As [`Progress::check`].
+    /// Every [`STRIDE`] calls, check for cancellation.
     #[inline]
     pub fn check_now_and_then(&mut self) -> Result<(), KernelError> {
         self.ticks += 1;
@@ -114,27 +109,25 @@ impl<'a> Progress<'a> {
         self.check()
     }
 
-    /// The same at once, between two phases of the work.
-    ///
-    /// # Errors
-    /// As [`Progress::check`].
+    /// Report the progress and check for cancellation immediately, for example between two phases.
     pub fn tell(&mut self, done: u64, total: u64) -> Result<(), KernelError> {
         let (done, total) = match self.scope {
             Scope::All => (done, total),
             Scope::Part(before, all) => (before + done, all),
             Scope::Nothing => return self.check(),
         };
-        // Threads tell in any order, and what is taken back is done once more: a bar goes on only.
+        // Threads report in any order, and undone work is repeated: the maximum keeps the progress bar
+        // monotonic.
         self.control.total.fetch_max(total, Relaxed);
         self.control.done.fetch_max(done.min(total), Relaxed);
         self.check()
     }
 
-    /// Look whether to go on.
+    /// Check for cancellation and lack of memory.
     ///
     /// # Errors
-    /// [`KernelError::Interrupted`] when the work is to be given up; [`KernelError::OutOfMemory`] when the system has no
-    /// more memory, and the work goes on with what was reserved.
+    /// [`KernelError::Interrupted`] if the caller aborted the run; [`KernelError::OutOfMemory`] if the system
+    /// had no memory since the run began, so that the work currently runs on the reserve.
     pub fn check(&self) -> Result<(), KernelError> {
         if self.control.signal.load(Relaxed) == ABORT {
             return Err(KernelError::Interrupted);
@@ -142,7 +135,7 @@ impl<'a> Progress<'a> {
         if shortages() == self.control.shortages { Ok(()) } else { Err(KernelError::OutOfMemory) }
     }
 
-    /// Whether the caller is content with what there is.
+    /// Return true if the caller asked to stop and keep the result so far.
     #[inline]
     pub fn is_enough(&self) -> bool {
         self.control.signal.load(Relaxed) == ENOUGH

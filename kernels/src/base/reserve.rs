@@ -1,14 +1,16 @@
-//! What happens when there is no more memory: the work ends with an error, and the process goes on.
+//! Reserved memory: if the system runs out of memory, the run ends with an error and the process survives.
 //!
-//! Rust aborts where an allocation fails, and nearly every line of a kernel allocates: tables, lists of a few entries, the
-//! standard library, other crates. So none of them ever sees a failure. Before the work begins, a [`Reserve`] is taken
-//! from the system in one piece, or the work does not begin. It is address space: as long as nobody writes to it, no memory
-//! is behind it. [`Allocator`] gives out of it what the system refuses, and counts a shortage. [`Progress::check`], which
-//! all long work asks anyway, finds that, and the work ends by the way of every other error. What is in use is freed
-//! on this way, and then the reserve itself.
+//! Rust aborts if an allocation fails, and nearly every line of a kernel allocates, including the standard
+//! library and other crates. The allocator here prevents such failures. Before the work begins, a [`Reserve`]
+//! is taken from the system in one block; if the system refuses, the work does not begin. The reserve is only
+//! address space: no memory backs it until it is written. If the system refuses an allocation later,
+//! [`Allocator`] serves it from the reserve and counts a shortage. [`Progress::check`], which all long loops
+//! call anyway, detects the shortage and returns an error. Unwinding then frees the memory in use, and
+//! finally the reserve.
 //!
-//! A reserve must last from one check to the next. The sizes are where the work begins (`kernels/src/python/guarded.rs`),
-//! and where it grows beyond its input ([`Reserve::new`] before each level of a normal mesh).
+//! A reserve must last from one check to the next. Reserve sizes are set where the work begins
+//! (`kernels/src/python/guarded.rs`), and where data grows beyond the input ([`Reserve::new`] before each
+//! level of a normal mesh).
 //!
 //! [`Progress::check`]: super::progress::Progress::check
 
@@ -20,15 +22,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::*};
 
 use super::errors::KernelError;
 
-/// Reserves at a time: one of the module, one for each call that runs, one for each level that is made. Beyond that,
-/// those that there are have to do.
+/// Maximum number of reserves: one for the module, one per running call, one per level under construction. If
+/// all slots are taken, the existing reserves must suffice.
 const SLOTS: usize = 32;
 
-/// The pieces of a reserve are multiples of this, or smaller powers of two; none is aligned to more.
+/// Pieces of a reserve are multiples of this, or smaller powers of two. It is also the maximum alignment.
 const PAGE: usize = 4096;
-/// No piece is smaller, so that a free one can name the next.
+/// Minimum piece size in bytes, so that a free piece can hold its list entry.
 const SMALLEST: usize = 16;
-/// Lists of free pieces: those of 16, 32, … 4096 bytes, and those of pages.
+/// Number of free lists: one per size of 16, 32, … 4096 bytes, and one for multiples of pages.
 const LISTS: usize = (PAGE / SMALLEST).ilog2() as usize + 2;
 
 static SHORTAGES: AtomicU64 = AtomicU64::new(0);
@@ -39,23 +41,24 @@ static TABLE: Table = Table {
     blocks: UnsafeCell::new([const { Block::NONE }; SLOTS]),
 };
 
-/// Bytes to reserve for a row. With less and less memory, no kernel took more than 77 a row between two checks; in all they
-/// take 150 to 250.
+/// Bytes to reserve per row. Measured with decreasing memory: at most 77 bytes a row between two checks.
+/// Kernels use 150 to 250 bytes a row in total.
 const ROW: usize = 192;
-/// Bytes to reserve beside that, for tiny inputs and what each thread has. glibc keeps blocks of other sizes than before
-/// once it has freed one of up to 32 MiB, so that this must be more.
+/// Bytes to reserve in addition, for tiny inputs and per-thread data. Must exceed 32 MiB, because glibc
+/// raises its mmap threshold up to that size once it has freed such a block.
 const LEAST: usize = 64 << 20;
 
-/// How often the system had no memory so far. All work that runs then is told, whoever asked for it.
+/// Return the number of failed system allocations so far. Every run that is active at a shortage sees it,
+/// whichever run allocated.
 #[inline]
 pub fn shortages() -> u64 {
     SHORTAGES.load(Relaxed)
 }
 
-/// Whether the system has so many bytes now.
+/// Check that the system can currently allocate this number of bytes.
 pub fn is_there(bytes: usize) -> bool {
     let Ok(layout) = Layout::from_size_align(bytes.max(1), PAGE) else { return false };
-    // SAFETY: the layout is not empty, and nobody else knows the block.
+    // SAFETY: the layout is not empty, and no other code knows the block.
     unsafe {
         let start = System.alloc(layout);
         if !start.is_null() {
@@ -65,30 +68,27 @@ pub fn is_there(bytes: usize) -> bool {
     }
 }
 
-/// Memory set aside until this is dropped.
+/// Memory reserved until this value is dropped.
 #[derive(Debug)]
 pub struct Reserve {
     slot: Option<usize>,
-    /// Rows it is enough for.
+    /// Number of rows that the reserve suffices for.
     rows: usize,
     shortages: u64,
 }
 
 impl Reserve {
-    /// Set aside enough for work on so many rows: vertices and triangles of all meshes.
-    ///
-    /// # Errors
-    /// As [`Reserve::new`].
+    /// Reserve enough for work on a number of rows (vertices and triangles of all meshes).
     pub fn for_rows(rows: usize) -> Result<Self, KernelError> {
         let mut reserve = Self::new(LEAST.saturating_add(rows.saturating_mul(ROW)))?;
         reserve.rows = rows;
         Ok(reserve)
     }
 
-    /// Set aside so many bytes.
+    /// Reserve a number of bytes.
     ///
     /// # Errors
-    /// [`KernelError::OutOfMemory`] if the system has not as many.
+    /// [`KernelError::OutOfMemory`] if the system refuses the allocation.
     pub fn new(bytes: usize) -> Result<Self, KernelError> {
         let bytes = bytes.max(PAGE).next_multiple_of(PAGE);
         let layout = Layout::from_size_align(bytes, PAGE).map_err(|_| KernelError::OutOfMemory)?;
@@ -105,16 +105,14 @@ impl Reserve {
             Some(slot)
         });
         if slot.is_none() {
-            // SAFETY: nobody else knows it.
+            // SAFETY: no other code knows the block.
             unsafe { System.dealloc(start, layout) };
         }
         Ok(Self { slot, rows: 0, shortages: shortages() })
     }
 
-    /// The same where work goes on to so many rows, and grows: set aside more than before if that is too little.
-    ///
-    /// # Errors
-    /// As [`Reserve::new`], and as [`Reserve::check`].
+    /// Make sure that the reserve suffices for a number of rows, for work that grows; enlarge it if it does
+    /// not.
     #[inline]
     pub fn cover(&mut self, rows: usize) -> Result<(), KernelError> {
         self.check()?;
@@ -123,15 +121,15 @@ impl Reserve {
 
     #[cold]
     fn grow(&mut self, rows: usize) -> Result<(), KernelError> {
-        // Tables that grow double, and the old one stays until the new one is there.
+        // Twice the rows, because a growing table doubles and its old copy lives until the new one is filled.
         *self = Self::for_rows(2 * rows)?;
         Ok(())
     }
 
-    /// Look whether there was enough memory since this was made.
+    /// Check that there was no memory shortage since the reserve was created.
     ///
     /// # Errors
-    /// [`KernelError::OutOfMemory`] if there was not.
+    /// [`KernelError::OutOfMemory`] if there was one.
     pub fn check(&self) -> Result<(), KernelError> {
         if shortages() == self.shortages { Ok(()) } else { Err(KernelError::OutOfMemory) }
     }
@@ -148,11 +146,11 @@ impl Drop for Reserve {
     }
 }
 
-/// The system's allocator, with the reserves behind it.
+/// The system allocator, with fallback to the reserves.
 pub struct Allocator;
 
-// SAFETY: a block comes from the system's allocator or from a reserve, and goes back where it came from; pieces of a
-// reserve are apart from each other, large enough, and aligned (see `Block::take`). Nothing here panics.
+// SAFETY: a block comes from the system allocator or from a reserve, and is returned to its source. Pieces of
+// a reserve are disjoint, large enough, and aligned (see `Block::take`). Nothing here panics.
 unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -170,7 +168,7 @@ unsafe impl GlobalAlloc for Allocator {
         }
         let start = spare(layout);
         if !start.is_null() {
-            // SAFETY: the piece has so many bytes.
+            // SAFETY: the piece has at least this number of bytes.
             unsafe { start.write_bytes(0, layout.size()) };
         }
         start
@@ -182,7 +180,7 @@ unsafe impl GlobalAlloc for Allocator {
             // SAFETY: as promised by the caller.
             unsafe { give(start, layout) };
         } else {
-            // SAFETY: it is in no reserve, so it is the system's.
+            // SAFETY: the pointer is in no reserve, so it belongs to the system allocator.
             unsafe { System.dealloc(start, layout) };
         }
     }
@@ -190,13 +188,13 @@ unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn realloc(&self, start: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         if !TABLE.may_hold(start) {
-            // SAFETY: it is in no reserve, so it is the system's.
+            // SAFETY: the pointer is in no reserve, so it belongs to the system allocator.
             let moved = unsafe { System.realloc(start, layout, size) };
             if !moved.is_null() {
                 return moved;
             }
         }
-        // SAFETY: as promised by the caller; the old block is freed only after its contents are elsewhere.
+        // SAFETY: as promised by the caller; the old block is freed only after its contents were copied.
         unsafe {
             let moved = self.alloc(Layout::from_size_align_unchecked(size, layout.align()));
             if !moved.is_null() {
@@ -208,78 +206,77 @@ unsafe impl GlobalAlloc for Allocator {
     }
 }
 
-/// A piece of any reserve, null if none has room. Either way it is a shortage.
+/// Allocate from any reserve; null if none has space. Counts a shortage in both cases.
 #[cold]
 fn spare(layout: Layout) -> *mut u8 {
     SHORTAGES.fetch_add(1, Relaxed);
-    // The latest first: the oldest is that of the module, which is small.
+    // Newest reserve first: the oldest one belongs to the module and is small.
     TABLE.with(|blocks| blocks.iter_mut().rev().find_map(|block| block.take(layout)).unwrap_or(null_mut()))
 }
 
-/// Free what may come from a reserve.
-///
-/// # Safety
-/// As [`GlobalAlloc::dealloc`].
+/// Free a block that may come from a reserve.
 #[cold]
 unsafe fn give(start: *mut u8, layout: Layout) {
     let unused = TABLE.with(|blocks| {
         let slot = blocks.iter().position(|block| block.holds(start))?;
-        // SAFETY: it was taken from this block, whose pieces nobody else writes to under the lock.
+        // SAFETY: the piece was taken from this block, and the lock excludes other writers.
         unsafe { blocks[slot].put_back(start, layout) };
         Some(TABLE.close(blocks, slot))
     });
     match unused {
         Some(unused) => release(unused),
-        // SAFETY: it is in no reserve, so it is the system's.
+        // SAFETY: the pointer is in no reserve, so it belongs to the system allocator.
         None => unsafe { System.dealloc(start, layout) },
     }
 }
 
-/// Give a block back to the system.
+/// Return a block to the system.
 fn release(block: Option<Block>) {
     if let Some(block) = block {
-        // SAFETY: it was allocated with this layout, and nothing of it is in use.
+        // SAFETY: the block was allocated with this layout, and no piece of it is in use.
         unsafe { System.dealloc(block.start, Layout::from_size_align_unchecked(block.bytes, PAGE)) };
     }
 }
 
-/// Where a block lies, for those who free; apart from the block, which others write to.
+/// Address range of a block, for lock-free reads in `dealloc`; separate from the block, which is written
+/// under the lock.
 struct Range {
     start: AtomicUsize,
     bytes: AtomicUsize,
 }
 
-/// All reserves.
+/// Table of all reserves.
 struct Table {
     ranges: [Range; SLOTS],
-    /// Slots that were ever in use.
+    /// Upper bound of the slots used so far.
     used: AtomicUsize,
     is_locked: AtomicBool,
     blocks: UnsafeCell<[Block; SLOTS]>,
 }
 
-// SAFETY: the blocks are reached under the lock only.
+// SAFETY: the blocks are accessed under the lock only.
 unsafe impl Sync for Table {}
 
 impl Table {
-    /// Work on the blocks, one thread at a time. A mutex of the standard library may allocate.
+    /// Run `work` on the blocks under a spin lock. A mutex of the standard library may allocate.
     fn with<R>(&self, work: impl FnOnce(&mut [Block; SLOTS]) -> R) -> R {
         while self.is_locked.compare_exchange_weak(false, true, Acquire, Relaxed).is_err() {
             spin_loop();
         }
-        // SAFETY: this thread has the lock, and `work` cannot come back here: it allocates nothing.
+        // SAFETY: this thread holds the lock, and `work` cannot re-enter, because it allocates nothing.
         let result = work(unsafe { &mut *self.blocks.get() });
         self.is_locked.store(false, Release);
         result
     }
 
-    /// Whether a block may be in a reserve: never wrong if it is in one.
+    /// Return true if a pointer may be in a reserve. False positives are possible, false negatives are not.
     ///
-    /// Who frees a piece has it from who took it, and a reserve stays where it is while one of its pieces is in use. So
-    /// it is seen here without the lock. Other slots may be seen half changed; the lock then tells.
+    /// A freeing thread received the piece from the allocating thread, and a reserve keeps its address while
+    /// a piece is in use. So the range of that reserve is visible here without the lock. Other slots may be
+    /// read half-updated; the lookup under the lock then decides.
     #[inline]
     fn may_hold(&self, start: *const u8) -> bool {
-        // As long as there was no shortage, nothing is: most processes look no further.
+        // Without a shortage, no block is in a reserve. Most processes end the test here.
         shortages() > 0
             && self.ranges[..self.used.load(Relaxed).min(SLOTS)].iter().any(|range| {
                 (start as usize).wrapping_sub(range.start.load(Relaxed)) < range.bytes.load(Relaxed)
@@ -292,7 +289,7 @@ impl Table {
         self.used.fetch_max(slot + 1, Relaxed);
     }
 
-    /// Take a block out of its slot if nobody needs it any more.
+    /// Remove a block from its slot if its reserve was dropped and no piece is in use.
     fn close(&self, blocks: &mut [Block; SLOTS], slot: usize) -> Option<Block> {
         if blocks[slot].is_open || blocks[slot].live > 0 {
             return None;
@@ -302,21 +299,21 @@ impl Table {
     }
 }
 
-/// A free piece, in its own first bytes.
+/// List entry of a free piece, stored in the first bytes of the piece.
 struct Free {
     next: *mut Free,
     bytes: usize,
 }
 
-/// One reserve: pieces in use and free ones, then what was never used.
+/// One reserve: used and free pieces, followed by a part that was never used.
 struct Block {
     start: *mut u8,
     bytes: usize,
-    /// Bytes before what was never used.
+    /// Bytes before the part that was never used.
     begun: usize,
-    /// Pieces in use.
+    /// Number of pieces in use.
     live: usize,
-    /// Whether its [`Reserve`] is still there.
+    /// True while its [`Reserve`] exists.
     is_open: bool,
     free: [*mut Free; LISTS],
 }
@@ -335,23 +332,23 @@ impl Block {
             return None;
         }
         let taken = self.take_free(bytes, list).or_else(|| {
-            // Each piece is aligned to its size, or to a page if that is less.
+            // Each piece is aligned to its size, or to a page if the size is larger.
             let at = self.begun.next_multiple_of(bytes.min(PAGE));
             if at > self.bytes - bytes {
                 return None;
             }
             self.begun = at + bytes;
-            // SAFETY: the piece lies within the block.
+            // SAFETY: the piece is inside the block.
             Some(unsafe { self.start.add(at) })
         })?;
         self.live += 1;
         Some(taken)
     }
 
-    /// The first free piece that is large enough, but no more than twice as large.
+    /// Take the first free piece that is large enough, but at most twice as large.
     fn take_free(&mut self, bytes: usize, list: usize) -> Option<*mut u8> {
         let mut link: *mut *mut Free = &mut self.free[list];
-        // SAFETY: the links lead through free pieces of this block, which were written by `put_back`.
+        // SAFETY: all links point to free pieces of this block, which `put_back` wrote.
         unsafe {
             while !(*link).is_null() {
                 let found = *link;
@@ -365,8 +362,10 @@ impl Block {
         None
     }
 
+    /// Put a piece on its free list.
+    ///
     /// # Safety
-    /// `start` is a piece of this block in use, taken with this layout.
+    /// `start` must be a used piece of this block, taken with the same layout.
     unsafe fn put_back(&mut self, start: *mut u8, layout: Layout) {
         let (bytes, list) = piece(layout);
         self.live -= 1;
@@ -376,17 +375,17 @@ impl Block {
             return;
         }
         let piece: *mut Free = start.cast();
-        // SAFETY: no piece is smaller, or less aligned, than what is written.
+        // SAFETY: every piece is at least as large and as aligned as a list entry.
         unsafe { piece.write(Free { next: self.free[list], bytes }) };
         self.free[list] = piece;
     }
 }
 
-/// Bytes of a piece for a layout, and the list it is in when free.
+/// Compute the piece size in bytes for a layout, and the index of its free list.
 fn piece(layout: Layout) -> (usize, usize) {
     let least = layout.size().max(layout.align()).max(SMALLEST);
     if least > PAGE {
-        // No layout is as large as to overflow here.
+        // A valid layout is too small to overflow here.
         return (least.next_multiple_of(PAGE), LISTS - 1);
     }
     let bytes = least.next_power_of_two();
@@ -397,10 +396,10 @@ fn piece(layout: Layout) -> (usize, usize) {
 mod tests {
     use super::*;
 
-    /// A block over memory of its own, as a reserve has it.
+    /// Run a test on a block with separate memory, set up like a reserve.
     fn with_block(pages: usize, test: impl FnOnce(&mut Block)) {
         let layout = layout(pages * PAGE, PAGE);
-        // SAFETY: the layout is not empty, and the block ends here.
+        // SAFETY: the layout is not empty, and the block is not used after this scope.
         unsafe {
             let start = System.alloc(layout);
             test(&mut Block { start, bytes: layout.size(), is_open: true, ..Block::NONE });
@@ -429,7 +428,7 @@ mod tests {
                 let Some(start) = block.take(layout) else { continue };
                 assert_eq!(start as usize % layout.align(), 0);
                 assert!(block.holds(start) && block.holds(start.wrapping_add(layout.size() - 1)));
-                // SAFETY: the piece has so many bytes.
+                // SAFETY: the piece has at least this number of bytes.
                 unsafe { start.write_bytes(turn as u8, layout.size()) };
                 pieces.push((start, layout, turn as u8));
             }

@@ -1,6 +1,7 @@
-//! Blocks of voxels, each in a slot, and the slot of each place.
+//! Storage of voxel blocks: slots, and a hash map from block key to slot.
 //!
-//! Slots are given in the order of arrival, those of one frame in Z-order. Blocks are made a page at a time, where they stay: a field that grows copies nothing.
+//! Slots are assigned in order of arrival; the blocks of one frame arrive in Z-order. Memory is allocated in
+//! pages that never move, so growth copies nothing.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -10,9 +11,9 @@ use super::voxel::{Colors, Distances, block_bytes};
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 
-/// Blocks of a page.
+/// Blocks per page.
 const PAGE: usize = 64;
-/// Keys are spread evenly by one multiplication (Fibonacci hashing).
+/// Fibonacci hashing: one multiplication spreads the keys evenly.
 #[derive(Clone, Copy, Debug, Default)]
 struct Spreading(u64);
 
@@ -32,14 +33,14 @@ impl Hasher for Spreading {
     }
 }
 
-/// Some blocks that lie together in memory.
+/// Blocks that are contiguous in memory.
 #[derive(Debug)]
 struct Page {
     distances: Vec<Distances>,
     colors: Vec<Colors>,
 }
 
-/// All blocks of a field.
+/// All blocks of a volume.
 #[derive(Debug)]
 pub struct Blocks {
     slots: HashMap<u64, u32, BuildHasherDefault<Spreading>>,
@@ -49,7 +50,7 @@ pub struct Blocks {
     most: usize,
 }
 
-/// A block that is written to.
+/// Mutable access to a block.
 pub struct Written<'a> {
     pub block: [i32; 3],
     pub distances: &'a mut Distances,
@@ -57,48 +58,54 @@ pub struct Written<'a> {
 }
 
 impl Blocks {
-    /// No blocks yet, and never more than `most`.
+    /// Create an empty storage that never holds more than `most` blocks.
     pub fn new(is_colored: bool, most: usize) -> Self {
         let most = most.min(u32::MAX as usize);
         Self { slots: HashMap::default(), keys: vec![], pages: vec![], is_colored, most }
     }
 
+    /// Return the number of blocks.
     pub fn count(&self) -> usize {
         self.keys.len()
     }
 
+    /// Return true if voxels have colours.
     pub fn is_colored(&self) -> bool {
         self.is_colored
     }
 
-    /// Memory of all pages.
+    /// Return the memory of all pages in bytes.
     pub fn bytes(&self) -> usize {
         self.pages.len() * PAGE * block_bytes(self.is_colored)
     }
 
+    /// Return the Z-order key of the block in a slot.
     pub fn key(&self, slot: usize) -> u64 {
         self.keys[slot]
     }
 
+    /// Return the distances of the block in a slot.
     pub fn distances(&self, slot: usize) -> &Distances {
         &self.pages[slot / PAGE].distances[slot % PAGE]
     }
 
+    /// Return the colours of the block in a slot; None if voxels have no colours.
     pub fn colors(&self, slot: usize) -> Option<&Colors> {
         self.pages[slot / PAGE].colors.get(slot % PAGE)
     }
 
-    /// The slots of blocks, sorted; those that are not there yet are made, empty.
+    /// Return the sorted slots of blocks; create empty blocks where they are missing.
     ///
     /// # Errors
-    /// [`KernelError::TooManyBlocks`] if there would be more than allowed: then none is made. As [`Progress::check`].
+    /// [`KernelError::TooManyBlocks`] if the block limit would be exceeded; then no block is created. As
+    /// [`Progress::check`].
     pub fn claim(&mut self, keys: &[u64], progress: &Progress<'_>) -> Result<Vec<u32>, KernelError> {
         let missing = keys.iter().filter(|key| !self.slots.contains_key(key)).count();
         let wanted = self.count() + missing;
         if wanted > self.most {
             return Err(KernelError::TooManyBlocks { wanted, limit: self.most });
         }
-        // A page at a time, since what is reserved for a shortage of memory lasts for some of them only.
+        // Check after every page, because the memory reserve covers only a few pages.
         while self.pages.len() * PAGE < wanted {
             let colors = if self.is_colored { vec![Colors::NONE; PAGE] } else { vec![] };
             self.pages.push(Page { distances: vec![Distances::NONE; PAGE], colors });
@@ -119,13 +126,13 @@ impl Blocks {
         Ok(slots)
     }
 
-    /// The blocks in some slots, which are sorted and named once.
+    /// Borrow the blocks of slots mutably. `slots` must be sorted and unique.
     pub fn written<'a>(&'a mut self, slots: &[u32]) -> Vec<Written<'a>> {
         let mut found = Vec::with_capacity(slots.len());
         let mut slots = slots.iter().map(|&slot| slot as usize).peekable();
         for (number, page) in self.pages.iter_mut().enumerate() {
             let (mut distances, mut colors) = (page.distances.iter_mut(), page.colors.iter_mut());
-            // Places before those that the iterators are at.
+            // Elements of the page that the iterators have consumed, as a slot index.
             let mut passed = number * PAGE;
             while let Some(slot) = slots.next_if(|&slot| slot < (number + 1) * PAGE) {
                 let (skipped, colors) = (slot - passed, colors.nth(slot - passed));

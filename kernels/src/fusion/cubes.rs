@@ -1,13 +1,15 @@
-//! The triangles in a cube of eight voxels, by which of them lie behind the surface.
+//! Marching-cubes triangle table: triangles of a cube, by the signs of its eight voxels.
 //!
-//! On a face with two voxels behind across from each other, these are kept apart: each face is cut by its own four signs,
-//! so that both cubes at it cut it alike. The cuts of a cube's faces are loops. Triangles fill them by diagonals that
-//! lie in no face: the neighbour could have the same one, and the edge would have four triangles. So what comes out is
-//! manifold by the table (Lorensen and Cline 1987 has holes at such faces, and repaired tables have such diagonals).
+//! On a face whose two diagonal voxels are behind the surface, these two are kept separate. Each face is cut
+//! by its own four signs only, so both adjacent cubes cut it identically. The cuts on the faces of a cube
+//! form loops. Loops are triangulated without diagonals inside a face: the adjacent cube could choose the
+//! same diagonal, and the edge would have four triangles. The result is therefore manifold by construction.
+//! The table of Lorensen and Cline (1987) has holes at ambiguous faces, and repaired tables have such
+//! diagonals.
 
 use std::sync::LazyLock;
 
-/// Corners of a cube by their bits: x, then y, then z.
+/// Corners of a cube. The bits of a corner index are x, y, z.
 pub const CORNERS: usize = 8;
 /// Edges of a cube: four along each axis.
 pub const EDGES: usize = 12;
@@ -30,12 +32,13 @@ pub const EDGE: [(usize, usize); EDGES] = {
     edges
 };
 
-/// Triangles of all 256 cubes, by their edges, counterclockwise as seen from before the surface.
+/// Triangles of all 256 sign patterns, as edge indices, counterclockwise seen from in front of the surface.
 pub struct Cubes {
     starts: [u16; 257],
     triangles: Vec<[u8; 3]>,
 }
 
+/// The triangle table, computed on first use.
 pub static CUBES: LazyLock<Cubes> = LazyLock::new(Cubes::new);
 
 impl Cubes {
@@ -51,7 +54,7 @@ impl Cubes {
         Self { starts, triangles }
     }
 
-    /// The triangles of a cube; bit `c` of `behind` says whether corner `c` lies behind the surface.
+    /// Return the triangles of a cube. Bit `c` of `behind` is set if corner `c` is behind the surface.
     #[inline]
     pub fn triangles(&self, behind: u8) -> &[[u8; 3]] {
         let behind = usize::from(behind);
@@ -59,7 +62,7 @@ impl Cubes {
     }
 }
 
-/// Corners of a face, counterclockwise as seen from outside.
+/// List the corners of a face, counterclockwise seen from outside.
 fn face(number: usize) -> [usize; 4] {
     let (axis, is_upper) = (number / 2, number % 2);
     let (u, v) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3));
@@ -76,14 +79,15 @@ fn edge(a: usize, b: usize) -> u8 {
     (0..EDGES).find(|&e| EDGE[e] == (axis, a & b)).unwrap_or(0) as u8
 }
 
-/// Loops of edges that the surface cuts, in the order of the triangles.
+/// Find the loops of cut edges, in the orientation of the triangles.
 fn loops(behind: usize) -> Vec<Vec<u8>> {
     const NONE: u8 = u8::MAX;
     let mut next = [NONE; EDGES];
     for number in 0..6 {
         let corners = face(number);
         let is_behind = |i: usize| behind >> corners[i % 4] & 1 == 1;
-        // Around each run of corners behind, from where it begins to where it ends.
+        // Each run of corners behind the surface is cut off by one segment, from the edge before the run to
+        // the edge after it.
         for last in (0..4).filter(|&i| is_behind(i) && !is_behind(i + 1)) {
             let mut first = last;
             while is_behind(first + 3) {
@@ -108,7 +112,8 @@ fn loops(behind: usize) -> Vec<Vec<u8>> {
     found
 }
 
-/// Fill the part of a loop from place `i` to place `j`; whether that is possible without diagonals that lie in a face.
+/// Triangulate the part of a loop from position `i` to `j`; return false if that requires a diagonal inside a
+/// face.
 fn fill(around: &[u8], i: usize, j: usize, triangles: &mut Vec<[u8; 3]>) -> bool {
     if j - i < 2 {
         return true;
@@ -129,7 +134,7 @@ fn fill(around: &[u8], i: usize, j: usize, triangles: &mut Vec<[u8; 3]>) -> bool
     false
 }
 
-/// Whether two edges are of one face.
+/// Check whether two edges belong to a common face.
 fn is_in_a_face(a: u8, b: u8) -> bool {
     let has = |corners: &[usize; 4], e: u8| {
         let (axis, lower) = EDGE[usize::from(e)];
@@ -180,7 +185,7 @@ mod tests {
 
     #[test]
     fn triangles_look_to_the_side_before_the_surface() {
-        // Corner 0 lies behind: seen from corner 7, its triangle turns left.
+        // Corner 0 is behind the surface; seen from corner 7, its triangle is counterclockwise.
         let [[a, b, c]] = CUBES.triangles(1) else { panic!("one triangle") };
         let place = |e: &u8| {
             let (axis, lower) = EDGE[usize::from(*e)];

@@ -1,36 +1,38 @@
-//! A signed distance field, as its surface is taken from it.
+//! Interface of a signed distance field for surface extraction.
 
 /// Voxels along an edge of a block.
 pub const SIDE: usize = 8;
 /// Voxels of a block.
 pub const VOXELS: usize = SIDE * SIDE * SIDE;
 
-/// A field of blocks of 8³ voxels. Voxels are counted x first, then y, then z.
+/// Signed distance field stored in blocks of 8³ voxels. Voxel indices increase along x first, then y, then z.
 pub trait Field: Sync {
-    /// How many blocks there are.
+    /// Return the number of blocks.
     fn count(&self) -> usize;
-    /// Coordinates of a block, in blocks.
+    /// Return the coordinates of a block, in blocks.
     fn block(&self, slot: usize) -> [i32; 3];
-    /// Signed distances of a block's voxels, NaN where fewer frames than `least` have seen one.
+    /// Write the signed distances of a block's voxels into `into`; NaN for voxels observed by fewer than
+    /// `least` frames.
     fn distances(&self, slot: usize, least: u32, into: &mut [f32; VOXELS]);
-    /// The same of one voxel.
+    /// Return the signed distance of one voxel, NaN as in [`Field::distances`].
     fn distance(&self, slot: usize, voxel: usize, least: u32) -> f32;
-    /// What else is known of one voxel.
+    /// Return the colour and observation data of one voxel.
     fn sample(&self, slot: usize, voxel: usize) -> Sample;
 }
 
-/// What is known of a place beside its distance.
+/// Colour and observation data of a surface point.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
-    /// 0 to 255.
+    /// RGB, 0 to 255.
     pub color: [f32; 3],
-    /// How many have seen it.
+    /// Number of frames that observed the point.
     pub frames: f32,
-    /// Mean cosine of the angle they saw it at; 0 where that is not kept.
+    /// Mean cosine of the viewing angle; 0 if the field does not store it.
     pub cosine: f32,
 }
 
 impl Sample {
+    /// Interpolate linearly between two samples.
     pub fn between(a: Self, b: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + (b - a) * share;
         Self {

@@ -1,55 +1,58 @@
-//! What a depth map says about the surface it shows: how obliquely it is seen, and where it is torn.
+//! Surface orientation and discontinuities of a depth map.
 //!
-//! Differences are taken on inverse depth. A plane's inverse depth is linear in the pixel coordinates, so that averaging its
-//! differences over a window is exact on planes, however obliquely they are seen; differences of depth itself are not.
+//! Gradients are computed on inverse depth. The inverse depth of a plane is linear in the pixel coordinates,
+//! so gradients averaged over a window are exact on planes at any viewing angle. Gradients of depth itself
+//! are not.
 
 use super::view::Camera;
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::each;
 
-/// Differences are averaged over this many pixels each way: enough to even out the depth steps of a structured-light sensor,
-/// few enough to keep a table's edge.
+/// Window side in pixels for averaged gradients: large enough to smooth the depth steps of a structured-light
+/// sensor, small enough to preserve the edge of a table.
 const WINDOW: usize = 5;
-/// A pixel more oblique than this (70 degrees) is believed only on a plane, as a road's are: averaged over a wider window, its
-/// slope must be about the same. Else it belongs to the outline of something round or ragged, where the distance along
-/// the normal cannot be told, and counts as no more oblique than this; or, beyond `SMEARED`, to a discontinuity that
-/// the sensor or the matcher has smeared.
+/// Obliqueness above which a pixel is checked for planarity: 2.9 is about 70°. It is accepted only on a
+/// plane, such as a road: the gradient averaged over a `WIDE` window must agree up to the factor `LIKE`.
+/// Otherwise the pixel belongs to the outline of a round or ragged object, where the distance along the
+/// normal is uncertain, and its obliqueness is capped at `STEEP`. Above `SMEARED` it is dropped, as part of a
+/// discontinuity that the sensor or the matcher has smeared.
 const STEEP: f32 = 2.9;
 const SMEARED: f32 = 5.0;
 const WIDE: usize = 25;
 const LIKE: f32 = 1.5;
-/// Rows that are worked on together; so that sums are the same for any number of threads, they begin anew in each.
+/// Rows processed together. Running sums restart in each band, so that results do not depend on the thread
+/// count.
 const BAND: usize = 48;
 
-/// Which depth is used.
+/// Limits for usable depth.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Metres.
+    /// Depth range in metres.
     pub nearest: f32,
     pub farthest: f32,
-    /// Change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
+    /// Relative change of depth between neighbouring pixels that counts as a discontinuity.
     pub jump: f32,
-    /// Cosine of the largest angle between the line of sight and the surface's normal.
+    /// Cosine of the maximum angle between the line of sight and the surface normal.
     pub cosine: f32,
 }
 
-/// A depth map with the orientation of the surface at each pixel, row by row.
+/// Depth map with surface normals, row by row.
 #[derive(Clone, Debug)]
 pub struct Oriented {
-    /// Metres, 0 where missing or dropped.
+    /// Depth in metres, 0 where missing or dropped.
     pub depth: Vec<f32>,
-    /// The surface's normal in camera axes, towards the camera, scaled so that its product with the pixel's ray
+    /// Surface normal in camera axes, facing the camera, scaled so that its dot product with the pixel ray
     /// (x/z, y/z, 1) is −1.
     pub normal: [Vec<f32>; 3],
-    /// Its length: how many metres along the optical axis it takes to get one metre away from the surface.
+    /// Length of `normal`: metres along the optical axis per metre of distance from the surface.
     pub obliqueness: Vec<f32>,
 }
 
-/// Measure the surface's orientation, and drop pixels at depth discontinuities or seen too obliquely.
+/// Estimate surface normals, and drop pixels at depth discontinuities or at grazing angles.
 ///
-/// Sensors and matchers put "flying" pixels beside a discontinuity, between the near and the far surface, where nothing is;
-/// so both sides of it go. Gaps of one pixel between depths that agree are bridged: depth that was warped into a colour
-/// camera's view is full of them.
+/// Sensors and matchers produce "flying" pixels at a discontinuity, between the near and the far surface.
+/// Pixels on both sides of a discontinuity are therefore dropped. Gaps of one pixel between consistent depths
+/// are filled, because depth warped into the view of a colour camera has many of them.
 pub fn oriented(mut depth: Vec<f32>, camera: &Camera, limits: Limits, threads: usize) -> Oriented {
     let (width, height) = (camera.width, camera.height);
     let inverse = bridged(&mut depth, width, limits);
@@ -84,12 +87,13 @@ pub fn oriented(mut depth: Vec<f32>, camera: &Camera, limits: Limits, threads: u
     Oriented { depth, normal, obliqueness }
 }
 
-/// Fill gaps of one pixel, along rows first; what is out of the limits is missing. The inverse is returned, 0 where missing.
+/// Fill gaps of one pixel, first along rows, and remove depth outside the limits. Returns the inverse depth,
+/// 0 where missing.
 fn bridged(depth: &mut [f32], width: usize, limits: Limits) -> Vec<f32> {
     let mut inverse = vec![0.0; depth.len()];
     for (depth, inverse) in depth.chunks_mut(width).zip(inverse.chunks_mut(width)) {
         invert(depth, inverse, limits);
-        // What was filled is beside measured pixels, so that no gap is filled from another.
+        // A filled pixel has measured pixels on both sides, so no gap is filled from another filled pixel.
         for x in 1..width.max(1) - 1 {
             if inverse[x] == 0.0 {
                 let beside = [inverse[x - 1], inverse[x + 1]];
@@ -126,7 +130,7 @@ by_processor! {
 fn invert_row(depth: &mut [f32], inverse: &mut [f32], limits: Limits) {
     for (depth, inverse) in depth.iter_mut().zip(inverse) {
         let found = 1.0 / *depth;
-        // An infinite difference would leave its whole window without a number.
+        // An infinite inverse would make all differences in its window NaN.
         let is_there = (*depth > 0.0)
             & (*depth >= limits.nearest)
             & (*depth <= limits.farthest)
@@ -136,15 +140,15 @@ fn invert_row(depth: &mut [f32], inverse: &mut [f32], limits: Limits) {
     }
 }
 
-/// Differences of inverse depth to the next pixel along rows and columns: 0 where there is none or it is a discontinuity,
-/// and whether there is one.
+/// Differences of inverse depth to the next pixel along rows and columns, and flags for valid ones. Missing
+/// differences and discontinuities have value 0 and flag 0.
 struct Differences {
     width: usize,
     across: Vec<f32>,
     down: Vec<f32>,
     known_across: Vec<u8>,
     known_down: Vec<u8>,
-    /// Beside a discontinuity.
+    /// Flag of pixels next to a discontinuity.
     torn: Vec<u8>,
 }
 
@@ -211,7 +215,7 @@ fn step_row(one: &[f32], next: &[f32], jump: f32, value: &mut [f32], known: &mut
     }
 }
 
-/// Lines of sight (x/z, y/z, 1): x/z of each column, y/z of each row; and focal lengths.
+/// Pixel rays (x/z, y/z, 1): x/z of each column, y/z of each row; and the focal lengths in pixels.
 struct Sights {
     across: Vec<f32>,
     down: Vec<f32>,
@@ -227,11 +231,11 @@ struct Band<'a> {
 }
 
 impl Band<'_> {
-    /// Normals by means over the narrow window.
+    /// Estimate normals from gradients averaged over the narrow window.
     fn orient(&mut self, differences: &Differences, sights: &Sights) {
         let width = differences.width;
         let reach = WINDOW / 2;
-        // With what there is of a window beyond the sides.
+        // Padded by the part of the window that extends beyond the image.
         let mut sums = Sums {
             value: [0, 1].map(|_| vec![0.0; width + 2 * reach]),
             known: [0, 1].map(|_| vec![0; width + 2 * reach]),
@@ -246,8 +250,8 @@ impl Band<'_> {
         }
     }
 
-    /// Where the surface is steep, look whether it is a plane; what is not counts as less steep, or is dropped: those pixels are
-    /// returned, by their places in the band.
+    /// Check steep pixels for planarity with the wide window. Where the surface is not planar, reduce the
+    /// obliqueness to `STEEP`. Returns the indices in the band of pixels to drop.
     fn believe(&mut self, differences: &Differences, sights: &Sights) -> Vec<usize> {
         let (width, reach) = (differences.width, WIDE / 2);
         let height = sights.down.len();
@@ -299,7 +303,7 @@ impl Band<'_> {
     }
 }
 
-/// Sums over the rows of a window.
+/// Sums over the rows of the narrow window, per column.
 struct Sums {
     value: [Vec<f32>; 2],
     known: [Vec<u8>; 2],
@@ -360,7 +364,7 @@ fn orient_row(
     }
 }
 
-/// Mean of what is known in the columns of the narrow window.
+/// Average the valid differences over the columns of the narrow window.
 #[inline(always)]
 fn mean(value: &[f32], known: &[u8], x: usize) -> f32 {
     let (mut sum, mut count) = (value[x], known[x]);
@@ -371,7 +375,7 @@ fn mean(value: &[f32], known: &[u8], x: usize) -> f32 {
     sum / f32::from(if count > 0 { count } else { 1 })
 }
 
-/// The normal, with d ln z = −z d(1/z).
+/// Compute the scaled normal from the gradient of inverse depth, with d ln z = −z d(1/z).
 #[inline(always)]
 fn normal(depth: f32, slope: [f32; 2], across: f32, down: f32, focal: [f32; 2]) -> [f32; 3] {
     let (x, y) = (-focal[0] * depth * slope[0], -focal[1] * depth * slope[1]);
@@ -392,14 +396,14 @@ fn drop(depth: &mut [f32], oblique: &[f32], torn: &[u8], across: &[f32], down: f
     let width = depth.len();
     let (oblique, torn, across) = (&oblique[..width], &torn[..width], &across[..width]);
     for x in 0..width {
-        // Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
+        // Cosine of the viewing angle: 1 / (obliqueness · length of the ray).
         let sight = (1.0 + across[x] * across[x] + down * down).sqrt();
         let is_dropped = (torn[x] != 0) | (oblique[x] * sight * cosine > 1.0);
         depth[x] = if is_dropped { 0.0 } else { depth[x] };
     }
 }
 
-/// Sums over the rows of the wide window, of each column.
+/// Sums over the rows of the wide window, per column.
 struct Columns {
     value: [Vec<f64>; 2],
     known: [Vec<i32>; 2],
@@ -410,7 +414,7 @@ impl Columns {
         Self { value: [0, 1].map(|_| vec![0.0; width]), known: [0, 1].map(|_| vec![0; width]) }
     }
 
-    /// Add a row once, or take it away.
+    /// Add a row (`times` = 1) or remove it (−1).
     fn change(&mut self, differences: &Differences, y: usize, times: i32) {
         let own = y * differences.width..(y + 1) * differences.width;
         let [across, down] = &mut self.value;
@@ -422,7 +426,7 @@ impl Columns {
         }
     }
 
-    /// Mean of what is known in some columns.
+    /// Average the valid differences over a range of columns.
     fn mean(&self, columns: std::ops::Range<usize>) -> [f32; 2] {
         [0, 1].map(|axis| {
             let sum: f64 = self.value[axis][columns.clone()].iter().sum();
@@ -451,7 +455,7 @@ mod tests {
     type Step = fn(&[f32], &[f32], f32, &mut [f32], &mut [u8], &mut [u8]);
     type Orient = fn(&[f32], &Sums, &Sights, f32, [&mut [f32]; 3], &mut [f32]);
 
-    /// A floor at a grazing angle before a wall, with holes, gaps, steps and noise.
+    /// Depth map of a floor at a grazing angle in front of a wall, with holes, gaps, steps and noise.
     fn depth() -> Vec<f32> {
         let at = |i: usize| {
             let (x, y) = (i % WIDTH, i / WIDTH);

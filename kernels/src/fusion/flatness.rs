@@ -1,20 +1,20 @@
-//! Where a depth map shows planes.
+//! Planarity of the surface in a depth map.
 //!
-//! What a voxel before the surface is told is its distance to the plane through what its pixel saw. Where the surface is
-//! curved and seen obliquely, that is more or less than its distance to the surface, by the square of how far beside it
-//! the pixel looks.
+//! A voxel in front of the surface receives its distance to the tangent plane at its pixel. On a curved
+//! surface seen obliquely, this differs from the distance to the surface, by an amount quadratic in the
+//! lateral offset between voxel and pixel.
 
 use crate::base::by_processor::by_processor;
 
-/// Pixels along the sides of a cell, and cells from one to the next of three that are compared.
+/// Cell side in pixels, and distance in cells between the three cells that are compared.
 pub const CELL: usize = 4;
 const APART: usize = 3;
-/// A plane's inverse depth is linear. From this change of its slope on, as a share of the slope, a surface counts as a little
-/// curved, and from that on as curved.
+/// Inverse depth is linear on a plane. Limits on the change of its slope, relative to the slope: up to
+/// `BEGUN` the surface counts as planar, from `CURVED` on as curved.
 const BEGUN: f32 = 0.1;
 const CURVED: f32 = 0.3;
 
-/// How flat the surface is in each cell of 4 × 4 pixels: 1 for a plane, 0 for what is curved, or too small to be told.
+/// Planarity of each cell of 4 × 4 pixels: 1 for a plane, 0 for a curved surface or if it cannot be measured.
 #[derive(Debug)]
 pub struct Flatness {
     cells: Vec<f32>,
@@ -22,7 +22,7 @@ pub struct Flatness {
 }
 
 impl Flatness {
-    /// Of a depth map, row by row, not positive where it is missing.
+    /// Measure the planarity of a depth map (row by row, not positive where missing).
     pub fn new(depth: &[f32], width: usize, height: usize) -> Self {
         let (columns, rows) = (width.div_ceil(CELL), height.div_ceil(CELL));
         let inverse = means(depth, width, height);
@@ -42,13 +42,13 @@ impl Flatness {
         Self { cells, columns }
     }
 
-    /// Of the cells in a row of pixels.
+    /// Return the planarity of the cells in a row of pixels.
     pub fn row(&self, y: usize) -> &[f32] {
         &self.cells[y / CELL * self.columns..][..self.columns]
     }
 }
 
-/// Mean inverse depth of cells, NaN where a pixel is missing.
+/// Average the inverse depth of each cell; NaN if a pixel is missing.
 fn means(depth: &[f32], width: usize, height: usize) -> Vec<f32> {
     let columns = width.div_ceil(CELL);
     let mut means = vec![0.0; columns * height.div_ceil(CELL)];
@@ -56,7 +56,7 @@ fn means(depth: &[f32], width: usize, height: usize) -> Vec<f32> {
     for (y, row) in depth.chunks(width.max(1)).enumerate() {
         add_row(row, &mut inverse, &mut means[y / CELL * columns..][..columns]);
     }
-    // Cells beyond the last whole one are smaller, but nothing is compared with them from both sides.
+    // Incomplete cells at the right and lower border get wrong means, but are never compared on both sides.
     means.iter_mut().for_each(|mean| *mean /= (CELL * CELL) as f32);
     means
 }
@@ -75,7 +75,7 @@ fn add(depth: &[f32], inverse: &mut [f32], sums: &mut [f32]) {
     }
 }
 
-/// From three inverse depths across and three down.
+/// Compute the planarity from three inverse depths along x and three along y.
 fn flat(across: [f32; 3], down: [f32; 3]) -> f32 {
     let bend = |[a, b, c]: [f32; 3]| a + c - 2.0 * b;
     let slope = |[a, _, c]: [f32; 3]| (c - a) / 2.0;
@@ -83,7 +83,7 @@ fn flat(across: [f32; 3], down: [f32; 3]) -> f32 {
     let slopes = slope(across) * slope(across) + slope(down) * slope(down);
     let share = (bends / slopes).sqrt();
     let flat = (CURVED - share) / (CURVED - BEGUN);
-    // What is not a number is not flat.
+    // NaN counts as not planar.
     if flat > 0.0 { flat.min(1.0) } else { 0.0 }
 }
 
@@ -99,7 +99,7 @@ mod tests {
         Flatness::new(&depth, SIZE, SIZE)
     }
 
-    /// Without the cells at the rim, of which nothing is said.
+    /// Cells without the border, where planarity is not measured.
     fn inner(flatness: &Flatness) -> Vec<f32> {
         let cells = SIZE / CELL;
         (APART..cells - APART).flat_map(|y| flatness.row(y * CELL)[APART..cells - APART].to_vec()).collect()
@@ -122,7 +122,7 @@ mod tests {
     #[test]
     fn what_cannot_be_told_is_not_flat() {
         let holed = map(|x, y| if x.abs() < 0.02 { 0.0 } else { 2.0 / (1.0 + y) });
-        // Holes, and what is compared with them.
+        // The hole, and the cells compared with it.
         let row = holed.row(SIZE / 2);
         assert!(row[SIZE / CELL / 2 - APART - 2] > 0.99 && row[SIZE / CELL / 2 - 1] == 0.0);
         assert_eq!((row[0], row[APART - 1]), (0.0, 0.0));

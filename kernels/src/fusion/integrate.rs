@@ -1,14 +1,17 @@
-//! Adding a frame to blocks of voxels.
+//! TSDF integration of a frame into blocks of voxels.
 //!
-//! A voxel is projected into the frame. Between four measured pixels inverse depth is interpolated, which is exact on planes;
-//! where one is missing (beside a jump they are) the nearest pixel counts. What lies between that depth and the voxel's own,
-//! along the surface's normal there, is added to the voxel: cut off at one truncation before the surface, and not at
-//! all farther behind it, which says nothing (Curless and Levoy, "A volumetric method for building complex models from
-//! range images", 1996). Behind the surface it counts in full as far as its noise may reach, and less and less from there on:
-//! what others see there is the other side of something thin, which would be pushed away and torn.
+//! Each voxel is projected into the frame. Inverse depth is interpolated between four measured pixels, which
+//! is exact on planes. If one of them is missing, which is always so at a discontinuity, the nearest pixel is
+//! used. The signed distance is the depth difference converted to a distance along the surface normal. It is
+//! clamped to one truncation in front of the surface. Voxels more than one truncation behind it are not
+//! updated (Curless and Levoy, "A volumetric method for building complex models from range images", 1996).
+//! Behind the surface, the weight is full within the noise of the measurement and then decreases: frames that
+//! see this space from the other side observe the back of a thin object, which would otherwise be displaced
+//! and torn.
 //!
-//! A slice of 64 voxels goes through one step after another, so that each step is a loop without branches. What comes
-//! out is the same to the bit in every set of instructions: products and sums are rounded one by one, quotients exactly.
+//! A slice of 64 voxels passes through one step after another, so that each step is a loop without branches.
+//! Results are identical to the bit with every instruction set: products and sums are rounded one by one,
+//! divisions exactly.
 
 use super::blocks::Written;
 use super::field::SIDE;
@@ -16,41 +19,43 @@ use super::view::View;
 use super::voxel::{COLOR_FRAMES, COLORED, Colors, FRACTIONS, SLICE, UNIT};
 use crate::base::parallel::each;
 
-/// Blocks that a thread takes at once.
+/// Blocks that a thread processes at once.
 const AT_ONCE: usize = 16;
 
-/// A surface that is so many truncations behind a voxel is another one than that which the voxel may be at. Then the frame does
-/// not count as one that saw the voxel, or the field would be closed beside silhouettes, where no frame saw the other side.
+/// If the observed surface is more than this many truncations behind the voxel, it is another surface. The
+/// frame then does not count as an observation of the voxel. Counting it would close the field next to
+/// silhouettes whose far side no frame saw.
 const OTHER: f32 = 8.0;
 
-/// A measurement counts in full so many standard deviations of it behind the surface, and no less than so many voxels; within so many
-/// voxels more it falls to the least weight there is, so that the surface has a far side even where nobody has seen it.
+/// A measurement has full weight up to `SURE` standard deviations behind the surface, and at least
+/// `SURE_VOXELS` voxels. Within `FADING_VOXELS` more, the weight decreases to its minimum, so that the
+/// surface gets a back side even where no frame saw it.
 const SURE: f32 = 3.0;
 const SURE_VOXELS: f32 = 0.5;
 const FADING_VOXELS: f32 = 1.5;
 
-/// A frame and how voxels are projected into it: the homogeneous pixel (u z, v z, z) of a voxel is an affine function of its
-/// coordinates.
+/// A frame, and the projection of voxels into it. The homogeneous pixel (u z, v z, z) of a voxel is an affine
+/// function of its coordinates.
 #[derive(Debug)]
 pub struct Frame<'a> {
     view: &'a View,
-    /// Of the voxel at the origin.
+    /// Homogeneous pixel of the voxel at the origin.
     origin: [f64; 3],
-    /// From one voxel to the next along x, y and z.
+    /// Change of the homogeneous pixel from one voxel to the next along x, y and z.
     step: [[f64; 3]; 3],
-    /// Of the voxels of a slice, from its first.
+    /// Offset of the homogeneous pixel of each voxel of a slice from its first voxel.
     within: [[f32; SLICE]; 3],
     behind: Behind,
 }
 
-/// How much less what is behind the surface counts; lengths in truncations.
+/// Weight reduction behind the surface. Lengths are in truncations.
 #[derive(Clone, Copy, Debug)]
 struct Behind {
-    /// What is sure of depth z: at least so much, and constant + quadratic z².
+    /// Full-weight range behind the surface at depth z: max(least, constant + quadratic z²).
     least: f32,
     constant: f32,
     quadratic: f32,
-    /// From what is sure on, the share that is lost in one truncation.
+    /// Loss of relative weight per truncation beyond the full-weight range.
     steepness: f32,
 }
 
@@ -66,7 +71,8 @@ impl Behind {
         }
     }
 
-    /// The share of its weight that a measurement of depth z has, at a distance in front of its surface.
+    /// Compute the weight factor (0 to 1) of a measurement at depth z, for a voxel at a signed distance in
+    /// front of the surface.
     #[inline(always)]
     fn share(&self, distance: f32, z: f32) -> f32 {
         let noise = self.constant + self.quadratic * (z * z);
@@ -78,6 +84,7 @@ impl Behind {
 }
 
 impl<'a> Frame<'a> {
+    /// Prepare the projection of voxels into a frame.
     pub fn new(view: &'a View, voxel_size: f64) -> Self {
         let camera = &view.camera;
         let row = |i: usize, k: usize| {
@@ -97,7 +104,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Homogeneous pixel of the first voxel of a block's slice.
+    /// Compute the homogeneous pixel of the first voxel of a block's slice.
     fn first(&self, block: [i32; 3], slice: usize) -> [f32; 3] {
         let at = block.map(|c| f64::from(c) * SIDE as f64);
         let at = [at[0], at[1], at[2] + slice as f64];
@@ -108,10 +115,11 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// One version of [`add`].
+/// One variant of [`add`].
 pub type Add = fn(&Frame<'_>, &mut Written<'_>);
 
-/// The versions of [`add`] that this processor can run, the widest first; all do the same.
+/// List the variants of [`add`] that this processor supports, widest instructions first. All give identical
+/// results.
 pub fn versions() -> Vec<(&'static str, Add)> {
     let mut versions: Vec<(&'static str, Add)> = vec![];
     #[cfg(target_arch = "x86_64")]
@@ -121,11 +129,11 @@ pub fn versions() -> Vec<(&'static str, Add)> {
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl")
         {
-            // SAFETY: the processor has these instructions.
+            // SAFETY: the processor supports these instructions.
             versions.push(("AVX-512", |frame, block| unsafe { with_avx512(frame, block) }));
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has these instructions.
+            // SAFETY: the processor supports these instructions.
             versions.push(("AVX2", |frame, block| unsafe { with_avx2(frame, block) }));
         }
     }
@@ -145,7 +153,7 @@ fn with_avx2(frame: &Frame<'_>, block: &mut Written<'_>) {
     add(frame, block);
 }
 
-/// Add a frame to some blocks.
+/// Integrate a frame into blocks.
 pub fn integrate(frame: &Frame<'_>, mut blocks: Vec<Written<'_>>, add: Add, threads: usize) {
     let parts = blocks.chunks_mut(AT_ONCE).collect();
     each(parts, threads, |part: &mut [Written<'_>]| {
@@ -155,14 +163,14 @@ pub fn integrate(frame: &Frame<'_>, mut blocks: Vec<Written<'_>>, add: Add, thre
     });
 }
 
-/// A number for each voxel of a slice.
+/// One value per voxel of a slice.
 type Slice<T> = [T; SLICE];
 
-/// Where the voxels of a slice are in the image.
+/// Projection of the voxels of a slice.
 struct Projected {
-    /// Depth; not above 0 for what is not in the image.
+    /// Depth of the voxel; 0 if it is outside the image or behind the camera.
     z: Slice<f32>,
-    /// The pixel to the upper left, and how far right and below of it.
+    /// Index of the pixel to the upper left, and the fractional offsets to the right and below.
     upper_left: Slice<u32>,
     right: Slice<f32>,
     below: Slice<f32>,
@@ -206,7 +214,7 @@ fn any(values: &Slice<f32>, is_one: impl Fn(f32) -> bool) -> bool {
     values.iter().fold(false, |any, &value| any | is_one(value))
 }
 
-/// Project a slice whose first voxel has a homogeneous pixel.
+/// Project a slice, given the homogeneous pixel of its first voxel.
 #[inline(always)]
 fn project(frame: &Frame<'_>, first: [f32; 3], to: &mut Projected) {
     let camera = &frame.view.camera;
@@ -217,7 +225,7 @@ fn project(frame: &Frame<'_>, first: [f32; 3], to: &mut Projected) {
         let z = first[2] + within_z[i];
         let inverse = 1.0 / z;
         let (u, v) = ((first[0] + within_u[i]) * inverse, (first[1] + within_v[i]) * inverse);
-        // To the outer edges of the pixels; false for what is not a number.
+        // Up to the outer edges of the pixels; false for NaN.
         let is_inside = (z > 0.0) & (u >= -0.5) & (u < last_x + 0.5) & (v >= -0.5) & (v < last_y + 0.5);
         let (u, v) = (clamped(u, last_x), clamped(v, last_y));
         // SAFETY: both are numbers from 0 to below 2³⁰.
@@ -230,24 +238,25 @@ fn project(frame: &Frame<'_>, first: [f32; 3], to: &mut Projected) {
     }
 }
 
-/// From 0 to `last`, and 0 for what is not a number.
+/// Clamp to the range from 0 to `last`; NaN becomes 0.
 #[inline(always)]
 fn clamped(x: f32, last: f32) -> f32 {
     let x = if x > 0.0 { x } else { 0.0 };
     if x < last { x } else { last }
 }
 
-/// Cut the fraction off.
+/// Truncate to an integer.
 ///
 /// # Safety
-/// It must be a number of a size below 2³¹.
+/// `x` must be a number with an absolute value below 2³¹.
 #[inline(always)]
 unsafe fn whole(x: f32) -> i32 {
     // SAFETY: as promised by the caller.
     unsafe { x.to_int_unchecked() }
 }
 
-/// How far in front of the surface voxels are along its normal, in truncations; −∞ where there is none.
+/// Compute the signed distance of each voxel in front of the surface along its normal, in truncations; −∞
+/// without a measurement.
 #[inline(always)]
 fn measure(view: &View, at: &Projected, distance: &mut Slice<f32>) {
     let mut sides = [[0.0; 4]; SLICE];
@@ -274,16 +283,17 @@ fn measure(view: &View, at: &Projected, distance: &mut Slice<f32>) {
     }
 }
 
-// What is fetched from the image, is so in functions of their own, which are compiled for all processors alike: compilers
-// would take the instructions that gather, which are slower than loads one by one.
+// Image reads are in separate functions, compiled for the baseline instruction set: otherwise compilers emit
+// gather instructions, which are slower than single loads.
 
-/// Measures to the left and right of voxels, interpolated between the rows.
+/// Read the measures to the left and right of each voxel, interpolated between the two rows.
 #[inline(never)]
 fn fetch_sides(view: &View, upper_left: &Slice<u32>, below: &Slice<f32>, to: &mut Slice<[f32; 4]>) {
     let stride = view.stride();
     for i in 0..SLICE {
         let pixel = upper_left[i] as usize;
-        // SAFETY: `project` names pixels of the image alone, and there are one more row and column than it has.
+        // SAFETY: `project` yields pixels of the image only, and the measures have one more row and column
+        // than the image.
         let [above, under] = unsafe {
             let first = view.measures.as_ptr().add(pixel);
             [*first.cast::<[f32; 4]>(), *first.add(stride).cast::<[f32; 4]>()]
@@ -294,26 +304,26 @@ fn fetch_sides(view: &View, upper_left: &Slice<u32>, below: &Slice<f32>, to: &mu
     }
 }
 
-/// What the nearest pixels have, of images with as many as the measures.
+/// Read the nearest pixel of each voxel, from an image with the size of the measures.
 #[inline(never)]
 fn fetch<T: Copy>(image: &[T], pixels: &Slice<u32>, to: &mut Slice<T>) {
     for i in 0..SLICE {
-        // SAFETY: `project` names pixels of the image alone.
+        // SAFETY: `project` yields pixels of the image only.
         to[i] = unsafe { *image.get_unchecked(pixels[i] as usize) };
     }
 }
 
-/// What the measurements of a slice weigh, behind the surface less.
+/// Compute the weight of each measurement, reduced behind the surface.
 #[inline(always)]
 fn fade(behind: &Behind, z: &Slice<f32>, distance: &Slice<f32>, looks: &Slice<u32>, own: &mut Slice<u32>) {
     for i in 0..SLICE {
         let weight = (looks[i] >> 24) as i32 as f32 * behind.share(distance[i], z[i]);
-        // SAFETY: it is a number from 0 to 255.
+        // SAFETY: the value is a number from 0 to 255.
         own[i] = unsafe { whole(weight + 0.5) }.max(1) as u32;
     }
 }
 
-/// Add distances to those of a slice, and tell the sums of weights.
+/// Add the weighted distances to a slice, and output the new sums of weights.
 #[inline(always)]
 fn weigh(
     sums: &mut Slice<f32>,
@@ -346,7 +356,7 @@ fn weigh(
     }
 }
 
-/// Mix the colours of pixels with those of voxels within one truncation of the surface.
+/// Blend the pixel colours into the voxels within one truncation of the surface.
 #[inline(always)]
 fn paint(
     to: &mut Colors,
@@ -363,7 +373,7 @@ fn paint(
         near[i] = if (d > -1.0) & (d < 1.0) { u32::MAX } else { 0 };
         let of = if total[i] < most { total[i] } else { most };
         let own = own[i] as i32 as f32 / of;
-        // The first colour is taken as it is, whatever the weight of the space that was seen empty before.
+        // The first colour is copied, whatever weight the voxel has from observations of free space.
         share[i] = if fractions[i] & COLORED == 0 { 1.0 } else { own };
     }
     let mut parts = [u32::from(COLORED); SLICE];
@@ -374,7 +384,7 @@ fn paint(
             let fraction = u32::from(fractions[i]) >> (5 * channel) & 31;
             let old = (u32::from(levels[i]) << 5 | fraction) as i32 as f32;
             let seen = (looks[i] >> (8 * channel) & 255) as i32 as f32 * FRACTIONS;
-            // SAFETY: it lies between both, which are numbers from 0 to 2¹³.
+            // SAFETY: the value is between the two colours, which are numbers from 0 to 2¹³.
             mixed[i] = unsafe { whole(old + share[i] * (seen - old) + 0.5) } as u32;
         }
         for i in 0..SLICE {

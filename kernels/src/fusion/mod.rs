@@ -1,22 +1,22 @@
-//! Depth maps fused into a signed distance field, and the surface of it.
+//! Fusion of depth maps into a truncated signed distance field (TSDF), and extraction of its surface.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`field`] | what a field is, as its surface is taken from it |
-//! | [`order`] | blocks of voxels in Z-order |
-//! | [`voxel`] | what is kept of a voxel, in 12 bytes |
-//! | [`blocks`] | all blocks of a field, each in a slot |
-//! | [`filter`] | how obliquely a depth map sees its surface, and where it is torn |
-//! | [`flatness`] | where it shows planes |
-//! | [`view`] | a depth map as it goes into a field |
-//! | [`touch`] | the blocks that a frame has something to say of |
-//! | [`integrate`] | adding a frame to them |
-//! | [`volume`] | the field that frames are added to |
-//! | [`cubes`], [`surface`] | its zero surface |
+//! | [`field`] | interface of a signed distance field for surface extraction |
+//! | [`order`] | Z-order of blocks |
+//! | [`voxel`] | voxel data, 12 bytes per voxel |
+//! | [`blocks`] | storage of blocks in slots |
+//! | [`filter`] | surface normals and discontinuities of a depth map |
+//! | [`flatness`] | planarity of a depth map |
+//! | [`view`] | a frame prepared for integration |
+//! | [`touch`] | blocks near the surface in a frame |
+//! | [`integrate`] | integration of a frame |
+//! | [`volume`] | the TSDF volume |
+//! | [`cubes`], [`surface`] | extraction of the zero surface |
 //!
-//! Whether a block is touched and what its voxels hold depends on the frames, their order and the block's own coordinates
-//! alone: not on other blocks, on threads, or on the set of instructions. So space can be cut into bricks that are fused
-//! one by one.
+//! The set of touched blocks and the voxel values depend only on the frames, their order and the block
+//! coordinates, not on other blocks, the thread count or the instruction set. Space can therefore be split
+//! into bricks that are fused independently.
 
 pub mod blocks;
 pub mod cubes;

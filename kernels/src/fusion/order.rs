@@ -1,21 +1,21 @@
-//! Z-order of blocks (Morton 1966): neighbours in space are near each other, and the blocks of a cube whose side is a power
-//! of two, and which lies at a multiple of it, follow each other without another between them.
+//! Z-order of blocks (Morton 1966). Neighbours in space are close in the order. The blocks of an aligned cube
+//! whose side is a power of two are contiguous.
 
-/// Blocks lie within ± this of the origin.
+/// Block coordinates must be within ± this value.
 pub const REACH: i32 = 1 << 20;
 
-/// The place of a block in the order.
+/// Compute the Z-order key of a block.
 pub fn key(block: [i32; 3]) -> u64 {
     let [x, y, z] = block.map(|c| spread((c + REACH) as u64));
     x | y << 1 | z << 2
 }
 
-/// The block at a place.
+/// Compute the block of a Z-order key.
 pub fn block(key: u64) -> [i32; 3] {
     [key, key >> 1, key >> 2].map(|bits| gather(bits) as i32 - REACH)
 }
 
-/// Two zeros before each of 21 bits.
+/// Insert two zeros before each of 21 bits.
 fn spread(bits: u64) -> u64 {
     let bits = bits & 0x1f_ffff;
     let bits = (bits | bits << 32) & 0x001f_0000_0000_ffff;

@@ -1,11 +1,12 @@
-//! The zero surface of a field (Lorensen and Cline 1987), each vertex once.
+//! Extraction of the zero surface by marching cubes (Lorensen and Cline 1987), with shared vertices.
 //!
-//! A voxel owns the three edges that lead upward from it, and a block the edges and cubes of its voxels. So a block's
-//! vertices and triangles follow from voxels that are at most one away from its own, whatever else there is: a field that
-//! is made piece by piece, each with a rim of blocks around it, gives the surface of the whole to the bit.
+//! A voxel owns the three edges that start at it in the positive directions; a block owns the edges and cubes
+//! of its voxels. The vertices and triangles of a block depend only on voxels at most one away from its own.
+//! A field processed in bricks, each with a rim of one block, therefore gives the same surface to the bit as
+//! the whole field.
 //!
-//! Where the field ends, cubes around an edge may be missing. If the two that are left touch in the edge alone, each
-//! gets a vertex of its own: no vertex joins two fans of triangles.
+//! At the border of the field, cubes around an edge may be missing. If the two remaining cubes touch only in
+//! this edge, each gets a separate vertex, so that no vertex joins two fans of triangles.
 
 use std::collections::HashMap;
 
@@ -16,29 +17,31 @@ use crate::base::errors::KernelError;
 use crate::base::parallel;
 use crate::base::progress::Progress;
 
-/// Values a block's edges and cubes depend on: its own, and one more to each side.
+/// Side of the cube of voxel values that a block's edges and cubes depend on: the block, and one voxel on
+/// each side.
 const WIDE: usize = SIDE + 2;
 const AROUND: usize = WIDE * WIDE * WIDE;
-/// From a voxel to the next along each axis.
+/// Index difference from a voxel to the next along each axis.
 const STEP: [usize; 3] = [1, WIDE, WIDE * WIDE];
-/// Edges of a block; those with a second vertex count on from here.
+/// Number of edge codes of a block. The second vertices of edges have codes from here on.
 const CODES: usize = 3 * VOXELS;
-/// No vertex is nearer to a voxel than this share of an edge: in one place with another's, it would make a triangle
-/// without area.
+/// Minimum distance of a vertex from both ends of its edge, in edge lengths. Coincident vertices at a voxel
+/// would give triangles without area.
 const LEAST_SHARE: f64 = 1e-3;
-/// Blocks a thread takes at a time.
+/// Blocks that a thread processes at a time.
 const CHUNK: usize = 64;
 const NONE: u32 = u32::MAX;
 
-/// A vertex by the edge it lies on: its block, and voxel × 3 + axis, with 1536 more for an edge's second vertex.
+/// Key of a vertex: its block, and the edge code voxel × 3 + axis, plus 1536 for the second vertex of an
+/// edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeKey {
-    /// Place of the block in Z-order.
+    /// Z-order key of the block.
     pub block: u64,
     pub code: u16,
 }
 
-/// Blocks from `low` up to, but without, `high`.
+/// Box of blocks: `low` inclusive, `high` exclusive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlockBox {
     pub low: [i32; 3],
@@ -46,31 +49,33 @@ pub struct BlockBox {
 }
 
 impl BlockBox {
+    /// Check whether a block is inside the box.
     pub fn contains(&self, block: [i32; 3]) -> bool {
         (0..3).all(|k| self.low[k] <= block[k] && block[k] < self.high[k])
     }
 }
 
-/// A surface, or a piece of one.
+/// Surface mesh of a field, or of one brick of it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// In voxels.
+    /// Positions in voxels.
     pub positions: Vec<[f64; 3]>,
     pub samples: Vec<Sample>,
-    /// Numbers from that of the positions upward are those of `foreign`.
+    /// Vertex indices. Indices ≥ `positions.len()` refer to `foreign`.
     pub triangles: Vec<[u32; 3]>,
-    /// Vertices that other pieces have.
+    /// Vertices that belong to other bricks.
     pub foreign: Vec<EdgeKey>,
-    /// Vertices on the piece's lower faces, which others may refer to, with their numbers.
+    /// Vertices on the lower faces of the brick, which other bricks may refer to, with their indices.
     pub shared: Vec<(EdgeKey, u32)>,
 }
 
-/// Take the surface through voxels that at least `least` frames have seen.
+/// Extract the surface through voxels observed by at least `least` frames.
 ///
-/// With `own`, that of some blocks alone, of which the field has those next to them as well. Blocks are in Z-order.
+/// With `own`, extract only the surface in this box of blocks; the field must also contain the adjacent
+/// blocks. Vertices and triangles follow the Z-order of the blocks.
 ///
 /// # Errors
-/// If there are more vertices or triangles than 31-bit numbers can tell apart, or the work is given up.
+/// [`KernelError::TooManyTriangles`] if the vertices or triangles exceed 2³¹ − 1. As [`Progress::check`].
 pub fn surface<F: Field>(
     field: &F,
     least: u32,
@@ -159,7 +164,7 @@ fn few_enough(count: usize) -> Result<(), KernelError> {
     if count > limit { Err(KernelError::TooManyTriangles { wanted: count as f64, limit }) } else { Ok(()) }
 }
 
-/// Vertices on the lower faces of a box.
+/// List the vertices on the lower faces of a box, sorted by key.
 fn shared<F: Field>(field: &F, cut: &[Cut], own: BlockBox) -> Vec<(EdgeKey, u32)> {
     let mut found = vec![];
     for one in cut {
@@ -180,7 +185,7 @@ fn shared<F: Field>(field: &F, cut: &[Cut], own: BlockBox) -> Vec<(EdgeKey, u32)
     found
 }
 
-/// Where a voxel stands in its block.
+/// Compute the position of a voxel in its block.
 fn place(voxel: usize) -> [usize; 3] {
     [voxel % SIDE, voxel / SIDE % SIDE, voxel / (SIDE * SIDE)]
 }
@@ -189,18 +194,18 @@ fn voxel([x, y, z]: [usize; 3]) -> usize {
     (z * SIDE + y) * SIDE + x
 }
 
-/// The blocks of a field, and which are beside each other.
+/// Blocks of a field and their neighbours.
 struct Blocks {
     /// Slots in Z-order.
     order: Vec<u32>,
-    /// The slots beside each, itself in the middle, by their offsets, x first.
+    /// Slots of the 27 neighbours of each block, x fastest, the block itself at index 13.
     beside: Vec<[u32; 27]>,
-    /// Bit 0: some of its voxels lie before the surface; bit 1: some behind.
+    /// Bit 0: some voxels are in front of the surface; bit 1: some are behind it.
     sides: Vec<u8>,
 }
 
 impl Blocks {
-    /// All of a field, or what a box of it depends on: its own blocks and those next to them.
+    /// Index all blocks of a field, or the blocks of a box and those adjacent to it.
     fn new<F: Field>(field: &F, least: u32, own: Option<BlockBox>, threads: usize) -> Self {
         let count = field.count();
         let near = own.map(|own| BlockBox { low: own.low.map(|c| c - 1), high: own.high.map(|c| c + 1) });
@@ -223,7 +228,7 @@ impl Blocks {
         let beside = parallel::collect(count, threads, |slot| {
             let block = field.block(slot);
             let mut found = [NONE; 27];
-            // What lies wholly on one side touches nothing, unless a neighbour lies on the other.
+            // Blocks without known voxels contain no surface.
             if sides[slot] != 0 {
                 for (i, found) in found.iter_mut().enumerate() {
                     let other = std::array::from_fn(|k| block[k] + offset(i)[k]);
@@ -235,7 +240,7 @@ impl Blocks {
         Self { order, beside, sides }
     }
 
-    /// Whether the surface may pass through the cubes of a block.
+    /// Check whether the surface may pass through the cubes of a block.
     fn may_cross(&self, slot: usize) -> bool {
         let upper = [13, 14, 16, 17, 22, 23, 25, 26];
         let sides = upper
@@ -246,7 +251,7 @@ impl Blocks {
         sides == 3
     }
 
-    /// Distances in a block and around it.
+    /// Copy the distances of a block and its one-voxel border.
     fn around<F: Field>(&self, field: &F, slot: usize, least: u32, into: &mut Around) {
         let Around { values, inside, known } = into;
         field.distances(slot, least, inside);
@@ -254,7 +259,7 @@ impl Blocks {
             let start = ((row / SIDE + 1) * WIDE + row % SIDE + 1) * WIDE + 1;
             values[start..start + SIDE].copy_from_slice(given);
         }
-        // Places along an axis where a neighbour's values go, and the first of its own.
+        // Positions along an axis that a neighbour's values fill, and the first of the neighbour's voxels.
         let span = |offset: i32| match offset {
             -1 => (0..1, SIDE - 1),
             0 => (1..SIDE + 1, 0),
@@ -286,12 +291,12 @@ impl Blocks {
     }
 }
 
-/// The offset of the i-th of 27 neighbours.
+/// Return the offset of neighbour `i` of 27.
 fn offset(i: usize) -> [i32; 3] {
     [i % 3, i / 3 % 3, i / 9].map(|c| c as i32 - 1)
 }
 
-/// What a block's surface depends on.
+/// Values that a block's surface depends on.
 struct Around {
     values: [f32; AROUND],
     inside: [f32; VOXELS],
@@ -305,7 +310,7 @@ impl Default for Around {
 }
 
 impl Around {
-    /// Which of the four cubes around an edge are whole, as bits in their order around it.
+    /// Return the complete cubes among the four around an edge, as bits in their order around it.
     fn cubes(&self, at: usize, axis: usize) -> u8 {
         let (u, v) = (STEP[(axis + 1) % 3], STEP[(axis + 2) % 3]);
         let whole = [at, at - u, at - u - v, at - v].map(|cube| u8::from(self.known[cube]));
@@ -313,23 +318,23 @@ impl Around {
     }
 }
 
-/// Where a cube stands in the order around one of its edges.
+/// Return the position of a cube in the order around one of its edges.
 fn turn(edge: usize) -> usize {
     let (axis, lower) = EDGE[edge];
     let (u, v) = (lower >> ((axis + 1) % 3) & 1, lower >> ((axis + 2) % 3) & 1);
     [0, 1, 3, 2][u | v << 1]
 }
 
-/// The edges of a block that have a vertex.
+/// Edges of a block that have a vertex.
 struct Cut {
     slot: usize,
-    /// The number of its first vertex.
+    /// Index of the block's first vertex.
     first: usize,
     edges: [u64; CODES / 64],
-    /// How many there are before each 64.
+    /// Number of set bits before each word of `edges`.
     before: [u16; CODES / 64],
     count: usize,
-    /// Edges with a second vertex; these come after all first ones.
+    /// Edges with a second vertex; second vertices follow all first ones.
     doubled: Vec<u16>,
 }
 
@@ -342,7 +347,7 @@ impl Cut {
         self.doubled.binary_search(&(code as u16)).ok()
     }
 
-    /// Which vertex of an edge a cube in its fan has.
+    /// Return the edge code, and the rank of the second vertex if the cube's fan uses one.
     fn vertex(&self, code: usize, fan: usize) -> (usize, Option<usize>) {
         (code, if fan == 1 { self.second(code) } else { None })
     }
@@ -364,7 +369,7 @@ impl Cut {
     }
 }
 
-/// The vertices of some blocks.
+/// Vertices of some blocks.
 #[derive(Default)]
 struct Vertices {
     cut: Vec<Cut>,
@@ -373,7 +378,7 @@ struct Vertices {
 }
 
 impl Vertices {
-    /// Find a block's edges with a vertex; their places as well, if they are its own.
+    /// Find the edges of a block that have a vertex; also compute the positions if the block is owned.
     fn add<F: Field>(&mut self, blocks: &Blocks, field: &F, slot: usize, around: &Around, is_own: bool) {
         let mut cut = Cut {
             slot,
@@ -440,7 +445,7 @@ impl Vertices {
 }
 
 impl Blocks {
-    /// The voxel after one along an axis, with its block.
+    /// Return the block and index of the next voxel along an axis.
     fn next(&self, slot: usize, mut at: [usize; 3], axis: usize) -> (usize, usize) {
         at[axis] += 1;
         if at[axis] < SIDE {
@@ -454,11 +459,11 @@ impl Blocks {
 #[derive(Clone, Copy)]
 enum Corner {
     Own(u32),
-    /// By its place among the foreign ones of a piece.
+    /// Index into the foreign vertices of the chunk.
     Foreign(u32),
 }
 
-/// The triangles of some blocks.
+/// Triangles of some blocks.
 #[derive(Default)]
 struct Triangles {
     triangles: Vec<[Corner; 3]>,
@@ -466,7 +471,7 @@ struct Triangles {
 }
 
 impl Triangles {
-    /// Add those of a block; `vertex` tells the vertex of a block's edge that is in a fan.
+    /// Add the triangles of a block. `vertex` returns the vertex of a block's edge for a fan.
     fn add(
         &mut self,
         blocks: &Blocks,
@@ -490,7 +495,7 @@ impl Triangles {
                     let of = [x + (lower & 1), y + (lower >> 1 & 1), z + (lower >> 2)];
                     let beside = 13 + of[0] / SIDE + of[1] / SIDE * 3 + of[2] / SIDE * 9;
                     let code = 3 * voxel(of.map(|c| c % SIDE)) + axis;
-                    // Of two cubes across from each other, the first in the order has the first vertex.
+                    // If two cubes touch only in this edge, the first in the order uses the first vertex.
                     let fan = turn(usize::from(edge)) / 2;
                     match vertex(blocks.beside[slot][beside] as usize, code, fan) {
                         Ok(number) => Corner::Own(number),

@@ -1,8 +1,8 @@
-//! Which blocks a frame has something to say of.
+//! Blocks that a frame must be integrated into.
 //!
-//! Those that hold a place of the surface, or one half a truncation before or behind it along its normal. Pixels are looked
-//! at that are close enough on the surface; so whether a block is touched depends on the frame alone, and not on which
-//! blocks there are or are asked for.
+//! A block is touched if it contains a surface point, or a point half a truncation in front of or behind the
+//! surface along its normal. Pixels are sampled so that samples are dense enough on the surface. The touched
+//! blocks depend on the frame only, not on existing or requested blocks.
 
 use super::field::SIDE;
 use super::order::{REACH, block, key};
@@ -11,33 +11,34 @@ use super::view::Camera;
 use crate::base::by_processor::by_processor;
 use crate::base::errors::KernelError;
 
-/// Pixels looked at are nearer to each other on the surface than this, in blocks.
+/// Maximum distance of sampled pixels on the surface, in blocks.
 const SPACING: f32 = 0.25;
-/// Pixels along the sides of a cell; of a cell's pixels one at least is looked at.
+/// Cell side in pixels; at least one pixel per cell is sampled.
 const CELL: usize = 8;
 
-/// Blocks that are remembered, so that nearly all are named once: the next pixel is mostly in the same ones.
+/// Number of remembered blocks. Consecutive pixels mostly hit the same blocks, so this removes nearly all
+/// duplicates.
 const RECENT: usize = 1 << 12;
 
-/// Places that are looked at together.
+/// Points processed together.
 const BATCH: usize = 64;
 
-/// A surface that a camera measured, image by image, row by row.
+/// Surface measured by a camera, row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<'a> {
-    /// Metres, not positive where missing.
+    /// Depth in metres, not positive where missing.
     pub depth: &'a [f32],
-    /// Normals in camera axes, as long as `obliqueness`.
+    /// Normals in camera axes, with length `obliqueness`.
     pub normal: [&'a [f32]; 3],
     pub obliqueness: &'a [f32],
-    /// The pixels whose surface is to be in the field.
+    /// Mask of the pixels to fuse.
     pub wanted: &'a [bool],
 }
 
-/// Keys of the blocks that a surface touches, sorted; with `within`, of those there alone.
+/// Find the sorted keys of the blocks that a surface touches; only those in the box `within`, if given.
 ///
 /// # Errors
-/// [`KernelError::BeyondReach`] if a place is farther from the field's origin than blocks have numbers.
+/// [`KernelError::BeyondReach`] if a point is too far from the origin of the volume for block coordinates.
 pub fn touched(
     camera: &Camera,
     surface: Surface<'_>,
@@ -99,13 +100,14 @@ pub fn touched(
     Ok(keys)
 }
 
-/// Where a block is remembered.
+/// Compute the cache slot of a block.
 #[inline(always)]
 fn number([x, y, z]: [i32; 3]) -> usize {
     (x ^ y << 4 ^ z << 8) as usize % RECENT
 }
 
-/// How many pixels on a next one is looked at, if they may be `apart` from each other: a power of two, a cell at most.
+/// Compute the sampling step in pixels for a maximum sample distance of `apart` pixels: a power of two, at
+/// most one cell.
 fn step(apart: f32) -> usize {
     let mut step = CELL;
     while step > 1 && step as f32 > apart {
@@ -114,7 +116,7 @@ fn step(apart: f32) -> usize {
     step
 }
 
-/// Places on the surface, in camera axes, and how far along the normal the field reaches there.
+/// Surface points in camera axes, with their offsets of half a truncation along the normal.
 struct Batch {
     on: [[f32; BATCH]; 3],
     offset: [[f32; BATCH]; 3],
@@ -137,14 +139,14 @@ impl Batch {
     }
 }
 
-/// Keys of blocks, most of them once.
+/// Collected block keys, nearly without duplicates.
 struct Found {
     keys: Vec<u64>,
     recent: Vec<[i32; 3]>,
 }
 
 impl Found {
-    /// Take the blocks of a batch, which is empty then.
+    /// Add the blocks of a batch and empty it.
     fn add(&mut self, batch: &mut Batch, to_blocks: &Affine) -> Result<(), KernelError> {
         for way in [0.0, -1.0, 1.0] {
             let mut places = [[0; BATCH]; 3];
@@ -166,11 +168,11 @@ impl Found {
     }
 }
 
-/// From camera axes to blocks of the field.
+/// Affine map from camera axes to block coordinates.
 type Affine = [[f32; 4]; 3];
 
 by_processor! {
-    /// The blocks of places moved along the normal; false if one is beyond reach.
+    /// Compute the blocks of points moved along the normal; return false if one is out of range.
     fn places_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BATCH]; 3]) -> bool = blocks_of
 }
 
@@ -182,13 +184,13 @@ fn blocks_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BA
             let moved = |axis: usize| batch.on[axis][i] + way * batch.offset[axis][i];
             let at = row[0] * moved(0) + row[1] * moved(1) + row[2] * moved(2) + row[3];
             let most = REACH as f32 - 1.0;
-            // False for what is not a number.
+            // False for NaN.
             let is_one = (at > -most) & (at < most);
-            // What is left over from batches before counts for nothing.
+            // Values remaining from earlier batches are ignored.
             is_near &= is_one | (i >= batch.count);
-            // SAFETY: it is a number of a size below 2³¹.
+            // SAFETY: the value is a number with an absolute value below 2³¹.
             let cut: i32 = unsafe { if is_one { at } else { 0.0 }.to_int_unchecked() };
-            // Down, where a fraction is cut off.
+            // Round down where the conversion has truncated towards zero.
             *place = cut - i32::from(at < cut as f32);
         }
     }

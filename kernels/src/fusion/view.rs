@@ -1,4 +1,4 @@
-//! A depth map as it goes into a field: what each pixel measured, how exactly, and its colour.
+//! Frame prepared for integration: inverse depth, weight and colour of each pixel.
 
 use super::flatness::{CELL, Flatness};
 use super::voxel::{HEAVIEST, UNIT};
@@ -6,24 +6,24 @@ use crate::base::by_processor::by_processor;
 use crate::base::geometry::{cross, dot};
 use crate::base::parallel::each;
 
-/// A camera without distortion, and where it stands.
+/// Pinhole camera without distortion, with its pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
     pub width: usize,
     pub height: usize,
-    /// Focal lengths along x and y, and the principal point, pixels.
+    /// Focal lengths along x and y, and the principal point, in pixels.
     pub focal: [f64; 2],
     pub centre: [f64; 2],
-    /// From the camera's axes (x right, y down, z forward) to the field's, and back.
+    /// Camera-to-world transform (camera axes x right, y down, z forward), and its inverse.
     pub pose: Affine,
     pub inverse: Affine,
 }
 
-/// The first three rows of a matrix.
+/// The first three rows of a homogeneous 4 × 4 matrix.
 pub type Affine = [[f64; 4]; 3];
 
 impl Camera {
-    /// A camera with a pose that is nearly a turn and a shift.
+    /// Create a camera. `pose` must be nearly a rigid transform.
     pub fn new((width, height): (usize, usize), focal: [f64; 2], centre: [f64; 2], pose: Affine) -> Self {
         Self { width, height, focal, centre, pose, inverse: inverse(&pose) }
     }
@@ -37,45 +37,46 @@ fn inverse(pose: &Affine) -> Affine {
     rows.map(|row| [row[0], row[1], row[2], -dot(&row, &column(3))])
 }
 
-/// How much a measurement at depth z counts: (typical / (constant + quadratic z²))², and where the surface is curved, times the
-/// square of the cosine that it is seen at.
+/// Depth noise model. The weight of a measurement at depth z is (typical / (constant + quadratic z²))². On
+/// curved surfaces it is multiplied by the squared cosine of the viewing angle.
 #[derive(Clone, Copy, Debug)]
 pub struct Weighing {
-    /// Standard deviation of what weighs 1, along the normal, metres.
+    /// Standard deviation along the normal, in metres, that gets weight 1.
     pub typical: f32,
-    /// Standard deviation of depth z, metres, and metres per metre squared.
+    /// Standard deviation of depth z in metres is constant + quadratic z²: in metres, and in metres per
+    /// square metre.
     pub constant: f32,
     pub quadratic: f32,
 }
 
-/// Images of a camera's size, row by row.
+/// Images with the size of the camera, row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct Images<'a> {
-    /// Metres, not positive where missing.
+    /// Depth in metres, not positive where missing.
     pub depth: &'a [f32],
-    /// Metres along the optical axis for one along the surface's normal.
+    /// Metres along the optical axis per metre along the surface normal.
     pub obliqueness: &'a [f32],
-    /// Red, green and blue of each pixel, one after another.
+    /// RGB of each pixel, interleaved.
     pub color: Option<&'a [u8]>,
 }
 
-/// Inverse depth, NaN where missing, and truncations along the normal for one metre along the optical axis.
+/// Inverse depth (NaN where missing), and truncations along the normal per metre along the optical axis.
 pub type Measure = [f32; 2];
 
-/// What voxels are projected into. Rows are one pixel longer than the image, and there is one more, so that each pixel has
-/// neighbours to interpolate with.
+/// Frame that voxels are projected into. Rows are one pixel longer than the image, and there is one more row,
+/// so that every pixel has neighbours for interpolation.
 #[derive(Debug)]
 pub struct View {
     pub camera: Camera,
     pub measures: Vec<Measure>,
-    /// Red, green, blue from below, then the weight in [`UNIT`]s.
+    /// Red, green, blue from the lowest byte, then the weight in [`UNIT`]s.
     pub looks: Vec<u32>,
     pub weighing: Weighing,
     pub truncation: f32,
 }
 
 impl View {
-    /// Prepare images for a field with a truncation, metres along the normal.
+    /// Prepare images for a volume with a truncation in metres along the normal.
     pub fn new(
         camera: Camera,
         images: Images<'_>,
@@ -89,7 +90,7 @@ impl View {
         let mut looks = vec![0u32; stride * (height + 1)];
         let flatness = Flatness::new(images.depth, width, height);
         let rows = measures.chunks_mut(stride).zip(looks.chunks_mut(stride)).take(height).enumerate();
-        // A thread takes many rows at once.
+        // Contiguous rows per thread.
         let mut parts: Vec<Vec<_>> = (0..threads.max(1)).map(|_| vec![]).collect();
         rows.for_each(|row| parts[row.0 * threads.max(1) / height].push(row));
         each(parts, threads, |rows| {
@@ -110,14 +111,14 @@ impl View {
         Self { camera, measures, looks, weighing, truncation }
     }
 
-    /// Pixels from a row to the next.
+    /// Return the number of pixels from one row to the next.
     #[inline]
     pub fn stride(&self) -> usize {
         self.camera.width + 1
     }
 }
 
-/// A row of the images.
+/// One row of the images.
 #[derive(Clone, Copy)]
 struct Row<'a> {
     depth: &'a [f32],
@@ -143,7 +144,7 @@ fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Me
         let share = weighing.typical / (weighing.constant + weighing.quadratic * (z * z));
         let flat = row.flatness[x / CELL];
         let worth = flat + (1.0 - flat) / (oblique * oblique);
-        // 1 for what is not a number: a measurement of no weight would have no colour either.
+        // Weight 1 for NaN, because a measurement without weight would have no colour either.
         let weight = (UNIT * (share * share) * worth + 0.5).clamp(1.0, HEAVIEST) as u32;
         looks[x] = weight.max(1) << 24;
     }

@@ -1,4 +1,4 @@
-//! The field that frames are added to.
+//! TSDF volume.
 
 use super::blocks::Blocks;
 use super::field::{Field, Sample, VOXELS};
@@ -9,18 +9,19 @@ use super::view::View;
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 
-/// A field that grows by the blocks that frames touch.
+/// Volume that grows by the blocks that frames touch.
 #[derive(Debug)]
 pub struct Volume {
     voxel_size: f64,
-    /// In voxels.
+    /// Truncation distance in voxels.
     truncation: f32,
     blocks: Blocks,
     add: Add,
 }
 
 impl Volume {
-    /// Lengths are metres, the truncation along the surface's normal; there are never more than `most` blocks.
+    /// Create an empty volume of at most `most` blocks. Lengths are in metres, the truncation along the
+    /// surface normal.
     pub fn new(voxel_size: f64, truncation: f64, is_colored: bool, most: usize) -> Self {
         Self {
             voxel_size,
@@ -30,19 +31,21 @@ impl Volume {
         }
     }
 
-    /// The same in another version of the instructions that the processor has.
+    /// Use another instruction-set variant of the integration.
     pub fn using(self, add: Add) -> Self {
         Self { add, ..self }
     }
 
+    /// Return the block storage.
     pub fn blocks(&self) -> &Blocks {
         &self.blocks
     }
 
-    /// Add a frame to the blocks that have some keys.
+    /// Integrate a frame into the blocks with the given keys.
     ///
     /// # Errors
-    /// [`KernelError::TooManyBlocks`]: then nothing is added. As [`Progress::check`]: then all or nothing is.
+    /// [`KernelError::TooManyBlocks`]: nothing is integrated. As [`Progress::check`]: everything or nothing
+    /// is integrated.
     pub fn integrate(
         &mut self,
         keys: &[u64],
@@ -56,8 +59,8 @@ impl Volume {
         progress.check()
     }
 
-    /// Of how many voxels within half a truncation of the surface each number of frames is, in blocks of a box. Every seventh
-    /// voxel of a block is looked at.
+    /// Compute a histogram of observation counts, over voxels within half a truncation of the surface in a
+    /// box of blocks. Every seventh voxel is sampled.
     pub fn frame_counts(&self, within: Option<BlockBox>) -> [u64; 256] {
         let mut counts = [0; 256];
         for slot in 0..self.blocks.count() {
@@ -75,7 +78,7 @@ impl Volume {
     }
 }
 
-/// How many frames must have seen a voxel: they are counted no farther than 255.
+/// Clamp a minimum frame count to 1–255, because counts saturate at 255.
 fn bounded(least: u32) -> u8 {
     least.clamp(1, 255) as u8
 }
@@ -89,7 +92,7 @@ impl Field for Volume {
         block(self.blocks.key(slot))
     }
 
-    /// In voxels.
+    /// Distances in voxels.
     fn distances(&self, slot: usize, least: u32, into: &mut [f32; VOXELS]) {
         let (of, least) = (self.blocks.distances(slot), bounded(least));
         let (sums, weights) = (of.sum.as_flattened(), of.weight.as_flattened());

@@ -1,29 +1,29 @@
-//! What is kept of a voxel: 12 bytes, or 7 without colour, in one array for each part.
+//! Voxel data: 12 bytes per voxel, or 7 without colour, as one array per component.
 //!
-//! | part | bytes | what |
+//! | component | bytes | content |
 //! | --- | --- | --- |
-//! | sum | 4 | of weight × distance, in truncations |
-//! | weight | 2 | sum of weights; where it would overflow, sum and weight are halved, and older frames count less |
-//! | frames | 1 | how many frames saw it, 255 for more |
-//! | colour | 5 | mean of red, green and blue, eight bits and five of fraction each |
+//! | sum | 4 | sum of weight × distance, in truncations |
+//! | weight | 2 | sum of weights; before an overflow, sum and weight are halved, so that older frames count less |
+//! | frames | 1 | number of frames that observed the voxel, saturated at 255 |
+//! | colour | 5 | mean RGB, eight integer and five fractional bits per channel |
 //!
-//! A sum loses nothing when thousands of frames are added, where a mean in few bits would no longer move: single precision
-//! is exact to 2⁻²⁴ of the largest sum of weights. Colours are a mean, whose last levels some dozen frames tell.
+//! Unlike a low-precision mean, a sum still changes after thousands of frames: single precision is exact to
+//! 2⁻²⁴ of the largest sum of weights. Colours are running means of the latest frames.
 
 use super::field::{SIDE, VOXELS};
 
-/// Voxels of a slice: of one z.
+/// Voxels of a slice (constant z).
 pub const SLICE: usize = SIDE * SIDE;
 
-/// The weight of a frame that weighs 1.
+/// Stored weight of a frame with weight 1.
 pub const UNIT: f32 = 32.0;
-/// The heaviest a frame can be.
+/// Maximum stored weight of a frame.
 pub const HEAVIEST: f32 = 255.0;
-/// The colour is the mean of about so many typical frames, the latest.
+/// The colour is the running mean of about this number of typical frames, the latest ones.
 pub const COLOR_FRAMES: f32 = 64.0;
-/// Fractions of a level of colour.
+/// Fractional steps per colour level.
 pub const FRACTIONS: f32 = 32.0;
-/// Of a voxel that has a colour, in `fractions`.
+/// Bit in `fractions` that is set once a voxel has a colour.
 pub const COLORED: u16 = 1 << 15;
 
 /// Distances of a block, slice by slice, x fastest.
@@ -37,7 +37,7 @@ pub struct Distances {
 /// Colours of a block.
 #[derive(Clone, Debug)]
 pub struct Colors {
-    /// Fractions of red, green and blue in five bits each, from below, and [`COLORED`].
+    /// Fractional parts of red, green and blue, five bits each from the lowest bit, and [`COLORED`].
     pub fractions: [[u16; SLICE]; SIDE],
     pub levels: [[[u8; SLICE]; SIDE]; 3],
 }
@@ -46,7 +46,7 @@ impl Distances {
     pub const NONE: Self =
         Self { sum: [[0.0; SLICE]; SIDE], weight: [[0; SLICE]; SIDE], frames: [[0; SLICE]; SIDE] };
 
-    /// Distance of a voxel in truncations, NaN where too few frames have seen it.
+    /// Return the distance of a voxel in truncations; NaN if fewer than `least` frames observed it.
     #[inline]
     pub fn of(&self, voxel: usize, least: u8) -> f32 {
         let weight = self.weight.as_flattened()[voxel];
@@ -54,7 +54,7 @@ impl Distances {
         if is_known { self.sum.as_flattened()[voxel] / f32::from(weight) } else { f32::NAN }
     }
 
-    /// How many frames saw a voxel, 255 for more.
+    /// Return the number of frames that observed a voxel, saturated at 255.
     #[inline]
     pub fn frames(&self, voxel: usize) -> u8 {
         self.frames.as_flattened()[voxel]
@@ -64,7 +64,7 @@ impl Distances {
 impl Colors {
     pub const NONE: Self = Self { fractions: [[0; SLICE]; SIDE], levels: [[[0; SLICE]; SIDE]; 3] };
 
-    /// Levels of a voxel, 0 to 255; black where none was seen.
+    /// Return the RGB levels of a voxel, 0 to 255; black if it has no colour.
     #[inline]
     pub fn of(&self, voxel: usize) -> [f32; 3] {
         let fractions = self.fractions.as_flattened()[voxel];
@@ -75,7 +75,7 @@ impl Colors {
     }
 }
 
-/// Bytes of a block.
+/// Compute the bytes of a block.
 pub const fn block_bytes(color: bool) -> usize {
     size_of::<Distances>() + if color { size_of::<Colors>() } else { 0 }
 }

@@ -1,52 +1,54 @@
-//! A tree of boxes over any shapes: the nearest one to a point, and all whose box meets a box.
+//! Bounding volume hierarchy (BVH): nearest shape to a point, and shapes whose box overlaps a box or a line.
 //!
-//! Median splits along the longest axis of the centres, so that the depth is known and the tree depends on
-//! nothing but the input. The shapes themselves stay with the caller, who puts them in the tree's `order`;
-//! a *slot* is a place in that order, and neighbouring slots are neighbours in space.
+//! Nodes are split at the median along the longest axis of the box centres. The depth is therefore bounded,
+//! and the tree depends on the input only. The tree does not store the shapes: the caller sorts them into the
+//! tree's `order`. A *slot* is a position in that order, and nearby slots are close in space.
 //!
-//! Boxes are in single precision, rounded outwards, and relative to the box around everything: they are as good
-//! far from the origin, and for any unit of length.
+//! Boxes are in single precision, rounded outwards, and normalised to the bounding box of all shapes. Their
+//! relative precision therefore does not depend on the distance from the origin or the unit of length.
 
 use crate::base::geometry::Vec3;
 use crate::base::parallel::both;
 
-/// Shapes in a leaf: half as many are no faster, and their boxes take twice the memory.
+/// Maximum shapes per leaf. Half as many are no faster, and their boxes take twice the memory.
 const LEAF: usize = 8;
-/// Both children of a node wait while one is looked at: one entry a level. A level halves the shapes, which have numbers of
-/// 32 bits.
+/// Depth of the traversal stack: one entry per level. Each level halves the shapes, which have 32-bit
+/// indices.
 const STACK: usize = 32;
-/// Squares of lengths, in any unit, stay far from the ends of double precision.
+/// Limit of the scale's exponent, so that squared lengths neither overflow nor underflow in double precision.
 const LEAST_EXPONENT: i32 = 250;
-/// Fewer shapes are not worth another thread.
+/// Minimum number of shapes for a second thread.
 const ALONE: usize = 1 << 13;
 const NOTHING: [Vec3; 2] = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
 
-/// Lowest and highest corner, in the tree's own unit.
+/// Minimum and maximum corner, in normalised coordinates.
 type Box = [[f32; 3]; 2];
 
-/// A range of slots, or a node; with the box around it.
+/// Range of slots (leaf) or node, with its bounding box.
 #[derive(Clone, Copy, Debug)]
 struct Branch {
     around: Box,
-    /// First slot, or the node's number if `count` is 0.
+    /// First slot; or the node index if `count` is 0.
     start: u32,
     count: u32,
 }
 
+/// Bounding volume hierarchy over shapes stored by the caller.
 #[derive(Clone, Debug)]
 pub struct Bvh {
     root: Option<Branch>,
     nodes: Vec<[Branch; 2]>,
-    /// Around the shape in each slot: most of a leaf's are told by it, and need not be fetched.
+    /// Bounding box of the shape in each slot. It rejects most shapes of a leaf, so that these need not be
+    /// loaded.
     boxes: Vec<Box>,
-    /// What is 0 in the tree's own unit, and how many of them make one of the caller's: a power of two.
+    /// Origin of the normalised coordinates, and their scale: a power of two.
     origin: Vec3,
     scale: f64,
 }
 
 impl Bvh {
-    /// The tree over so many shapes, and the order (shape number of each slot) it asks for. `around` gives the lowest
-    /// and highest corner of each box. It is the same for any number of threads.
+    /// Build the tree over `count` shapes; also returns the order (shape index of each slot). `around` gives
+    /// the minimum and maximum corner of each shape's box. The result does not depend on the thread count.
     pub fn new(count: usize, threads: usize, around: impl Fn(usize) -> [Vec3; 2]) -> (Self, Vec<u32>) {
         let [low, high] = (0..count).map(&around).fold(NOTHING, |all, one| {
             [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
@@ -72,13 +74,14 @@ impl Bvh {
         [0, 1, 2].map(|i| (p[i] - self.origin[i]) * self.scale)
     }
 
-    /// A box in the tree's own unit that is never smaller.
+    /// Convert a box to normalised coordinates, rounded outwards.
     #[inline]
     fn outside(&self, [low, high]: [Vec3; 2]) -> Box {
         [self.local(&low).map(down), self.local(&high).map(|x| -down(-x))]
     }
 
-    /// The slot nearest to `p` among those nearer than `best` (slot, squared distance), or `best` itself.
+    /// Find the slot nearest to `p` and nearer than `best` (slot, squared distance); returns `best` if no
+    /// slot is nearer.
     #[inline]
     pub fn nearest(&self, p: &Vec3, best: (u32, f64), distance2: impl Fn(u32) -> f64) -> (u32, f64) {
         let (mut slot, mut least) = best;
@@ -109,7 +112,7 @@ impl Bvh {
             }
             let both = &self.nodes[start as usize];
             let d = both.each_ref().map(|child| box_distance2(&local, &child.around));
-            // The nearer one on top.
+            // Push the nearer child last, so that it is visited first.
             let first = usize::from(d[0] > d[1]);
             for child in [1 - first, first] {
                 if d[child] < far {
@@ -121,8 +124,8 @@ impl Bvh {
         (slot, least)
     }
 
-    /// Visit every slot whose box meets the box `low`–`high`, until `visit` returns false. Branches, given by
-    /// their node's number and 0 or 1, are left out where `skip` says so.
+    /// Visit every slot whose box overlaps the box `low`–`high`, until `visit` returns false. Branches,
+    /// identified by node index and child 0 or 1, are pruned if `skip` returns true.
     #[inline]
     pub fn meeting(
         &self,
@@ -157,8 +160,8 @@ impl Bvh {
         }
     }
 
-    /// Visit every slot whose leaf's box the line through `p` along `direction` meets within `reach` times its length,
-    /// in both directions. `visit` says how far the search still has to reach.
+    /// Visit every slot in the leaves whose box intersects the line through `p` along `direction` within
+    /// ±`reach` times the direction's length. `visit` returns the new reach.
     #[inline]
     pub fn along(&self, p: &Vec3, direction: &Vec3, reach: f64, mut visit: impl FnMut(u32, f64) -> f64) {
         let Some(root) = self.root else { return };
@@ -182,7 +185,7 @@ impl Bvh {
             }
             let both = &self.nodes[start as usize];
             let d = both.each_ref().map(|child| line_distance(&local, &inverse, &child.around));
-            // The nearer one on top.
+            // Push the nearer child last, so that it is visited first.
             let first = usize::from(d[0] > d[1]);
             for child in [1 - first, first] {
                 if d[child] <= reach {
@@ -193,14 +196,15 @@ impl Bvh {
         }
     }
 
-    /// A value for both branches of every node: of the slots in a leaf, and joined upwards.
+    /// Compute a value for both children of every node, bottom-up: `leaf` for a range of slots, `join` for
+    /// two children.
     pub fn gathered<T: Copy>(
         &self,
         leaf: impl Fn(std::ops::Range<usize>) -> T,
         join: impl Fn(T, T) -> T,
     ) -> Vec<[T; 2]> {
         let mut upwards: Vec<[T; 2]> = Vec::with_capacity(self.nodes.len());
-        // A node is numbered before those below it.
+        // Child nodes have higher indices than their parent.
         for both in self.nodes.iter().rev() {
             let value = both.each_ref().map(|b| {
                 if b.count > 0 {
@@ -228,12 +232,12 @@ fn build(
         let around = join(order.iter().map(|&i| boxes[i as usize]));
         return Branch { around, start: offset as u32, count: order.len() as u32 };
     }
-    // Twice the centre; halving it would change nothing.
+    // Twice the centre; the factor does not matter.
     let centre = |i: u32, axis: usize| boxes[i as usize][0][axis] + boxes[i as usize][1][axis];
     let [low, high] = join(order.iter().map(|&i| [[0, 1, 2].map(|axis| centre(i, axis)); 2]));
     let axis = (0..3).max_by(|&i, &j| (high[i] - low[i]).total_cmp(&(high[j] - low[j]))).unwrap_or(0);
     let middle = order.len() / 2;
-    // Equal centres are told apart by number: the result is then one and the same set, however it is found.
+    // Ties are broken by index, so that the split is unique whatever algorithm finds it.
     order
         .select_nth_unstable_by(middle, |&i, &j| centre(i, axis).total_cmp(&centre(j, axis)).then(i.cmp(&j)));
     let node = nodes.len();
@@ -265,7 +269,7 @@ fn join(boxes: impl Iterator<Item = Box>) -> Box {
     })
 }
 
-/// The greatest number in single precision that is not above `x`.
+/// Round to the largest single-precision number that is not above `x`.
 #[inline]
 fn down(x: f64) -> f32 {
     let near = x as f32;
@@ -279,20 +283,20 @@ fn box_distance2(p: &Vec3, [low, high]: &Box) -> f64 {
     x * x + y * y + z * z
 }
 
-/// How far along a line, in either direction, a box is; infinity for one it misses. `inverse` holds one over each
-/// coordinate of its direction.
+/// Compute the distance to a box along a line, in either direction; infinity if the line misses the box.
+/// `inverse` is the reciprocal of each coordinate of the direction.
 #[inline]
 fn line_distance(p: &Vec3, inverse: &Vec3, [low, high]: &Box) -> f64 {
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
     for i in 0..3 {
-        // A line within a face of the box, parallel to it, gives 0 · ∞: what is not a number bounds nothing.
+        // A line in the plane of a box face gives 0 · ∞ = NaN, which must not restrict the interval.
         let a = (f64::from(low[i]) - p[i]) * inverse[i];
         let b = (f64::from(high[i]) - p[i]) * inverse[i];
         let (near, far) = if a < b { (a, b) } else { (b, a) };
         enter = if near > enter { near } else { enter };
         leave = if far < leave { far } else { leave };
     }
-    // Rounding of the products must not lose a box that is only touched.
+    // Tolerance for rounding, so that a box that is only touched is not missed.
     let slack = 1e-12 * (enter.abs() + leave.abs());
     if enter > leave + slack { f64::INFINITY } else { enter.max(-leave).max(0.0) }
 }
@@ -301,7 +305,7 @@ fn line_distance(p: &Vec3, inverse: &Vec3, [low, high]: &Box) -> f64 {
 mod tests {
     use super::*;
 
-    /// Points on a lattice, many of them equal.
+    /// Points on a lattice, with many duplicates.
     fn cloud(count: u32) -> Vec<Vec3> {
         (0..count).map(|i| [i % 7, i / 7 % 5, i * i % 11].map(f64::from)).collect()
     }

@@ -1,5 +1,5 @@
-//! From a list of triangles to connectivity, by a counting sort of their sides; in the same numbers on any number of
-//! threads.
+//! Construction of the connectivity from triangles, by a counting sort of their sides. The numbering does not
+//! depend on the thread count.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
@@ -9,23 +9,25 @@ use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::base::parallel;
 use crate::mesh::connectivity::{Connectivity, Halfedge};
 
-/// Fewer triangles than this are connected on one thread.
+/// Meshes with fewer triangles are connected on one thread.
 const FEW: usize = 1 << 14;
 
-/// Vertices whose fans one thread walks around in one go.
+/// Vertices whose fans a thread checks per batch.
 const BATCH: usize = 1 << 14;
 
-/// Sides that are looked at to divide all sides evenly.
+/// Sides sampled to split them evenly among threads.
 const SAMPLES: usize = 1 << 12;
 
+/// Check vertex indices and the number of triangles.
+///
 /// # Errors
-/// More triangles than have numbers, or an index out of range.
+/// [`KernelError::TooManyTriangles`], [`KernelError::IndexOutOfRange`].
 pub fn check_indices(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<(), KernelError> {
     let limit = Connectivity::MOST_TRIANGLES;
     if triangles.len() > limit || vertex_count >= (u32::MAX / 2) as usize {
         return Err(KernelError::TooManyTriangles { wanted: triangles.len() as f64, limit });
     }
-    // To look at all is faster than to stop at the first that is wrong.
+    // Testing all indices without an early exit is faster, because the loop is vectorised.
     if triangles.as_flattened().iter().fold(true, |known, &v| known & (v < vertex_count as u32)) {
         return Ok(());
     }
@@ -43,19 +45,17 @@ pub fn check_indices(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<(), 
 }
 
 impl Connectivity {
-    /// Connect triangles that share edges.
+    /// Build the connectivity of a manifold mesh.
     ///
     /// # Errors
-    /// An index out of range, an edge of three triangles or of two with opposite orientation, two triangles with
-    /// the same vertices, a vertex where two fans touch. Triangles that name a vertex twice must be left out.
+    /// An index out of range, an edge with three triangles or with two of opposite orientation, two triangles
+    /// with the same vertices, or a vertex that joins several fans. Triangles with repeated vertices must be
+    /// removed before.
     pub fn from_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
         Self::from_triangles_on(1, vertex_count, triangles)
     }
 
-    /// The same on several threads.
-    ///
-    /// # Errors
-    /// As [`Connectivity::from_triangles`].
+    /// Build the connectivity on several threads.
     pub fn from_triangles_on(
         threads: usize,
         vertex_count: usize,
@@ -64,11 +64,8 @@ impl Connectivity {
         connect(threads, vertex_count, triangles, |_| false)
     }
 
-    /// The same for a part of a mesh. Vertices on its rim have triangles elsewhere, too, and are not held against
-    /// the rule of one fan.
-    ///
-    /// # Errors
-    /// As [`Connectivity::from_triangles`].
+    /// Build the connectivity of a region of a mesh. Rim vertices have more triangles outside the region, so
+    /// the check for a single fan skips them.
     pub fn from_region(
         vertex_count: usize,
         triangles: &[[u32; 3]],
@@ -77,8 +74,8 @@ impl Connectivity {
         connect(1, vertex_count, triangles, on_rim)
     }
 
-    /// Connect triangles whose sides are paired already. `origins` names the vertex each halfedge starts from: one for
-    /// every fan of triangles, so that no vertex has two.
+    /// Build the connectivity from paired halfedges. `origins` is the start vertex of each halfedge; every
+    /// fan of triangles must have a separate vertex.
     pub(crate) fn from_twins(vertex_count: usize, origins: &[VertexId], twins: &[HalfedgeId]) -> Self {
         let mut halfedges: Vec<Halfedge> = Vec::with_capacity(origins.len());
         let mut edges = Vec::with_capacity(origins.len() / 2 + 1);
@@ -118,7 +115,8 @@ fn connect(
     Ok(connectivity)
 }
 
-/// The first halfedge of every edge, and all halfedges. Edges are numbered by their lower ends, then by the higher.
+/// Pair the halfedges. Returns the first halfedge of each edge, and all halfedges. Edges are numbered by
+/// lower end, then by higher end.
 fn paired(
     threads: usize,
     vertex_count: usize,
@@ -133,7 +131,7 @@ fn paired(
     let ranges = even_ranges(threads, vertex_count, triangles);
     let told = shared(&mut halfedges);
     let found = parallel::map(ranges.len(), threads, || (), |(), i| Edges::new(&ranges[i], triangles, told));
-    // Where the edges of each range begin.
+    // Offset of the edges of each range.
     let (mut edges, mut begins) = (vec![], vec![]);
     let (mut crowded, mut inconsistent) = (vec![], vec![]);
     for of_range in found {
@@ -167,21 +165,21 @@ fn paired(
     }
 }
 
-/// Halfedges that several threads may change: origin, twin and edge of each.
+/// Borrow halfedges as atomics, so that several threads may write them: origin, twin and edge of each.
 fn shared(halfedges: &mut [Halfedge]) -> &[[AtomicU32; 3]] {
-    // SAFETY: a halfedge is three numbers of 32 bits, laid out as in C; an atomic number is laid out as a plain one. Nobody
-    // else has the halfedges while they are borrowed.
+    // SAFETY: a halfedge is `repr(C)` with three 32-bit integers, and an atomic integer has the layout of a
+    // plain one. The mutable borrow excludes other access.
     unsafe { &*(std::ptr::from_mut(halfedges) as *const [[AtomicU32; 3]]) }
 }
 
-/// The ends of the side that leaves a corner of a triangle, the lower one first.
+/// Return the ends of the side that starts at a corner of a triangle, lower end first.
 #[inline]
 fn ends(triangle: &[u32; 3], corner: usize) -> [u32; 2] {
     let (a, b) = (triangle[corner], triangle[(corner + 1) % 3]);
     [a.min(b), a.max(b)]
 }
 
-/// Ranges of vertices that are the lower ends of about as many sides each.
+/// Split the vertices into ranges that are the lower ends of about equally many sides.
 fn even_ranges(count: usize, vertex_count: usize, triangles: &[[u32; 3]]) -> Vec<Range<u32>> {
     let last = vertex_count as u32;
     if count <= 1 {
@@ -197,30 +195,31 @@ fn even_ranges(count: usize, vertex_count: usize, triangles: &[[u32; 3]]) -> Vec
     (0..count).map(|i| begin(i)..if i + 1 < count { begin(i + 1) } else { last }).collect()
 }
 
-/// The edges whose lower ends are in a range.
+/// Edges whose lower ends are in a range.
 struct Edges {
-    /// The first halfedge of each.
+    /// First halfedge of each edge.
     first: Vec<HalfedgeId>,
-    /// The ends of edges with more than two triangles.
+    /// Ends of edges with more than two triangles.
     crowded: Vec<[u32; 2]>,
-    /// The ends of edges that both triangles run through in the same direction.
+    /// Ends of edges that both triangles traverse in the same direction.
     inconsistent: Vec<[u32; 2]>,
 }
 
 impl Edges {
-    /// Find them, and tell each halfedge its twin and its edge, counted from the first of the range.
+    /// Find the edges, and store the twin and the edge of each halfedge. Edges are counted from the start of
+    /// the range.
     fn new(range: &Range<u32>, triangles: &[[u32; 3]], told: &[[AtomicU32; 3]]) -> Self {
         let Sides { sides, starts } = Sides::new(range, triangles);
         let mut found =
             Self { first: Vec::with_capacity(sides.len() / 2 + 1), crowded: vec![], inconsistent: vec![] };
-        // The higher end and the halfedge, in the upper and the lower half of a number.
+        // Sort keys: higher end in the upper half, halfedge in the lower half.
         let mut around: Vec<u64> = vec![];
         for (low, group) in range.clone().zip(starts.windows(2)) {
             let group = &sides[group[0] as usize..group[1] as usize];
             let high = |h: u32| ends(&triangles[h as usize / 3], h as usize % 3)[1];
             around.clear();
             around.extend(group.iter().map(|&h| u64::from(high(h)) << 32 | u64::from(h)));
-            // As few as a vertex has neighbours.
+            // A small sort: one entry per neighbour of the vertex.
             around.sort_unstable();
             for same in around.chunk_by(|g, h| g >> 32 == h >> 32) {
                 found.note(low, same, triangles, told);
@@ -229,7 +228,7 @@ impl Edges {
         found
     }
 
-    /// Note an edge: all its sides, in the order of their halfedges.
+    /// Record an edge, given all its sides in the order of their halfedges.
     #[inline]
     fn note(&mut self, low: u32, same: &[u64], triangles: &[[u32; 3]], told: &[[AtomicU32; 3]]) {
         let high = (same[0] >> 32) as u32;
@@ -253,17 +252,18 @@ impl Edges {
     }
 }
 
-/// The sides of triangles, as halfedges, whose lower ends are in a range, grouped by these.
+/// Sides of triangles (as halfedges) whose lower ends are in a range, grouped by lower end.
 struct Sides {
     sides: Vec<u32>,
-    /// Where the group of each vertex begins, and the end.
+    /// Start of each vertex's group, and the end of the last.
     starts: Vec<u32>,
 }
 
 impl Sides {
     fn new(range: &Range<u32>, triangles: &[[u32; 3]]) -> Self {
         let width = range.end.saturating_sub(range.start);
-        // Counted two places on, a group begins where it is said one place on; filling it moves that to its end.
+        // Counting sort: counts are stored two entries ahead, so that `starts[v + 1]` is the insertion
+        // position of group v, and ends as the start of group v + 1.
         let mut starts = vec![0u32; width as usize + 2];
         for triangle in triangles {
             for corner in 0..3 {
@@ -290,13 +290,14 @@ impl Sides {
     }
 }
 
-/// Whether two triangles that share a side have all their vertices in common; said of the first of their halfedges.
+/// Check whether two adjacent triangles have the same three vertices; true only for the first of the two
+/// halfedges.
 fn is_back_to_back(triangles: &[[u32; 3]], h: HalfedgeId, twin: HalfedgeId) -> bool {
     let across = |h: HalfedgeId| triangles.as_flattened()[Connectivity::prev(h).index()];
     twin.is_some() && h < twin && across(h) == across(twin)
 }
 
-/// The complaint about triangles with the same vertices.
+/// Make the error for triangles with the same vertices.
 fn back_to_back(triangles: &[[u32; 3]], halfedges: &[Halfedge]) -> KernelError {
     let mut doubled: Vec<[u32; 2]> = vec![];
     for (h, halfedge) in halfedges.iter().enumerate() {
@@ -310,7 +311,8 @@ fn back_to_back(triangles: &[[u32; 3]], halfedges: &[Halfedge]) -> KernelError {
     KernelError::SameVertices(doubled)
 }
 
-/// A halfedge that leaves each vertex, on a boundary the last that has no twin, and how many do.
+/// Find an outgoing halfedge of each vertex (on a boundary the last one without a twin), and the number of
+/// outgoing halfedges.
 fn outgoing(threads: usize, vertex_count: usize, halfedges: &[Halfedge]) -> (Vec<HalfedgeId>, Vec<u32>) {
     let (mut outgoing, mut degree) = (vec![HalfedgeId::NONE; vertex_count], vec![0u32; vertex_count]);
     let part = vertex_count.div_ceil(threads.max(1)).max(1);
@@ -331,7 +333,7 @@ fn outgoing(threads: usize, vertex_count: usize, halfedges: &[Halfedge]) -> (Vec
 }
 
 impl Connectivity {
-    /// Whether all triangles at a vertex are met by turning around it.
+    /// Check that the fan of each vertex contains all its triangles.
     fn check_fans(
         &self,
         threads: usize,

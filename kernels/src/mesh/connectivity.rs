@@ -1,9 +1,9 @@
-//! Which triangle is beside which: a halfedge structure without pointers.
+//! Triangle adjacency: an index-based halfedge structure.
 //!
-//! Triangle `t` owns halfedges `3t`, `3t+1`, `3t+2`, one from each corner to the next, so `next`, `prev`
-//! and the triangle are arithmetic. A halfedge keeps its origin, its twin in the neighbouring triangle
-//! (none on a boundary) and its edge. A vertex keeps one outgoing halfedge; a boundary vertex keeps the one
-//! that has no twin, from which turning counter-clockwise meets every triangle of its fan.
+//! Triangle `t` owns halfedges `3t`, `3t+1`, `3t+2`, one from each corner to the next. `next`, `prev` and the
+//! triangle are therefore computed from the index. A halfedge stores its origin, its twin in the adjacent
+//! triangle (NONE on a boundary) and its edge. A vertex stores one outgoing halfedge. For a boundary vertex
+//! it is the one without a twin, from which counter-clockwise rotation visits every triangle of the fan.
 
 use crate::base::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
 
@@ -15,7 +15,7 @@ pub(crate) struct Halfedge {
     pub edge: EdgeId,
 }
 
-/// Connectivity of an oriented manifold of triangles, with or without boundary.
+/// Connectivity of an oriented manifold triangle mesh, with or without boundary.
 #[derive(Clone, Debug)]
 pub struct Connectivity {
     pub(crate) halfedges: Vec<Halfedge>,
@@ -24,130 +24,145 @@ pub struct Connectivity {
     pub(crate) triangle_count: usize,
 }
 
-/// What a collapse did to the connectivity.
+/// Changes of the connectivity by a collapse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Collapsed {
     pub survivor: VertexId,
     pub removed: VertexId,
-    /// On each side that has a triangle: the edge that stays and the one that became part of it.
+    /// For each side with a triangle: the remaining edge, and the edge merged into it.
     pub merged: [Option<(EdgeId, EdgeId)>; 2],
 }
 
 impl Connectivity {
-    /// Every halfedge needs a 32-bit number of its own, and one number means "none".
+    /// Maximum number of triangles: halfedges have 32-bit indices, and one index means NONE.
     pub const MOST_TRIANGLES: usize = (u32::MAX as usize - 1) / 3;
 
-    /// Triangles that are left.
+    /// Return the number of remaining triangles.
     pub fn triangle_count(&self) -> usize {
         self.triangle_count
     }
 
-    /// Length of a per-vertex array; collapsed vertices keep their number.
+    /// Return the length of per-vertex arrays; collapsed vertices keep their index.
     pub fn vertex_slots(&self) -> usize {
         self.outgoing.len()
     }
 
-    /// Length of a per-edge array.
+    /// Return the length of per-edge arrays.
     pub fn edge_slots(&self) -> usize {
         self.edges.len()
     }
 
-    /// Length of a per-triangle array.
+    /// Return the length of per-triangle arrays.
     pub fn triangle_slots(&self) -> usize {
         self.halfedges.len() / 3
     }
 
+    /// Iterate over the remaining vertices that have triangles.
     pub fn vertices(&self) -> impl Iterator<Item = VertexId> + '_ {
         let alive = |v: &VertexId| self.outgoing[v.index()].is_some();
         (0..self.outgoing.len()).map(VertexId::from_index).filter(alive)
     }
 
+    /// Iterate over the remaining edges.
     pub fn edges(&self) -> impl Iterator<Item = EdgeId> + '_ {
         let alive = |e: &EdgeId| self.edges[e.index()].is_some();
         (0..self.edges.len()).map(EdgeId::from_index).filter(alive)
     }
 
+    /// Iterate over the remaining triangles.
     pub fn triangles(&self) -> impl Iterator<Item = TriangleId> + '_ {
         let alive = |t: &TriangleId| self.halfedges[3 * t.index()].origin.is_some();
         (0..self.triangle_slots()).map(TriangleId::from_index).filter(alive)
     }
 
+    /// Return the corners of a triangle, counter-clockwise.
     pub fn corners(&self, triangle: TriangleId) -> [VertexId; 3] {
         let first = 3 * triangle.index();
         [0, 1, 2].map(|corner| self.halfedges[first + corner].origin)
     }
 
+    /// Return the next halfedge of the triangle.
     #[inline]
     pub fn next(h: HalfedgeId) -> HalfedgeId {
         HalfedgeId(if h.0 % 3 == 2 { h.0 - 2 } else { h.0 + 1 })
     }
 
+    /// Return the previous halfedge of the triangle.
     #[inline]
     pub fn prev(h: HalfedgeId) -> HalfedgeId {
         HalfedgeId(if h.0.is_multiple_of(3) { h.0 + 2 } else { h.0 - 1 })
     }
 
+    /// Return the triangle of a halfedge.
     #[inline]
     pub fn triangle(h: HalfedgeId) -> TriangleId {
         TriangleId(h.0 / 3)
     }
 
+    /// Return the start vertex of a halfedge.
     #[inline]
     pub fn origin(&self, h: HalfedgeId) -> VertexId {
         self.halfedges[h.index()].origin
     }
 
+    /// Return the end vertex of a halfedge.
     #[inline]
     pub fn target(&self, h: HalfedgeId) -> VertexId {
         self.origin(Self::next(h))
     }
 
+    /// Return the opposite halfedge; NONE on a boundary.
     #[inline]
     pub fn twin(&self, h: HalfedgeId) -> HalfedgeId {
         self.halfedges[h.index()].twin
     }
 
+    /// Return the edge of a halfedge.
     #[inline]
     pub fn edge(&self, h: HalfedgeId) -> EdgeId {
         self.halfedges[h.index()].edge
     }
 
-    /// One halfedge of an edge; on a boundary the only one.
+    /// Return one halfedge of an edge; the only one for a boundary edge.
     #[inline]
     pub fn halfedge(&self, edge: EdgeId) -> HalfedgeId {
         self.edges[edge.index()]
     }
 
-    /// Whether an edge is still there.
+    /// Return true if an edge still exists.
     #[inline]
     pub fn is_edge(&self, edge: EdgeId) -> bool {
         self.halfedge(edge).is_some()
     }
 
+    /// Return the two ends of an edge.
     #[inline]
     pub fn ends(&self, edge: EdgeId) -> [VertexId; 2] {
         let h = self.halfedge(edge);
         [self.origin(h), self.target(h)]
     }
 
+    /// Check whether an edge has only one triangle.
     #[inline]
     pub fn is_boundary_edge(&self, edge: EdgeId) -> bool {
         self.twin(self.halfedge(edge)).is_none()
     }
 
+    /// Check whether a vertex is on a boundary.
     #[inline]
     pub fn is_boundary_vertex(&self, v: VertexId) -> bool {
         self.twin(self.outgoing[v.index()]).is_none()
     }
 
-    /// Outgoing halfedges of a vertex, counter-clockwise: one for each triangle that touches it.
+    /// Iterate over the outgoing halfedges of a vertex, counter-clockwise: one per incident triangle.
     #[inline]
     pub fn fan(&self, v: VertexId) -> Fan<'_> {
         let start = self.outgoing[v.index()];
         Fan { connectivity: self, start, at: start }
     }
 
-    /// Edges of a vertex and their other ends, counter-clockwise; on a boundary one more than triangles.
+    /// Iterate over the edges of a vertex and their other ends, counter-clockwise; at a boundary vertex one
+    /// more than triangles.
     #[inline]
     pub fn spokes(&self, v: VertexId) -> Spokes<'_> {
         Spokes { fan: self.fan(v), last: HalfedgeId::NONE }
@@ -189,8 +204,8 @@ impl Connectivity {
         Collapsed { survivor, removed, merged: [Some(merged_first), merged_second] }
     }
 
-    /// Remove the triangle of `h`, whose edge has become a point, and sew its other two sides together.
-    /// Returns the merged edges and a halfedge that leaves the point.
+    /// Remove the triangle of `h`, whose edge has shrunk to a point, and merge its other two sides. Returns
+    /// the merged edges and a halfedge that starts at the point.
     fn close_triangle(&mut self, h: HalfedgeId) -> ((EdgeId, EdgeId), HalfedgeId) {
         let (from_point, to_point) = (Self::next(h), Self::prev(h));
         let apex = self.origin(to_point);
@@ -232,7 +247,7 @@ impl Connectivity {
     }
 
     /// Split `edge` at a new vertex. Returns the vertex and the new edges: the far half of `edge`, then
-    /// one to the far corner of each triangle beside it.
+    /// one to the opposite corner of each adjacent triangle.
     ///
     /// ```text
     ///        a                   a
@@ -256,7 +271,7 @@ impl Connectivity {
         if second.is_some() {
             let (back, across) = self.halve_triangle(second, middle, edge);
             across_second = across;
-            // The halves that face each other: first | back along `edge`, near | second along the far half.
+            // Pair the halves: first with back along `edge`, near with second along the far half.
             self.halfedges[first.index()].twin = back;
             self.halfedges[back.index()].twin = first;
             self.halfedges[near.index()].twin = second;
@@ -266,8 +281,8 @@ impl Connectivity {
         (middle, [far_half, across_first, across_second])
     }
 
-    /// Cut the triangle of `h` from `middle`, on `h`, to the corner across. The triangle keeps the part
-    /// at the origin of `h`; returns the new halfedge on the other part, which gets the edge `beyond`, and
+    /// Split the triangle of `h` from `middle`, on `h`, to the opposite corner. The triangle keeps the part
+    /// at the origin of `h`. Returns the new halfedge of the other part, which gets the edge `beyond`, and
     /// the edge of the cut.
     fn halve_triangle(&mut self, h: HalfedgeId, middle: VertexId, beyond: EdgeId) -> (HalfedgeId, EdgeId) {
         let (side, apex) = (Self::next(h), self.origin(Self::prev(h)));

@@ -1,7 +1,8 @@
-//! Triangles that meet elsewhere than a mesh says.
+//! Self-intersections of a mesh.
 //!
-//! Triangles may share a vertex or an edge, and nothing else. Two triangles meet where a side of one meets the other; that
-//! is decided by the exact signs of Shewchuk's predicates (1997), so that touching counts, and rounding does not.
+//! Triangles may share a vertex or an edge, and must not touch otherwise. Two triangles intersect if a side
+//! of one intersects the other. The test uses the exact signs of Shewchuk's predicates (1997): touching
+//! counts as intersection, and rounding has no effect.
 
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
@@ -11,16 +12,13 @@ use crate::base::geometry::{Vec3, around};
 use crate::base::parallel::fill;
 use crate::base::progress::Progress;
 
-/// No other triangle.
+/// Marker for no triangle.
 pub const NONE: u32 = u32::MAX;
-/// Triangles between two looks whether to go on.
+/// Triangles per cancellation check.
 const PART: usize = 1 << 13;
 
-/// For each triangle, one that it meets beyond what both share, or [`NONE`]. Triangles without area, and those of the same
-/// three vertices, meet nothing.
-///
-/// # Errors
-/// [`KernelError::Interrupted`].
+/// Find for each triangle one that it intersects beyond their shared vertices, or [`NONE`]. Triangles without
+/// area, and triangles with the same three vertices, do not count.
 pub fn intersecting(
     points: &[Vec3],
     triangles: &[[u32; 3]],
@@ -34,7 +32,7 @@ pub fn intersecting(
     let box_of = |t: usize| around(corners(t).into_iter().copied());
     let (tree, order) = Bvh::new(proper.len(), threads, |i| box_of(proper[i] as usize));
     let in_slots: Vec<u32> = order.iter().map(|&i| proper[i as usize]).collect();
-    // Slot by slot: what lies together is searched together.
+    // Processed in slot order, because triangles close in space are searched together.
     let mut found = vec![NONE; in_slots.len()];
     for (number, part) in found.chunks_mut(PART).enumerate() {
         progress.tell((number * PART) as u64, in_slots.len() as u64)?;
@@ -68,7 +66,8 @@ fn overlap(a: &[Vec3; 2], b: &[Vec3; 2]) -> bool {
     (0..3).all(|i| a[0][i] <= b[1][i] && b[0][i] <= a[1][i])
 }
 
-/// Whether two triangles meet beyond the vertices that they share; each has an area along its axis.
+/// Check whether two triangles intersect beyond their shared vertices. Each has a nonzero area seen along its
+/// axis.
 fn meet(points: &[Vec3], [a, b]: [[u32; 3]; 2], [axis_a, axis_b]: [usize; 2]) -> bool {
     let at = |v: u32| &points[v as usize];
     let shared = |v: &u32| b.contains(v);
@@ -79,7 +78,7 @@ fn meet(points: &[Vec3], [a, b]: [[u32; 3]; 2], [axis_a, axis_b]: [usize; 2]) ->
                 || sides(b).iter().any(|s| segment_meets(s.map(at), a.map(at), axis_a))
         }
         1 => {
-            // What begins at the shared vertex leaves the other triangle through the side that lies across.
+            // A triangle that enters the other at the shared vertex leaves it through the opposite side.
             let across = |t: [u32; 3], other: [u32; 3]| {
                 let mut others = t.into_iter().filter(move |v| !other.contains(v));
                 others.next().zip(others.next())
@@ -95,14 +94,14 @@ fn meet(points: &[Vec3], [a, b]: [[u32; 3]; 2], [axis_a, axis_b]: [usize; 2]) ->
             let mut edge = a.into_iter().filter(shared);
             let (Some(u), Some(v)) = (edge.next(), edge.next()) else { return false };
             let sides = [p, q].map(|w| plane(at(u), at(v), at(w), axis_a) > 0.0);
-            // Folded onto each other: in one plane, on the same side of what they share.
+            // Folded onto each other: coplanar, on the same side of the shared edge.
             space(at(u), at(v), at(p), at(q)) == 0.0 && sides[0] == sides[1]
         }
         _ => false,
     }
 }
 
-/// Whether a segment and a triangle have a point in common; the triangle has an area seen along the axis.
+/// Check whether a segment and a triangle intersect. The triangle has a nonzero area seen along the axis.
 fn segment_meets([p, q]: [&Vec3; 2], t: [&Vec3; 3], axis: usize) -> bool {
     let [a, b, c] = t;
     let (above, below) = (space(a, b, c, p), space(a, b, c, q));
@@ -119,20 +118,21 @@ fn segment_meets([p, q]: [&Vec3; 2], t: [&Vec3; 3], axis: usize) -> bool {
     turns.iter().all(|&x| x >= 0.0) || turns.iter().all(|&x| x <= 0.0)
 }
 
-/// Whether a point of its plane is in a triangle.
+/// Check whether a point in the plane of a triangle is inside it.
 fn is_inside(p: &Vec3, [a, b, c]: [&Vec3; 3], axis: usize) -> bool {
     let turns = [plane(a, b, p, axis), plane(b, c, p, axis), plane(c, a, p, axis)];
     turns.iter().all(|&x| x >= 0.0) || turns.iter().all(|&x| x <= 0.0)
 }
 
-/// Whether two segments of a plane cross inside both. If one touches the other in another way, then an end of one of them
-/// does, or both lie on a line.
+/// Check whether two coplanar segments cross, or overlap on one line. Other contacts are found by the tests
+/// of end points against the triangle.
 fn cross([p, q]: [&Vec3; 2], [a, b]: [&Vec3; 2], axis: usize) -> bool {
     let opposite = |x: f64, y: f64| x > 0.0 && y < 0.0 || x < 0.0 && y > 0.0;
     let touches = |x: f64, y: f64| x == 0.0 || y == 0.0 || opposite(x, y);
     let (of_p, of_q) = (plane(a, b, p, axis), plane(a, b, q, axis));
     let (of_a, of_b) = (plane(p, q, a, axis), plane(p, q, b, axis));
-    // On one line, an end of the segment is on the side, and so in the triangle, or the whole side is in the segment.
+    // Collinear: an end of the segment is on the side, and therefore in the triangle, or the segment contains
+    // the whole side.
     let on_line = of_p == 0.0 && of_q == 0.0;
     if on_line {
         overlaps(p, q, a, axis) || overlaps(p, q, b, axis)
@@ -141,25 +141,25 @@ fn cross([p, q]: [&Vec3; 2], [a, b]: [&Vec3; 2], axis: usize) -> bool {
     }
 }
 
-/// Whether a point of the line through two others is between them.
+/// Check whether a point on the line through two others is between them.
 fn overlaps(p: &Vec3, q: &Vec3, a: &Vec3, axis: usize) -> bool {
     (0..3).filter(|&i| i != axis).all(|i| p[i].min(q[i]) <= a[i] && a[i] <= p[i].max(q[i]))
 }
 
-/// The axis along which a triangle is seen largest, if it has an area.
+/// Return the axis along which a triangle appears largest; None if it has no area.
 fn seen_from(t: [&Vec3; 3]) -> Option<usize> {
     let areas = [0, 1, 2].map(|axis| plane(t[0], t[1], t[2], axis).abs());
     let axis = (0..3).fold(0, |best, axis| if areas[axis] > areas[best] { axis } else { best });
     (areas[axis] > 0.0).then_some(axis)
 }
 
-/// Twice the signed area of a triangle seen along an axis; its sign is exact.
+/// Compute twice the signed area of a triangle seen along an axis; the sign is exact.
 fn plane(a: &Vec3, b: &Vec3, c: &Vec3, axis: usize) -> f64 {
     let flat = |p: &Vec3| Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] };
     orient2d(flat(a), flat(b), flat(c))
 }
 
-/// Six times the signed volume of a tetrahedron; its sign is exact.
+/// Compute six times the signed volume of a tetrahedron; the sign is exact.
 fn space(a: &Vec3, b: &Vec3, c: &Vec3, d: &Vec3) -> f64 {
     let [a, b, c, d] = [a, b, c, d].map(|p| Coord3D { x: p[0], y: p[1], z: p[2] });
     orient3d(a, b, c, d)

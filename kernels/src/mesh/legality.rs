@@ -1,4 +1,4 @@
-//! What no collapse may do, whatever its measure allows. Nothing here changes the mesh.
+//! Legality of edge collapses, independent of the error measure. Nothing here changes the mesh.
 
 use crate::base::geometry::{Vec3, cross, dot, norm2, position, sub};
 use crate::base::ids::{EdgeId, VertexId};
@@ -6,28 +6,28 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-/// Why a collapse is not legal.
+/// Reason why a collapse is illegal.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Illegal {
     /// It would change the topology: the link condition fails, or a component or a hole would vanish.
     Topology,
-    /// An edge across the interior between two boundary vertices: the surface would be pinched there.
+    /// It joins two boundary vertices across the interior, which would pinch the surface.
     Bridge,
-    /// Both ends must stay where they are.
+    /// Both ends are fixed.
     Locked,
-    /// A triangle would turn over or lose its area.
+    /// A triangle would flip or become degenerate.
     Fold,
 }
 
-/// Least cosine between a triangle's normals before and after: a turn of 75° in one step. With 90° a few
-/// steps in a row turn a triangle over.
+/// Minimum cosine between the normals of a triangle before and after a collapse: about 75° per step. With
+/// 90°, a few successive steps flip a triangle.
 const LEAST_COSINE: f64 = 0.25;
 
-/// A triangle is degenerate when twice its area is below this share of its longest side squared, a
-/// height of a thousandth of the side.
+/// A triangle is degenerate if twice its area is below this ratio of its longest side squared, a height of a
+/// thousandth of the side.
 const LEAST_FLATNESS: f64 = 1e-3;
 
-/// Marks on vertices that are forgotten all at once.
+/// Marks on vertices that can be cleared in constant time.
 #[derive(Clone, Debug)]
 pub struct Marks {
     stamps: Vec<u32>,
@@ -35,6 +35,7 @@ pub struct Marks {
 }
 
 impl Marks {
+    /// Create cleared marks for a number of vertex slots.
     pub fn new(slots: usize) -> Self {
         Self { stamps: vec![0; slots], stamp: 0 }
     }
@@ -58,10 +59,11 @@ impl Marks {
     }
 }
 
-/// The lock of a vertex that a collapse into a locked one would join to it by a new edge, if there is one: locked rather
-/// than on the rim, where it may be locked as well.
+/// Find the lock of a vertex that a collapse into a locked vertex would connect to it by a new edge. Prefers
+/// `Locked` over `Rim`, because a rim vertex may be locked as well.
 ///
-/// Where a border of locked vertices has other triangles on its two sides, either side could make the same edge.
+/// If the two sides of a border of locked vertices are simplified separately, both could create the same
+/// edge.
 pub fn new_chord<const D: usize>(mesh: &Mesh<D>, star: &Star<D>) -> Option<Lock> {
     let end = (0..2).find(|&end| mesh.lock(star.ends[end]) == Lock::Locked)?;
     let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
@@ -70,11 +72,11 @@ pub fn new_chord<const D: usize>(mesh: &Mesh<D>, star: &Star<D>) -> Option<Lock>
     locks.min_by_key(|&lock| lock == Lock::Rim)
 }
 
-/// Whether collapsing `edge` leaves an oriented manifold of the same topology.
+/// Check whether collapsing `edge` preserves an oriented manifold of the same topology.
 ///
-/// The link condition (Dey, Edelsbrunner, Guha and Nekhayev 1999) for a surface with boundary: the ends share
-/// no neighbour but the corners across from the edge, both lie on the boundary only if the edge does, and the
-/// links share no edge. The last fails exactly for a tetrahedron and for a lone triangle.
+/// Link condition for a surface with boundary (Dey, Edelsbrunner, Guha and Nekhayev 1999): the ends share
+/// only the corners opposite to the edge, both ends are on the boundary only if the edge is, and the links
+/// share no edge. The last condition fails exactly for a tetrahedron and for a single triangle.
 pub fn can_collapse(mesh: &Connectivity, edge: EdgeId, marks: &mut Marks) -> Result<(), Illegal> {
     let [v1, v2] = mesh.ends(edge);
     let first = mesh.halfedge(edge);
@@ -103,10 +105,10 @@ pub fn can_collapse(mesh: &Connectivity, edge: EdgeId, marks: &mut Marks) -> Res
     if shared != beside || tetrahedron { Err(Illegal::Topology) } else { Ok(()) }
 }
 
-/// Whether every triangle that stays keeps its side up and its area when both ends move to `point`.
+/// Check that every remaining triangle keeps its orientation and area if both ends move to `point`.
 ///
-/// A triangle that is a needle already may stay one as long as it gets no thinner; one without any normal is
-/// held against the mean normal of the star.
+/// A needle may stay a needle if it gets no thinner. The normal of a degenerate triangle is compared with the
+/// mean normal of the star.
 pub fn keeps_triangles<const D: usize>(star: &Star<D>, point: &[f64; D]) -> Result<(), Illegal> {
     let to = position(point);
     let ends = star.end_points.map(|p| position(&p));
@@ -132,7 +134,7 @@ pub fn keeps_triangles<const D: usize>(star: &Star<D>, point: &[f64; D]) -> Resu
     Ok(())
 }
 
-/// Normal of a triangle, twice its area long, and its longest side squared.
+/// Compute the normal of a triangle (length: twice the area) and its longest side squared.
 #[inline]
 fn shape(p: &Vec3, a: &Vec3, b: &Vec3) -> (Vec3, f64) {
     let (pa, pb) = (sub(a, p), sub(b, p));

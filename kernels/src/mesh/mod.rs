@@ -1,15 +1,15 @@
-//! What a mesh is, and what can be asked of it.
+//! Triangle meshes, and queries on them.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`connectivity`], `connect` | halfedges on flat arrays; collapse and split; building them from triangles |
-//! | [`triangle_mesh`] | connectivity + points + where every element came from |
-//! | [`star`] | the neighbourhood of an edge that a collapse sees |
-//! | [`legality`] | what no collapse may do |
-//! | [`bvh`] | the tree of boxes that searches walk |
-//! | [`intersections`] | triangles that meet elsewhere than the mesh says |
-//! | [`spatial`] | an order in which neighbours in space are neighbours in memory |
-//! | [`validate`] | every invariant of the connectivity, for tests |
+//! | [`connectivity`], `connect` | halfedge structure; collapse and split; construction from triangles |
+//! | [`triangle_mesh`] | connectivity, points, and the input element of every element |
+//! | [`star`] | neighbourhood of an edge |
+//! | [`legality`] | legality of edge collapses |
+//! | [`bvh`] | bounding volume hierarchy |
+//! | [`intersections`] | self-intersections |
+//! | [`spatial`] | Z-order of vertices and triangles |
+//! | [`validate`] | checks of all invariants of the connectivity, for tests |
 
 pub mod bvh;
 pub mod connect;

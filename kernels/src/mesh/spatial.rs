@@ -1,18 +1,18 @@
-//! An order in which neighbours in space are neighbours in memory, for meshes that come in none.
+//! Z-order of vertices and triangles, for meshes stored in random order.
 
 use crate::base::geometry::{Vec3, around};
 
-/// Bits of a coordinate: so many cells along the longest side leave few vertices of a surface to a cell.
+/// Bits per coordinate. With 2¹⁰ cells along the longest side, a cell contains few vertices of a surface.
 const BITS: u32 = 10;
 
-/// Vertices along the curve of Morton ("A computer oriented geodetic data base", 1966) through a grid over their
-/// box, and triangles by the first of their vertices there. Both name elements by their numbers in the input; what
-/// the grid cannot tell apart stays in its order. Indices must be in range.
+/// Sort vertices along the Z-order curve (Morton, "A computer oriented geodetic data base", 1966) of a grid
+/// over their bounding box, and triangles by their first vertex in that order. Returns the input indices of
+/// both; ties keep the input order. Indices must be in range.
 pub fn spatial_order(points: &[Vec3], triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<u32>) {
     let [low, high] = around(points.iter().copied());
     let longest = (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max);
     let cells = f64::from(1u32 << BITS);
-    // No cell is beyond the last, and a mesh without extent has only one.
+    // The maximum coordinate belongs to the last cell; a mesh without extent has a single cell.
     let cell = |x: f64| (x / longest * cells).min(cells - 1.0) as u64;
     let place = |p: &Vec3| (0..3).map(|i| spread(cell(p[i] - low[i])) << i).sum::<u64>();
     let mut keys: Vec<u64> = points.iter().zip(0..).map(|(p, v): (_, u64)| place(p) << 32 | v).collect();
@@ -25,7 +25,7 @@ pub fn spatial_order(points: &[Vec3], triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<
     (vertices, by_first(triangles, &number))
 }
 
-/// Two zeros after each of the low ten bits.
+/// Insert two zeros after each of the low ten bits.
 fn spread(x: u64) -> u64 {
     let x = (x | x << 16) & 0x0300_00ff;
     let x = (x | x << 8) & 0x0300_f00f;
@@ -33,7 +33,7 @@ fn spread(x: u64) -> u64 {
     (x | x << 2) & 0x0924_9249
 }
 
-/// Triangles sorted by the least new number of their vertices: a counting sort.
+/// Sort triangles by the minimum new index of their vertices, by counting sort.
 fn by_first(triangles: &[[u32; 3]], number: &[u32]) -> Vec<u32> {
     let first = |t: &[u32; 3]| t.map(|v| number[v as usize]).into_iter().fold(u32::MAX, u32::min) as usize;
     let mut next = vec![0u32; number.len() + 1];
@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn neighbours_in_space_become_neighbours_in_memory() {
-        // A row of points in scrambled order, and a triangle on each three that follow each other.
+        // A row of points in scrambled order, with a triangle on each three consecutive points.
         let n = 97;
         let scrambled: Vec<u32> = (0..n).map(|i| i * 31 % n).collect();
         let points: Vec<Vec3> = scrambled.iter().map(|&x| [f64::from(x), 0.0, 0.0]).collect();

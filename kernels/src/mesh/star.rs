@@ -1,40 +1,40 @@
-//! The edge star N_c(e): every triangle that touches either end of an edge, gathered once per attempt.
+//! Edge star N_c(e): all triangles at either end of an edge, gathered once per collapse attempt.
 
 use crate::base::geometry::{Vec3, cross, midpoint, position, sub};
 use crate::base::ids::{EdgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-/// A triangle of the star that the collapse keeps: one end of the edge and the side across from it.
+/// A triangle of the star that survives the collapse: one end of the edge, and the opposite side.
 #[derive(Clone, Copy, Debug)]
 pub struct Wing<const D: usize> {
     pub triangle: TriangleId,
-    /// Which end of the edge it hangs on, 0 or 1.
+    /// Incident end of the edge, 0 or 1.
     pub end: usize,
-    /// The side across, counter-clockwise; seen from the end the triangle is (end, from, to).
+    /// Ends of the opposite side; the triangle (end, from, to) is counter-clockwise.
     pub from: VertexId,
     pub to: VertexId,
     pub from_point: [f64; D],
     pub to_point: [f64; D],
 }
 
-/// The star of one edge; the buffers are used again for the next.
+/// Star of one edge; the buffers are reused for the next edge.
 #[derive(Clone, Debug)]
 pub struct Star<const D: usize> {
     pub edge: EdgeId,
     pub ends: [VertexId; 2],
     pub end_points: [[f64; D]; 2],
     pub middle: [f64; D],
-    /// Ends that a collapse must leave where they are; see [`Mesh::staying_ends`].
+    /// Ends that a collapse must not move; see [`Mesh::staying_ends`].
     pub end_stays: [bool; 2],
-    /// Triangles that a collapse removes, and their corners across from the edge.
+    /// Triangles that a collapse removes, with their corners opposite to the edge.
     pub vanishing: Vec<(TriangleId, VertexId, [f64; D])>,
     pub wings: Vec<Wing<D>>,
-    /// Edges from an end, 0 or 1, to a neighbour that is not the other end.
+    /// Edges from an end (0 or 1) to a neighbour other than the opposite end.
     pub spokes: Vec<(usize, [f64; D])>,
-    /// Edges of the star without `edge` itself: spokes of both ends and the ring around.
+    /// Edges of the star except `edge`: spokes of both ends, and the ring around them.
     pub others: Vec<EdgeId>,
-    /// For a boundary edge: the boundary vertices before its first and after its second end.
+    /// For a boundary edge: the boundary vertices before its first end and after its second end.
     pub boundary_neighbours: Option<[VertexId; 2]>,
 }
 
@@ -84,7 +84,7 @@ impl<const D: usize> Star<D> {
         });
     }
 
-    /// Wings and edges of one end; returns its last neighbour in counter-clockwise order.
+    /// Gather the wings and edges of one end; returns its last neighbour in counter-clockwise order.
     fn gather_end(&mut self, mesh: &Mesh<D>, end: usize) -> VertexId {
         let connectivity = &mesh.connectivity;
         let (v, opposite) = (self.ends[end], self.ends[1 - end]);
@@ -114,12 +114,13 @@ impl<const D: usize> Star<D> {
         last
     }
 
+    /// Return the point of an end of the edge.
     #[inline]
     pub fn end_point(&self, end: usize) -> &[f64; D] {
         &self.end_points[end]
     }
 
-    /// Sum of the normals of all triangles, each weighted with its area.
+    /// Compute the sum of the area-weighted normals of all triangles.
     pub fn mean_normal(&self) -> Vec3 {
         let ends = self.end_points.map(|p| position(&p));
         let mut sum = [0.0; 3];

@@ -1,36 +1,38 @@
-//! Connectivity with a point of R^D at every vertex: three coordinates, then D − 3 attributes.
+//! Triangle mesh with a point of R^D per vertex: three coordinates and D − 3 attributes.
 
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 
-/// Beyond this the products of four lengths in the area and fold tests come near the end of double precision.
+/// Maximum absolute value. Above it, products of four lengths in the area and fold tests could overflow
+/// double precision.
 const LARGEST: f64 = 1e60;
 
-/// Whether a vertex may move.
+/// Restriction on the movement of a vertex.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Lock {
     #[default]
     Free,
-    /// It stays where it is; others may collapse into it.
+    /// The vertex is fixed; others may collapse into it.
     Locked,
-    /// It lies on the rim of a region, and more triangles touch it than this mesh knows: no edge of it collapses.
+    /// The vertex is on the rim of a region and has more triangles outside it. None of its edges may
+    /// collapse.
     Rim,
 }
 
-/// A triangle mesh whose elements know which element of the input they came from.
+/// Triangle mesh that records the input element of every element.
 #[derive(Clone, Debug)]
 pub struct Mesh<const D: usize> {
     pub connectivity: Connectivity,
     pub points: Vec<[f64; D]>,
-    /// Input vertex of each vertex. The vertex of a split takes that of one end of the edge.
+    /// Input vertex of each vertex. The vertex of a split inherits from one end of the edge.
     pub vertex_source: Vec<u32>,
     /// Input triangle of each triangle.
     pub triangle_source: Vec<u32>,
     pub locks: Vec<Lock>,
 }
 
-/// What is left of a mesh, numbered without gaps, in the order of the input.
+/// Remaining elements of a mesh, numbered without gaps in input order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compact<const D: usize> {
     pub points: Vec<[f64; D]>,
@@ -39,7 +41,7 @@ pub struct Compact<const D: usize> {
     pub triangle_source: Vec<u32>,
 }
 
-/// Where the vertices and triangles of a mesh came from.
+/// Input vertices and triangles of a mesh's elements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sources {
     pub vertices: Vec<u32>,
@@ -47,7 +49,7 @@ pub struct Sources {
 }
 
 impl<const D: usize> Compact<D> {
-    /// The same with the sources of its sources, if they have any.
+    /// Replace the sources by the sources of `origin`, if given.
     pub fn traced_to(mut self, origin: &Option<Sources>) -> Self {
         if let Some(origin) = origin {
             self.vertex_source.iter_mut().for_each(|v| *v = origin.vertices[*v as usize]);
@@ -57,10 +59,13 @@ impl<const D: usize> Compact<D> {
     }
 }
 
+/// Check that all values are finite and within ±1e60.
+///
 /// # Errors
-/// [`KernelError::NotFinite`] for a value that is not finite or is beyond ±1e60.
+/// [`KernelError::NotFinite`].
 pub fn check_points<const D: usize>(points: &[[f64; D]]) -> Result<(), KernelError> {
-    // NaN fails the comparison too. To look at all is faster than to stop at the first that fails.
+    // NaN fails the comparison, too. Testing all values without an early exit is faster, because the loop is
+    // vectorised.
     if points.as_flattened().iter().fold(true, |sound, x| sound & (x.abs() <= LARGEST)) {
         return Ok(());
     }
@@ -71,18 +76,15 @@ pub fn check_points<const D: usize>(points: &[[f64; D]]) -> Result<(), KernelErr
 }
 
 impl<const D: usize> Mesh<D> {
-    /// Connect triangles. One that names a vertex twice has no area and no side: it is left out.
+    /// Build a mesh. Triangles with repeated vertices are dropped.
     ///
     /// # Errors
-    /// As [`Connectivity::from_triangles`], and for a value that is not finite or is beyond ±1e60.
+    /// As [`Connectivity::from_triangles`] and [`check_points`].
     pub fn new(points: Vec<[f64; D]>, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
         Self::new_on(1, points, triangles)
     }
 
-    /// The same on several threads.
-    ///
-    /// # Errors
-    /// As [`Mesh::new`].
+    /// Build a mesh on several threads.
     pub fn new_on(
         threads: usize,
         points: Vec<[f64; D]>,
@@ -104,13 +106,14 @@ impl<const D: usize> Mesh<D> {
         Ok(Self { connectivity, points, vertex_source, triangle_source: kept, locks })
     }
 
+    /// Return the lock of a vertex.
     #[inline]
     pub fn lock(&self, v: VertexId) -> Lock {
         self.locks[v.index()]
     }
 
-    /// Which ends of an edge a collapse must leave where they are: locked ones, and on the boundary those of an
-    /// edge that is not.
+    /// Return for each end of an edge whether a collapse must keep it in place: locked vertices, and boundary
+    /// vertices of an interior edge.
     #[inline]
     pub fn staying_ends(&self, edge: EdgeId) -> [bool; 2] {
         let inside = !self.connectivity.is_boundary_edge(edge);
@@ -119,6 +122,7 @@ impl<const D: usize> Mesh<D> {
             .map(|v| self.lock(v) == Lock::Locked || (inside && self.connectivity.is_boundary_vertex(v)))
     }
 
+    /// Return the point of a vertex.
     #[inline]
     pub fn point(&self, v: VertexId) -> &[f64; D] {
         &self.points[v.index()]
@@ -135,7 +139,7 @@ impl<const D: usize> Mesh<D> {
         self.connectivity.collapse(edge, survivor)
     }
 
-    /// Split `edge` at its midpoint; attributes take the mean of the ends. Returns the new edges.
+    /// Split `edge` at its midpoint; the attributes are the mean of the ends. Returns the new edges.
     pub fn split(&mut self, edge: EdgeId) -> [EdgeId; 3] {
         let [a, b] = self.connectivity.ends(edge);
         let first = self.connectivity.halfedge(edge);
@@ -150,7 +154,7 @@ impl<const D: usize> Mesh<D> {
         self.connectivity.split(edge).1
     }
 
-    /// The result without gaps; vertices that no triangle uses are left out.
+    /// Extract the remaining elements, numbered without gaps; unused vertices are dropped.
     pub fn compact(&self) -> Compact<D> {
         let mut number = vec![0u32; self.points.len()];
         let mut out =
@@ -167,7 +171,7 @@ impl<const D: usize> Mesh<D> {
         out
     }
 
-    /// Corner points of a triangle.
+    /// Return the corner points of a triangle.
     pub fn triangle_points(&self, t: TriangleId) -> [[f64; D]; 3] {
         self.connectivity.corners(t).map(|v| *self.point(v))
     }

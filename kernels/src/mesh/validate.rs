@@ -1,28 +1,28 @@
-//! Every invariant of the connectivity, spelled out. Slow: for tests.
+//! Checks of all invariants of the connectivity. Slow; intended for tests.
 
 use crate::base::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 
-/// An element that breaks a rule.
+/// Violated invariant, with its element.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Defect {
     /// The twin of a halfedge does not run back along the same edge.
     Twin(HalfedgeId),
-    /// An edge points at a halfedge that is not its own.
+    /// The halfedge of an edge does not belong to the edge.
     Edge(EdgeId),
-    /// A vertex points at a halfedge that does not leave it, or, on a boundary, not at the first of its fan.
+    /// The halfedge of a vertex does not start there, or is not the first of the fan of a boundary vertex.
     Outgoing(VertexId),
-    /// A vertex whose fan misses some of its triangles.
+    /// The fan of a vertex misses some of its triangles.
     Pinched(VertexId),
-    /// A triangle with a vertex that is gone or there twice.
+    /// A triangle with a removed or repeated vertex.
     Corners(TriangleId),
     /// Two edges with the same ends.
     Parallel(EdgeId, EdgeId),
-    /// The count of triangles is wrong.
+    /// The triangle count is wrong.
     Count,
 }
 
-/// Numbers that no collapse or split may change.
+/// Topological invariants of collapses and splits.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Topology {
     pub euler: i64,
@@ -31,8 +31,10 @@ pub struct Topology {
 }
 
 impl Connectivity {
+    /// Check all invariants.
+    ///
     /// # Errors
-    /// The first defect.
+    /// The first defect found.
     pub fn validate(&self) -> Result<(), Defect> {
         let mut degree = vec![0usize; self.vertex_slots()];
         for t in self.triangles() {
@@ -96,7 +98,7 @@ impl Connectivity {
         }
     }
 
-    /// Euler characteristic, boundary loops and components.
+    /// Compute the Euler characteristic, the boundary loops and the connected components.
     pub fn topology(&self) -> Topology {
         let vertices = self.vertices().count() as i64;
         let edges = self.edges().count() as i64;

@@ -1,4 +1,4 @@
-//! Meshes from NumPy arrays, and arrays from what became of them.
+//! Conversion between NumPy arrays and meshes.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::base::errors::KernelError;
 /// Points with their attributes, and triangles.
 type PointsAndTriangles<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
 
-/// What vertices carry, n × k: levels of colour, or numbers.
+/// Vertex attributes (n, k): colour levels, or floating-point numbers.
 #[derive(FromPyObject)]
 pub enum Attributes<'py> {
     Levels(PyReadonlyArray2<'py, u8>),
@@ -20,6 +20,7 @@ pub enum Attributes<'py> {
 }
 
 impl Attributes<'_> {
+    /// Return the shape [n, k].
     pub fn shape(&self) -> [usize; 2] {
         match self {
             Self::Levels(levels) => levels.as_array().dim().into(),
@@ -28,7 +29,7 @@ impl Attributes<'_> {
     }
 }
 
-/// The arrays of a mesh as Python gives them.
+/// Arrays of a mesh, as passed from Python.
 pub struct Inputs<'py> {
     pub vertices: PyReadonlyArray2<'py, f64>,
     pub attributes: Attributes<'py>,
@@ -36,23 +37,24 @@ pub struct Inputs<'py> {
 }
 
 impl Inputs<'_> {
-    /// Attributes a vertex: 0, 1 (intensity) or 3 (RGB), else [`unknown_attributes`].
+    /// Return the attributes per vertex: 0, 1 (intensity) or 3 (RGB) are valid, else [`unknown_attributes`].
     pub fn attribute_count(&self) -> usize {
         self.attributes.shape()[1]
     }
 
-    /// Vertices and triangles.
+    /// Return the number of vertices plus triangles.
     pub fn rows(&self) -> usize {
         self.vertices.as_array().nrows() + self.triangles.as_array().nrows()
     }
 
+    /// Copy points and triangles; checks their shapes and signs.
     pub fn copied<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
         let points = points_from::<D>(&self.vertices, &self.attributes)?;
         let triangles = triangles_from(&self.triangles, points.len())?;
         Ok((points, triangles))
     }
 
-    /// One value for each vertex, or none at all.
+    /// Copy an array with one value per vertex, or an empty one.
     pub fn by_vertex<T: Element + Copy>(
         &self,
         name: &str,
@@ -62,14 +64,16 @@ impl Inputs<'_> {
         if values.is_empty() || values.len() == self.vertices.as_array().nrows() {
             return Ok(values);
         }
-        Err(PyValueError::new_err(format!("{name} needs one value a vertex")))
+        Err(PyValueError::new_err(format!("{name} must have one value for each vertex")))
     }
 }
 
+/// Make the error for an unsupported number of attributes.
 pub fn unknown_attributes(k: usize) -> PyErr {
-    PyValueError::new_err(format!("{k} attributes a vertex; 0, 1 (intensity) or 3 (RGB) are known"))
+    PyValueError::new_err(format!("{k} attributes per vertex; 0, 1 (intensity) or 3 (RGB) are supported"))
 }
 
+/// Copy vertices and attributes into points; checks their shapes.
 pub fn points_from<const D: usize>(
     vertices: &PyReadonlyArray2<'_, f64>,
     attributes: &Attributes<'_>,
@@ -86,7 +90,7 @@ fn joined<T: Copy + Into<f64>, const D: usize>(
 ) -> PyResult<Vec<[f64; D]>> {
     if vertices.ncols() != 3 || attributes.nrows() != vertices.nrows() {
         return Err(PyValueError::new_err(format!(
-            "vertices are {:?} and attributes {:?}; n × 3 and n × k are expected",
+            "vertices have shape {:?} and attributes {:?}; n × 3 and n × k are expected",
             vertices.shape(),
             attributes.shape()
         )));
@@ -101,11 +105,12 @@ fn joined<T: Copy + Into<f64>, const D: usize>(
     Ok(places.enumerate().map(point).collect())
 }
 
+/// Copy triangles; rejects negative indices.
 pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
     let triangles = triangles.as_array();
     if triangles.ncols() != 3 {
         return Err(PyValueError::new_err(format!(
-            "triangles are {:?}; m × 3 is expected",
+            "triangles have shape {:?}; m × 3 is expected",
             triangles.shape()
         )));
     }
@@ -118,7 +123,7 @@ pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) ->
     Ok(values.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect())
 }
 
-/// Some of the columns of a table: of points, 0..3 are their places, and the attributes follow.
+/// Copy some columns of a table. For points, columns 0..3 are the position, and attributes follow.
 pub fn columns<const D: usize>(
     py: Python<'_>,
     rows: &[[f64; D]],
@@ -129,20 +134,25 @@ pub fn columns<const D: usize>(
     Ok(PyArray1::from_vec(py, values).reshape(shape)?.unbind())
 }
 
+/// Convert triangles to an array (m, 3).
 pub fn triangle_array(py: Python<'_>, triangles: &[[u32; 3]]) -> PyResult<Py<PyArray2<i32>>> {
     let values: Vec<i32> = triangles.iter().flatten().map(|&v| v as i32).collect();
     Ok(PyArray1::from_vec(py, values).reshape([triangles.len(), 3])?.unbind())
 }
 
+/// Convert indices to an array (n,).
 pub fn id_array(py: Python<'_>, ids: impl Iterator<Item = u32>) -> Py<PyArray1<i32>> {
     PyArray1::from_vec(py, ids.map(|id| id as i32).collect()).unbind()
 }
 
-/// Rows of so many numbers.
+/// Copy an array of rows with D numbers.
 pub fn rows<T: Element + Copy, const D: usize>(array: &PyReadonlyArray2<'_, T>) -> PyResult<Vec<[T; D]>> {
     let array = array.as_array();
     if array.ncols() != D {
-        return Err(PyValueError::new_err(format!("an array is {:?}; n × {D} is expected", array.shape())));
+        return Err(PyValueError::new_err(format!(
+            "an array has shape {:?}; n × {D} is expected",
+            array.shape()
+        )));
     }
     Ok((0..array.nrows()).map(|i| std::array::from_fn(|k| array[[i, k]])).collect())
 }

@@ -10,13 +10,15 @@ use pyo3::prelude::*;
 use super::arrays::{rows, triangles_from};
 use super::detached::detached;
 use super::guarded::guarded;
+use crate::atlas::cut::cut;
 use crate::atlas::neighbours::NONE;
-use crate::atlas::{cut, pack, texels as under};
+use crate::atlas::pack::pack;
+use crate::atlas::texels as under;
 
-/// Texels with their triangles, and the shares of its corners.
+/// Pixel indices of texels, their triangles, and barycentric weights.
 type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
 
-/// A surface laid out in images.
+/// Surface flattened into atlas images.
 #[pyclass(frozen, get_all, module = "scanloom.stages._kernels")]
 pub struct LaidOut {
     charts: Py<PyArray1<i32>>,
@@ -25,7 +27,8 @@ pub struct LaidOut {
     heights: Vec<usize>,
 }
 
-/// Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle.
+/// Lay a surface out in images of `side` × `side` texels; `density` is the number of texels per metre of each
+/// triangle.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, density, *, side, padding, progress))]
 pub fn lay_out(
@@ -38,7 +41,9 @@ pub fn lay_out(
     progress: Py<PyAny>,
 ) -> PyResult<LaidOut> {
     if side <= 2 * padding + 1 {
-        return Err(PyValueError::new_err("the images have no room beside the padding"));
+        return Err(PyValueError::new_err(
+            "side is too small for the padding; it must be above 2 × padding + 1 texels",
+        ));
     }
     let count = vertices.as_array().nrows() + triangles.as_array().nrows();
     guarded(count + side * side / 64, || {
@@ -46,12 +51,12 @@ pub fn lay_out(
         let triangles = triangles_from(&triangles, points.len())?;
         let density = density.as_array().to_vec();
         if density.len() != triangles.len() {
-            return Err(PyValueError::new_err("density needs one value for each triangle"));
+            return Err(PyValueError::new_err("density must have one value for each triangle"));
         }
         let (charts, packed) = detached(py, Some(&progress), false, |progress| {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            let charts = cut::cut(&points, &triangles, &density, side, padding, progress)?;
-            let packed = pack::pack(&charts, side, padding, progress)?;
+            let charts = cut(&points, &triangles, &density, side, padding, progress)?;
+            let packed = pack(&charts, side, padding, progress)?;
             Ok((charts, packed))
         })?;
         let numbers = |values: Vec<i32>| PyArray1::from_vec(py, values).unbind();
@@ -66,7 +71,7 @@ pub fn lay_out(
     })
 }
 
-/// The texels of the triangles of one image, and of the rows and columns next to their charts.
+/// Find the texels of the triangles of one image, and the texels next to their charts.
 #[pyfunction]
 #[pyo3(signature = (corners, pages, *, page, width, height))]
 pub fn texels(
@@ -81,7 +86,7 @@ pub fn texels(
         let corners = triangle_corners(&corners)?;
         let pages = pages.as_array().to_vec();
         if pages.len() != corners.len() {
-            return Err(PyValueError::new_err("pages needs one value for each triangle"));
+            return Err(PyValueError::new_err("pages must have one value for each triangle"));
         }
         let found = py.detach(|| under::texels(&corners, |t| pages[t] == page, width, height));
         let count = found.pixels.len();
@@ -94,12 +99,12 @@ pub fn texels(
     })
 }
 
-/// Corners of triangles in a plane, m × 3 × 2.
+/// Copy 2-D triangle corners, m × 3 × 2.
 pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f64; 2]; 3]>> {
     let corners = corners.as_array();
     if corners.shape()[1..] != [3, 2] {
         return Err(PyValueError::new_err(format!(
-            "corners are {:?}; m × 3 × 2 is expected",
+            "corners have shape {:?}; m × 3 × 2 is expected",
             corners.shape()
         )));
     }
@@ -107,6 +112,7 @@ pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f
     Ok((0..corners.shape()[0]).map(|t| [0, 1, 2].map(|c| [0, 1].map(|k| value(t, c, k)))).collect())
 }
 
+/// Convert a shape error to ValueError.
 pub fn shape(error: numpy::ndarray::ShapeError) -> PyErr {
     PyValueError::new_err(error.to_string())
 }

@@ -14,7 +14,7 @@ use crate::certify::{self, Deviation};
 use crate::collapse::engine::Refusal;
 use crate::mesh::legality::Illegal;
 
-/// A simplified mesh and what is proven of it. Pairs are (shape in metres, colour in levels).
+/// Simplified mesh with proven bounds. Pairs are (shape in metres, colour in levels).
 #[pyclass(frozen, get_all, extends = Simplified)]
 pub struct Proven {
     shape_bound: Py<PyArray1<f64>>,
@@ -25,11 +25,11 @@ pub struct Proven {
     color_slack: f64,
     proven: bool,
     iterations: usize,
-    /// Triangles of the result, and of the input, without a proof.
+    /// Unproven triangles of the result, and of the input.
     unproven: (usize, usize),
 }
 
-/// Simplify within bounds that are proven to hold everywhere; infinite for none.
+/// Simplify within bounds that are proven everywhere; infinity disables a bound.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, locked, importance, *, bounds, weight, share, tolerance, effort, close,
                     running, progress))]
@@ -53,7 +53,7 @@ pub fn simplify_certified(
     let all = [bounds.0, bounds.1, weight, tolerance.0, tolerance.1, effort];
     if !(all.iter().all(|x| *x >= 0.0) && weight.is_finite() && share > 0.0 && share <= 1.0) {
         return Err(PyValueError::new_err(
-            "bounds, weight, tolerance and effort must not be negative, and share be up to 1",
+            "bounds, weight, tolerance and effort must not be negative, and share must be above 0 and at most 1",
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
@@ -99,7 +99,7 @@ fn simplify_points<const D: usize, const K: usize>(
         ("locked", count(Refusal::Illegal(Illegal::Locked))),
         ("fold", count(Refusal::Illegal(Illegal::Fold))),
     ];
-    // The loop has at least one turn; the last one is that of the result.
+    // Certification runs at least once; its last pass checked the result.
     let ([own, original], collapses, attempts) =
         result.passes.last().map_or(([0, 0], 0, 0), |p| (p.unproven, p.collapses as u64, p.attempts));
     let certificate = &result.certificate;

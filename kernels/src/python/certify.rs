@@ -9,7 +9,7 @@ use super::detached::detached;
 use super::guarded::guarded;
 use crate::certify::{Certificate, Deviation, Options, Surface};
 
-/// What `certify` returns.
+/// Result of `certify`.
 #[pyclass(frozen, get_all)]
 pub struct Certified {
     shape_bound: Py<PyArray1<f64>>,
@@ -25,7 +25,7 @@ pub struct Certified {
 
 type Soup<'py> = (PyReadonlyArray2<'py, f64>, Attributes<'py>, PyReadonlyArray2<'py, i32>);
 
-/// Bound how far two meshes (vertices, attributes, triangles) are apart.
+/// Bound the distance between two meshes (vertices, attributes, triangles).
 #[pyfunction]
 #[pyo3(signature = (result, original, *, tolerance, absolute_tolerance, limit, effort, slack, threads, progress))]
 #[allow(clippy::too_many_arguments)]
@@ -60,7 +60,7 @@ pub fn certify(
         (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
         (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
         (a, b) => Err(PyValueError::new_err(format!(
-            "{a} and {b} attributes a vertex; 0, 1 (intensity) or 3 (RGB) on both sides are known"
+            "{a} and {b} attributes per vertex; 0, 1 (intensity) or 3 (RGB) in both meshes are supported"
         ))),
     })
 }

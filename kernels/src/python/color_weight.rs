@@ -12,8 +12,9 @@ use crate::mesh::triangle_mesh::check_points;
 use crate::quadric::balance::balanced;
 use crate::quadric::trial::affordable;
 
-/// The length that should count as much as one level of the attributes in a result of `target` triangles: the balanced
-/// one, or, where it is to be tried, what is affordable of that.
+/// Compute the length in metres that is equivalent to one attribute level in a result of `target` triangles.
+/// The weight is balanced; with `tried`, it is reduced by a trial simplification to what the triangle count
+/// affords.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, *, target, tried, wanted_threads))]
 pub fn color_weight(

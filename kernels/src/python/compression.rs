@@ -1,8 +1,8 @@
-//! `scanloom.stages._kernels.strip_order`, `encode_rows`, `encode_triangles`, `decode_rows`, `decode_indices` and `unfilter`:
-//! buffers as EXT_meshopt_compression keeps them.
+//! `scanloom.stages._kernels.strip_order`, `encode_rows`, `encode_triangles`, `decode_rows`, `decode_indices`
+//! and `unfilter`: buffers of EXT_meshopt_compression.
 //!
-//! The work is meshoptimizer's. It takes its own memory by C++, where a failure would end the process: what it needs is
-//! asked for before.
+//! meshoptimizer does the work. It allocates in C++, where a failure would end the process, so the required
+//! memory is checked before.
 
 use meshopt::ffi;
 use numpy::{PyArray2, PyReadonlyArray2};
@@ -16,18 +16,19 @@ use crate::base::errors::KernelError;
 use crate::base::reserve::is_there;
 use crate::mesh::connect::check_indices;
 
-/// The version of the codec of rows that the extension names; the one of triangles is the library's own default.
+/// Version of the vertex codec that the extension specifies; the index codec uses the default of the library.
 const VERSION: i32 = 0;
-/// Without a meaning in that version.
+/// Without effect in that version.
 const LEVEL: i32 = 2;
-/// Bytes of rows, and indices, that one packed byte stands for at most: blocks of 256 rows whose bytes are all the same
-/// take a quarter of a byte for each column, and a triangle takes one.
+/// Maximum decoded bytes (vertex codec) and indices (index codec) per encoded byte. A block of 256 equal rows
+/// takes a quarter of a byte per column; a triangle takes a byte.
 const MOST_IN_A_BYTE: usize = 1024;
 const INDICES_IN_A_BYTE: usize = 3;
-/// Bytes that ordering takes for each vertex and triangle: lists of the triangles around vertices, and marks.
+/// Bytes per vertex and triangle for the ordering: lists of the triangles around vertices, and marks.
 const NEEDED: usize = 64;
 
-/// Triangles (m, 3) in an order, and with first corners, that pack well: each is next to the one before, if one is.
+/// Reorder triangles (m, 3) and their first corners for compression: each is adjacent to the one before, if
+/// possible.
 #[pyfunction]
 pub fn strip_order(
     py: Python<'_>,
@@ -42,7 +43,7 @@ pub fn strip_order(
         }
         let ordered = py.detach(|| {
             let mut ordered = vec![0u32; indices.len()];
-            // SAFETY: there are as many places as indices, and each index is below `vertices`.
+            // SAFETY: the output is as long as the input, and each index is below `vertices`.
             unsafe {
                 ffi::meshopt_optimizeVertexCacheStrip(
                     ordered.as_mut_ptr(),
@@ -58,7 +59,7 @@ pub fn strip_order(
     })
 }
 
-/// Rows (n, k) of bytes, k a multiple of 4 up to 256, in the mode ATTRIBUTES.
+/// Encode rows (n, k) of bytes in the mode ATTRIBUTES; k must be a multiple of 4 up to 256.
 #[pyfunction]
 pub fn encode_rows(py: Python<'_>, rows: PyReadonlyArray2<'_, u8>) -> PyResult<Py<PyBytes>> {
     let (count, size) = rows.as_array().dim();
@@ -70,9 +71,9 @@ pub fn encode_rows(py: Python<'_>, rows: PyReadonlyArray2<'_, u8>) -> PyResult<P
     guarded(count.saturating_mul(size) / 8, || {
         let bytes: Vec<u8> = rows.as_array().iter().copied().collect();
         let packed = py.detach(|| {
-            // SAFETY: of a function of two numbers.
+            // SAFETY: the function only computes with two integers.
             let mut packed = vec![0u8; unsafe { ffi::meshopt_encodeVertexBufferBound(count, size) }];
-            // SAFETY: `bytes` are `count` rows of `size`, and there is room for the worst case.
+            // SAFETY: `bytes` has `count` rows of `size` bytes, and the output has the worst-case size.
             let used = unsafe {
                 ffi::meshopt_encodeVertexBufferLevel(
                     packed.as_mut_ptr(),
@@ -91,7 +92,7 @@ pub fn encode_rows(py: Python<'_>, rows: PyReadonlyArray2<'_, u8>) -> PyResult<P
     })
 }
 
-/// Triangles (m, 3) in the mode TRIANGLES; their first corners may come back as others of the same triangle.
+/// Encode triangles (m, 3) in the mode TRIANGLES. Decoding may rotate the corners of a triangle.
 #[pyfunction]
 pub fn encode_triangles(
     py: Python<'_>,
@@ -101,10 +102,10 @@ pub fn encode_triangles(
     guarded(triangles.as_array().nrows(), || {
         let indices = checked(&triangles, vertices)?;
         let packed = py.detach(|| {
-            // SAFETY: of a function of two numbers.
+            // SAFETY: the function only computes with two integers.
             let bound = unsafe { ffi::meshopt_encodeIndexBufferBound(indices.len(), vertices) };
             let mut packed = vec![0u8; bound];
-            // SAFETY: each index is below `vertices`, for which the room is the worst case.
+            // SAFETY: each index is below `vertices`, and the output has the worst-case size for that.
             let used = unsafe {
                 ffi::meshopt_encodeIndexBuffer(
                     packed.as_mut_ptr(),
@@ -120,9 +121,9 @@ pub fn encode_triangles(
     })
 }
 
-/// Rows of `size` bytes, `count` of them, of what was packed in the mode ATTRIBUTES.
+/// Decode `count` rows of `size` bytes from the mode ATTRIBUTES.
 ///
-/// `filtered` tells what was done to them before, which is undone: "NONE", "OCTAHEDRAL", "QUATERNION" or "EXPONENTIAL".
+/// `filtered` is the filter to undo: "NONE", "OCTAHEDRAL", "QUATERNION" or "EXPONENTIAL".
 #[pyfunction]
 pub fn decode_rows(
     py: Python<'_>,
@@ -139,7 +140,8 @@ pub fn decode_rows(
     let undo = undoing(filtered, size)?;
     require_held(count.saturating_mul(size), packed.len(), MOST_IN_A_BYTE)?;
     let filled = PyBytes::new_with(py, count * size, |rows| {
-        // SAFETY: there is room for `count` rows of `size`, and the decoder reads no more than it is told there is.
+        // SAFETY: the output has `count` rows of `size` bytes, and the decoder reads at most `packed.len()`
+        // bytes.
         let code = unsafe {
             ffi::meshopt_decodeVertexBuffer(
                 rows.as_mut_ptr().cast(),
@@ -153,7 +155,7 @@ pub fn decode_rows(
             return Err(damaged());
         }
         if let Some(undo) = undo {
-            // SAFETY: as above; the filter's own demands on `size` are met.
+            // SAFETY: as above; `undoing` has checked that the filter accepts `size`.
             unsafe { undo(rows.as_mut_ptr().cast(), count, size) };
         }
         Ok(())
@@ -161,7 +163,7 @@ pub fn decode_rows(
     Ok(filled.unbind())
 }
 
-/// Indices of `size` bytes, 2 or 4, `count` of them, of what was packed in the mode TRIANGLES or INDICES.
+/// Decode `count` indices of `size` bytes (2 or 4) from the mode TRIANGLES or INDICES.
 #[pyfunction]
 pub fn decode_indices(
     py: Python<'_>,
@@ -171,16 +173,21 @@ pub fn decode_indices(
     mode: &str,
 ) -> PyResult<Py<PyBytes>> {
     if size != 2 && size != 4 {
-        return Err(PyValueError::new_err(format!("an index has {size} bytes; it must have 2 or 4")));
+        return Err(PyValueError::new_err(format!("indices have {size} bytes; 2 or 4 are supported")));
     }
     let decode = match mode {
         "TRIANGLES" if count.is_multiple_of(3) => ffi::meshopt_decodeIndexBuffer,
         "INDICES" => ffi::meshopt_decodeIndexSequence,
-        _ => return Err(PyValueError::new_err(format!("{count} indices cannot be of the mode {mode}"))),
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "{count} indices cannot be decoded in the mode {mode}"
+            )));
+        }
     };
     require_held(count, packed.len(), INDICES_IN_A_BYTE)?;
     let filled = PyBytes::new_with(py, count * size, |indices| {
-        // SAFETY: there is room for `count` indices of `size`, and the decoder reads no more than it is told there is.
+        // SAFETY: the output has `count` indices of `size` bytes, and the decoder reads at most
+        // `packed.len()` bytes.
         let code = unsafe { decode(indices.as_mut_ptr().cast(), count, size, packed.as_ptr(), packed.len()) };
         if code == 0 { Ok(()) } else { Err(damaged()) }
     })?;
@@ -189,22 +196,23 @@ pub fn decode_indices(
 
 type Filter = unsafe extern "C" fn(*mut std::os::raw::c_void, usize, usize);
 
-/// What undoes a filter; all of them work in place.
+/// Return the function that undoes a filter in place; None for "NONE".
 fn undoing(filter: &str, size: usize) -> PyResult<Option<Filter>> {
     let (undo, fits): (Filter, bool) = match filter {
         "NONE" => return Ok(None),
         "OCTAHEDRAL" => (ffi::meshopt_decodeFilterOct, size == 4 || size == 8),
         "QUATERNION" => (ffi::meshopt_decodeFilterQuat, size == 8),
         "EXPONENTIAL" => (ffi::meshopt_decodeFilterExp, true),
-        _ => return Err(PyValueError::new_err(format!("there is no filter {filter}"))),
+        _ => return Err(PyValueError::new_err(format!("filter {filter} is unknown"))),
     };
     if !fits {
-        return Err(PyValueError::new_err(format!("the filter {filter} is not for rows of {size} bytes")));
+        return Err(PyValueError::new_err(format!("filter {filter} does not support rows of {size} bytes")));
     }
     Ok(Some(undo))
 }
 
-/// A few bytes must not ask for any amount of memory.
+/// Reject a decoded size that the encoded data cannot produce, so that a few bytes cannot request any amount
+/// of memory.
 fn require_held(asked: usize, held: usize, most: usize) -> PyResult<()> {
     if asked > held.saturating_mul(most) {
         return Err(damaged());
@@ -213,22 +221,22 @@ fn require_held(asked: usize, held: usize, most: usize) -> PyResult<()> {
 }
 
 fn damaged() -> PyErr {
-    PyValueError::new_err("the data is damaged or cut short")
+    PyValueError::new_err("the data is damaged or truncated")
 }
 
 fn checked(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<u32>> {
     let rows = triangles.as_array();
     if rows.ncols() != 3 {
-        return Err(PyValueError::new_err("a triangle has three corners"));
+        return Err(PyValueError::new_err("triangles must be m × 3"));
     }
-    // What is negative is too large as well.
+    // Negative indices become too large and are rejected, too.
     let found: Vec<[u32; 3]> =
         rows.rows().into_iter().map(|row| [row[0], row[1], row[2]].map(|at| at as u32)).collect();
     check_indices(vertices, &found)?;
     Ok(found.into_iter().flatten().collect())
 }
 
-/// Bytes that Python takes memory for, which it may not have.
+/// Copy to Python bytes; raises MemoryError if Python cannot allocate them.
 fn bytes_of(py: Python<'_>, packed: &[u8]) -> PyResult<Py<PyBytes>> {
     let filled = PyBytes::new_with(py, packed.len(), |bytes| {
         bytes.copy_from_slice(packed);

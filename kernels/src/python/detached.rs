@@ -1,4 +1,4 @@
-//! Work without the GIL that still sees Ctrl-C and tells how far it is.
+//! Execution without the GIL, with Ctrl-C and progress reports.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::RecvTimeoutError;
@@ -12,13 +12,14 @@ use crate::base::errors::KernelError;
 use crate::base::parallel::spawn;
 use crate::base::progress::{Control, Progress};
 
-/// How often the waiting thread looks for Ctrl-C, and every how many looks it reports progress.
+/// Interval of the checks for Ctrl-C, and number of checks per progress report.
 const LOOK: Duration = Duration::from_millis(40);
 const LOOKS_A_REPORT: u32 = 3;
 
-/// Run `work` without the GIL on a thread of its own, while this one waits. Progress reaches the Python function
-/// `progress(done, total)`, if there is one. An exception there, or Ctrl-C, stops the work and comes back from here; so does False,
-/// with what there is. With `partial`, Ctrl-C does the same as False. A panic becomes a RuntimeError.
+/// Run `work` without the GIL on a separate thread, and wait for it. `progress(done, total)`, a Python
+/// function, is called regularly if given. An exception there, or Ctrl-C, aborts the work and is raised here.
+/// If it returns False, the work stops and returns its result so far; with `partial`, Ctrl-C has the same
+/// effect. A panic becomes a RuntimeError.
 pub fn detached<R: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -33,7 +34,7 @@ pub fn detached<R: Send>(
             let control = &control;
             let worker = spawn(scope, move || {
                 let outcome = catch_unwind(AssertUnwindSafe(|| work(&mut Progress::new(control))));
-                // Nobody waits any more once an exception was raised.
+                // The receiver does not wait any more after an exception.
                 let _ = ended.send(());
                 outcome
             })?;
@@ -70,6 +71,8 @@ pub fn detached<R: Send>(
     match outcome {
         None => Err(KernelError::OutOfMemory.into()),
         Some(Ok(Ok(result))) => result.map_err(PyErr::from),
-        _ => Err(PyRuntimeError::new_err("the mesh kernels failed; please report the mesh that shows it")),
+        _ => Err(PyRuntimeError::new_err(
+            "internal error in the mesh kernels; please report it with the mesh that causes it",
+        )),
     }
 }

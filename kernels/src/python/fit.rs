@@ -17,8 +17,8 @@ use crate::mesh::triangle_mesh::check_points;
 /// Vertices and attributes.
 type Points = (Py<PyArray2<f64>>, Py<PyArray2<f64>>);
 
-/// Fit a simplified mesh to its input: `became` holds the vertex of the result that each vertex of the input
-/// became part of, −1 for none. Returns vertices and attributes of the result.
+/// Fit a simplified mesh to its input by least squares. `became` is the result vertex that each input vertex
+/// was merged into, −1 for none. Returns the vertices and attributes of the result.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, locked, original_vertices, original_attributes,
                     original_triangles, became, *, threads, progress))]
@@ -71,7 +71,7 @@ fn fit_points<const D: usize>(
         .map(|&v| if (0..vertices as i64).contains(&v.into()) { VertexId(v as u32) } else { VertexId::NONE })
         .collect();
     if became.len() != original_points.len() {
-        return Err(PyValueError::new_err("became needs one value for each original vertex"));
+        return Err(PyValueError::new_err("became must have one value for each original vertex"));
     }
     let points = detached(py, Some(progress), false, |progress| {
         let whole = Whole::<D, ()>::new(points, triangles, locked)?;

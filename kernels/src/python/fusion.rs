@@ -25,37 +25,38 @@ use crate::fusion::view::{Affine, Camera, Images, View, Weighing};
 
 /// fx, fy, cx, cy, width, height.
 type Pinhole = (f64, f64, f64, f64, usize, usize);
-/// With the (4, 4) matrix that takes the camera to the field.
+/// Intrinsics with the (4, 4) camera-to-world matrix.
 type Posed<'py> = (Pinhole, PyReadonlyArray2<'py, f64>);
 type Map<'py> = PyReadonlyArray2<'py, f32>;
 type NewMap = Py<PyArray2<f32>>;
-/// Blocks (n, 3), distances (n, 512) in truncations, weights, frames, and colours (n, 512, 3) if there are any.
+/// Blocks (n, 3), distances (n, 512) in truncations, weights, observation counts, and colours (n, 512, 3) if
+/// the volume has colours.
 type Voxels =
     (Py<PyArray2<i32>>, Py<PyArray2<f32>>, Py<PyArray2<u16>>, Py<PyArray2<u8>>, Option<Py<PyArray3<f32>>>);
 
-/// Vertices, triangles, colours and frames.
+/// Vertices, triangles, colours and observation counts.
 type Extracted = (Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray2<f32>>, Py<PyArray1<f32>>);
 
-/// Vertices that others have, by the Z-order of their blocks and the codes of their edges; the same of those that others may
-/// refer to, with their numbers.
+/// Vertices to stitch: block keys and edge codes of foreign vertices; and block keys, edge codes and indices
+/// of shared vertices.
 type Joints = [Py<PyArray1<u64>>; 5];
-/// The first block of a box along each axis, and the one after its last.
+/// First block of a box along each axis, and the end (exclusive).
 type Corners = ([i32; 3], [i32; 3]);
 
 fn boxed((low, high): Corners) -> BlockBox {
     BlockBox { low, high }
 }
 
-/// More pixels than 32-bit numbers count.
+/// Maximum number of pixels, so that 32-bit indices suffice.
 const MOST_PIXELS: usize = 1 << 30;
-/// Columns and rows from here on are not all told apart in single precision.
+/// Image sides must be shorter, because single precision represents all integers only up to this value.
 const LONGEST: usize = 1 << 24;
 
 fn camera(posed: &Posed<'_>) -> PyResult<Camera> {
     let (pinhole, ref pose) = *posed;
     let pose = pose.as_array();
     if pose.shape() != [4, 4] || !pose.iter().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("a camera needs a finite 4 × 4 pose"));
+        return Err(PyValueError::new_err("the camera pose must be a finite 4 × 4 matrix"));
     }
     at(pinhole, [0, 1, 2].map(|i| [0, 1, 2, 3].map(|k| pose[[i, k]])))
 }
@@ -63,28 +64,29 @@ fn camera(posed: &Posed<'_>) -> PyResult<Camera> {
 fn at((fx, fy, cx, cy, width, height): Pinhole, pose: Affine) -> PyResult<Camera> {
     if ![fx, fy, cx, cy].iter().all(|x| x.is_finite()) || fx <= 0.0 || fy <= 0.0 {
         return Err(PyValueError::new_err(
-            "a camera needs finite focal lengths above 0, and a finite centre",
+            "the camera must have finite focal lengths above 0, and a finite principal point",
         ));
     }
     let is_small = width.max(height) < LONGEST && (width + 1).saturating_mul(height + 1) <= MOST_PIXELS;
     if width == 0 || height == 0 || !is_small {
         return Err(PyValueError::new_err(
-            "a camera needs an image of a pixel at least, fewer than 2³⁰, and of sides below 2²⁴",
+            "a camera image must have at least one pixel, fewer than 2³⁰ pixels, and sides below 2²⁴ pixels",
         ));
     }
     Ok(Camera::new((width, height), [fx, fy], [cx, cy], pose))
 }
 
-/// Pixels row by row, of an image of a camera's size.
+/// Return the pixels of an image, row by row; checks that its size is the camera's.
 fn pixels<'a, T: Element>(image: &'a PyReadonlyArray2<'_, T>, camera: &Camera) -> PyResult<&'a [T]> {
     match image.as_slice() {
         Ok(pixels) if image.as_array().shape() == [camera.height, camera.width] => Ok(pixels),
-        _ => Err(PyValueError::new_err("an image is not contiguous, or of another size than its camera")),
+        _ => Err(PyValueError::new_err("an image is not contiguous, or its size differs from the camera's")),
     }
 }
 
-/// A depth map without gaps of one pixel and without what is torn or too oblique; normals of its surface, an image for each
-/// axis, and their lengths. `limits` holds the least and greatest depth, the jump, and the least cosine.
+/// Filter a depth map: fill gaps of one pixel, drop discontinuities and grazing angles, and estimate normals
+/// (one image per axis) and their lengths. `limits` is (minimum depth, maximum depth, relative jump, minimum
+/// cosine).
 #[pyfunction]
 #[pyo3(signature = (depth, pinhole, *, limits, wanted_threads))]
 pub fn oriented_depth(
@@ -109,8 +111,8 @@ pub fn oriented_depth(
     })
 }
 
-/// Keys of the blocks that a frame touches, sorted; with `within`, of those from its first to before its second block alone.
-/// Images are contiguous; normals are three, one for each axis.
+/// Find the sorted keys of the blocks that a frame touches. `within` restricts them to a box (first block,
+/// end block). Images must be contiguous; `normal` has one image per axis.
 #[pyfunction]
 #[pyo3(signature = (camera, depth, normal, obliqueness, wanted, *, voxel_size, truncation, within))]
 #[allow(clippy::too_many_arguments)]
@@ -139,7 +141,7 @@ pub fn touched_blocks(
     })
 }
 
-/// A field of signed distances in blocks of 8³ voxels.
+/// TSDF volume in blocks of 8³ voxels.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct Volume {
     inner: Mutex<crate::fusion::volume::Volume>,
@@ -148,7 +150,7 @@ pub struct Volume {
 
 #[pymethods]
 impl Volume {
-    /// Lengths are metres; the truncation is along the surface's normal.
+    /// Create an empty volume. Lengths are in metres; the truncation is along the surface normal.
     #[new]
     #[pyo3(signature = (voxel_size, truncation, *, color, most_blocks, instructions = None))]
     fn new(
@@ -164,37 +166,38 @@ impl Volume {
         }
         let wanted = instructions.unwrap_or(versions()[0].0);
         let Some((_, add)) = versions().into_iter().find(|(name, _)| *name == wanted) else {
-            return Err(PyValueError::new_err(format!("this processor has no {wanted}")));
+            return Err(PyValueError::new_err(format!("this processor does not support {wanted}")));
         };
         let field = crate::fusion::volume::Volume::new(voxel_size, truncation, color, most_blocks).using(add);
         Ok(Self { inner: Mutex::new(field), truncation: truncation as f32 })
     }
 
-    /// The sets of instructions that the processor has and a field may use, the widest first; all give the same bits.
+    /// List the instruction sets that this processor supports, widest first; all give identical bits.
     #[staticmethod]
     fn instructions() -> Vec<&'static str> {
         versions().into_iter().map(|(name, _)| name).collect()
     }
 
-    /// Blocks in use.
+    /// Number of blocks in use.
     #[getter]
     fn blocks(&self) -> usize {
         self.locked().blocks().count()
     }
 
-    /// Memory of the voxels.
+    /// Memory of the voxels in bytes.
     #[getter]
     fn bytes(&self) -> usize {
         self.locked().blocks().bytes()
     }
 
-    /// Of how many voxels near the surface each number (256,) of frames is, in a box of blocks.
+    /// Compute the histogram (256,) of observation counts of voxels near the surface, in a box of blocks.
     #[pyo3(signature = (*, within))]
     fn frame_counts(&self, py: Python<'_>, within: Option<Corners>) -> Py<PyArray1<u64>> {
         PyArray1::from_slice(py, &self.locked().frame_counts(within.map(boxed))).unbind()
     }
 
-    /// Add a frame to the blocks with some keys; images are contiguous. `weighing` holds typical, constant and quadratic.
+    /// Integrate a frame into the blocks with the given keys; images must be contiguous. `weighing` is
+    /// (typical, constant, quadratic).
     #[pyo3(signature = (keys, camera, depth, obliqueness, color, *, weighing, wanted_threads))]
     #[allow(clippy::too_many_arguments)]
     fn integrate(
@@ -212,12 +215,14 @@ impl Volume {
         guarded(keys.as_array().len() + camera.width * camera.height, || {
             let (typical, constant, quadratic) = weighing;
             if ![typical, constant, quadratic].iter().all(|x| x.is_finite() && *x >= 0.0) {
-                return Err(PyValueError::new_err("weighing needs finite numbers that are not below 0"));
+                return Err(PyValueError::new_err("weighing must have finite values that are not negative"));
             }
             let threads = threads(wanted_threads);
             let color = color.as_ref().map(|color| levels(color, &camera)).transpose()?;
             if color.is_none() && self.locked().blocks().is_colored() {
-                return Err(PyValueError::new_err("the voxels have colours, but the frame has none"));
+                return Err(PyValueError::new_err(
+                    "the volume has colours, but the frame has no colour image",
+                ));
             }
             let images = Images {
                 depth: pixels(&depth, &camera)?,
@@ -225,15 +230,16 @@ impl Volume {
                 color,
             };
             let weighing = Weighing { typical, constant, quadratic };
-            // Copied while nobody else can write to them.
+            // Copied while the GIL prevents other writers.
             let view = View::new(camera, images, weighing, self.truncation, threads);
             let keys = keys.as_array().to_vec();
             detached(py, None, false, |progress| self.locked().integrate(&keys, &view, threads, progress))
         })
     }
 
-    /// The zero surface through voxels that `least` frames have seen: vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3),
-    /// 0 to 255, and mean frames (n,). Of the blocks in a box alone, if there is one: see `Joints`.
+    /// Extract the surface through voxels observed by at least `least` frames: vertices (n, 3) in voxels,
+    /// triangles (m, 3), colours (n, 3) of 0 to 255, and mean observation counts (n,). `within` restricts the
+    /// surface to a box of blocks; see `Joints`.
     #[pyo3(signature = (least, *, within, wanted_threads))]
     fn surface(
         &self,
@@ -244,7 +250,7 @@ impl Volume {
     ) -> PyResult<(Extracted, Joints)> {
         let count = self.locked().blocks().count();
         guarded(count.saturating_mul(VOXELS / 8), || {
-            // Locked by the thread that works, which needs no GIL to end.
+            // Locked by the worker thread, which needs no GIL to finish.
             let found = detached(py, None, false, |progress| {
                 surface(&*self.locked(), least, within.map(boxed), threads(wanted_threads), progress)
             })?;
@@ -272,7 +278,7 @@ impl Volume {
         })
     }
 
-    /// All voxels as they are, blocks in the order of their slots; NaN where none was seen.
+    /// Copy all voxel data, blocks in slot order; NaN for voxels that were never observed.
     fn voxels(&self, py: Python<'_>) -> PyResult<Voxels> {
         let volume = self.locked();
         let blocks = volume.blocks();
@@ -303,7 +309,8 @@ impl Volume {
 }
 
 impl Drop for Volume {
-    /// Fields come one after the other where space is cut in bricks: none is to leave its memory to the allocator.
+    /// Release the memory to the system, because bricks are fused one after another, and the allocator would
+    /// keep it.
     fn drop(&mut self) {
         *self.locked() = crate::fusion::volume::Volume::new(1.0, 1.0, false, 0);
         give_back();
@@ -320,7 +327,7 @@ fn levels<'a>(color: &'a PyReadonlyArray3<'_, u8>, camera: &Camera) -> PyResult<
     match color.as_slice() {
         Ok(levels) if color.as_array().shape() == [camera.height, camera.width, 3] => Ok(levels),
         _ => Err(PyValueError::new_err(
-            "a colour image is not contiguous h × w × 3, or not of its camera's size",
+            "a colour image is not contiguous h × w × 3, or its size differs from the camera's",
         )),
     }
 }

@@ -1,4 +1,4 @@
-//! Calls that end with a MemoryError where the memory is used up.
+//! Calls that raise MemoryError if the system runs out of memory.
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
@@ -6,13 +6,15 @@ use pyo3::prelude::*;
 
 use crate::base::reserve::Reserve;
 
-/// Run `work` on so many rows of arrays (vertices, triangles, bytes) with a reserve that lasts from one check to the next.
+/// Run `work` with a memory reserve for a number of rows of arrays (vertices, triangles, bytes). The reserve
+/// must last from one cancellation check to the next.
 ///
-/// All that Python calls comes through here, and does all its work in here, with the copies of its arrays.
+/// Every function called from Python does all its work inside, including the copies of its arrays.
 pub fn guarded<R>(rows: usize, work: impl FnOnce() -> PyResult<R>) -> PyResult<R> {
     let reserve = Reserve::for_rows(rows)?;
     match catch_unwind(AssertUnwindSafe(work)) {
-        // What it returns may lie in the reserve, and what went wrong may have come of the shortage.
+        // The result may be stored in the reserve, and an error may be a consequence of the shortage; so the
+        // shortage takes precedence.
         Ok(outcome) => reserve.check().map_err(PyErr::from).and(outcome),
         Err(panic) => {
             reserve.check()?;

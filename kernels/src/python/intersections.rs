@@ -11,7 +11,7 @@ use crate::mesh::connect::check_indices;
 use crate::mesh::intersections::intersecting;
 use crate::mesh::triangle_mesh::check_points;
 
-/// For each triangle (m,) one that it meets beyond what both share; 2³² − 1 for none.
+/// Find for each triangle (m,) one that it intersects beyond their shared vertices; 2³² − 1 for none.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, *, wanted_threads, progress))]
 pub fn intersecting_triangles(

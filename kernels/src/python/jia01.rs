@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.simplify` and `side_lengths`, which its default resolution is made from.
+//! `scanloom.stages._kernels.simplify`, and `side_lengths` for its default resolution.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -15,20 +15,20 @@ use crate::collapse::whole::Whole;
 use crate::jia01::{self, Limits, Options, Refused};
 use crate::mesh::triangle_mesh::Compact;
 
-/// A mesh simplified with JIA01, and the sums that came up.
+/// Mesh simplified with JIA01, with the largest accumulated changes.
 #[pyclass(frozen, get_all, extends = Simplified)]
 pub struct BySums {
     splits: u64,
     largest_shape_change: f64,
     largest_texture_change: f64,
-    /// What the collapses began with, if they were recorded and that is not the input.
+    /// Input of the collapses after edge splitting, if collapses were recorded and edges were split.
     split: Option<Split>,
 }
 
-/// Vertices, attributes and triangles of a mesh, and the vertex and the triangle of the input that each comes from.
+/// Vertices, attributes and triangles of a mesh, and the input vertex and input triangle of each.
 type Split = (Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<i32>>, Py<PyArray1<i32>>);
 
-/// Simplify a mesh with JIA01. Bounds are infinite where there is none.
+/// Simplify a mesh with JIA01. Infinity disables a bound.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, locked, *, bounds, scales, attribute_scale, paper_rule,
                     triangle_limit, running, progress))]
@@ -61,7 +61,7 @@ pub fn simplify(
     }
     if ![bounds.0, bounds.1, bounds.2, attribute_scale].iter().all(|x| *x >= 0.0) || bounds.0 == 0.0 {
         return Err(PyValueError::new_err(
-            "bounds and attribute_scale must not be negative, nor the length 0",
+            "bounds and attribute_scale must not be negative, and the length bound must be above 0",
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
@@ -125,8 +125,8 @@ fn simplify_points<const D: usize>(
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(sums))
 }
 
-/// Lengths (m, 3) of the sides of triangles: entry k is the side from corner k − 1 to corner k. The arrays are read where
-/// they are, and so the GIL stays held for the few milliseconds this takes.
+/// Compute the side lengths (m, 3) of triangles: entry k is the side from corner k − 1 to corner k. The
+/// arrays are read in place, so the GIL is held for the few milliseconds this takes.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, *, wanted_threads))]
 pub fn side_lengths(
@@ -137,7 +137,7 @@ pub fn side_lengths(
 ) -> PyResult<Py<PyArray2<f64>>> {
     let (vertices, triangles) = (vertices.as_array(), triangles.as_array());
     if vertices.ncols() != 3 || triangles.ncols() != 3 {
-        return Err(PyValueError::new_err("vertices are n × 3 and triangles m × 3"));
+        return Err(PyValueError::new_err("vertices must be n × 3 and triangles m × 3"));
     }
     guarded(vertices.nrows() + triangles.nrows(), || {
         let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());

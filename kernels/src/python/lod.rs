@@ -14,11 +14,11 @@ use crate::certify::{self, Deviation};
 use crate::lod::assemble::{Open, assemble};
 use crate::lod::ladder::{Hierarchy, Options, build};
 
-/// Height over longest side that triangles of levels have: other programs overlook more needles than
-/// [`certify::NEEDLE`] says, Open3D up to 0.007.
+/// Minimum ratio of height to longest side for triangles of levels. Above [`certify::NEEDLE`], because other
+/// programs drop thinner triangles: Open3D up to 0.007.
 const THIN: f64 = 0.01;
 
-/// A hierarchy of levels; nodes from the root down. Pairs are (shape in metres, colour in levels).
+/// Hierarchy of levels, nodes from the root down. Pairs are (shape in metres, colour in levels).
 #[pyclass(frozen, get_all)]
 pub struct Levels {
     parent: Py<PyArray1<i32>>,
@@ -27,18 +27,18 @@ pub struct Levels {
     color_bound: Py<PyArray1<f64>>,
     shape_attained: Py<PyArray1<f64>>,
     color_attained: Py<PyArray1<f64>>,
-    /// Triangles of each node when no vertex of it is split.
+    /// Triangles of each node without any split.
     coarse: Py<PyArray1<i32>>,
-    /// Vertices that are there before any split.
+    /// Number of vertices before any split.
     roots: usize,
     vertices: Py<PyArray2<f64>>,
     attributes: Py<PyArray2<f64>>,
-    /// By vertex from `roots` on: the one it becomes.
+    /// Per vertex from `roots` on: the vertex it merges into.
     origin: Py<PyArray1<i32>>,
-    /// By split: the vertices and the triangles it brings.
+    /// Per split: the number of new vertices and new triangles.
     made: Py<PyArray1<u8>>,
     born: Py<PyArray1<u8>>,
-    /// Splits of node n: `first_split[n]..first_split[n + 1]`; triangles alike.
+    /// Splits of node n: `first_split[n]..first_split[n + 1]`; triangles accordingly.
     first_split: Py<PyArray1<i64>>,
     first_triangle: Py<PyArray1<i64>>,
     triangles: Py<PyArray2<i32>>,
@@ -47,7 +47,7 @@ pub struct Levels {
     unproven: usize,
 }
 
-/// Build the levels of a manifold.
+/// Build the levels of a manifold mesh.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, locked, *, first, ratio, most, root, weight, share, tolerance, effort, single,
                     running, progress))]
@@ -73,11 +73,13 @@ pub fn build_levels(
     let all = [first, weight, tolerance.0, tolerance.1, effort];
     if !(all.iter().all(|x| *x >= 0.0 && x.is_finite()) && first > 0.0 && ratio >= 1.1 && ratio.is_finite()) {
         return Err(PyValueError::new_err(
-            "first, weight, tolerance and effort must not be negative, and ratio be 1.1 or more",
+            "weight, tolerance and effort must not be negative, first must be above 0, and ratio at least 1.1",
         ));
     }
     if most < 4 || !(share > 0.0 && share <= 1.0) {
-        return Err(PyValueError::new_err("a cell has 4 triangles or more, and share is up to 1"));
+        return Err(PyValueError::new_err(
+            "most must be at least 4 triangles, and share above 0 and at most 1",
+        ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
     guarded(inputs.rows(), || {
@@ -118,7 +120,7 @@ fn build_points<const D: usize, const K: usize>(
     let numbers =
         |of: &dyn Fn(usize) -> f64| PyArray1::from_vec(py, (0..nodes.len()).rev().map(of).collect()).unbind();
     let offsets = |all: &[usize]| PyArray1::from_vec(py, all.iter().map(|&i| i as i64).collect()).unbind();
-    // No parent is −1.
+    // A node without parent gets −1.
     let parent = down().map(|n| n.parent.checked_add(1).map_or(u32::MAX, |above| last - above));
     Ok(Levels {
         parent: id_array(py, parent),
@@ -143,7 +145,7 @@ fn build_points<const D: usize, const K: usize>(
     })
 }
 
-/// The mesh of a front: its triangles, numbered anew, their places in the hierarchy, and the vertices they use.
+/// Mesh of a front: its renumbered triangles, their indices in the hierarchy, and the vertices they use.
 #[pyclass(frozen, get_all)]
 pub struct Front {
     vertices: Py<PyArray1<i32>>,
@@ -151,7 +153,8 @@ pub struct Front {
     source: Py<PyArray1<i32>>,
 }
 
-/// Put together the mesh of some nodes: of each the first `count` triangles from `start` on, with vertices below `below`.
+/// Assemble the mesh of a front: per node the first `count` triangles from `start` on, with vertices below
+/// `below`.
 #[pyfunction]
 #[pyo3(signature = (triangles, origin, *, roots, start, count, below))]
 pub fn assemble_front(
@@ -168,7 +171,9 @@ pub fn assemble_front(
     let vertices = roots as usize + origin.len();
     let (start, count, below) = (start.as_slice()?, count.as_slice()?, below.as_slice()?);
     if triangles.as_array().ncols() != 3 || start.len() != count.len() || start.len() != below.len() {
-        return Err(PyValueError::new_err("triangles are m × 3, and a front has as many of each"));
+        return Err(PyValueError::new_err(
+            "triangles must be m × 3, and start, count and below must have equal lengths",
+        ));
     }
     let there = (corners.len() / 3) as i64;
     let mut front = Vec::with_capacity(start.len());

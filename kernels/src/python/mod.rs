@@ -1,4 +1,4 @@
-//! The thin layer that Python sees as `scanloom.stages._kernels`, a file for each kernel.
+//! Python bindings, imported as `scanloom.stages._kernels`; one file per kernel.
 //!
 //! Arrays are checked and copied while the GIL is held; the work runs without it (see [`detached`]).
 
@@ -38,20 +38,20 @@ use crate::base::reserve::{Allocator, Reserve};
 #[global_allocator]
 static ALLOCATOR: Allocator = Allocator;
 
-/// What is reserved for as long as the module is there, for exceptions and the like.
+/// Bytes reserved for the lifetime of the module, for exceptions and the like.
 const ALWAYS: usize = 1 << 20;
 
 create_exception!(
     scanloom.stages._kernels,
     InvalidMeshError,
     PyValueError,
-    "The mesh breaks a rule the kernels need; the message names the elements."
+    "The mesh violates a requirement of the kernels; the message lists the elements."
 );
 create_exception!(
     scanloom.stages._kernels,
     LimitError,
     PyOverflowError,
-    "The result would be larger than the stated limit."
+    "The result would exceed the given limit."
 );
 
 impl From<KernelError> for PyErr {

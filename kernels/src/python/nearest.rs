@@ -12,10 +12,10 @@ use crate::base::geometry::Vec3;
 use crate::base::parallel::threads;
 use crate::texture::nearest::{Located, Surface};
 
-/// Triangles, weights, and distances or whether nearer points were passed over.
+/// Triangles, barycentric weights, and distances or flags of replaced points.
 type Found<T> = (Py<PyArray1<i32>>, Py<PyArray2<f64>>, Py<PyArray1<T>>);
 
-/// A surface that is asked for its nearest points.
+/// Surface with a search tree for nearest-point queries.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct NearestSurface(Surface);
 
@@ -40,7 +40,8 @@ impl NearestSurface {
         })
     }
 
-    /// The nearest points to points (n, 3): triangles (n,), weights (n, 3) and distances (n,).
+    /// Find the nearest points to points (n, 3): triangles (n,), barycentric weights (n, 3) and distances
+    /// (n,).
     #[pyo3(signature = (points, *, wanted_threads))]
     fn closest(
         &self,
@@ -55,8 +56,9 @@ impl NearestSurface {
         })
     }
 
-    /// The same for points of another surface, with its unit normals (n, 3): a point that faces away is passed over
-    /// for one that does not, along the normal and within reach. Instead of distances, where that was so.
+    /// Find the nearest points to points with unit normals (n, 3) of another surface. A nearest point whose
+    /// triangle faces away is replaced by one along the normal, within `reach`, that does not. Returns flags
+    /// of replaced points instead of distances.
     #[pyo3(signature = (points, normals, *, reach, wanted_threads))]
     fn facing(
         &self,
@@ -69,7 +71,7 @@ impl NearestSurface {
         guarded(points.as_array().nrows(), || {
             let (points, normals) = (positions(&points)?, positions(&normals)?);
             if points.len() != normals.len() {
-                return Err(PyValueError::new_err("normals need one row for each point"));
+                return Err(PyValueError::new_err("normals must have one row for each point"));
             }
             let found = py.detach(|| self.0.facing(&points, &normals, reach, threads(wanted_threads)));
             arrays(py, &found, |one| one.is_turned)
@@ -80,7 +82,7 @@ impl NearestSurface {
 fn positions(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vec3>> {
     let found = rows::<f64, 3>(array)?;
     if !found.iter().flatten().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("an array has numbers that are not finite"));
+        return Err(PyValueError::new_err("an array has values that are not finite"));
     }
     Ok(found)
 }

@@ -29,10 +29,10 @@ create_exception!(
     scanloom.stages._kernels,
     SnmError,
     PyValueError,
-    "A file is no normal mesh, or damaged before the first level ends."
+    "The bytes are not an `.snm` file, or are damaged before the end of the base mesh."
 );
 
-/// A base mesh and its refinements.
+/// Base mesh with its levels.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct NormalMesh {
     made: Made,
@@ -186,25 +186,28 @@ impl NormalMesh {
 }
 
 impl NormalMesh {
-    /// What a level gives out.
+    /// Run `work` with a memory reserve for the output of a level.
     fn guarded<R>(&self, level: usize, work: impl FnOnce() -> PyResult<R>) -> PyResult<R> {
         let level = self.level(level)?;
         guarded(level.points.len() + level.topology.triangles.len(), work)
     }
 
     fn level(&self, level: usize) -> PyResult<&Level> {
-        self.made.levels.get(level).ok_or_else(|| PyIndexError::new_err(format!("there is no level {level}")))
+        self.made
+            .levels
+            .get(level)
+            .ok_or_else(|| PyIndexError::new_err(format!("level {level} does not exist")))
     }
 
-    /// The level before, and what was done to it.
+    /// Return the previous level, and the step from it to this level.
     fn step(&self, level: usize) -> PyResult<(&Level, &Step)> {
-        let none = || PyIndexError::new_err(format!("nothing leads to level {level}"));
+        let none = || PyIndexError::new_err(format!("level {level} has no refinement step"));
         let before = level.checked_sub(1).ok_or_else(none)?;
         let step = self.made.steps.get(before).ok_or_else(none)?;
         Ok((self.level(before)?, step))
     }
 
-    /// Points where the caller has them.
+    /// Convert points to the caller's coordinates.
     fn placed(&self, points: &[Vec3]) -> Vec<Vec3> {
         let header = &self.made.header;
         let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));
@@ -212,7 +215,7 @@ impl NormalMesh {
     }
 }
 
-/// Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
+/// Build a normal mesh; `colors` and `confidence` may be empty.
 #[pyfunction]
 #[pyo3(signature = (vertices, colors, confidence, triangles, original, *, levels, base_triangles, base_error, at_any_price,
                     max_error, butterfly, relaxations, tolerance, color_tolerance, up, threads, progress))]
@@ -247,14 +250,14 @@ pub fn remesh(
             || !(confidence.is_empty() || confidence.len() == count)
         {
             return Err(PyValueError::new_err(format!(
-                "vertices are {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
+                "vertices have shape {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
                 vertices.shape(),
                 colors.shape(),
                 confidence.len()
             )));
         }
         if confidence.iter().any(|c| !c.is_finite()) {
-            return Err(PyValueError::new_err("confidence holds a value that is not finite"));
+            return Err(PyValueError::new_err("confidence has a value that is not finite"));
         }
         let points: Vec<Vec3> = vertices.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect();
         let colors =
@@ -294,7 +297,8 @@ fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
     Ok(threads(wanted.extract()?))
 }
 
-/// Read a file up to a level, −1 for all; what is damaged behind the base mesh is left out, and `damage` says so.
+/// Decode a file up to a level, −1 for all. Damaged levels after the base mesh are dropped, and `damage`
+/// describes the damage.
 #[pyfunction]
 pub fn decode_normal_mesh(py: Python<'_>, data: &[u8], level: i64) -> PyResult<NormalMesh> {
     let wanted = usize::try_from(level).unwrap_or(usize::MAX);

@@ -6,12 +6,11 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, Inputs};
 use super::guarded::guarded;
 use crate::mesh::connect::check_indices;
-use crate::mesh::spatial;
 use crate::mesh::triangle_mesh::check_points;
 
 type Rows = Py<PyArray1<u32>>;
 
-/// Vertices (n,) and triangles (m,) in an order in which neighbours in space are neighbours in memory.
+/// Compute a Z-order of vertices (n,) and triangles (m,), so that neighbours in space are close in memory.
 #[pyfunction]
 pub fn spatial_order(
     py: Python<'_>,
@@ -25,7 +24,7 @@ pub fn spatial_order(
         let (points, triangles) = inputs.copied::<3>()?;
         check_points(&points)?;
         check_indices(points.len(), &triangles)?;
-        let (vertices, triangles) = py.detach(|| spatial::spatial_order(&points, &triangles));
+        let (vertices, triangles) = py.detach(|| crate::mesh::spatial::spatial_order(&points, &triangles));
         Ok((PyArray1::from_vec(py, vertices).unbind(), PyArray1::from_vec(py, triangles).unbind()))
     })
 }

@@ -13,17 +13,17 @@ use crate::base::parallel::threads;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::planar::{Options, Patches, Planar, facets, propagate, reasons, simplify};
 
-/// The near-planar patches of a mesh, largest area first.
+/// Near-planar patches of a mesh, largest area first.
 #[pyclass(frozen, get_all, subclass)]
 pub struct PlanarPatches {
-    /// For each triangle of the input its patch; −1 for one that names a vertex twice.
+    /// Patch of each input triangle; −1 for triangles with repeated vertices.
     input_patch: Py<PyArray1<i32>>,
     normals: Py<PyArray2<f64>>,
     origins: Py<PyArray2<f64>>,
     areas: Py<PyArray1<f64>>,
     thickness: Py<PyArray1<f64>>,
     faces: Py<PyArray1<i32>>,
-    /// Looks at a neighbour while the patches grew.
+    /// Number of neighbour tests during the growth of the patches.
     looks: u64,
 }
 
@@ -53,20 +53,20 @@ impl PlanarPatches {
     }
 }
 
-/// A mesh simplified by near-planar patches.
+/// Mesh simplified by near-planar patches.
 #[pyclass(frozen, get_all, extends = PlanarPatches)]
 pub struct ByPatches {
     triangles: Py<PyArray2<i32>>,
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
     triangle_patch: Py<PyArray1<i32>>,
-    /// Whether each patch kept all its triangles.
+    /// True for each patch that kept all its triangles.
     kept: Py<PyArray1<bool>>,
-    /// (k, 2): how far the surfaces are apart at most in each patch, in shape and in colour.
+    /// (k, 2): maximum deviation of each patch in shape and in colour.
     bounds: Py<PyArray2<f64>>,
     refused: BTreeMap<&'static str, u64>,
     rounds: usize,
-    /// Whether the caller was content with less.
+    /// True if the caller stopped the run early.
     is_partial: bool,
 }
 
@@ -83,16 +83,18 @@ fn options(
         return Err(PyValueError::new_err("cosines must not be negative"));
     }
     if !(max_distance > 0.0 && max_distance.is_finite() && max_color >= 0.0) {
-        return Err(PyValueError::new_err("the distance must be above 0 and finite, the colour not below 0"));
+        return Err(PyValueError::new_err(
+            "the shape bound must be above 0 and finite, and the colour bound must not be negative",
+        ));
     }
     let labels: Vec<u32> = labels.as_array().iter().map(|&label| label as u32).collect();
     if !labels.is_empty() && labels.len() != triangles {
-        return Err(PyValueError::new_err("labels need one value a triangle, or none at all"));
+        return Err(PyValueError::new_err("labels must have one value for each triangle, or be empty"));
     }
     Ok(Options { labels, fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
 }
 
-/// The mesh with its locked vertices.
+/// Build a mesh with locked vertices.
 fn mesh_of<const D: usize>(
     threads: usize,
     points: Vec<[f64; D]>,
@@ -106,7 +108,8 @@ fn mesh_of<const D: usize>(
     Ok(mesh)
 }
 
-/// Simplify a mesh by near-planar patches, each of triangles of one of the `labels` (m,), (0,) for none. `cosines` are (fidelity, detail, noise), `bounds` (shape, colour).
+/// Simplify a mesh by near-planar patches; a patch never mixes `labels` (m,), which may be empty. `cosines`
+/// are (fidelity, detail, noise), `bounds` (shape, colour).
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, labels, locked, *, cosines, bounds, threads, partial, progress))]
 #[allow(clippy::too_many_arguments)]
@@ -167,7 +170,7 @@ fn simplify_points<const D: usize, const K: usize>(
     Py::new(py, PyClassInitializer::from(patches).add_subclass(by_patches))
 }
 
-/// The near-planar patches that `simplify_planar` would make.
+/// Compute the near-planar patches that `simplify_planar` would use.
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, labels, *, cosines, bounds, threads, progress))]
 #[allow(clippy::too_many_arguments)]

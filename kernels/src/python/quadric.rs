@@ -15,15 +15,16 @@ use crate::collapse::whole::Whole;
 use crate::mesh::legality::Illegal;
 use crate::quadric::qem::QemRecords;
 
-/// A mesh simplified by attribute quadrics.
+/// Mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = Simplified)]
 pub struct ByQuadrics {
-    /// For each vertex of the input the vertex of the result it became part of, −1 for none.
+    /// Result vertex that each input vertex was merged into, −1 for none.
     became: Py<PyArray1<i32>>,
 }
 
-/// Simplify a mesh by attribute quadrics to a number of triangles. `weight` is the length that counts as much as one
-/// level of an attribute; `importance` multiplies the error around a vertex (empty for 1 everywhere).
+/// Simplify a mesh by attribute quadrics to a number of triangles. `weight` is the length in metres that is
+/// equivalent to one attribute level; `importance` multiplies the error around each vertex (empty for 1
+/// everywhere).
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, locked, importance, *, weight, running, progress))]
 #[allow(clippy::too_many_arguments)]
@@ -39,7 +40,7 @@ pub fn simplify_by_quadrics(
     progress: Py<PyAny>,
 ) -> PyResult<Py<ByQuadrics>> {
     if !(weight >= 0.0 && weight.is_finite()) {
-        return Err(PyValueError::new_err("the weight must not be negative"));
+        return Err(PyValueError::new_err("weight must be finite and not negative"));
     }
     let inputs = Inputs { vertices, attributes, triangles };
     guarded(inputs.rows(), || {
@@ -88,7 +89,7 @@ fn simplify_points<const D: usize, const K: usize>(
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(ByQuadrics { became }))
 }
 
-/// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
+/// Follow the merges in reverse order: a removed vertex ends in the final vertex of its survivor.
 fn follow<const D: usize>(vertices: usize, left: &[u32], logs: &[Log<D>]) -> Vec<i32> {
     let mut became = vec![-1; vertices];
     for (new, &v) in left.iter().enumerate() {

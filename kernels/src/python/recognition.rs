@@ -13,14 +13,14 @@ fn descriptors(values: &PyReadonlyArray2<'_, u8>) -> PyResult<Vec<Descriptor>> {
     let values = values.as_array();
     if values.ncols() != VALUES {
         return Err(PyValueError::new_err(format!(
-            "descriptors are {:?}; n × {VALUES} is expected",
+            "descriptors have shape {:?}; n × {VALUES} is expected",
             values.shape()
         )));
     }
     Ok(values.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
 }
 
-/// Descriptors that are each other's likest, and distinctly so.
+/// Match descriptors that are mutual nearest neighbours and pass the ratio test.
 #[pyfunction]
 #[pyo3(signature = (source, target, *, distinct))]
 pub fn match_descriptors(
@@ -30,9 +30,9 @@ pub fn match_descriptors(
     distinct: f32,
 ) -> PyResult<Py<PyArray2<i64>>> {
     if distinct.is_nan() || distinct <= 0.0 {
-        return Err(PyValueError::new_err("a share of a distance is more than 0"));
+        return Err(PyValueError::new_err("distinct must be more than 0"));
     }
-    // Bytes, their roots, and what is likest: two rows of 192 bytes and a half.
+    // Per descriptor: bytes, RootSIFT values and the best match, 2.5 rows of 192 bytes.
     let rows = source.as_array().nrows().saturating_add(target.as_array().nrows()).saturating_mul(3);
     guarded(rows, || {
         let (source, target) = (descriptors(&source)?, descriptors(&target)?);

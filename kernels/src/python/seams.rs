@@ -32,20 +32,20 @@ impl SeamKnobs {
     ) -> PyResult<Self> {
         let knobs = [across_materials, across_parts, valence, wedges, shape, seam_drift];
         if !knobs.iter().all(|&x| x >= 0.0) {
-            return Err(PyValueError::new_err("no penalty or weight may be negative"));
+            return Err(PyValueError::new_err("penalties and weights must not be negative"));
         }
         Ok(Self(Knobs { across_materials, across_parts, valence, wedges, shape, seam_drift }))
     }
 }
 
-/// A mesh simplified along its seams.
+/// Mesh simplified with its texture seams.
 #[pyclass(frozen, get_all)]
 pub struct BySeams {
     vertices: Py<PyArray2<f64>>,
     triangles: Py<PyArray2<i32>>,
-    /// (3 q, k) attributes of the corners.
+    /// Attributes of the corners (3 q, k).
     corners: Py<PyArray2<f64>>,
-    /// (3 q,) the corner of the input with the same attributes, −1 for none.
+    /// Input corner with the same attributes (3 q,), −1 for none.
     corner_source: Py<PyArray1<i32>>,
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
@@ -55,12 +55,13 @@ pub struct BySeams {
     attempts: u64,
     seam_drift: f64,
     fitted: bool,
-    /// The distance that can be proven, if one was asked for: that one, or the least there is.
+    /// Provable maximum distance in metres, if a bound was given: the bound, or the smallest provable
+    /// distance above it.
     provable: Option<f64>,
     log: Option<Py<SeamLog>>,
 }
 
-/// All collapses; see `scanloom_kernels::seams::record::Log`.
+/// Log of all collapses; see `scanloom_kernels::seams::record::Log`.
 #[pyclass(frozen, get_all)]
 pub struct SeamLog {
     removed: Py<PyArray1<i32>>,
@@ -77,10 +78,11 @@ pub struct SeamLog {
     corner_vertex: Py<PyArray1<i32>>,
 }
 
-/// Simplify a mesh whose vertices are doubled along seams. `sets` (n,) says which vertices are one; `corners` (3 m, k)
-/// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
-/// then three or six more. `importance` (m,) multiplies the error around triangles, (0,) for 1. `within` is a distance in
-/// metres, the share of it that vertices may use, and a factor of that for each vertex (n,).
+/// Simplify a mesh with vertices duplicated along seams. `sets` (n,) is equal for duplicates of a vertex.
+/// `corners` (3 m, k) are the corner attributes as lengths: the texture coordinate (0 unless the triangle is
+/// `textured`, (m,)), then three or six more. `importance` (m,) multiplies the error around triangles; empty
+/// for 1. `within` is a maximum distance in metres, the ratio of it available to vertices, and a factor per
+/// vertex (n,).
 #[pyfunction]
 #[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, locked, *, knobs, fit, within=None, running, progress))]
 #[allow(clippy::too_many_arguments)]
@@ -101,7 +103,7 @@ pub fn simplify_seams(
     running: PyRef<'_, Running>,
     progress: Py<PyAny>,
 ) -> PyResult<BySeams> {
-    // Corners are rows of their own.
+    // Each corner counts as a row.
     let count = vertices.as_array().nrows() + 4 * triangles.as_array().nrows();
     guarded(count, || {
         let points = rows::<3>(&vertices)?;
@@ -119,12 +121,14 @@ pub fn simplify_seams(
             || sets.iter().any(|&s| s < 0 || s as usize >= points.len())
         {
             return Err(PyValueError::new_err(
-                "sets, locked, corners, textured, materials and parts must fit the mesh",
+                "sets, locked, corners, textured, materials or parts do not match the mesh",
             ));
         }
         let importance = importance.as_array().to_vec();
         if !importance.is_empty() && importance.len() != triangles.len() {
-            return Err(PyValueError::new_err("importance needs one value a triangle, or none at all"));
+            return Err(PyValueError::new_err(
+                "importance must have one value for each triangle, or be empty",
+            ));
         }
         let within = within.map(|(shape, share, factors)| Within {
             shape,
@@ -132,7 +136,7 @@ pub fn simplify_seams(
             factors: factors.as_array().iter().map(|&factor| factor as f32).collect(),
         });
         if within.as_ref().is_some_and(|within| within.factors.len() != points.len()) {
-            return Err(PyValueError::new_err("within needs one factor a vertex"));
+            return Err(PyValueError::new_err("within must have one factor for each vertex"));
         }
         let light = Light {
             points,
@@ -149,12 +153,12 @@ pub fn simplify_seams(
             2 => light.simplify::<5, 2>(py, &corners, &how, &progress),
             5 => light.simplify::<8, 5>(py, &corners, &how, &progress),
             8 => light.simplify::<11, 8>(py, &corners, &how, &progress),
-            k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
+            k => Err(PyValueError::new_err(format!("{k} attributes per corner; 2, 5 or 8 are supported"))),
         }
     })
 }
 
-/// Sheets between which a surface was taken apart; see `scanloom_kernels::seams::weld`.
+/// Manifold sheets of a surface; see `scanloom_kernels::seams::weld`.
 #[pyclass(frozen, get_all)]
 pub struct WeldedSheets {
     triangles: Py<PyArray2<i32>>,
@@ -162,7 +166,8 @@ pub struct WeldedSheets {
     touches: Py<PyArray1<bool>>,
 }
 
-/// Join triangles where two of them meet between the same `sets` (n,), and take them apart where more do.
+/// Weld triangles where two share an edge between the same `sets` (n,), and split them into sheets where more
+/// do.
 #[pyfunction]
 pub fn weld_sheets(
     py: Python<'_>,
@@ -173,7 +178,7 @@ pub fn weld_sheets(
         let sets = sets.as_array();
         let triangles = triangles_from(&triangles, sets.len())?;
         if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
-            return Err(PyValueError::new_err("sets must be numbered from 0"));
+            return Err(PyValueError::new_err("sets must be vertex indices"));
         }
         let sets: Vec<u32> = sets.iter().map(|&s| s as u32).collect();
         let welded = py.detach(|| weld(&sets, &triangles))?;
@@ -188,7 +193,7 @@ pub fn weld_sheets(
     })
 }
 
-/// How to simplify, and how far.
+/// Simplification settings.
 struct How<'a> {
     knobs: Knobs,
     within: Option<Within>,
@@ -196,7 +201,7 @@ struct How<'a> {
     running: &'a Running,
 }
 
-/// A surface without its attributes.
+/// Surface without corner attributes.
 struct Light {
     points: Vec<[f64; 3]>,
     sets: Vec<u32>,
@@ -294,7 +299,10 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Optio
 fn rows<const K: usize>(table: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; K]>> {
     let table = table.as_array();
     if table.ncols() != K {
-        return Err(PyValueError::new_err(format!("{} columns where {K} are expected", table.ncols())));
+        return Err(PyValueError::new_err(format!(
+            "an array has {} columns; {K} are expected",
+            table.ncols()
+        )));
     }
     Ok(table.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
 }

@@ -1,4 +1,4 @@
-//! What all simplifiers are told, and what all of them return.
+//! Common input and output of all simplifiers.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,8 @@ use crate::collapse::logs::Way;
 use crate::collapse::rounds::{Goal, REGION_TRIANGLES};
 use crate::mesh::triangle_mesh::Compact;
 
-/// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in regions of how many
-/// triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
+/// Common settings of the simplifiers: target triangle count, threads (0 for all cores), triangles per
+/// region, whether to record the collapses, and whether Ctrl-C returns the mesh simplified so far.
 #[pyclass(frozen, get_all)]
 pub struct Running {
     target_triangles: usize,
@@ -39,6 +39,7 @@ impl Running {
 }
 
 impl Running {
+    /// Convert the settings for the collapse engine.
     pub fn goal(&self) -> Goal {
         Goal {
             triangles: self.target_triangles,
@@ -50,7 +51,7 @@ impl Running {
     }
 }
 
-/// A simplified mesh and how it came about.
+/// Simplified mesh with statistics of the run.
 #[pyclass(frozen, get_all, subclass)]
 pub struct Simplified {
     vertices: Py<PyArray2<f64>>,
@@ -59,17 +60,17 @@ pub struct Simplified {
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
     stopped_by: &'static str,
-    /// How many edges each rule holds at the end.
+    /// Number of edges refused by each rule at the end.
     refused: BTreeMap<&'static str, usize>,
     collapses: u64,
     attempts: u64,
-    /// Each collapse, if that was asked for: the vertex that vanished, the one it became part of, where that went.
+    /// Recorded collapses: the removed vertex, the surviving vertex, and its new position and attributes.
     removed: Py<PyArray1<i32>>,
     survivor: Py<PyArray1<i32>>,
     path: Py<PyArray2<f64>>,
 }
 
-/// Why a run ended, in the words Python knows.
+/// Return the stop reason as a name used in Python.
 pub fn stopped_by(stop: Stop) -> &'static str {
     match stop {
         Stop::Exhausted | Stop::Few => "bounds",
@@ -79,6 +80,7 @@ pub fn stopped_by(stop: Stop) -> &'static str {
 }
 
 impl Simplified {
+    /// Convert a simplified mesh and its statistics to arrays.
     pub fn new<const D: usize, const RULES: usize>(
         py: Python<'_>,
         mesh: &Compact<D>,

@@ -1,4 +1,5 @@
-//! `scanloom.stages._kernels.match_pair` and `weighted_medians`.
+//! `scanloom.stages._kernels.match_pair`, `sweep_planes`, `agreeing`, `inside_all`, `not_before`,
+//! `first_inside` and `weighted_medians`.
 
 use numpy::ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3};
@@ -17,14 +18,14 @@ use crate::stereo::volume::{LANES, Search, Size};
 
 type Image<'py> = PyReadonlyArray3<'py, u8>;
 type Map<T> = Py<PyArray2<T>>;
-/// Disparity of the left and of the right image; sum, margin and cost of the best.
+/// Disparity of the left and of the right image; path sum, margin and cost of the best disparity.
 type Found = (Map<f32>, Map<f32>, Map<i16>, Map<i16>, Map<i16>);
 
 fn pixels(image: &Image<'_>) -> PyResult<(Vec<[u8; 3]>, Size)> {
     let levels = image.as_array();
     let [height, width, 3] = *levels.shape() else {
         return Err(PyValueError::new_err(format!(
-            "an image is {:?}; h × w × 3 is expected",
+            "an image has shape {:?}; h × w × 3 is expected",
             levels.shape()
         )));
     };
@@ -40,12 +41,12 @@ fn map<T: Element>(py: Python<'_>, size: Size, values: Vec<T>) -> PyResult<Map<T
     Ok(Array2::from_shape_vec((size.height, size.width), values).map_err(shape)?.into_pyarray(py).unbind())
 }
 
-/// What a search takes, as rows of 192 bytes: three volumes of two bytes.
+/// Estimate the memory of a search, in rows of 192 bytes: three volumes of two bytes per value.
 fn rows_of(size: Size, count: usize) -> usize {
     size.pixels().saturating_mul(count.saturating_mul(6) / 192 + 1)
 }
 
-/// Disparities of a rectified pair, by semi-global matching.
+/// Compute the disparities of a rectified pair by semi-global matching.
 #[pyfunction]
 #[pyo3(signature = (left, right, *, lowest, count, wanted_threads))]
 pub fn match_pair(
@@ -58,10 +59,12 @@ pub fn match_pair(
 ) -> PyResult<Found> {
     let [height, width, _] = *left.as_array().shape() else { unreachable!("an array of three dimensions") };
     if left.as_array().shape() != right.as_array().shape() {
-        return Err(PyValueError::new_err("the images of a pair are of different sizes"));
+        return Err(PyValueError::new_err("the two images have different sizes"));
     }
     if count == 0 || !count.is_multiple_of(LANES) || count > 1 << 14 || lowest.unsigned_abs() > 1 << 20 {
-        return Err(PyValueError::new_err(format!("{count} disparities; a multiple of {LANES} is expected")));
+        return Err(PyValueError::new_err(format!(
+            "{count} disparities from {lowest} on; a multiple of {LANES} up to 16384 is expected"
+        )));
     }
     guarded(rows_of(Size { width, height }, count), || {
         let ((left, size), (right, _)) = (pixels(&left)?, pixels(&right)?);
@@ -81,7 +84,7 @@ pub fn match_pair(
 }
 
 type Grey<'py> = PyReadonlyArray2<'py, u8>;
-/// A partner's warped image, what of it is shown, and the map of each plane.
+/// Warped image of a partner, its mask ([`Shown`]), and the map of each plane.
 type WarpedPartner<'py> = (Grey<'py>, Grey<'py>, PyReadonlyArray2<'py, f32>);
 
 fn size_of(shape: &[usize]) -> PyResult<Size> {
@@ -89,7 +92,9 @@ fn size_of(shape: &[usize]) -> PyResult<Size> {
         [height, width] if width > 0 && height > 0 && width.max(height) < 1 << 20 => {
             Ok(Size { width, height })
         }
-        _ => Err(PyValueError::new_err(format!("an image is {shape:?}"))),
+        _ => Err(PyValueError::new_err(format!(
+            "an image has shape {shape:?}; h × w with sides from 1 to below 2²⁰ is expected"
+        ))),
     }
 }
 
@@ -97,7 +102,7 @@ fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult
     let (grey, shown, maps) = given;
     let size = size_of(grey.as_array().shape())?;
     if shown.as_array().shape() != grey.as_array().shape() || *maps.as_array().shape() != [planes, 3] {
-        return Err(PyValueError::new_err("what is shown, or the maps, do not fit a partner's image"));
+        return Err(PyValueError::new_err("the mask or the maps of a partner do not match its image"));
     }
     let grey: Vec<u8> = grey.as_array().iter().copied().collect();
     let shown: Vec<u8> = shown.as_array().iter().copied().collect();
@@ -113,7 +118,8 @@ fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult
     })
 }
 
-/// The planes on which a view's pixels lie, as its partners show: number with a fraction, and margin.
+/// Find the best depth plane of each pixel of a view, from its partners: plane index with a fraction, and
+/// margin.
 #[pyfunction]
 #[pyo3(signature = (grey, partners, first, count, bound = None, *, planes, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
@@ -132,18 +138,20 @@ pub fn sweep_planes(
         || count.as_array().shape() != grey.as_array().shape()
         || bound.as_ref().is_some_and(|(nearest, _)| nearest.as_array().shape() != grey.as_array().shape())
     {
-        return Err(PyValueError::new_err("ranges are of another size than the view"));
+        return Err(PyValueError::new_err("the size of first, count or bound differs from the view"));
     }
     let (first, count) = (first.as_array(), count.as_array());
     for (&first, &count) in first.iter().zip(count) {
         let end = i64::from(first) + i64::from(count);
         if first < 0 || count == 0 || usize::from(count) % LANES != 0 || end > planes as i64 {
-            return Err(PyValueError::new_err(format!("planes {first} to {end} of {planes}")));
+            return Err(PyValueError::new_err(format!(
+                "planes {first} to {end} are not within 0 to {planes}, or not a multiple of {LANES}"
+            )));
         }
     }
     let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
     let images: usize = partners.iter().map(|one| one.0.as_array().len()).sum();
-    // Three volumes of two bytes, and what describes the images, as rows of 192 bytes.
+    // Three volumes of two bytes per value, and the image descriptors, in rows of 192 bytes.
     guarded(numbers / 32 + (images + size.pixels()) / 8, || {
         let threads = threads(wanted_threads);
         let partners =
@@ -161,20 +169,23 @@ pub fn sweep_planes(
     })
 }
 
-/// Another view: the matrix from pixels to it, 3 × 4, and its map.
+/// Another view: the 3 × 4 projection from pixels into it, and its map.
 type OtherView<'py, T> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, T>);
 
 fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
     let (matrix, map) = (given.0.as_array(), given.1.as_array());
     let size = size_of(map.shape())?;
     if *matrix.shape() != [3, 4] {
-        return Err(PyValueError::new_err(format!("a matrix is {:?}; 3 × 4 is expected", matrix.shape())));
+        return Err(PyValueError::new_err(format!(
+            "a matrix has shape {:?}; 3 × 4 is expected",
+            matrix.shape()
+        )));
     }
     let from_pixels: Matrix = std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
     Ok(Other { from_pixels, size, map: map.iter().copied().collect() })
 }
 
-/// How many other views have the same depth, within the first and within the second tolerance.
+/// Count the other views with a consistent depth, within the first and within the second tolerance.
 #[pyfunction]
 #[pyo3(signature = (depth, others, *, tolerances, wanted_threads))]
 pub fn agreeing(
@@ -197,7 +208,7 @@ pub fn agreeing(
     })
 }
 
-/// Whether all other views that see a place have it in their masks.
+/// Check whether points are inside the masks of all views that see them.
 #[pyfunction]
 #[pyo3(signature = (depth, masks, *, wanted_threads))]
 pub fn inside_all(
@@ -217,7 +228,8 @@ pub fn inside_all(
     })
 }
 
-/// How many other views have nothing before a place: their depth there is more than a share of the place's.
+/// Count the other views in which nothing occludes a point: their depth is more than `share` times the
+/// point's depth.
 #[pyfunction]
 #[pyo3(signature = (depth, others, *, share, wanted_threads))]
 pub fn not_before(
@@ -238,7 +250,7 @@ pub fn not_before(
     })
 }
 
-/// Depth of the nearest places of pixels' rays that all other views have in their masks.
+/// Find the depth at which pixels' rays enter the visual hull of the masks.
 #[pyfunction]
 #[pyo3(signature = (wanted, masks, *, least, span, steps, wanted_threads))]
 pub fn first_inside(
@@ -253,7 +265,7 @@ pub fn first_inside(
     let size = size_of(wanted.as_array().shape())?;
     let [near, far] = span;
     if !(near > 0.0 && far > near && far.is_finite() && steps > 0 && steps <= 1 << 20) {
-        return Err(PyValueError::new_err("depth is looked for from near to far, in steps"));
+        return Err(PyValueError::new_err("span must be 0 < near < far, and steps 1 to 2²⁰"));
     }
     let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
     guarded((images + 4 * size.pixels()) / 96, || {
@@ -267,7 +279,7 @@ pub fn first_inside(
     })
 }
 
-/// Medians of the disparities around the pixels that `wanted` names, weighted by likeness of colour.
+/// Compute weighted medians of disparities at the pixels in `wanted`, with weights from colour similarity.
 #[pyfunction]
 #[pyo3(signature = (image, disparity, wanted, *, lowest, count, radius, falloff, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
@@ -285,10 +297,12 @@ pub fn weighted_medians(
     let [height, width, _] = *image.as_array().shape() else { unreachable!("an array of three dimensions") };
     let expected = [height, width];
     if disparity.as_array().shape() != expected || wanted.as_array().shape() != expected {
-        return Err(PyValueError::new_err("disparity is of another size than its image"));
+        return Err(PyValueError::new_err("the size of disparity or wanted differs from the image"));
     }
     if radius > 64 || count > 1 << 14 || falloff.is_nan() || falloff <= 0.0 {
-        return Err(PyValueError::new_err("a median is of at most 64 pixels each way"));
+        return Err(PyValueError::new_err(
+            "radius must be at most 64, count at most 16384, and falloff above 0",
+        ));
     }
     guarded(width * height, || {
         let (image, size) = pixels(&image)?;

@@ -16,20 +16,20 @@ use crate::base::parallel::{collect, threads};
 use crate::texture::sampling::{Drawn, Image, Wrap, sample, sample_points as samples};
 use crate::texture::texel_sources::{Charts, Corners, Sources, draw};
 
-/// Texels of an image, which have numbers of 32 bits, and triangles.
+/// Maximum number of texels of an image, so that 32-bit indices suffice.
 const MAX_TEXELS: usize = 1 << 30;
 
-/// Triangles in the atlas, their charts, and their corners in space.
+/// Triangles in the atlas, their charts, and their corner positions in 3-D.
 type Placed<'py> = (PyReadonlyArray3<'py, f64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray3<'py, f64>);
 
-/// Such arrays.
+/// The same arrays as slices.
 type Slices<'a> = (&'a [Corners], &'a [i32], &'a [[Vec3; 3]]);
-/// Images of triangles.
+/// Images of triangle indices.
 type Drawings = (Py<PyArray2<i32>>, Py<PyArray2<i32>>);
 
-/// Draw the triangles of a simplified mesh, and the triangles of its original into their charts.
+/// Rasterise the triangles of a simplified mesh, and the triangles of its original into their charts.
 ///
-/// Returns images (height, width) of both, which hold triangles, or −1 for none.
+/// Returns images (height, width) of both, with triangle indices, or −1 for none.
 #[pyfunction]
 #[pyo3(signature = (simplified, original, max_distances, *, width, height, wanted_threads))]
 pub fn draw_sources(
@@ -49,7 +49,7 @@ pub fn draw_sources(
         let (corners, charts, positions) = placed(&original)?;
         let max_distances = max_distances.as_slice()?;
         if max_distances.len() != corners.len() {
-            return Err(PyValueError::new_err("max_distances needs one value for each triangle"));
+            return Err(PyValueError::new_err("max_distances must have one value for each triangle"));
         }
         let sources = Sources { corners, charts, positions, max_distances };
         let found = py.detach(|| draw(of_simplified, sources, width, height, threads(wanted_threads)));
@@ -61,7 +61,7 @@ pub fn draw_sources(
     })
 }
 
-/// Barycentric weights (n, 3) of the point of a triangle that is nearest to the centre of a texel.
+/// Compute the barycentric weights (n, 3) of the points of triangles nearest to texel centres.
 #[pyfunction]
 #[pyo3(signature = (corners, triangles, texels, *, width, wanted_threads))]
 pub fn locate_texels(
@@ -76,7 +76,7 @@ pub fn locate_texels(
         let (corners, triangles, texels) = (corners_of(&corners)?, triangles.as_slice()?, texels.as_slice()?);
         let is_known = |&t: &i32| usize::try_from(t).is_ok_and(|t| t < corners.len());
         if triangles.len() != texels.len() || !triangles.iter().all(is_known) || width == 0 {
-            return Err(PyValueError::new_err("texels do not go with their triangles or an image"));
+            return Err(PyValueError::new_err("texels do not match their triangles or the image"));
         }
         let weights = py.detach(|| {
             collect(texels.len(), threads(wanted_threads), |i| {
@@ -89,7 +89,8 @@ pub fn locate_texels(
     })
 }
 
-/// Sample an image into the texels of an atlas whose triangles show it; the others stay.
+/// Write samples of an image into the texels of an atlas whose triangles use the image; other texels do not
+/// change.
 #[pyfunction]
 #[pyo3(signature = (atlas, triangles, corners, uvs, is_shown, image, *, wrap, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
@@ -158,7 +159,7 @@ pub fn sample_points(
     })
 }
 
-/// Check that an image has enough channels.
+/// Borrow an image; checks that it has enough channels.
 fn image_of<'a>(
     image: &'a PyReadonlyArray3<'_, u8>,
     wrap: &(String, String),
@@ -178,12 +179,14 @@ fn wrap_of(name: &str) -> PyResult<Wrap> {
         "repeat" => Ok(Wrap::Repeat),
         "clamp" => Ok(Wrap::Clamp),
         "mirror" => Ok(Wrap::Mirror),
-        _ => Err(PyValueError::new_err(format!("{name:?} is no way to continue an image"))),
+        _ => Err(PyValueError::new_err(format!(
+            "wrap mode {name:?} is unknown; repeat, clamp and mirror are supported"
+        ))),
     }
 }
 
 fn unfit(what: &str) -> PyErr {
-    PyValueError::new_err(format!("{what} does not go with the other arrays"))
+    PyValueError::new_err(format!("{what} does not match the other arrays"))
 }
 
 fn check_size(width: usize, height: usize) -> PyResult<()> {
@@ -197,25 +200,25 @@ fn placed<'a>(arrays: &'a Placed<'_>) -> PyResult<Slices<'a>> {
     let (corners, charts) = (corners_of(&arrays.0)?, arrays.1.as_slice()?);
     let positions = finite(&arrays.2, 3)?.as_chunks::<3>().0.as_chunks::<3>().0;
     if [charts.len(), positions.len()] != [corners.len(); 2] || corners.len() > i32::MAX as usize {
-        return Err(PyValueError::new_err("charts and positions need one row for each triangle"));
+        return Err(PyValueError::new_err("charts and positions must have one row for each triangle"));
     }
     Ok((corners, charts, positions))
 }
 
-/// Corners of triangles in a plane, m × 3 × 2.
+/// Borrow 2-D triangle corners, m × 3 × 2.
 fn corners_of<'a>(array: &'a PyReadonlyArray3<'_, f64>) -> PyResult<&'a [Corners]> {
     Ok(finite(array, 2)?.as_chunks::<2>().0.as_chunks::<3>().0)
 }
 
-/// Numbers of an array m × 3 × k.
+/// Borrow the numbers of an array m × 3 × k; checks that they are finite.
 fn finite<'a>(array: &'a PyReadonlyArray3<'_, f64>, k: usize) -> PyResult<&'a [f64]> {
     if array.shape()[1..] != [3, k] {
         let found = array.shape();
-        return Err(PyValueError::new_err(format!("an array is {found:?}; m × 3 × {k} is expected")));
+        return Err(PyValueError::new_err(format!("an array has shape {found:?}; m × 3 × {k} is expected")));
     }
     let numbers = array.as_slice()?;
     if !numbers.iter().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("an array has numbers that are not finite"));
+        return Err(PyValueError::new_err("an array has values that are not finite"));
     }
     Ok(numbers)
 }

@@ -26,19 +26,19 @@ use crate::texture::surface_points::{MOST_KEPT, SurfacePoints as Points};
 use crate::texture::view::{Colors, Depths, Look, View as Photographed, Warp};
 use crate::texture::zbuffer::{NOTHING, zbuffer as drawn};
 
-/// fx, fy, cx, cy, width, height; and the (4, 4) matrix that takes the world to the camera.
+/// fx, fy, cx, cy, width, height; and the (4, 4) world-to-camera matrix.
 type Camera<'py> = ((f64, f64, f64, f64, usize, usize), PyReadonlyArray2<'py, f64>);
 type Map<'py> = PyReadonlyArray2<'py, f32>;
 type Image<'py> = PyReadonlyArray3<'py, u8>;
 /// Depth and triangle at each pixel.
 type Drawn = (Py<PyArray2<f32>>, Py<PyArray2<i32>>);
-/// Colours of pixels, and whether each shows something.
+/// Colours of pixels, and mask of textured pixels.
 type Shaded = (Py<PyArray3<u8>>, Py<PyArray2<bool>>);
 /// Views, colours and scores of samples.
 type Samples = (Py<PyArray2<i32>>, Py<PyArray3<u8>>, Py<PyArray2<f32>>);
 /// Pairs of points, and their colours.
 type Neighbours = (Py<PyArray2<u32>>, Py<PyArray3<u8>>);
-/// Colours, labels and counts of views of points.
+/// Colours, best views and view counts of points.
 type Blended = (Py<PyArray2<f32>>, Py<PyArray1<i32>>, Py<PyArray1<u8>>);
 
 fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
@@ -46,7 +46,7 @@ fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
     let pose = pose.as_array();
     if pose.shape() != [4, 4] || width < 2 || height < 2 {
         return Err(PyValueError::new_err(
-            "a camera needs an image of 2 × 2 pixels at least and a 4 × 4 pose",
+            "a camera must have an image of at least 2 × 2 pixels and a 4 × 4 pose",
         ));
     }
     Ok(Pinhole {
@@ -59,7 +59,7 @@ fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
     })
 }
 
-/// A mesh that many cameras look at.
+/// Mesh for rendering from many cameras.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct DrawnMesh(Clusters);
 
@@ -75,7 +75,7 @@ impl DrawnMesh {
         })
     }
 
-    /// Depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen.
+    /// Render depth and triangle at each pixel of a camera; infinity and −1 where nothing is visible.
     #[pyo3(signature = (camera, *, near))]
     fn zbuffer(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Drawn> {
         let camera = pinhole(&camera)?;
@@ -91,14 +91,14 @@ impl DrawnMesh {
         })
     }
 
-    /// The part of the mesh that each triangle (m,) is in: few triangles that are near each other, and so are
-    /// parts whose numbers follow each other.
+    /// Return the cluster of each triangle (m,). Clusters are small and compact, and consecutive clusters are
+    /// close in space.
     fn parts(&self, py: Python<'_>) -> Py<PyArray1<u32>> {
         PyArray1::from_vec(py, self.0.of_triangles()).unbind()
     }
 }
 
-/// The colours that a camera took.
+/// Photo of a camera.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct Photo(Arc<Colors>);
 
@@ -116,7 +116,7 @@ impl Photo {
         let (photo, blurred) = (image(&photo)?, image(&blurred)?);
         for picture in [&photo, &blurred] {
             if (picture.width, picture.height) != (camera.width, camera.height) {
-                return Err(PyValueError::new_err("a photo is of another size than its camera"));
+                return Err(PyValueError::new_err("the size of a photo differs from its camera's"));
             }
         }
         let warp = warp.map(|warp| shifts(&warp)).transpose()?;
@@ -124,7 +124,7 @@ impl Photo {
     }
 }
 
-/// A photo with what its camera sees of the mesh, and what it measured.
+/// Photo with the rendered mesh and the measured depth of its view.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct View(Photographed);
 
@@ -164,7 +164,7 @@ fn image(image: &Image<'_>) -> PyResult<Pixels> {
     let [height, width, channels] = *pixels.shape() else { unreachable!("an array of three dimensions") };
     if channels != 3 || width < 2 || height < 2 {
         return Err(PyValueError::new_err(format!(
-            "an image is {:?}; h × w × 3 is expected",
+            "an image has shape {:?}; h × w × 3 of at least 2 × 2 pixels is expected",
             pixels.shape()
         )));
     }
@@ -177,7 +177,7 @@ fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -
     let camera = pinhole(camera)?;
     let [nearest, exact] = [nearest, exact].map(|map| map.as_array());
     if [&nearest, &exact].iter().any(|map| map.shape() != [camera.height, camera.width]) {
-        return Err(PyValueError::new_err("depth is of another size than its camera"));
+        return Err(PyValueError::new_err("the size of a depth map differs from its camera's"));
     }
     let [nearest, exact] = [nearest, exact]
         .map(|map| map.as_slice().map_or_else(|| map.iter().copied().collect(), <[f32]>::to_vec));
@@ -187,28 +187,29 @@ fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -
 fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
     let warp = warp.as_array();
     let [rows, columns, 2] = *warp.shape() else {
-        return Err(PyValueError::new_err("shifts are h × w × 2"));
+        return Err(PyValueError::new_err("warp must be h × w × 2"));
     };
     if rows < 2 || columns < 2 {
-        return Err(PyValueError::new_err("shifts need two rows and columns at least"));
+        return Err(PyValueError::new_err("warp must have at least two rows and columns"));
     }
     let shifts = (0..rows * columns).map(|i| [0, 1].map(|k| warp[[i / columns, i % columns, k]])).collect();
     Ok(Warp { columns, rows, shifts })
 }
 
-/// Points of a surface, by their triangles, each with the few views that show it best.
+/// Points of a surface, grouped by triangle, each with the few views that show it best.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct SurfacePoints(Mutex<Points>);
 
-/// Of an image whose points are levelled, and of what is levelled at once.
+/// Maximum number of pixels of an image, and maximum reach in texels, for levelling.
 const MOST_PIXELS: usize = 1 << 30;
 const MOST_REACH: f32 = 100.0;
-/// Rows that take as much as what a few threads work on.
+/// Reserve rows for the working memory of a few threads.
 const GRIDS: usize = 100_000;
 
 #[pymethods]
 impl SurfacePoints {
-    /// `of` holds the triangle of each point in ascending order, `shares` those of its corners.
+    /// Create points. `of` is the triangle of each point in ascending order, `shares` are barycentric
+    /// weights.
     #[new]
     #[pyo3(signature = (vertices, normals, triangles, of, shares, *, kept))]
     fn new(
@@ -230,7 +231,7 @@ impl SurfacePoints {
                 || normals.len() != points.len()
                 || !(1..=MOST_KEPT).contains(&kept)
             {
-                return Err(PyValueError::new_err("points do not go with their mesh"));
+                return Err(PyValueError::new_err("points do not match their mesh, or kept is out of range"));
             }
             let mut first = vec![0u32; triangles.len() + 1];
             of.iter().for_each(|&t| first[t as usize + 1] += 1);
@@ -249,8 +250,8 @@ impl SurfacePoints {
         })
     }
 
-    /// Look at all points from one more view, and return the triangles that it may show; views have numbers
-    /// below 65,535. `see_again` takes those that were to be remembered.
+    /// Add the samples of one more view, and return the triangles that it may show. View indices are below
+    /// 65,535. With `remember`, `see_again` can update the view later.
     #[pyo3(signature = (view, number, *, remember, wanted_threads))]
     fn see(
         &self,
@@ -268,7 +269,7 @@ impl SurfacePoints {
         })
     }
 
-    /// Take the colours of a view anew, at the points at which it is one of the best.
+    /// Update the colours of a view's samples at the points for which it is one of the best.
     #[pyo3(signature = (photo, number, *, wanted_threads))]
     fn see_again(&self, py: Python<'_>, photo: &Photo, number: u16, wanted_threads: usize) -> PyResult<()> {
         guarded(0, || {
@@ -278,7 +279,7 @@ impl SurfacePoints {
         })
     }
 
-    /// Views (n, k) in the order of their scores, −1 for none; colours (n, k, 3) and scores (n, k).
+    /// Return views (n, k) by descending score, −1 for none; colours (n, k, 3) and scores (n, k).
     fn samples(&self, py: Python<'_>) -> PyResult<Samples> {
         let points = self.locked();
         let (n, k) = (points.len(), points.kept());
@@ -303,18 +304,19 @@ impl SurfacePoints {
         })
     }
 
-    /// Pixels a metre in the nearest view (n,), 0 where none shows a point.
+    /// Return the maximum resolution over all views in pixels per metre (n,); 0 where no view shows a point.
     fn density(&self, py: Python<'_>) -> Py<PyArray1<f32>> {
         PyArray1::from_slice(py, &self.locked().density).unbind()
     }
 
-    /// Whether a point (n,) is seen, and so flat that no view would be taken if there were a better one.
+    /// Return the mask (n,) of points that are only seen at grazing angles.
     fn flat(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
         let points = self.locked();
         PyArray1::from_vec(py, points.looks.iter().map(|&look| look == Look::Flat).collect()).unbind()
     }
 
-    /// Colours (n, 3), the view that counts most (n,), −1 for none, and how many views count (n,).
+    /// Blend the samples: colours (n, 3), the best inlier view (n,), −1 for none, and the number of inlier
+    /// views (n,).
     #[pyo3(signature = (*, blurred, details, deviations, levels, wanted_threads))]
     fn blend(
         &self,
@@ -341,8 +343,8 @@ impl SurfacePoints {
         })
     }
 
-    /// Level colours (n, 3), in place, where the photos that count change from one texel to the next; `pixels` (n,) are row ×
-    /// width + column in an image.
+    /// Level colours (n, 3) in place, where the set of contributing photos changes between texels. `pixels`
+    /// (n,) are row × width + column of an image.
     #[pyo3(signature = (colors, pixels, *, width, reach, wanted_threads))]
     fn level(
         &self,
@@ -361,7 +363,7 @@ impl SurfacePoints {
                 || !(1.0..=MOST_REACH).contains(&reach)
             {
                 return Err(PyValueError::new_err(
-                    "colours and pixels do not go with the points or an image",
+                    "colours or pixels do not match the points or the image, or reach is out of range",
                 ));
             }
             detached(py, None, false, |progress| {
@@ -370,8 +372,8 @@ impl SurfacePoints {
         })
     }
 
-    /// Points (k, 2) beside each other in every so many rows of an image, and the colours (k, 2, 3) that the photo which counts
-    /// most (`labels`, (n,), −1 for none) at the first, or else at the second, shows of both.
+    /// Collect adjacent points (k, 2) in every `every`-th row of an image, and their colours (k, 2, 3) in the
+    /// photo with the highest weight (`labels`, (n,), −1 for none) at the first point, or else at the second.
     #[pyo3(signature = (labels, pixels, *, width, every))]
     fn neighbours(
         &self,
@@ -385,7 +387,7 @@ impl SurfacePoints {
         guarded(points.len(), || {
             let (labels, pixels) = (labels.as_slice()?, pixels.as_slice()?);
             if [labels.len(), pixels.len()] != [points.len(); 2] || !is_image(pixels, width) || every == 0 {
-                return Err(PyValueError::new_err("labels and pixels do not go with the points or an image"));
+                return Err(PyValueError::new_err("labels or pixels do not match the points or the image"));
             }
             let found = detached(py, None, false, |progress| {
                 neighbours(&points, labels, pixels, width, every, progress)
@@ -399,7 +401,7 @@ impl SurfacePoints {
     }
 }
 
-/// Whether pixels, row × width + column, are of an image that is not too large.
+/// Check that pixels (row × width + column) belong to an image that is not too large.
 fn is_image(pixels: &[u32], width: usize) -> bool {
     let last = pixels.iter().copied().max().unwrap_or(0) as usize;
     width > 0 && last / width < MOST_PIXELS / width
@@ -411,7 +413,7 @@ impl SurfacePoints {
     }
 }
 
-/// A mesh laid out in images.
+/// Mesh with texture images, for rendering.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct TexturedSurface {
     clusters: Clusters,
@@ -424,7 +426,7 @@ pub struct TexturedSurface {
 
 #[pymethods]
 impl TexturedSurface {
-    /// `corners` are in pixels of the image that `pages` names for each triangle, −1 for none.
+    /// Create the surface. `corners` are in pixels of the image in `pages` of each triangle; −1 for none.
     #[new]
     fn new(
         vertices: PyReadonlyArray2<'_, f64>,
@@ -442,7 +444,7 @@ impl TexturedSurface {
             let pages: Vec<u16> =
                 pages.as_array().iter().map(|&p| u16::try_from(p).unwrap_or(u16::MAX)).collect();
             if corners.len() != triangles.len() || pages.len() != triangles.len() {
-                return Err(PyValueError::new_err("corners and pages need one row for each triangle"));
+                return Err(PyValueError::new_err("corners and pages must have one row for each triangle"));
             }
             let images = images.iter().map(image).collect::<PyResult<Vec<_>>>()?;
             let clusters = Clusters::new(&points, &triangles);
@@ -450,7 +452,7 @@ impl TexturedSurface {
         })
     }
 
-    /// What a camera sees: colours (h, w, 3), and whether each pixel shows a triangle with an image.
+    /// Render the surface from a camera: colours (h, w, 3), and mask of textured pixels.
     #[pyo3(signature = (camera, *, near))]
     fn seen_by(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Shaded> {
         let camera = pinhole(&camera)?;

@@ -1,32 +1,36 @@
-//! Descriptors of two images that are each other's likest.
+//! Mutual nearest-neighbour matching of image descriptors.
 //!
-//! They are compared by the roots of their shares (RootSIFT: Arandjelović and Zisserman, "Three things everyone should know to
-//! improve object retrieval", 2012), in whole numbers: what matches is the same on every processor.
+//! Descriptors are compared as RootSIFT (Arandjelović and Zisserman, "Three things everyone should know to
+//! improve object retrieval", 2012), in integer arithmetic, so that matches are identical on every processor.
 
 use crate::base::by_processor::by_processor;
 
-/// Values of a descriptor.
+/// Length of a descriptor.
 pub const VALUES: usize = 128;
-/// The length of a rooted descriptor. Products of two of them, whose roundings add at most a hundredth, fit 32 bits.
+/// Norm of a RootSIFT descriptor. Dot products of two of them fit 32 bits; rounding adds at most one per
+/// cent.
 const LENGTH: f32 = 16384.0;
-/// Descriptors that are looked at together: they stay in the nearest cache.
+/// Target descriptors per block; the block stays in the L1 cache.
 const TOGETHER: usize = 64;
 
+/// SIFT descriptor.
 pub type Descriptor = [u8; VALUES];
 type Rooted = [i16; VALUES];
 
-/// What is likest to a descriptor.
+/// Best match of a descriptor so far.
 #[derive(Clone, Copy)]
 struct Likest {
     index: usize,
     likeness: i32,
-    /// Of the next best.
+    /// Similarity of the second-best match.
     second: i32,
 }
 
-/// Places (in `source` and in `target`) of descriptors that are each other's likest, in the order of `source`.
+/// Match descriptors that are mutual nearest neighbours. Returns index pairs (source, target) in the order of
+/// `source`.
 ///
-/// The distance to the likest is less than `distinct` of that to the next; so there are none for a single target.
+/// The distance to the nearest neighbour must be less than `distinct` times the distance to the second
+/// nearest (Lowe's ratio test). A single target therefore has no matches.
 pub fn matches(source: &[Descriptor], target: &[Descriptor], distinct: f32) -> Vec<[usize; 2]> {
     if target.len() < 2 {
         return Vec::new();
@@ -37,14 +41,14 @@ pub fn matches(source: &[Descriptor], target: &[Descriptor], distinct: f32) -> V
     let mut most = vec![-1; target.len()];
     compare_all(&source, &target, &mut likest, &mut most);
     let is_match = |one: &Likest| {
-        // Of vectors of one length the squared distance is twice what their product lacks.
+        // Vectors of equal norm: the squared distance is 2 (norm² − dot product).
         let [near, next] = [one.likeness, one.second].map(|likeness| LENGTH * LENGTH - likeness as f32);
         near < distinct * distinct * next && most[one.index] <= one.likeness
     };
     likest.iter().enumerate().filter(|(_, one)| is_match(one)).map(|(i, one)| [i, one.index]).collect()
 }
 
-/// The roots of the shares that values have of a descriptor, in a vector of `LENGTH`; nothing if it has none.
+/// Convert a descriptor to RootSIFT with norm `LENGTH`; a zero descriptor stays zero.
 fn rooted(descriptor: &Descriptor) -> Rooted {
     let sum: u32 = descriptor.iter().map(|&value| value as u32).sum();
     descriptor.map(|value| (LENGTH * (value as f32 / sum.max(1) as f32).sqrt()).round() as i16)
@@ -75,7 +79,7 @@ fn compare(source: &[Rooted], target: &[Rooted], likest: &mut [Likest], most: &m
 mod tests {
     use super::*;
 
-    /// Descriptors of pseudo-random values, sparse as SIFT's are.
+    /// Pseudo-random descriptors, sparse like SIFT.
     fn some(count: usize, mut seed: u64) -> Vec<Descriptor> {
         let mut next = || {
             seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -120,7 +124,7 @@ mod tests {
         let few = some(3, 5);
         assert!(matches(&few, &few[..1], 0.8).is_empty());
         assert!(matches(&[], &few, 0.8).is_empty());
-        // Descriptors without any value are alike, and not distinct.
+        // Zero descriptors are all equal, and therefore not distinct.
         assert!(matches(&[[0; VALUES]; 3], &[[0; VALUES]; 3], 0.8).is_empty());
     }
 

@@ -1,8 +1,8 @@
-//! Points of images that are recognised in others, by their descriptors (SIFT: Lowe, "Distinctive image features from
+//! Recognition of image points by their descriptors (SIFT: Lowe, "Distinctive image features from
 //! scale-invariant keypoints", 2004).
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`matching`] | descriptors of two images that are each other's likest, and distinctly so |
+//! | [`matching`] | mutual nearest-neighbour matching with ratio test |
 
 pub mod matching;

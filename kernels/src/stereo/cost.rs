@@ -1,27 +1,28 @@
-//! How unlike a pixel of the left and one of the right image are.
+//! Matching cost between a pixel of the left and a pixel of the right image: census and gradient.
 //!
-//! The census transform (Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", 1994)
-//! stands any change of brightness and says little where an image is nearly flat; differences of gradients say
-//! something there.
+//! The census transform (Zabih and Woodfill, "Non-parametric local transforms for computing visual
+//! correspondence", 1994) is invariant to changes of brightness, but uninformative in nearly uniform areas.
+//! The gradient difference complements it there.
 
 use super::volume::{LANES, Pixels, Search, Size};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::each;
 
-/// Pixels to either side that the census looks at, along x and y; it has a bit for each of them.
+/// Half width and half height of the census window in pixels; the census has one bit per pixel except the
+/// centre.
 const CENSUS: [i32; 2] = [3, 2];
 const BITS: i32 = (2 * CENSUS[0] + 1) * (2 * CENSUS[1] + 1) - 1;
-/// What a census of which nothing is equal costs, and a gradient that differs by this or more.
+/// Cost if all census bits differ, and if the gradients differ by `LARGEST_GRADIENT` levels or more.
 const CENSUS_WEIGHT: i32 = 120;
 const GRADIENT_WEIGHT: i32 = 20;
 const LARGEST_GRADIENT: i32 = 40;
-/// Of 256, for a bit and for a level.
+/// Cost per census bit and per gradient level, in 1/256.
 const BIT: i32 = CENSUS_WEIGHT * 256 / BITS;
 const LEVEL: i32 = GRADIENT_WEIGHT * 256 / LARGEST_GRADIENT;
-/// What it costs to lie beyond the right image: half of the most.
+/// Cost of a disparity outside the right image: half of the maximum.
 const OUTSIDE: i16 = ((CENSUS_WEIGHT + GRADIENT_WEIGHT) / 2) as i16;
 
-/// The brightness of pixels (ITU-R BT.601).
+/// Convert RGB to brightness (ITU-R BT.601).
 pub fn grey(image: &Pixels) -> Vec<u8> {
     image
         .iter()
@@ -29,14 +30,14 @@ pub fn grey(image: &Pixels) -> Vec<u8> {
         .collect()
 }
 
-/// What costs are made of, of one image.
+/// Census and gradient of one image.
 pub struct Described {
     pub census: Vec<u64>,
-    /// Differences over two pixels along x and y.
+    /// Central differences over two pixels, along x and y.
     pub gradient: Vec<[i16; 2]>,
 }
 
-/// Describe an image of brightness; beyond its edges it goes on as it is there.
+/// Compute the census and gradient of a grey image; the border pixels are replicated outwards.
 pub fn described(grey: &[u8], size: Size, threads: usize) -> Described {
     let mut census = vec![0u64; size.pixels()];
     let mut gradient = vec![[0i16; 2]; size.pixels()];
@@ -53,7 +54,7 @@ pub fn described(grey: &[u8], size: Size, threads: usize) -> Described {
     Described { census, gradient }
 }
 
-/// Rows that the census of a pixel looks at.
+/// Rows of the census window.
 const ROWS: usize = 2 * CENSUS[1] as usize + 1;
 
 by_processor! {
@@ -81,21 +82,20 @@ fn describe(around: &[Vec<u8>; ROWS], census: &mut [u64], gradient: &mut [[i16; 
     }
 }
 
-/// What so many bits of the census and levels of the gradient that differ cost.
+/// Compute the cost of a number of differing census bits and gradient levels.
 #[inline(always)]
 pub fn weighed(bits: i32, levels: i32) -> i16 {
     ((bits * BIT + levels.min(LARGEST_GRADIENT) * LEVEL) >> 8) as i16
 }
 
-/// A row of an image that costs are made of; that of the right image is reversed, so that it is walked along as
-/// disparities rise.
+/// Census and gradient of a row of the right image, reversed, so that indices increase with disparity.
 struct Row {
     census: Vec<u64>,
     across: Vec<i16>,
     down: Vec<i16>,
 }
 
-/// What a pair's costs are made of.
+/// Census and gradient of both images of a stereo pair.
 pub struct Pair {
     left: Described,
     right: Vec<Row>,
@@ -103,7 +103,7 @@ pub struct Pair {
     search: Search,
 }
 
-/// Describe both images of brightness.
+/// Prepare the matching of two grey images.
 pub fn pair(left: &[u8], right: &[u8], size: Size, search: Search, threads: usize) -> Pair {
     let (left, right) = (described(left, size, threads), described(right, size, threads));
     let rows = right.census.chunks(size.width).zip(right.gradient.chunks(size.width));
@@ -118,7 +118,7 @@ pub fn pair(left: &[u8], right: &[u8], size: Size, search: Search, threads: usiz
 }
 
 impl Pair {
-    /// Costs of all disparities of a row's pixels.
+    /// Compute the costs of all pixels of a row at all disparities.
     pub fn costs_of(&self, y: usize, costs: &mut [i16]) {
         let own = y * self.width..(y + 1) * self.width;
         let (census, gradient) = (&self.left.census[own.clone()], &self.left.gradient[own]);
@@ -135,7 +135,7 @@ fn of_row(own_census: &[u64], own_gradient: &[[i16; 2]], facing: &Row, search: S
     let (width, count) = (own_census.len() as i32, search.count);
     debug_assert_eq!(count % LANES, 0);
     for (x, costs) in row.chunks_exact_mut(count).enumerate() {
-        // Disparities from `first` to before `end` lie within the right image.
+        // Disparities from `first` to before `end` are inside the right image.
         let before = x as i32 - search.lowest;
         let first = (before - (width - 1)).clamp(0, count as i32) as usize;
         let end = (before + 1).clamp(0, count as i32) as usize;

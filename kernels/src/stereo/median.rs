@@ -1,23 +1,24 @@
-//! Medians of the disparities around a pixel, weighted by how alike the colours are (Ma et al., "Constant time weighted median
-//! filtering for stereo matching and beyond", 2013; here with all weights, over few pixels).
+//! Weighted median filter for disparities, with weights from colour similarity (Ma et al., "Constant time
+//! weighted median filtering for stereo matching and beyond", 2013; here in direct form over a small window).
 
 use super::volume::{Pixels, Size};
 use crate::base::parallel::each;
 
-/// A median, and what it stands on.
+/// Weighted median, with measures of its reliability.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Median {
     pub disparity: f32,
-    /// Of the weight that has a disparity, what is within a pixel of the median.
+    /// Weight ratio of the known pixels within one disparity of the median.
     pub agreeing: f32,
-    /// Of all weight around, what has a disparity.
+    /// Weight ratio of the window's pixels with a known disparity.
     pub known: f32,
 }
 
-/// The median at each pixel that `wanted` names; NaN and nothing elsewhere, and where nothing around is known.
+/// Compute the weighted median at each pixel in `wanted`; NaN and zeros elsewhere, and where no disparity in
+/// the window is known.
 ///
-/// `disparity` is NaN where it is not known, and `lowest` to `lowest + count` elsewhere. A colour that differs by
-/// `falloff` levels in all channels weighs 1/e.
+/// `disparity` is NaN where unknown, otherwise from `lowest` to `lowest + count`. A colour difference of
+/// `falloff` levels in every channel has weight 1/e.
 #[allow(clippy::too_many_arguments)]
 pub fn weighted_medians(
     image: &Pixels,
@@ -37,7 +38,7 @@ pub fn weighted_medians(
         medians.chunks_mut(size.width).enumerate().collect(),
         threads,
         |(y, row): (usize, &mut [Median])| {
-            // Of each whole disparity: its weight, and the weighted sum.
+            // Per integer disparity: total weight, and weighted sum.
             let mut bins = vec![[0f32; 2]; count + 1];
             for (x, median) in row.iter_mut().enumerate() {
                 let i = y * size.width + x;

@@ -1,17 +1,18 @@
-//! Disparity of a rectified pair, and depth of a view among others, by semi-global matching.
+//! Dense stereo by semi-global matching: disparity of a rectified pair, and depth of a view with several
+//! posed partner views.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`volume`] | a number for each pixel and disparity |
-//! | [`cost`] | how unlike two pixels are: census and gradient |
-//! | [`support`] | costs averaged over what has the pixel's colour |
-//! | [`paths`] | costs summed along eight paths |
-//! | [`pick`] | the best disparity of each pixel, and what tells how sure it is |
-//! | [`ranges`], [`planes`] | the same for a view with poses among others: planes of depth, a range of them for each pixel |
-//! | [`seen_by`] | what other views say of the places that a depth map names |
-//! | [`median`] | weighted medians of disparities, along the edges of the image |
+//! | [`volume`] | cost volume: one value per pixel and disparity |
+//! | [`cost`] | matching cost: census and gradient |
+//! | [`support`] | cost aggregation over pixels of similar colour |
+//! | [`paths`] | path costs along eight directions |
+//! | [`pick`] | winner-take-all disparity and confidence measures |
+//! | [`ranges`], [`planes`] | plane sweep over partner views, with a depth range per pixel |
+//! | [`seen_by`] | consistency checks of a depth map with other views |
+//! | [`median`] | edge-preserving weighted median of disparities |
 //!
-//! Costs are whole numbers, so that results are the same for any number of threads and any set of instructions.
+//! Costs are integers, so that results are identical for any thread count and instruction set.
 
 pub mod cost;
 pub mod median;
@@ -28,7 +29,7 @@ use crate::base::progress::Progress;
 use pick::Matched;
 use volume::{Pixels, Search, Size};
 
-/// The disparity of each pixel of the left image, and how sure it is.
+/// Compute the disparity of each pixel of the left image, with confidence measures.
 ///
 /// # Errors
 /// As [`Progress::check`].
@@ -53,7 +54,8 @@ pub fn match_pair(
     Ok(matched)
 }
 
-/// The planes on which the pixels of a view lie, of those that `ranges` names, as its partners show.
+/// Find the best depth plane of each pixel of a view, within `ranges`, from its similarity to the partner
+/// images.
 ///
 /// # Errors
 /// As [`Progress::check`].

@@ -1,5 +1,5 @@
-//! Costs summed along eight paths (Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008,
-//! equations 11 to 14).
+//! Aggregation of costs along eight paths (Hirschmüller, "Stereo processing by semiglobal matching and mutual
+//! information", 2008, equations 11 to 14).
 
 use std::ops::Range;
 
@@ -7,37 +7,37 @@ use super::volume::{Search, Size};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::both;
 
-/// What a change of disparity by one costs, and a larger one where the image is flat. Across an edge of so many levels it
-/// costs half of that.
+/// Penalties P1 for a disparity change of one, and P2 for larger changes in uniform areas, in cost units. P2
+/// halves at a brightness difference of `EDGE` grey levels.
 const SMALL: i16 = 24;
 const LARGE: f32 = 300.0;
 const EDGE: f32 = 30.0;
 
-/// More than any cost along a path, and less than would overflow.
+/// Larger than any path cost, and small enough not to overflow.
 pub const FAR: i16 = i16::MAX / 2;
 
-/// What paths run over.
+/// Input of the path aggregation.
 pub struct Image<'a> {
     pub grey: &'a [u8],
     pub size: Size,
-    /// A volume.
+    /// Cost volume.
     pub costs: &'a [i16],
     penalties: [i16; 256],
 }
 
-/// Which hypotheses each pixel has: disparities, or planes of depth.
+/// Hypotheses of each pixel: disparities, or depth planes.
 pub trait Hypotheses: Sync {
-    /// The places of a pixel's numbers in a volume.
+    /// Return the index range of a pixel's values in a volume.
     fn of(&self, pixel: usize) -> Range<usize>;
 
-    /// How many hypotheses a pixel has at most.
+    /// Return the maximum number of hypotheses of a pixel.
     fn widest(&self) -> usize;
 
-    /// The costs `last` of pixel `j` at the hypotheses of pixel `i`, with one more on either side. `last` has a place before
-    /// its first and one behind its last cost, which are [`FAR`]; `room` is for those that must be moved.
+    /// Align the path costs `last` of pixel `j` with the hypotheses of pixel `i`, with one more on either
+    /// side. `last` is padded with [`FAR`] at both ends. `room` is a buffer for costs that must be shifted.
     fn facing<'a>(&self, last: &'a [i16], j: usize, i: usize, room: &'a mut [i16]) -> &'a [i16];
 
-    /// [`all_rows`], in the widest instructions there are.
+    /// Run [`all_rows`] in the widest instructions of the processor.
     fn sweep(&self, image: &Image<'_>, down: bool, sums: &mut [i16]);
 }
 
@@ -65,13 +65,13 @@ by_processor! {
     fn all_alike(search: &Search, image: &Image<'_>, down: bool, sums: &mut [i16]) = all_rows
 }
 
-/// What a larger change costs where neighbours differ by so many levels.
+/// Tabulate the penalty P2 by the brightness difference of neighbours.
 fn penalties() -> [i16; 256] {
     std::array::from_fn(|levels| ((LARGE / (1.0 + levels as f32 / EDGE)) as i16).max(SMALL + 1))
 }
 
-/// Add the costs along all paths to `sums`, a volume of zeros. With two threads, those that go down and those that go up
-/// have a volume each meanwhile.
+/// Add the path costs of all eight directions to `sums`, a volume of zeros. With two or more threads,
+/// downward and upward paths run concurrently, each with a separate volume.
 pub fn summed(
     grey: &[u8],
     costs: &[i16],
@@ -95,13 +95,14 @@ pub fn summed(
     });
 }
 
-/// A path's costs at a pixel, between two places that no hypothesis reaches, and the least of them.
+/// Path costs of a row's pixels, each padded with [`FAR`] at both ends, and their minimum per pixel.
 struct Reached {
     costs: Vec<i16>,
     least: Vec<i16>,
 }
 
-/// Four of the paths: from behind in the row, and from the three pixels of the row before.
+/// Aggregate four of the paths: from the previous pixel in the row, and from three pixels of the previous
+/// row.
 #[inline(always)]
 pub fn all_rows(hypotheses: &impl Hypotheses, image: &Image<'_>, down: bool, sums: &mut [i16]) {
     let Image { grey, size, costs, penalties } = image;
@@ -146,7 +147,7 @@ pub fn all_rows(hypotheses: &impl Hypotheses, image: &Image<'_>, down: bool, sum
     }
 }
 
-/// The first pixel of a path.
+/// Start a path at a pixel; return the minimum cost.
 #[inline(always)]
 fn begin(own: &[i16], next: &mut [i16], sum: &mut [i16]) -> i16 {
     let mut least = i16::MAX;
@@ -156,7 +157,7 @@ fn begin(own: &[i16], next: &mut [i16], sum: &mut [i16]) -> i16 {
     least
 }
 
-/// One pixel further: the costs there, which are added to the sums; the least of them is returned.
+/// Extend a path by one pixel and add its costs to the sums; return the minimum cost.
 #[inline(always)]
 fn step(own: &[i16], last: &[i16], least_last: i16, change: i16, next: &mut [i16], sum: &mut [i16]) -> i16 {
     let count = own.len();

@@ -1,23 +1,24 @@
-//! The best disparity of each pixel, and what tells how sure it is.
+//! Winner-take-all disparity of each pixel, with confidence measures.
 
 use super::volume::{Search, Size};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::each;
 
-/// What was found for each pixel of the left image, and for the right one.
+/// Matching result.
 #[derive(Clone, Debug, Default)]
 pub struct Matched {
-    /// Pixels, with a fraction.
+    /// Disparity of each left pixel, in pixels with a fraction.
     pub disparity: Vec<f32>,
-    /// Disparity of each pixel of the right image, whole pixels; NaN where the left image shows nothing of it.
+    /// Disparity of each right pixel in whole pixels; NaN if no left pixel maps to it.
     pub of_right: Vec<f32>,
-    /// The sum of the best disparity, by how much the best of those that are not beside it is more, and the cost of the best.
+    /// Path sum of the best disparity, its margin to the best sum of non-adjacent disparities, and its
+    /// matching cost.
     pub sum: Vec<i16>,
     pub margin: Vec<i16>,
     pub cost: Vec<i16>,
 }
 
-/// A row of each.
+/// One row of each result.
 struct Row<'a> {
     disparity: &'a mut [f32],
     of_right: &'a mut [f32],
@@ -26,7 +27,8 @@ struct Row<'a> {
     cost: &'a mut [i16],
 }
 
-/// Take the disparity of the least sum at each pixel, and of the right image that along its diagonal of the same sums.
+/// Select the disparity with the minimum sum at each pixel. Disparities of the right image come from the
+/// diagonals of the same sums.
 pub fn picked(sums: &[i16], costs: &[i16], size: Size, search: Search, threads: usize) -> Matched {
     let pixels = size.pixels();
     let mut found = Matched {
@@ -56,7 +58,8 @@ pub fn picked(sums: &[i16], costs: &[i16], size: Size, search: Search, threads: 
 impl Row<'_> {
     fn pick(self, sums: &[i16], costs: &[i16], search: Search) {
         let (width, count) = (self.disparity.len(), search.count);
-        // Of the right image, reversed, so that it is walked along as disparities rise: the least sum, and of which disparity.
+        // Minimum sum of each right pixel, and its disparity. Reversed, so that indices increase with
+        // disparity.
         let (mut least, mut of_least) = (vec![i16::MAX; width], vec![-1i16; width]);
         for (x, sums) in sums.chunks_exact(count).enumerate() {
             let before = x as i32 - search.lowest;
@@ -84,7 +87,7 @@ by_processor! {
     fn keep_least(sums: &[i16], first: i16, least: &mut [i16], of_least: &mut [i16]) = all_least
 }
 
-/// Put each sum, of the disparities from `first` on, in place of one that is more.
+/// Keep each sum, for disparities from `first` on, if it is below the current minimum.
 #[inline(always)]
 fn all_least(sums: &[i16], first: i16, least: &mut [i16], of_least: &mut [i16]) {
     for (d, ((&sum, least), of_least)) in (first..).zip(sums.iter().zip(least).zip(of_least)) {
@@ -94,7 +97,7 @@ fn all_least(sums: &[i16], first: i16, least: &mut [i16], of_least: &mut [i16]) 
     }
 }
 
-/// The first of the least sums, and by how much the least of those that are not beside it is more.
+/// Return the index of the first minimum sum, and its margin to the minimum of the non-adjacent sums.
 pub fn best_and_margin(sums: &[i16]) -> (usize, i16) {
     let least = sums.iter().copied().min().unwrap_or(0);
     let best = sums.iter().position(|&sum| sum == least).unwrap_or(0);
@@ -103,7 +106,7 @@ pub fn best_and_margin(sums: &[i16]) -> (usize, i16) {
     (best, second.saturating_sub(least))
 }
 
-/// Where the parabola through the best sum and those beside it is lowest, −0.5 to 0.5.
+/// Find the minimum of the parabola through the best sum and its neighbours, as an offset of −0.5 to 0.5.
 pub fn fraction(sums: &[i16], best: usize) -> f32 {
     if best == 0 || best + 1 == sums.len() {
         return 0.0;

@@ -1,8 +1,8 @@
-//! How unlike a view and its partners are, if a pixel lies on one of many planes before the view (Collins, "A space-sweep
-//! approach to true multi-image matching", 1996).
+//! Plane sweep: matching cost of a view and its partners for each pixel and depth plane (Collins, "A
+//! space-sweep approach to true multi-image matching", 1996).
 //!
-//! The planes are parallel to the view's own image. A partner's image comes warped as one of them maps it into the view;
-//! then any other plane maps it by a scale and a shift alone.
+//! The planes are parallel to the image plane of the view. Each partner image is warped once, by the
+//! homography of one plane. Every other plane then maps to it by a scale and a shift.
 
 use super::cost::{described, weighed};
 use super::paths::Hypotheses;
@@ -12,26 +12,26 @@ use super::volume::Size;
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::{collect, each};
 
-/// What a partner says of a pixel of its warped image.
+/// Content of a pixel of a warped partner image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Shown {
-    /// Its image does not reach there.
+    /// The pixel is outside the partner image.
     Nothing = 0,
-    /// What stands before all else there is in the image.
+    /// The pixel shows the scene.
     Scene = 1,
-    /// Nothing of the thing is there.
+    /// The pixel is outside the object's silhouette.
     Empty = 2,
 }
 
-/// What costs are made of, of one pixel in one word: the census, half of the gradient along x and y, and [`Shown`].
+/// Packed pixel descriptor: census, half of the gradient along x and y, and [`Shown`].
 pub type Word = u64;
 const CENSUS: Word = (1 << 34) - 1;
 const ACROSS: u32 = 34;
 const DOWN: u32 = 42;
 const SHOWN: u32 = 50;
 
-/// Describe the pixels of an image.
+/// Compute the descriptors of an image.
 pub fn words(grey: &[u8], size: Size, shown: impl Fn(usize) -> Shown + Sync, threads: usize) -> Vec<Word> {
     let image = described(grey, size, threads);
     collect(size.pixels(), threads, |i| {
@@ -48,24 +48,24 @@ fn unlike(one: Word, other: Word) -> i16 {
     weighed(bits, 2 * (half(ACROSS) + half(DOWN)))
 }
 
-/// A partner's image, warped.
+/// Warped image of a partner view.
 pub struct Partner {
     pub words: Vec<Word>,
     pub size: Size,
-    /// Of each plane: the pixel (x, y) of the view is seen at (s·x + a, s·y + b), as s, a, b.
+    /// Per plane (s, a, b): pixel (x, y) of the view maps to (s·x + a, s·y + b).
     pub maps: Vec<[f32; 3]>,
 }
 
-/// What it costs where no partner shows the place: half of the most. And where a partner shows that nothing is there.
+/// Cost if no partner sees the point (half of the maximum), and if a partner shows empty space there.
 const UNSEEN: i16 = 70;
 const EMPTY: i16 = 140;
-/// More than any cost.
+/// Larger than any cost.
 const NONE: i16 = i16::MAX;
-/// Of all partners that show a place, half may not see it, since something else is before it; nor are more than these
-/// needed.
+/// Maximum number of partner costs that are averaged. Up to half of the partners may be occluded.
 const BEST: usize = 3;
 
-/// Costs of all pixels and planes: the mean of the better half of the partners', at most of [`BEST`].
+/// Compute the cost of each pixel and plane: the mean of the better half of the partner costs, at most
+/// [`BEST`] of them.
 pub fn costs(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, threads: usize) -> Vec<i16> {
     let mut volume = vec![0; ranges.numbers()];
     each(ranges.rows(&mut volume, size), threads, |(y, row)| {
@@ -105,7 +105,7 @@ fn of_row(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, y: u
         for partner in partners {
             place(&partner.maps[first..first + count], partner.size, x, y, places);
             for ((cost, &place), empty) in one.iter_mut().zip(&*places).zip(&mut empty[..count]) {
-                // A place beyond the image is negative.
+                // Pixels outside the image have a negative index.
                 let word = if place < 0 { 0 } else { partner.words[place as usize] };
                 *cost = if word >> SHOWN == Shown::Scene as Word { unlike(view[i], word) } else { NONE };
                 *empty |= i16::from(word >> SHOWN == Shown::Empty as Word);
@@ -135,7 +135,7 @@ fn of_row(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, y: u
     }
 }
 
-/// Where planes map a pixel in a partner's image, −1 if beyond it.
+/// Compute the pixel index in a partner image for each plane; −1 if outside.
 #[inline(always)]
 fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) {
     let (x, y) = (x as f32, y as f32);
@@ -143,7 +143,7 @@ fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) 
     for (place, &[scale, right, down]) in places.iter_mut().zip(maps) {
         let (u, v) = ((scale * x + right + 0.5).floor(), (scale * y + down + 0.5).floor());
         let inside = u >= 0.0 && v >= 0.0 && u < width && v < height;
-        // SAFETY: both are whole numbers within an image; what is not was put to 0.
+        // SAFETY: both are integers inside the image; pixels outside were set to 0.
         let (u, v): (i32, i32) = unsafe {
             (if inside { u } else { 0.0 }.to_int_unchecked(), if inside { v } else { 0.0 }.to_int_unchecked())
         };
@@ -151,17 +151,17 @@ fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) 
     }
 }
 
-/// The nearest plane on which each pixel can lie, as the hull of silhouettes has it; what is on it is on planes a little
-/// behind it rather than far behind it: each plane farther costs `lean` more, up to [`LEAN_MOST`].
+/// Nearest possible plane of each pixel, from the visual hull. The surface is probably just behind the hull:
+/// each plane farther away costs `lean` more, up to [`LEAN_MOST`].
 pub struct Bound {
     pub nearest: Vec<f32>,
     pub lean: f32,
 }
 
-/// No more than what images tell of a place with texture.
+/// Below the cost differences that textured images produce.
 const LEAN_MOST: f32 = 24.0;
 
-/// Add to the costs what a bound says of them.
+/// Add the costs that follow from the visual hull.
 pub fn bounded(costs: &mut [i16], size: Size, ranges: &Ranges, bound: &Bound, threads: usize) {
     each(ranges.rows(costs, size), threads, |(y, row)| {
         let mut rest = row;
@@ -182,16 +182,16 @@ pub fn bounded(costs: &mut [i16], size: Size, ranges: &Ranges, bound: &Bound, th
     });
 }
 
-/// What was found for each pixel of the view.
+/// Plane-sweep result per pixel of the view.
 #[derive(Clone, Debug)]
 pub struct Swept {
-    /// The plane's number, with a fraction.
+    /// Plane index with a fraction.
     pub plane: Vec<f32>,
-    /// By how much the best sum of planes that are not beside it is more.
+    /// Margin to the best sum of non-adjacent planes.
     pub margin: Vec<i16>,
 }
 
-/// Take the plane of the least sum at each pixel.
+/// Select the plane with the minimum sum at each pixel.
 pub fn picked(sums: &[i16], size: Size, ranges: &Ranges) -> Swept {
     let (plane, margin) = (0..size.pixels())
         .map(|i| {

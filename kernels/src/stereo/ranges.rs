@@ -1,6 +1,5 @@
-//! A number for each pixel and each of the hypotheses that are tried there: every pixel has a range of its own, so that a
-//! coarser search can say where a finer one need look (Rothermel et al., "SURE: Photogrammetric surface reconstruction from
-//! imagery", 2012).
+//! Cost volume with a separate range of hypotheses per pixel, so that a coarse search can restrict a finer
+//! one (Rothermel et al., "SURE: Photogrammetric surface reconstruction from imagery", 2012).
 
 use std::ops::Range;
 
@@ -8,7 +7,8 @@ use super::paths::{FAR, Hypotheses, Image, all_rows};
 use super::volume::{LANES, Size};
 use crate::base::by_processor::by_processor;
 
-/// Of each pixel the first hypothesis and how many there are, a multiple of [`LANES`]; and where its numbers begin.
+/// Per pixel: first hypothesis, number of hypotheses (a multiple of [`LANES`]), and start index of its
+/// values.
 #[derive(Clone, Debug)]
 pub struct Ranges {
     pub first: Vec<i32>,
@@ -18,6 +18,7 @@ pub struct Ranges {
 }
 
 impl Ranges {
+    /// Create ranges from the first hypothesis and the count of each pixel.
     pub fn new(first: Vec<i32>, count: Vec<u16>) -> Self {
         debug_assert!(count.iter().all(|&n| n > 0 && usize::from(n) % LANES == 0));
         let mut starts = Vec::with_capacity(count.len() + 1);
@@ -31,12 +32,12 @@ impl Ranges {
         Self { first, count, starts, widest }
     }
 
-    /// How many numbers all pixels have.
+    /// Return the number of values of all pixels.
     pub fn numbers(&self) -> usize {
         self.starts[self.count.len()]
     }
 
-    /// The rows of a volume, with their numbers.
+    /// Split a volume into its rows, with their row indices.
     pub fn rows<'a>(&self, mut volume: &'a mut [i16], size: Size) -> Vec<(usize, &'a mut [i16])> {
         (0..size.height)
             .map(|y| {
@@ -59,11 +60,11 @@ impl Hypotheses for Ranges {
         self.widest
     }
 
-    /// What the other pixel's range does not hold is reached by a jump alone.
+    /// Hypotheses outside the other pixel's range can only be reached by a jump (penalty P2).
     #[inline(always)]
     fn facing<'a>(&self, last: &'a [i16], j: usize, i: usize, room: &'a mut [i16]) -> &'a [i16] {
         let (here, there) = (i64::from(self.count[i]) + 2, i64::from(self.count[j]));
-        // The place of the other's first hypothesis.
+        // Position of the other pixel's first hypothesis.
         let shift = i64::from(self.first[j]) - i64::from(self.first[i]) + 1;
         let begin = shift.clamp(0, here);
         let end = (shift + there).clamp(begin, here);

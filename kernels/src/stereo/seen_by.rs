@@ -1,12 +1,12 @@
-//! Where other views see the places that a view's depth map names, and what they say of them.
+//! Consistency checks of a depth map with other views.
 
 use super::volume::Size;
 use crate::base::parallel::collect;
 
-/// From pixels to another view: (u z, v z, z, 1) is mapped to the other's pixel times its depth, and that depth.
+/// Projection from pixels into another view: maps (u z, v z, z, 1) to the other view's (u z, v z, z).
 pub type Matrix = [[f64; 4]; 3];
 
-/// Another view's map.
+/// Map of another view (depth or mask), with the projection into it.
 pub struct Other<T> {
     pub from_pixels: Matrix,
     pub size: Size,
@@ -14,8 +14,8 @@ pub struct Other<T> {
 }
 
 impl<T: Copy> Other<T> {
-    /// What the map has where the other view sees pixel (u, v) of depth z, and how far that is from it; none where the
-    /// place lies behind it or beyond its image.
+    /// Look up the map where the other view sees pixel (u, v) at depth z. Returns the value and the depth
+    /// from the other view; None if the point is behind that view or outside its image.
     fn at(&self, u: usize, v: usize, z: f64) -> Option<(T, f64)> {
         let place = [u as f64 * z, v as f64 * z, z];
         let [x, y, ahead] =
@@ -27,8 +27,8 @@ impl<T: Copy> Other<T> {
     }
 }
 
-/// How many of the others have the same depth: as near as the first tolerance, and as the second, shares of depth. None
-/// where there is no depth.
+/// Count the other views with a consistent depth, for each of two relative tolerances. 0 where the depth is
+/// missing.
 pub fn agreeing(
     depth: &[f32],
     size: Size,
@@ -52,7 +52,7 @@ pub fn agreeing(
     })
 }
 
-/// Whether all others that see the place have it in their masks.
+/// Check whether the point of each pixel is inside the masks of all views that see it.
 pub fn inside_all(depth: &[f32], size: Size, masks: &[Other<bool>], threads: usize) -> Vec<bool> {
     collect(size.pixels(), threads, |i| {
         let z = f64::from(depth[i]);
@@ -60,8 +60,8 @@ pub fn inside_all(depth: &[f32], size: Size, masks: &[Other<bool>], threads: usi
     })
 }
 
-/// How many of the others have nothing before the place: their depth there is more than `share` of the place's. None where
-/// there is no depth.
+/// Count the other views in which nothing occludes the point: their depth is more than `share` times the
+/// point's depth. 0 where the depth is missing.
 pub fn not_before(depth: &[f32], size: Size, others: &[Other<f32>], share: f64, threads: usize) -> Vec<u8> {
     collect(size.pixels(), threads, |i| {
         let mut count = 0u8;
@@ -76,9 +76,9 @@ pub fn not_before(depth: &[f32], size: Size, others: &[Other<f32>], share: f64, 
     })
 }
 
-/// The nearest place along each wanted pixel's ray that lies in the masks of all others that see it, `least` at the fewest;
-/// 0 where there is none. Looked for at depths from `near` to `far`, in so many steps of inverse depth, the last of which is
-/// halved until it is small.
+/// Find the depth at which each wanted pixel's ray enters the visual hull: the nearest point inside the masks
+/// of all views that see it, at least `least` of them. 0 if there is no such point. Depths from `near` to
+/// `far` are sampled in `steps` steps of inverse depth; the last step is refined by bisection.
 #[allow(clippy::too_many_arguments)]
 pub fn first_inside(
     wanted: &[bool],

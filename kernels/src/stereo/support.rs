@@ -1,19 +1,21 @@
-//! Costs averaged over what is likely of one surface: crosses of pixels of like colour (Zhang, Lu and Lafruit, "Cross-based
-//! local stereo matching using orthogonal integral images", 2009; the rule for the arms after Mei et al., "On building an
+//! Cost aggregation over cross-shaped regions of similar colour (Zhang, Lu and Lafruit, "Cross-based local
+//! stereo matching using orthogonal integral images", 2009; arm rule after Mei et al., "On building an
 //! accurate stereo matching system on graphics hardware", 2011).
 
 use super::volume::{Pixels, Search, Size, Volume, zeros};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::{collect, each};
 
-/// How far an arm reaches, and by how many levels its pixels may differ from the first one; in its far half by a third.
+/// Maximum arm length in pixels, and maximum colour difference from the centre in levels; one third of it in
+/// the outer half of the arm.
 const ARM: usize = 5;
 const LIKE: u8 = 20;
-/// How many rows are averaged along y at once: those that their arms reach are held, and made twice where bands meet.
+/// Rows held for vertical averaging (the reach of the arms), and rows per band. Rows near a band border are
+/// computed twice.
 const HELD: usize = 2 * ARM + 1;
 const BAND: usize = 64;
 
-/// Pixels to the left, to the right, above and below.
+/// Arm lengths to the left, to the right, above and below, in pixels.
 type Arms = [u8; 4];
 
 fn arms(image: &Pixels, size: Size, threads: usize) -> Vec<Arms> {
@@ -38,8 +40,8 @@ fn arms(image: &Pixels, size: Size, threads: usize) -> Vec<Arms> {
     })
 }
 
-/// Costs of all pixels and disparities, averaged first along x and then along y. `costs_of` fills a row of them; rows are
-/// made as they are needed, so that only a few are held before they are averaged.
+/// Average the costs of all pixels and disparities, first along x and then along y. `costs_of` fills a row of
+/// costs; rows are computed on demand, so that only a few unaveraged rows are in memory.
 pub fn averaged(
     image: &Pixels,
     size: Size,

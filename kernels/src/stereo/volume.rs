@@ -1,11 +1,12 @@
-//! A number for each pixel and disparity.
+//! Cost volume: one value per pixel and disparity.
 
-/// Disparities come in steps of so many, as many as the widest registers hold.
+/// Disparity counts are multiples of this, the number of 16-bit values in a 256-bit register.
 pub const LANES: usize = 16;
 
-/// Levels of red, green and blue, a row of the image after another.
+/// RGB image, row by row.
 pub type Pixels = [[u8; 3]];
 
+/// Image size in pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Size {
     pub width: usize,
@@ -13,29 +14,30 @@ pub struct Size {
 }
 
 impl Size {
+    /// Return the number of pixels.
     pub fn pixels(self) -> usize {
         self.width * self.height
     }
 }
 
-/// The disparities that are tried, `lowest` to `lowest + count − 1`.
+/// Disparity search range, `lowest` to `lowest + count − 1`.
 #[derive(Clone, Copy, Debug)]
 pub struct Search {
     pub lowest: i32,
-    /// A multiple of [`LANES`].
+    /// Number of disparities, a multiple of [`LANES`].
     pub count: usize,
 }
 
-/// Numbers of all disparities of a pixel, one pixel of a row after another.
+/// Values of all disparities of a pixel, then the next pixel of the row.
 pub type Volume = Vec<i16>;
 
-/// A volume of zeros.
+/// Allocate a volume of zeros.
 pub fn zeros(size: Size, search: Search) -> Volume {
     zeros_of(size.pixels() * search.count)
 }
 
-/// So many zeros, in large pages where the system has them: with small ones it takes as long to hand a volume out as to fill
-/// it.
+/// Allocate zeros in huge pages if the system supports them. With small pages, page faults take as long as
+/// the computation of a volume.
 pub fn zeros_of(numbers: usize) -> Volume {
     let volume = vec![0; numbers];
     #[cfg(target_os = "linux")]
@@ -43,13 +45,14 @@ pub fn zeros_of(numbers: usize) -> Volume {
         let start = (volume.as_ptr() as usize).next_multiple_of(PAGE);
         let end = volume.as_ptr_range().end as usize / PAGE * PAGE;
         if start < end {
-            // SAFETY: these pages are the volume's alone, and keep what is in them; a system that refuses changes nothing.
+            // SAFETY: these pages belong to the volume alone and keep their contents; if the system refuses,
+            // nothing changes.
             unsafe { libc::madvise(start as *mut libc::c_void, end - start, libc::MADV_HUGEPAGE) };
         }
     }
     volume
 }
 
-/// A large page of most systems, bytes.
+/// Size of a huge page on most systems, in bytes.
 #[cfg(target_os = "linux")]
 const PAGE: usize = 2 << 20;

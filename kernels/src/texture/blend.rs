@@ -1,46 +1,46 @@
-//! One colour of many photos: where they agree their mean, with the details of those that show them best.
+//! Blending of many photos into one colour per point: the mean of consistent photos, with the details of the
+//! best ones.
 //!
-//! The colour is taken apart, as in a pyramid of two levels (Burt and Adelson 1983, "A multiresolution spline with
-//! application to image mosaics"): what is blurred is a mean of many photos, so that no border of one can be seen; what is
-//! left, the details, is a mean in which the best photo counts most, so that small misplacements do not blur it. Both
-//! weights change smoothly over the surface.
+//! The colour is split into two frequency bands (Burt and Adelson 1983, "A multiresolution spline with
+//! application to image mosaics"). The low frequencies are a mean of many photos, so that photo borders are
+//! invisible. The high frequencies are a mean dominated by the best photo, so that small misalignments do not
+//! blur details. Both weights vary smoothly over the surface.
 
 use super::surface_points::{MOST_KEPT as MOST, Samples, SurfacePoints};
 use crate::base::errors::KernelError;
 use crate::base::parallel::each;
 use crate::base::progress::Progress;
 
-/// The deviation of a normal distribution over its median absolute deviation.
+/// Standard deviation of a normal distribution divided by its median absolute deviation.
 const OF_MEDIAN: f32 = 1.4826;
 const PART: usize = 1 << 14;
 
-/// How photos are weighed.
+/// Weights of the photos.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights {
-    /// Powers of the score: for what is blurred, and for the details.
+    /// Exponents of the score, for low frequencies and for details.
     pub blurred: i32,
     pub details: i32,
-    /// Photos that differ from the median by more than so many deviations, and so many levels, do not count.
+    /// Photos that differ from the median by more than this number of standard deviations, and by more than
+    /// this number of levels, are rejected as outliers.
     pub deviations: f32,
     pub levels: f32,
 }
 
-/// Colours of points, and what is known of them.
+/// Blended colours, with their source photos.
 #[derive(Debug)]
 pub struct Blended {
     pub colors: Vec<[f32; 3]>,
-    /// The best photo of those that agree, [`NO_VIEW`] for none.
+    /// Best inlier photo of each point; [`NO_VIEW`] if there is no photo.
     pub labels: Vec<u16>,
-    /// How many photos count.
+    /// Number of inlier photos.
     pub views: Vec<u8>,
 }
 
+/// Marker for a point without photos.
 pub const NO_VIEW: u16 = u16::MAX;
 
 /// Blend the samples of all points.
-///
-/// # Errors
-/// As [`Progress::check`].
 pub fn blend(
     points: &SurfacePoints,
     weights: &Weights,
@@ -76,13 +76,14 @@ pub fn blend(
     Ok(blended)
 }
 
-/// Points that are blended together: the same steps bring their samples into order.
+/// Points processed together by one sorting network.
 const TOGETHER: usize = 8;
-/// A value of each of them.
+/// One value per point.
 type Lanes = [i16; TOGETHER];
 
 impl Weights {
-    /// The colour of samples that agree so much; the best photo that does, and how many count.
+    /// Blend samples with the given inlier weights. Returns the colour, the best inlier photo, and the number
+    /// of inliers.
     fn of(&self, samples: &Samples<'_>, agreeing: &[f32; MOST]) -> Option<([f32; 3], u16, u8)> {
         let best = samples.scores.iter().copied().reduce(f32::max)?;
         let (mut base, mut base_weight) = ([0.0; 3], 0.0);
@@ -113,8 +114,8 @@ impl Weights {
         Some((color, label, used))
     }
 
-    /// How far each sample of some points agrees with the others, 0 to 1; falls to 0 smoothly, so that no border is seen. Of two or
-    /// fewer all agree.
+    /// Compute the inlier weight of each sample, 0 to 1. It falls to 0 smoothly, so that no border is
+    /// visible. With two or fewer samples, all weights are 1.
     fn agreeing(&self, points: &[Samples<'_>; TOGETHER]) -> [[f32; MOST]; TOGETHER] {
         let counts = points.each_ref().map(Samples::len);
         let mut levels = [[[i16::MAX; TOGETHER]; MOST]; 3];
@@ -125,7 +126,7 @@ impl Weights {
                 }
             }
         }
-        // Twice as much each, which is whole.
+        // Doubled medians, which are integers.
         let middle = levels.map(|levels| doubled_medians(levels, &counts));
         let mut apart = [[i16::MAX; TOGETHER]; MOST];
         for (i, samples) in points.iter().enumerate() {
@@ -148,8 +149,8 @@ impl Weights {
     }
 }
 
-/// Twice the medians of the first rows, so many of each column; of an even number the mean of the middle two. Below are the
-/// largest values there are.
+/// Compute twice the median of each column's first `counts` rows; for an even count, the mean of the middle
+/// two is doubled. The remaining rows must hold the maximum value.
 fn doubled_medians(mut rows: [Lanes; MOST], counts: &[usize; TOGETHER]) -> Lanes {
     let are_few = counts.iter().all(|&count| count <= MOST / 2);
     for &[i, j] in if are_few { &OF_FEW[..] } else { &OF_ALL } {
@@ -161,16 +162,16 @@ fn doubled_medians(mut rows: [Lanes; MOST], counts: &[usize; TOGETHER]) -> Lanes
     }
     std::array::from_fn(|k| {
         let count = counts[k].max(1);
-        // Of none it is asked for in vain.
+        // A column without samples gives an arbitrary value, which is not used.
         rows[(count - 1) / 2][k].wrapping_add(rows[count / 2][k])
     })
 }
 
-/// Pairs that are brought into order one after another: no step depends on what was found, and all columns go at once.
+/// Comparators of the sorting networks: data-independent, so that all columns are sorted at once.
 const OF_ALL: [[u8; 2]; 63] = pairs(MOST);
 const OF_FEW: [[u8; 2]; 19] = pairs(MOST / 2);
 
-/// Those of Batcher's odd-even merge sort, of so many values: a power of two.
+/// List the comparators of Batcher's odd-even merge sort for `size` values, a power of two.
 const fn pairs<const COUNT: usize>(size: usize) -> [[u8; 2]; COUNT] {
     let mut pairs = [[0; 2]; COUNT];
     let mut count = 0;

@@ -1,27 +1,27 @@
-//! A mesh in clusters of triangles that lie near each other, of which a camera looks at few.
+//! Mesh split into spatial clusters of triangles, for view-frustum culling.
 
 use super::pinhole::Pinhole;
 use crate::base::geometry::{Vec3, around};
 use crate::mesh::spatial::spatial_order;
 
-/// Triangles of a cluster: few enough for small boxes, enough that it has hardly more points than a share of the mesh.
+/// Triangles per cluster: few enough for small boxes, enough to limit the duplication of points.
 const SIZE: usize = 256;
-/// Of what is compared, for rounding: a box this little beyond an edge of the image is looked at.
+/// Relative tolerance of the culling test, for rounding.
 const SLACK: f64 = 1e-6;
 
-/// A mesh to be drawn often.
+/// Mesh for repeated rendering.
 #[derive(Debug, Default)]
 pub struct Clusters {
-    /// Of each cluster, one cluster after another.
+    /// Points of all clusters, cluster by cluster.
     points: Vec<Vec3>,
-    /// Corners by their places among the cluster's points.
+    /// Corners of the triangles, as indices into the points of the cluster.
     triangles: Vec<[u16; 3]>,
-    /// Of the triangles in the mesh.
+    /// Mesh index of each triangle.
     numbers: Vec<u32>,
     clusters: Vec<Extent>,
 }
 
-/// One of them: where its points and triangles end, and the box around them.
+/// End indices of a cluster's points and triangles, and its bounding box.
 #[derive(Clone, Copy, Debug)]
 struct Extent {
     points: usize,
@@ -30,16 +30,16 @@ struct Extent {
     half: Vec3,
 }
 
-/// A cluster's points, and its triangles with their numbers.
+/// Points of a cluster, and its triangles with their mesh indices.
 pub type Cluster<'a> = (&'a [Vec3], &'a [[u16; 3]], &'a [u32]);
 
 impl Clusters {
-    /// Indices must be in range.
+    /// Split a mesh into clusters. Indices must be in range.
     pub fn new(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         let (_, order) = spatial_order(points, triangles);
         let mut made = Self { numbers: order, ..Self::default() };
         made.triangles.reserve_exact(triangles.len());
-        // The last cluster that has a point, and its place there.
+        // Last cluster that contains each point, and the point's index there.
         let mut known = vec![(u32::MAX, 0u16); points.len()];
         for (cluster, numbers) in (0..).zip(made.numbers.chunks(SIZE)) {
             let first = made.points.len();
@@ -64,7 +64,7 @@ impl Clusters {
         made
     }
 
-    /// The cluster of each triangle of the mesh; clusters that follow each other are near each other.
+    /// Return the cluster of each mesh triangle. Consecutive clusters are close in space.
     pub fn of_triangles(&self) -> Vec<u32> {
         let mut found = vec![0; self.numbers.len()];
         for (place, &t) in self.numbers.iter().enumerate() {
@@ -73,7 +73,7 @@ impl Clusters {
         found
     }
 
-    /// Those of which a camera may see something that is no nearer than `near`.
+    /// Iterate over the clusters that may contain something visible to a camera beyond the distance `near`.
     pub fn before(&self, camera: &Pinhole, near: f64) -> impl Iterator<Item = Cluster<'_>> {
         let sides = sides(camera, near);
         self.clusters.iter().enumerate().filter_map(move |(i, extent)| {
@@ -92,7 +92,7 @@ impl Clusters {
     }
 }
 
-/// A half of the space: where `normal` · p + `shift` is not below 0.
+/// Half-space: `normal` · p + `shift` ≥ 0.
 struct Side {
     normal: Vec3,
     shift: f64,
@@ -109,11 +109,11 @@ impl Side {
     }
 }
 
-/// What a camera sees is in all of these: before it, and between the edges of its image.
+/// Compute the five half-spaces of the view frustum: in front of the camera, and between the image edges.
 fn sides(camera: &Pinhole, near: f64) -> [Side; 5] {
     let [x, y, z] = camera.turn;
     let [tx, ty, tz] = camera.shift;
-    // A pixel's column is fx X/Z + cx: its sign, and that of what is left to the last one, times Z.
+    // Pixel column: x = fx X/Z + cx. The half-spaces are x Z ≥ 0, and (last column − x) Z ≥ 0.
     let of = |focal: f64, axis: Vec3, shift: f64, edge: f64, sign: f64| Side {
         normal: [0, 1, 2].map(|i| sign * (focal * axis[i] + edge * z[i])),
         shift: sign * (focal * shift + edge * tz),
@@ -158,7 +158,7 @@ mod tests {
                 seen.push(number);
             }
         }
-        // 2.5 m to either side of 300 m, two triangles a metre, and what else is in these clusters.
+        // 2.5 m to either side of 300 m, two triangles per metre, and the rest of these clusters.
         assert!((595..606).all(|t| seen.contains(&t)));
         assert!(seen.len() <= 3 * SIZE && seen.len() < triangles.len());
         let behind = Pinhole { turn: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], ..camera };

@@ -1,14 +1,14 @@
-//! Points as they lie in an image.
+//! Lookup from texture pixels to surface points.
 
 use crate::base::errors::KernelError;
 
-/// No point lies at a pixel.
+/// Marker for a pixel without a point.
 pub const NONE: u32 = u32::MAX;
 
-/// The point at each pixel (row × width + column) of an image, or [`NONE`]; and the image's height.
+/// Compute the point at each pixel (row × width + column) of an image, or [`NONE`]; and the image height.
 ///
 /// # Errors
-/// [`KernelError::OutOfMemory`] if there is no room for it.
+/// [`KernelError::OutOfMemory`] if the image does not fit in memory.
 pub fn points_at(pixels: &[u32], width: usize) -> Result<(Vec<u32>, usize), KernelError> {
     let height = pixels.iter().max().map_or(0, |&last| last as usize / width + 1);
     let mut at = vec![];

@@ -1,9 +1,9 @@
-//! Borders levelled where photos end, hidden by something, or by others that show a place better.
+//! Seam levelling: removal of brightness steps between regions that were blended from different photos.
 //!
-//! From one texel to the next the photos that count change. What is blended of other photos differs by more than the surface
-//! does, since photos are never quite as bright as each other, and a border is seen. What photos that show both texels say of
-//! their difference is right; the colours are brought to it by a correction that fades to both sides, as Waechter et al. 2014
-//! ("Let there be color!", local adjustment) do with a seam of two photos.
+//! The set of contributing photos changes from texel to texel. Photos are never equally bright, so the
+//! blended colours have a visible step where the set changes. Photos that show both texels give their true
+//! difference. A correction that fades to both sides brings the colours to this difference, like the local
+//! adjustment of Waechter et al. 2014 ("Let there be color!") at a seam of two photos.
 
 use super::image::{NONE, points_at};
 use super::screened::{Grid, Value};
@@ -12,29 +12,29 @@ use crate::base::errors::KernelError;
 use crate::base::parallel::map;
 use crate::base::progress::Progress;
 
-/// Texels of an image that are levelled at once, by width and height, and more around them in so many times the reach: what is
-/// farther away is hardly felt.
+/// Side in texels of the tiles that are levelled at once, and the margin around them in multiples of the
+/// reach; influence from farther away is negligible.
 const TILE: usize = 512;
 const AROUND: f32 = 3.0;
-/// Photos that differ by more levels from the colour they count in show something else.
+/// Photos that differ from the blended colour by more levels are ignored, because they show another surface.
 const ELSE: f32 = 40.0;
-/// Corrections are kept in such parts of a level.
+/// Corrections are stored in this fraction of a level.
 const PARTS: f32 = 64.0;
 
-/// Points as they lie in an image.
+/// Texture image with the surface point of each pixel.
 struct Image<'a> {
     points: &'a SurfacePoints,
     colors: &'a [[f32; 3]],
     width: usize,
     height: usize,
-    /// The point at each pixel, or [`NONE`].
+    /// Point at each pixel, or [`NONE`].
     at: Vec<u32>,
 }
 
-/// Level the colours of points that lie at pixels (row × width + column) of an image.
+/// Level the colours of points at the given pixels (row × width + column) of an image.
 ///
 /// # Errors
-/// [`KernelError::OutOfMemory`] if there is no room for the image; as [`Progress::check`].
+/// [`KernelError::OutOfMemory`] if the image does not fit in memory; as [`Progress::check`].
 pub fn level(
     points: &SurfacePoints,
     colors: &mut [[f32; 3]],
@@ -70,7 +70,7 @@ pub fn level(
 }
 
 impl Image<'_> {
-    /// What is added to the points of a tile, row by row.
+    /// Compute the corrections of the points of a tile, row by row; empty if nothing is to be corrected.
     fn corrections(&self, start: [usize; 2], reach: f32) -> Vec<[i16; 3]> {
         let around = (AROUND * reach).ceil() as usize;
         let [left, top] = start.map(|s| s.saturating_sub(around));
@@ -116,7 +116,8 @@ impl Image<'_> {
         found
     }
 
-    /// By how much more two texels should differ: none if no photo shows both, nothing if the same photos do.
+    /// Compute the missing difference between two texels. None if no photo shows both; zero if both have the
+    /// same photos.
     #[inline]
     fn difference(&self, a: u32, b: u32) -> Option<Value> {
         if b == NONE {

@@ -1,22 +1,22 @@
-//! The colours of a mesh from photos of it.
+//! Colours of a mesh from photos.
 //!
-//! | file | what |
+//! | file | content |
 //! | --- | --- |
-//! | [`pinhole`] | cameras and where they stand |
-//! | [`clusters`] | the mesh in parts, of which a camera looks at few |
-//! | [`zbuffer`] | which triangle a camera sees at each pixel |
-//! | [`pixels`] | colours between pixels |
-//! | [`view`] | a photo with what its camera sees, and the colour of a point in it |
-//! | [`surface_points`] | points of the surface, each with its best few views |
-//! | [`blend`] | one colour of many |
-//! | [`image`] | points as they lie in an image |
-//! | [`level`] | borders levelled where photos end |
-//! | [`neighbours`] | texels beside each other as one photo shows both |
-//! | [`screened`] | the field whose differences come nearest to wanted ones |
-//! | [`texel_sources`] | triangles of a simplified mesh and of its original under the texels of an atlas |
-//! | [`nearest`] | nearest points of a surface, also among those that face a given way |
-//! | [`sampling`] | bilinear samples of an image under the texels of an atlas |
-//! | [`shade`] | the textured mesh as a camera sees it |
+//! | [`pinhole`] | pinhole cameras |
+//! | [`clusters`] | mesh in clusters, for view-frustum culling |
+//! | [`zbuffer`] | visible triangle and depth of each pixel |
+//! | [`pixels`] | interpolation of photo colours |
+//! | [`view`] | a photo with its depth maps: visibility, score and colour of points |
+//! | [`surface_points`] | surface points with their best views |
+//! | [`blend`] | blending of photos |
+//! | [`image`] | lookup from pixels to surface points |
+//! | [`level`] | seam levelling |
+//! | [`neighbours`] | differences of adjacent texels within one photo |
+//! | [`screened`] | screened Poisson solver on a grid |
+//! | [`texel_sources`] | triangles of a simplified mesh and of its original at the texels of an atlas |
+//! | [`nearest`] | nearest points of a surface, optionally with a facing direction |
+//! | [`sampling`] | bilinear samples of an image at the texels of an atlas |
+//! | [`shade`] | rendering of the textured mesh |
 
 pub mod blend;
 pub mod clusters;

@@ -1,28 +1,29 @@
-//! Nearest points of a surface, also among those that face a given way.
+//! Nearest points of a surface, optionally only on triangles that face a given direction.
 //!
-//! Points follow each other in space, so that each search starts from the triangle that was found before.
+//! Consecutive query points are close in space, so each search starts from the previous result.
 
 use crate::base::geometry::{Vec3, cross, dot, nearest_on_triangle, sub};
 use crate::base::parallel::map;
 use crate::mesh::bvh::Bvh;
 
-/// Points of which one starts where the one before was found. The last of them does not depend on the number of threads.
+/// Queries per run. The first query of a run starts from a fixed triangle, so that results do not depend on
+/// the thread count.
 const IN_ROW: usize = 512;
 
-/// A triangle mesh that is ready for queries.
+/// Triangle mesh with a search tree.
 pub struct Surface {
     tree: Bvh,
-    /// Number, corners and normal, of any length, of the triangle in each slot of the tree.
+    /// Index, corners and normal (not normalised) of the triangle in each slot of the tree.
     numbers: Vec<u32>,
     corners: Vec<[Vec3; 3]>,
     normals: Vec<Vec3>,
 }
 
-/// A point of a surface.
+/// Point on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Located {
     pub triangle: u32,
-    /// Barycentric.
+    /// Barycentric weights in the triangle.
     pub weights: [f64; 3],
     pub distance: f64,
     /// True if a nearer point was rejected because it faces away.
@@ -30,7 +31,7 @@ pub struct Located {
 }
 
 impl Surface {
-    /// The triangles of a mesh, of which there is one at least; indices are in range.
+    /// Build the surface of a mesh with at least one triangle. Indices must be in range.
     pub fn new(points: &[Vec3], triangles: &[[u32; 3]], threads: usize) -> Self {
         let corners = |t: usize| triangles[t].map(|v| points[v as usize]);
         let (tree, numbers) = Bvh::new(triangles.len(), threads, |t| {
@@ -43,7 +44,7 @@ impl Surface {
         Self { tree, numbers, corners, normals }
     }
 
-    /// The nearest point to each of some points.
+    /// Find the nearest point to each point.
     pub fn closest(&self, points: &[Vec3], threads: usize) -> Vec<Located> {
         self.each(points.len(), threads, |i, from| {
             let slot = self.nearest(&points[i], from);
@@ -51,8 +52,9 @@ impl Surface {
         })
     }
 
-    /// The nearest point to each of some points; where it faces away from the normal there, the nearest one along the
-    /// normal, to either side and no farther than `reach`, that does not, if there is one.
+    /// Find the nearest point to each point. If its triangle faces away from the normal there, use the
+    /// nearest point along the normal, in either direction up to `reach`, whose triangle does not; if there
+    /// is one.
     pub fn facing(&self, points: &[Vec3], normals: &[Vec3], reach: f64, threads: usize) -> Vec<Located> {
         self.each(points.len(), threads, |i, from| {
             let slot = self.nearest(&points[i], from);
@@ -65,7 +67,7 @@ impl Surface {
         })
     }
 
-    /// `work` on each number, which gets the slot that was found before.
+    /// Call `work` with each index and the slot of the previous result.
     fn each(
         &self,
         count: usize,
@@ -120,8 +122,8 @@ impl Surface {
     }
 }
 
-/// Intersect a line with a triangle: signed distance along the line, and barycentric weights (Möller and Trumbore 1997, "Fast, minimum
-/// storage ray-triangle intersection").
+/// Intersect a line with a triangle: absolute distance along the line, and barycentric weights (Möller and
+/// Trumbore 1997, "Fast, minimum storage ray-triangle intersection").
 fn crossing(p: &Vec3, direction: &Vec3, [a, b, c]: &[Vec3; 3]) -> Option<(f64, [f64; 3])> {
     let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));
     let across = cross(direction, &ac);
@@ -129,7 +131,7 @@ fn crossing(p: &Vec3, direction: &Vec3, [a, b, c]: &[Vec3; 3]) -> Option<(f64, [
     let determinant = dot(&ab, &across);
     let (v, w) = (dot(&ap, &across) / determinant, dot(direction, &along) / determinant);
     let u = 1.0 - v - w;
-    // Of a line within the plane, none of them is a number.
+    // A line in the triangle's plane gives NaN, which fails the comparison.
     (u >= 0.0 && v >= 0.0 && w >= 0.0).then(|| ((dot(&ac, &along) / determinant).abs(), [u, v, w]))
 }
 
@@ -137,7 +139,7 @@ fn crossing(p: &Vec3, direction: &Vec3, [a, b, c]: &[Vec3; 3]) -> Option<(f64, [
 mod tests {
     use super::*;
 
-    /// Two sheets, one above the other, that face down (at 0) and up (at −1).
+    /// Two sheets, one above the other: the upper (z = 0) faces down, the lower (z = −1) faces up.
     fn sheets() -> Surface {
         let mut points = vec![];
         for z in [0.0, -1.0] {

@@ -1,22 +1,20 @@
-//! Neighbouring texels as one photo shows both: by how much they differ without any border.
+//! Differences of adjacent texels within one photo, as a reference without seams.
 
 use super::image::{NONE, points_at};
 use super::surface_points::SurfacePoints;
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 
-/// Pairs of points, and the colours of both in the photo that counts most at one of them.
+/// Pairs of adjacent points, and the colours of both in the photo with the highest weight at one of them.
 #[derive(Debug, Default)]
 pub struct Neighbours {
     pub pairs: Vec<[u32; 2]>,
     pub shown: Vec<[[u8; 3]; 2]>,
 }
 
-/// Points beside each other in an image, in every so many of its rows, and of these with the next row; where the photo that
-/// counts most at the first, or else that of the second, shows both.
-///
-/// # Errors
-/// As [`points_at`] and [`Progress::check`].
+/// Collect pairs of horizontally and vertically adjacent points, in every `every`-th row of an image. The
+/// colours are from the photo with the highest weight at the first point, or else at the second; pairs that
+/// this photo does not show are skipped.
 pub fn neighbours(
     points: &SurfacePoints,
     labels: &[i32],

@@ -1,45 +1,46 @@
-//! Colours between the pixels of photos.
+//! Interpolation of photo colours between pixels.
 //!
-//! Most of the time that a texture takes goes by here. Compilers do not find the wide instructions for it by themselves, so
-//! it is written twice; both give the same to the bit, since each product and sum is rounded by itself.
+//! Most of the time of texturing is spent here. Compilers do not vectorise this code, so it exists in a plain
+//! and an AVX2 version. Both give identical bits, because every product and sum is rounded separately.
 
-/// An image of three channels, a row after another.
+/// RGB image, row by row.
 #[derive(Debug)]
 pub struct Photo {
     pub width: usize,
     pub height: usize,
-    /// Red, green, blue, and nothing: four at a time are read at once.
+    /// RGBX pixels; the fourth byte is padding, so that a pixel is one 32-bit load.
     pub pixels: Vec<[u8; 4]>,
 }
 
-/// Red, green, blue and nothing in a photo, and in the blurred one.
+/// RGBX colour in a photo, and in the blurred photo.
 pub type Levels = [[u8; 4]; 2];
 
-/// Levels beyond which a channel is cut off.
+/// Levels beyond which a channel counts as clipped.
 const DARK: f32 = 4.0;
 const BRIGHT: f32 = 250.0;
 
-/// The colour at a place in a photo, by Catmull and Rom's cubic, which keeps details that lines between four pixels would blur;
-/// that of the blurred one; and whether a channel of the first is cut off.
+/// Interpolate a photo at a position by Catmull-Rom cubics, which preserve details that bilinear
+/// interpolation blurs. Also returns the bilinear colour of the blurred photo, and whether a channel of the
+/// first colour is clipped.
 #[inline]
 pub fn colors_at(photo: &Photo, blurred: &Photo, place: [f64; 2]) -> (Levels, bool) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has these instructions.
+        // SAFETY: the processor supports AVX2.
         return unsafe { wide::colors_at(photo, blurred, place) };
     }
     plain::colors_at(photo, blurred, place)
 }
 
-/// The cell of a row of `count` values that a place is in, and how far.
+/// Return the interpolation cell of a position on a grid of `count` values, and the fraction in it.
 #[inline(always)]
 pub fn cell(place: f64, count: usize) -> (usize, f64) {
-    // Of 32 bits, which processors convert at once.
+    // A 32-bit integer, because processors convert it in one instruction.
     let i = (place.max(0.0) as i32).min(count as i32 - 2);
     (i as usize, (place - f64::from(i)).clamp(0.0, 1.0))
 }
 
-/// What each of four pixels in a row counts.
+/// Compute the weights of four pixels in a row.
 #[inline(always)]
 fn catmull_rom(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
@@ -52,18 +53,18 @@ fn catmull_rom(t: f32) -> [f32; 4] {
 }
 
 impl Photo {
-    /// The colour at a place, by lines between four pixels.
+    /// Interpolate the colour at a position bilinearly.
     #[inline]
     pub fn linear(&self, place: [f64; 2]) -> [u8; 4] {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has these instructions.
+            // SAFETY: the processor supports AVX2.
             return unsafe { wide::linear(self, place) };
         }
         plain::linear(self, place)
     }
 
-    /// Two pixels beside each other.
+    /// Load two horizontally adjacent pixels.
     #[inline(always)]
     fn two(&self, row: usize, column: usize) -> [u8; 8] {
         let two = &self.pixels[row * self.width + column..][..2];
@@ -71,7 +72,7 @@ impl Photo {
         [a, b, c, d, e, f, g, h]
     }
 
-    /// Four pixels of a row from the one before a column on, each pair beside each other; those beyond the edge are as the last.
+    /// Load four pixels of a row, from the one before `column` on, in pairs; the edge is replicated.
     #[inline(always)]
     fn four(&self, row: usize, column: usize) -> [[u8; 8]; 2] {
         if column >= 1 && column + 2 < self.width {
@@ -86,7 +87,7 @@ impl Photo {
         [two(0), two(2)]
     }
 
-    /// A row, the last one in place of those beyond.
+    /// Return the row index of tap k; the edge is replicated.
     #[inline(always)]
     fn row(&self, row: usize, k: usize) -> usize {
         (row + k).saturating_sub(1).min(self.height - 1)
@@ -154,7 +155,7 @@ mod wide {
         let color = _mm_min_ps(_mm_max_ps(folded(sum), _mm_setzero_ps()), _mm_set1_ps(255.0));
         let outside =
             _mm_or_ps(_mm_cmplt_ps(color, _mm_set1_ps(DARK)), _mm_cmpgt_ps(color, _mm_set1_ps(BRIGHT)));
-        // The fourth channel is none.
+        // The fourth channel is padding.
         let is_cut_off = _mm_movemask_ps(outside) & 7 != 0;
         ([whole(color), linear(blurred, [x, y])], is_cut_off)
     }
@@ -192,7 +193,7 @@ mod wide {
         _mm_add_ps(_mm256_castps256_ps128(sum), _mm256_extractf128_ps::<1>(sum))
     }
 
-    /// The nearest whole levels.
+    /// Round to the nearest integer levels.
     #[inline]
     #[target_feature(enable = "avx2")]
     fn whole(levels: __m128) -> [u8; 4] {

@@ -1,14 +1,14 @@
-//! Bilinear samples of an image under the texels of an atlas.
+//! Bilinear samples of an image at the texels of an atlas.
 
 use super::texel_sources::Corners;
 use crate::atlas::texels::shares;
 use crate::base::parallel::{collect, each};
 
-/// Bits of the share of a texel in a sample.
+/// Fractional bits of the interpolation weights.
 const BITS: u32 = 8;
 const ONE: u32 = 1 << BITS;
 
-/// Continuation of an image beyond its edges.
+/// Continuation of an image beyond its edges (glTF wrap mode).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wrap {
     Repeat,
@@ -17,7 +17,8 @@ pub enum Wrap {
 }
 
 impl Wrap {
-    /// Convert a coordinate in units of the image to texels; 0.5 is before the first one.
+    /// Convert a texture coordinate to texels, shifted by half a texel: the centre of the first texel is at
+    /// 1.
     #[inline]
     fn place(self, at: f64, count: usize) -> f64 {
         let at = match self {
@@ -29,7 +30,7 @@ impl Wrap {
         at * count as f64 + 0.5
     }
 
-    /// The texels before and after one end of an image, where the first one after it is number 0 or `count`.
+    /// Return the texels before and after position `after` at one end of the image, with wrapping.
     fn around(self, after: usize, count: usize) -> [usize; 2] {
         match self {
             Self::Repeat => [(after + count - 1) % count, after % count],
@@ -38,7 +39,7 @@ impl Wrap {
     }
 }
 
-/// An image, row after row.
+/// Image, row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct Image<'a> {
     pub pixels: &'a [u8],
@@ -53,7 +54,7 @@ impl Image<'_> {
     #[inline]
     fn sample<const C: usize>(&self, [u, v]: [f64; 2]) -> [u8; C] {
         let (x, y) = (self.wrap[0].place(u, self.width), self.wrap[1].place(1.0 - v, self.height));
-        // Of 32 bits, which processors convert at once; what is not finite becomes 0.
+        // A 32-bit integer, because processors convert it in one instruction; non-finite values become 0.
         let [column, row] = [x as i32, y as i32];
         let share = |at: f64, whole: i32| ((at - f64::from(whole)) * f64::from(ONE) + 0.5) as i32 as u32;
         let (right, below) = (share(x, column).min(ONE), share(y, row).min(ONE));
@@ -85,22 +86,22 @@ fn round(one: u32, other: u32, share: u32) -> u8 {
     ((one * (ONE - share) + other * share + (1 << (2 * BITS - 1))) >> (2 * BITS)) as u8
 }
 
-/// Triangles that are drawn into an atlas.
+/// Triangles drawn into an atlas.
 #[derive(Clone, Copy)]
 pub struct Drawn<'a> {
-    /// The triangle of each texel of the atlas, row by row; negative for none.
+    /// Triangle of each texel of the atlas, row by row; negative for no triangle.
     pub triangles: &'a [i32],
-    /// In texels of the atlas, and in units of the image.
+    /// Corners in texels of the atlas, and texture coordinates in the image.
     pub corners: &'a [Corners],
     pub uvs: &'a [Corners],
-    /// Triangles that show the image.
+    /// Mask of the triangles that use the image.
     pub is_shown: &'a [bool],
 }
 
-/// Write samples of an image into the texels of an atlas, C channels, whose triangles show it.
+/// Write samples of an image into the texels of an atlas whose triangles use the image, C channels.
 ///
-/// `texels` has as many items as there are triangles of texels, all of which are in range. `image` has at least C
-/// channels.
+/// `texels` has one item per item of `drawn.triangles`. All triangle indices must be in range. `image` must
+/// have at least C channels.
 pub fn sample<const C: usize>(
     image: &Image<'_>,
     drawn: &Drawn<'_>,
@@ -124,7 +125,7 @@ pub fn sample<const C: usize>(
             let at = |column: usize| across.shares(column as f64 + 0.5);
             let texels = &mut texels[columns.clone()];
             if let (Some(first), Some(last)) = (at(columns.start), at(columns.end - 1)) {
-                // Between two points of a triangle all points are in it.
+                // All texels between two points of a triangle are inside it.
                 let [start, end] = [first, last].map(|shares| mixed(&shares, uvs));
                 let step = [0, 1].map(|k| (end[k] - start[k]) / (run.len() - 1).max(1) as f64);
                 for (i, texel) in texels.iter_mut().enumerate() {
@@ -166,7 +167,7 @@ impl Across {
         }
     }
 
-    /// Barycentric weights at a point; `None` outside the triangle.
+    /// Compute the barycentric weights at a point; `None` outside the triangle.
     #[inline]
     fn shares(&self, x: f64) -> Option<[f64; 3]> {
         let [v, w] = [0, 1].map(|k| self.values[k] + (x - self.first) * self.steps[k]);
@@ -202,7 +203,7 @@ mod tests {
         assert_eq!([-5.0, 0.0, 1.0, 5.0].map(|u| at(Wrap::Clamp, u)), [0, 0, 200, 200]);
         assert_eq!([-1.0, 0.0, 1.0, 2.0, 3.0].map(|u| at(Wrap::Mirror, u)), [200, 0, 200, 0, 200]);
         assert_eq!(at(Wrap::Mirror, -0.5), 100);
-        // Beyond all that is exact, any texel will do.
+        // Beyond the precision of coordinates, any texel is acceptable.
         for u in [1e300, -1e300, f64::MAX] {
             for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
                 at(wrap, u);

@@ -1,35 +1,37 @@
-//! The smooth field whose differences come nearest to wanted ones: a screened Poisson equation on a grid (Pérez, Gangnet and
-//! Blake 2003, "Poisson image editing"; Bhat et al. 2008, "Fourier analysis of the 2D screened Poisson equation").
+//! Screened Poisson solver: the smooth field with prescribed differences, on a grid (Pérez, Gangnet and Blake
+//! 2003, "Poisson image editing"; Bhat et al. 2008, "Fourier analysis of the 2D screened Poisson equation").
 //!
-//! From coarse to fine: what spreads far is found on few cells, and a few sweeps of Gauss and Seidel do the rest.
+//! Multigrid: coarse grids correct low frequencies, and a few Gauss-Seidel sweeps per level the rest.
 
-/// Three channels, and one to go with wide instructions.
+/// Three channels, padded to four for SIMD.
 pub type Value = [f32; 4];
 
-/// How often coarser grids are asked what is still missing; sweeps before and after that, and at the coarsest.
+/// Number of multigrid cycles, Gauss-Seidel sweeps before and after each coarse correction, and sweeps at the
+/// coarsest level.
 const CYCLES: usize = 2;
 const SWEEPS: usize = 2;
 const COARSEST_SWEEPS: usize = 8;
-/// Cells over which the field fades at the coarsest level.
+/// Grids are coarsened until the reach is at most this number of cells.
 const COARSEST_REACH: f32 = 1.5;
 
-/// Sought is f with the least Σ w (f(a) − f(b) − d)² over neighbours, plus Σ pull f² over cells.
+/// Least-squares problem: minimise Σ w (f(a) − f(b) − d)² over neighbours, plus Σ pull f² over cells.
 #[derive(Debug)]
 pub struct Grid {
-    /// Cells in a row, with one of no weight at either end, as there is a row of such before and after all.
+    /// Cells per row, including a border cell without weight on each side; a border row is also above and
+    /// below.
     stride: usize,
     rows: usize,
-    /// What differences to the next cell, and to the next row, weigh.
+    /// Weight of the difference to the next cell in the row, and to the cell below.
     right: Vec<f32>,
     down: Vec<f32>,
-    /// Sums over a cell's neighbours: of w d.
+    /// Sum of w d over the cell's neighbours.
     wanted: Vec<Value>,
     pull: Vec<f32>,
     shares: Vec<f32>,
 }
 
 impl Grid {
-    /// Without any weight.
+    /// Create a grid without any weights.
     pub fn new(width: usize, height: usize) -> Self {
         let (stride, rows) = (width + 2, height + 2);
         let cells = stride * rows;
@@ -44,25 +46,26 @@ impl Grid {
         }
     }
 
+    /// Return the index of a cell.
     #[inline]
     pub fn cell(&self, x: usize, y: usize) -> usize {
         (y + 1) * self.stride + x + 1
     }
 
-    /// Draw a cell to zero.
+    /// Set the weight that pulls a cell to zero.
     #[inline]
     pub fn pull(&mut self, cell: usize, weight: f32) {
         self.pull[cell] = weight;
     }
 
-    /// Ask for a difference from a cell to the next one in its row, which is this less.
+    /// Prescribe the difference of a cell minus the next cell in its row.
     #[inline]
     pub fn ask_right(&mut self, cell: usize, difference: &Value) {
         self.right[cell] = 1.0;
         self.ask(cell, cell + 1, difference);
     }
 
-    /// The same to the one below.
+    /// Prescribe the difference of a cell minus the cell below.
     #[inline]
     pub fn ask_down(&mut self, cell: usize, difference: &Value) {
         self.down[cell] = 1.0;
@@ -74,7 +77,8 @@ impl Grid {
         self.wanted[b] = std::array::from_fn(|k| self.wanted[b][k] - difference[k]);
     }
 
-    /// The field at each cell; `reach` is how many cells a difference is felt: the root of a weight over the pull.
+    /// Solve for the field at each cell. `reach` is the decay length of a difference in cells: √(weight /
+    /// pull).
     pub fn solved(&mut self, reach: f32) -> Vec<Value> {
         self.weigh();
         let mut coarser: Vec<Self> = vec![];
@@ -90,7 +94,7 @@ impl Grid {
         field
     }
 
-    /// Bring a field nearer to what is sought: what is far from it over several cells is found on the coarser grids.
+    /// Run one multigrid cycle on a field.
     fn cycle(&self, field: &mut [Value], coarser: &mut [Self]) {
         self.relax(field, SWEEPS);
         let Some((coarse, still_coarser)) = coarser.split_first_mut() else {
@@ -112,7 +116,7 @@ impl Grid {
         self.relax(field, SWEEPS);
     }
 
-    /// Each cell, and the coarser one that it is in.
+    /// Iterate over all cells, each with its coarse cell.
     fn cells(&self, coarse: &Self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (stride, rows, above) = (self.stride, self.rows, coarse.stride);
         (1..rows - 1).flat_map(move |row| {
@@ -121,7 +125,8 @@ impl Grid {
         })
     }
 
-    /// Four cells are one; the same difference over twice the distance is half as steep. Nothing is wanted yet.
+    /// Create the grid of half resolution, without prescribed differences. Four cells become one; the weight
+    /// of a difference is halved because the distance doubles.
     fn coarser(&self) -> Self {
         let [width, height] = [self.stride, self.rows].map(|size| (size - 2).div_ceil(2));
         let mut coarse = Self::new(width, height);
@@ -135,7 +140,7 @@ impl Grid {
         coarse
     }
 
-    /// What is wanted at a cell beyond what the field there gives.
+    /// Compute the residual of a cell.
     #[inline(always)]
     fn missing(&self, field: &[Value], cell: usize) -> Value {
         let here = field[cell];
@@ -155,7 +160,7 @@ impl Grid {
         missing
     }
 
-    /// Sweeps of Gauss and Seidel, forwards and backwards in turn.
+    /// Run Gauss-Seidel sweeps, alternately forwards and backwards.
     fn relax(&self, field: &mut [Value], sweeps: usize) {
         for sweep in 0..sweeps {
             for i in 1..self.rows - 1 {
@@ -169,7 +174,7 @@ impl Grid {
         }
     }
 
-    /// The row between two others.
+    /// Update one row, given the rows above and below.
     fn relax_row(&self, row: usize, here: &mut [Value], [above, below]: [&[Value]; 2], is_forwards: bool) {
         let stride = self.stride;
         let right = &self.right[row * stride..][..stride];
@@ -178,7 +183,7 @@ impl Grid {
         let wanted = &self.wanted[row * stride..][..stride];
         let shares = &self.shares[row * stride..][..stride];
         let (here, above, below) = (&mut here[..stride], &above[..stride], &below[..stride]);
-        // What was found last is kept at hand, and comes last: the processor need not wait for it.
+        // The last value is kept in a register and added last, so that the processor need not wait for it.
         let mut last = [0.0; 4];
         let mut update = |i: usize, next: usize, weight_next: f32, weight_last: f32| {
             let [wanted, above, below, next] = [wanted[i], above[i], below[i], here[next]];
@@ -199,7 +204,8 @@ impl Grid {
         }
     }
 
-    /// One over what draws at each cell; nothing pulls those that stay at zero.
+    /// Precompute the reciprocal of the total weight at each cell; 0 for cells without pull, which stay at
+    /// zero.
     fn weigh(&mut self) {
         for cell in self.stride..self.pull.len() - self.stride {
             let pull = self.pull[cell];
@@ -216,7 +222,7 @@ mod tests {
 
     const REACH: f32 = 8.0;
 
-    /// A step of 1 is asked for between two columns.
+    /// Grid with a prescribed step of 1 between two columns.
     fn step(width: usize, height: usize, at: usize) -> Grid {
         let mut grid = Grid::new(width, height);
         for y in 0..height {
@@ -240,7 +246,7 @@ mod tests {
         let cells: Vec<usize> = (0..101).map(|x| grid.cell(x, 20)).collect();
         let field = grid.solved(REACH);
         let at = |x: usize| field[cells[x]][0];
-        // In one dimension it is exp(−x / reach) / 2 to both sides, but for the cells' size.
+        // In one dimension the solution is exp(−x / reach) / 2 to both sides, up to discretisation.
         for away in 0..50 {
             let wanted = 0.5 * (-(away as f32 + 0.5) / REACH).exp();
             assert!((at(50 - away) - wanted).abs() < 0.04, "{away}: {} {wanted}", at(50 - away));
@@ -259,7 +265,7 @@ mod tests {
         };
         let (width, height) = (90, 70);
         let mut grid = Grid::new(width, height);
-        // A border along a wavy line, holes, and pairs of which nothing is known.
+        // A step along a wavy line, holes, and pairs without a prescribed difference.
         let is_there = |x: usize, y: usize| x % 17 != 5 || y % 13 > 6;
         let side = |x: usize, y: usize| x as f32 > 45.0 + 10.0 * (y as f32 / 9.0).sin();
         for y in 0..height {

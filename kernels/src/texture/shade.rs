@@ -1,4 +1,4 @@
-//! The textured mesh as a camera sees it.
+//! Rendering of the textured mesh from a camera.
 
 use super::pinhole::Pinhole;
 use super::pixels::Photo;
@@ -6,23 +6,23 @@ use super::zbuffer::{NOTHING, ZBuffer};
 use crate::base::by_processor::by_processor;
 use crate::base::geometry::{Vec3, cross, dot, norm2, sub};
 
-/// A mesh laid out in images.
+/// Mesh with texture images.
 #[derive(Clone, Copy, Debug)]
 pub struct Textured<'a> {
     pub points: &'a [Vec3],
     pub triangles: &'a [[u32; 3]],
-    /// Of each triangle, in pixels of its image; the centre of the first pixel is at (0.5, 0.5).
+    /// Corners of each triangle in pixels of its image; the centre of the first pixel is at (0.5, 0.5).
     pub corners: &'a [[[f64; 2]; 3]],
-    /// The image of each triangle, `u16::MAX` for none.
+    /// Image of each triangle; `u16::MAX` for none.
     pub pages: &'a [u16],
     pub images: &'a [Photo],
 }
 
-/// Colours, and whether there is one.
+/// Colours of the pixels, and mask of the textured ones.
 type Shaded = (Vec<[u8; 3]>, Vec<bool>);
 
 by_processor! {
-    /// Colours of the pixels, and whether each shows a triangle with an image.
+    /// Render the colours of the pixels; also returns the mask of pixels that show a textured triangle.
     pub fn shade(mesh: &Textured<'_>, seen: &ZBuffer, camera: &Pinhole) -> Shaded = shaded
 }
 
@@ -57,7 +57,7 @@ fn shaded(mesh: &Textured<'_>, seen: &ZBuffer, camera: &Pinhole) -> Shaded {
     (colors, shown)
 }
 
-/// What share the second and third corner of a triangle have of the points of its plane: linear.
+/// Barycentric weights of a triangle's second and third corner, as linear functions of a point in its plane.
 #[derive(Default)]
 struct Shares([(f64, Vec3); 2]);
 
@@ -68,7 +68,8 @@ impl Shares {
         if area2 == 0.0 {
             return Self::default();
         }
-        // Of the triangle that a point makes with an edge.
+        // Each weight is the area of the triangle formed by the point and an edge, relative to the triangle's
+        // area.
         Self([(c, a), (a, b)].map(|(from, to)| {
             let along = cross(&sub(from, to), &normal);
             (dot(&cross(from, to), &normal) / area2, along.map(|x| x / area2))

@@ -1,4 +1,4 @@
-//! Points of the surface, each with the few photos that show it best.
+//! Surface points, each with samples from the few photos that show it best.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -12,16 +12,17 @@ use crate::base::geometry::Vec3;
 use crate::base::parallel::each;
 use crate::base::progress::Progress;
 
-/// Points a thread takes at a time, in whole triangles.
+/// Points per part of work, rounded to whole triangles.
 const PART: u32 = 1 << 14;
 
-/// More photos than this are never kept of a point.
+/// Maximum number of photos kept per point.
 pub const MOST_KEPT: usize = 16;
 
-/// Some of the triangles: of 64 that follow each other, which are meant; none where nothing is.
+/// Sparse bit set of triangles: (word index, 64 bits); zero words are omitted.
 type Bits = Vec<(u32, u64)>;
 
-/// A point in the photos that show it best: their scores and numbers, and what they show, themselves and blurred.
+/// Samples of a point in its best photos: scores, view indices, and colours in the photo and in the blurred
+/// photo.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Samples<'a> {
     pub scores: &'a [f32],
@@ -38,7 +39,7 @@ impl Samples<'_> {
         self.scores.is_empty()
     }
 
-    /// Whether one is better than another; of equals the first photo.
+    /// Compare two samples by score; at equal scores the lower view index is better.
     #[inline]
     pub fn is_better(&self, one: usize, other: usize) -> bool {
         let [this, that] = [one, other].map(|i| (self.scores[i], std::cmp::Reverse(self.views[i])));
@@ -46,38 +47,38 @@ impl Samples<'_> {
     }
 }
 
-/// Points of a mesh's surface, by their triangles.
+/// Points on a mesh surface, grouped by triangle.
 #[derive(Debug)]
 pub struct SurfacePoints {
-    /// Of each axis, from the origin.
+    /// Coordinates per axis, relative to `origin`.
     places: [Vec<f32>; 3],
     normals: [Vec<f32>; 3],
     origin: Vec3,
-    /// The first point of each triangle, and the number of points.
+    /// First point of each triangle, and the total number of points.
     first: Vec<u32>,
     triangles: Vec<[u32; 3]>,
     around: Around,
-    /// So many photos of each point are kept, in no order: their scores, 0 where there is none, their numbers, and what they
-    /// show, in the photo and in the blurred one.
+    /// Number of samples kept per point, unordered: score (0 for an empty entry), view index, and colours in
+    /// the photo and in the blurred photo.
     kept: usize,
     scores: Vec<f32>,
     views: Vec<u16>,
     colors: Vec<[[u8; 3]; 2]>,
-    /// The least score of each point: what another must be above.
+    /// Minimum score of each point's samples, which a new sample must exceed.
     least: Vec<f32>,
-    /// The triangles that each view may show, of those that are to be remembered.
+    /// Triangles that each view may show, for the views to be revisited.
     looked_at: BTreeMap<u16, Bits>,
-    /// Pixels a metre in the photo that is nearest; 0 where none shows the point.
+    /// Maximum resolution over all photos, in pixels per metre; 0 where no photo shows the point.
     pub density: Vec<f32>,
-    /// How each point is seen best: samples and density are of such looks alone.
+    /// Best kind of view of each point; samples and density come only from views of this kind.
     pub looks: Vec<Look>,
 }
 
 impl SurfacePoints {
-    /// Points in the order of their triangles; `kept` is [`MOST_KEPT`] or less.
+    /// Create points in the order of their triangles. `kept` is at most [`MOST_KEPT`].
     ///
     /// # Errors
-    /// [`KernelError::OutOfMemory`] if there is no room for `kept` samples of each.
+    /// [`KernelError::OutOfMemory`] if the samples do not fit in memory.
     pub fn new(
         points: &[Vec3],
         normals: Vec<[f32; 3]>,
@@ -115,17 +116,17 @@ impl SurfacePoints {
         self.looks.is_empty()
     }
 
-    /// How many samples of each point are kept.
+    /// Return the number of samples kept per point.
     pub fn kept(&self) -> usize {
         self.kept
     }
 
-    /// The samples of a point, in no order.
+    /// Return the samples of a point, unordered.
     #[inline]
     pub fn samples(&self, point: usize) -> Samples<'_> {
         let all = point * self.kept..(point + 1) * self.kept;
         let scores = &self.scores[all.clone()];
-        // The first places are taken first.
+        // Entries are filled from the front.
         let count = scores.iter().filter(|&&score| score > 0.0).count();
         Samples {
             scores: &scores[..count],
@@ -134,11 +135,8 @@ impl SurfacePoints {
         }
     }
 
-    /// Look at all points from one more camera, which `see_again` knows if it is to be remembered. Returns the triangles
-    /// that it may show, in ascending order.
-    ///
-    /// # Errors
-    /// As [`Progress::check`].
+    /// Add the samples of one more view. With `remember`, [`SurfacePoints::see_again`] can update them later.
+    /// Returns the triangles that the view may show, in ascending order.
     pub fn see(
         &mut self,
         view: &View,
@@ -157,10 +155,7 @@ impl SurfacePoints {
         Ok(triangles)
     }
 
-    /// Take the colours of a camera anew, where it is among the best.
-    ///
-    /// # Errors
-    /// As [`Progress::check`].
+    /// Update the colours of a view's samples, where it is among the best.
     pub fn see_again(
         &mut self,
         colors: &Colors,
@@ -174,7 +169,8 @@ impl SurfacePoints {
         progress.check()
     }
 
-    /// Triangles that may be seen: those of some pixel, and their neighbours, which may be smaller than one.
+    /// Find the triangles that a view may show: those visible at a pixel, and their neighbours, which may be
+    /// smaller than a pixel.
     fn looked_at(&mut self, view: &View) -> Bits {
         let mut last = NOTHING;
         for &triangle in &view.triangles {
@@ -186,7 +182,8 @@ impl SurfacePoints {
         self.around.marked()
     }
 
-    /// Do something at the points of some triangles, those of triangles that follow each other together, on several threads.
+    /// Call `change` on the points of some triangles, on several threads; consecutive triangles are passed
+    /// together.
     fn over<S>(
         &mut self,
         triangles: &[(u32, u64)],
@@ -196,7 +193,7 @@ impl SurfacePoints {
     ) {
         let mut rest = triangles;
         let mut parts = self.parts();
-        // Most are elsewhere.
+        // Skip the parts that contain none of the triangles.
         parts.retain(|part| {
             let before = rest.partition_point(|&(word, _)| (word as usize + 1) * 64 <= part.start);
             rest = &rest[before..];
@@ -220,7 +217,7 @@ impl SurfacePoints {
         });
     }
 
-    /// All points in parts for threads, whole triangles each.
+    /// Split all points into parts of whole triangles.
     fn parts(&mut self) -> Vec<Part<'_>> {
         let mut rest = Points {
             places: Places {
@@ -265,7 +262,7 @@ fn look(view: &View, number: u16, mut points: Points<'_>, appear: &mut Appear) {
             let Some(seen) = view.of(appear, i, &known) else { continue };
             let samples = i * some.kept..(i + 1) * some.kept;
             if seen.look != some.looks[i] {
-                // The first one, or a better one than all before: these count no more.
+                // The first view of this kind, which is better than all views before: discard their samples.
                 some.scores[samples.clone()].fill(0.0);
                 (some.looks[i], some.density[i], some.least[i]) = (seen.look, 0.0, 0.0);
             }
@@ -323,7 +320,7 @@ fn look_again(colors: &Colors, number: u16, points: Points<'_>) {
     take(&found[..count], &places);
 }
 
-/// A bit for each that is.
+/// Pack booleans into bits.
 #[inline(always)]
 fn matching(all: impl Iterator<Item = bool>) -> u32 {
     (0..).zip(all).fold(0, |bits, (k, is)| bits | u32::from(is) << k)
@@ -334,7 +331,8 @@ fn stored(levels: Levels) -> [[u8; 3]; 2] {
     levels.map(|[red, green, blue, _]| [red, green, blue])
 }
 
-/// Which sample goes: the worst, of equals the last.
+/// Return the index of the sample to replace: an empty entry, or the worst; at equal scores the highest view
+/// index.
 #[inline(always)]
 fn worst(scores: &[f32], views: &[u16], least: f32) -> usize {
     let is_least = |k: &usize| scores[*k] == least;
@@ -347,7 +345,8 @@ fn worst(scores: &[f32], views: &[u16], least: f32) -> usize {
         .fold(first, |worst, k| if views[k] > views[worst] { k } else { worst })
 }
 
-/// Of numbers that are not negative, as whole ones, whose order is the same: four are compared at once.
+/// Compute the minimum of non-negative scores. Their bits are compared as integers, which have the same order
+/// and vectorise.
 #[inline(always)]
 fn least(scores: &[f32]) -> f32 {
     let (fours, rest) = scores.as_chunks::<4>();
@@ -358,8 +357,10 @@ fn least(scores: &[f32]) -> f32 {
     f32::from_bits(all.fold(u32::MAX, u32::min))
 }
 
+/// Allocate default values.
+///
 /// # Errors
-/// [`KernelError::OutOfMemory`] if there is no room.
+/// [`KernelError::OutOfMemory`] if they do not fit in memory.
 fn filled<T: Clone + Default>(count: usize) -> Result<Vec<T>, KernelError> {
     let mut values = vec![];
     values.try_reserve_exact(count).map_err(|_| KernelError::OutOfMemory)?;
@@ -367,7 +368,7 @@ fn filled<T: Clone + Default>(count: usize) -> Result<Vec<T>, KernelError> {
     Ok(values)
 }
 
-/// The numbers that a word of bits stands for.
+/// Iterate over the indices in one word of a bit set.
 fn numbers((word, bits): (u32, u64)) -> impl Iterator<Item = u32> {
     let mut rest = bits;
     std::iter::from_fn(move || {
@@ -377,15 +378,16 @@ fn numbers((word, bits): (u32, u64)) -> impl Iterator<Item = u32> {
     })
 }
 
-/// The triangles around vertices, to find those around a few without a look at all.
+/// Triangles around each vertex, with marks, to collect the triangles around a few vertices without a scan of
+/// all.
 #[derive(Debug)]
 struct Around {
-    /// Of each vertex, where its triangles begin; and where the last one's end.
+    /// Start of each vertex's triangles, and the end of the last.
     first: Vec<u32>,
     triangles: Vec<u32>,
     is_marked: Vec<bool>,
     marked: Vec<u32>,
-    /// 0 but while `marked` is at work.
+    /// Bit set that is zero outside of `marked`.
     words: Vec<u64>,
 }
 
@@ -414,7 +416,7 @@ impl Around {
         }
     }
 
-    /// The triangles around all vertices that are marked, which are forgotten.
+    /// Collect the triangles around all marked vertices, and clear the marks.
     fn marked(&mut self) -> Bits {
         let mut touched = vec![];
         for v in self.marked.drain(..) {
@@ -433,15 +435,15 @@ impl Around {
     }
 }
 
-/// The points of a few triangles.
+/// Points of consecutive triangles.
 struct Part<'a> {
-    /// The first triangle; the first point of each, and the one after the last.
+    /// First triangle; first point of each triangle, and the end of the last.
     start: usize,
     first: &'a [u32],
     points: Points<'a>,
 }
 
-/// Points that follow each other, with what is remembered of them.
+/// Mutable view of consecutive points.
 struct Points<'a> {
     places: Places<'a>,
     kept: usize,
@@ -454,7 +456,7 @@ struct Points<'a> {
 }
 
 impl<'a> Points<'a> {
-    /// The first ones, and the others.
+    /// Split after `count` points.
     fn split(self, count: usize) -> (Self, Self) {
         let kept = self.kept;
         let [first, after] = [0..count, count..self.looks.len()].map(|range| Places {

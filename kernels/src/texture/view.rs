@@ -1,4 +1,4 @@
-//! A photo with what its camera sees, and the colour of a point of the surface in it.
+//! Photo with the depth maps of its camera; visibility, score and colour of surface points in it.
 
 use std::sync::Arc;
 
@@ -6,36 +6,38 @@ use super::pinhole::Pinhole;
 use super::pixels::{Levels, Photo, cell, colors_at};
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
-/// What a surface shows that is seen flatter than at this cosine is taken only where no photo shows it better.
+/// Cosine of the viewing angle below which a photo is used only where no photo shows the surface better (81°
+/// from the normal).
 const FLAT: f64 = 0.15;
-/// Surfaces this share of their distance apart are one, and so are the surface and its measured depth.
+/// Depth tolerances relative to the depth: between a point and the rendered mesh, and between a point and the
+/// measured depth.
 const SAME_DEPTH: f64 = 0.016;
 const SAME_MEASURED_DEPTH: f64 = 0.03;
-/// Up to so much a measured depth is that of the surface as well as it can be. From there on the view is worth less and less, and so
-/// little at last: where it ended at once, a border would be seen.
+/// Up to `SURE_DEPTH`, a relative depth difference does not reduce the weight. The weight then decreases to
+/// `LEAST_MEASURED` at the tolerance: an abrupt end would be visible as a border.
 const SURE_DEPTH: f64 = 0.005;
 const LEAST_MEASURED: f64 = 0.05;
-/// Slopes are steeper than this for no reason but noise.
+/// Maximum tangent of the viewing angle in slope corrections; steeper values are noise.
 const MOST_TANGENT: f64 = 4.0;
-/// Of the image's width, where views begin to fade out.
+/// Width of the border in which views fade out, relative to the image width.
 const FADE: f64 = 0.03;
-/// What a view is worth of which a channel is cut off.
+/// Weight factor for a colour with a clipped channel.
 const CUT_OFF: f32 = 0.3;
-/// What a view is worth where its own camera measured no depth.
+/// Weight factor where the view's depth camera has no measurement.
 const UNMEASURED: f32 = 0.5;
 
-/// What a camera measured or would see: a depth a pixel, the least one around it.
+/// Depth image, measured or rendered, with local minima.
 #[derive(Debug)]
 pub struct Depths {
     pub camera: Pinhole,
-    /// The least depth within `reach` pixels; infinite or 0 where there is none.
+    /// Minimum depth within `reach` pixels; infinite or 0 where missing.
     pub nearest: Vec<f32>,
-    /// The depth of each pixel alone; infinite or 0 where there is none.
+    /// Depth of each pixel; infinite or 0 where missing.
     pub exact: Vec<f32>,
     pub reach: f64,
 }
 
-/// Shifts of the photo, in pixels, at the corners of a grid over it.
+/// Displacements of the photo in pixels, at the nodes of a grid over it.
 #[derive(Debug)]
 pub struct Warp {
     pub columns: usize,
@@ -43,18 +45,18 @@ pub struct Warp {
     pub shifts: Vec<[f32; 2]>,
 }
 
-/// The colours that a camera took.
+/// Photo of a camera.
 #[derive(Debug)]
 pub struct Colors {
     pub camera: Pinhole,
     pub photo: Photo,
-    /// The photo without its details.
+    /// Low-pass filtered photo.
     pub blurred: Photo,
     pub warp: Option<Warp>,
 }
 
 impl Colors {
-    /// The colours at a pixel, and whether a channel of the photo is cut off.
+    /// Return the colours at a pixel, and whether a channel of the photo is clipped.
     #[inline(always)]
     pub fn at(&self, pixel: [f64; 2]) -> (Levels, bool) {
         colors_at(&self.photo, &self.blurred, self.warped(pixel))
@@ -74,35 +76,37 @@ impl Colors {
     }
 }
 
+/// Photo with the rendered and the measured depth of its viewpoint.
 #[derive(Debug)]
 pub struct View {
     pub colors: Arc<Colors>,
-    /// Where the camera stands.
+    /// Camera centre in world coordinates.
     pub place: Vec3,
-    /// The mesh from where the photo was taken, in any size, and the triangle at each pixel.
+    /// Rendered mesh from the photo's viewpoint, at any resolution, and the triangle at each pixel.
     pub mesh: Depths,
     pub triangles: Vec<u32>,
-    /// Whether that is the photo's size.
+    /// True if the rendered mesh has the resolution of the photo.
     pub is_drawn_in_size: bool,
-    /// What the frame measured, if it did.
+    /// Measured depth of the frame, if available.
     pub measured: Option<Depths>,
-    /// How much it is worth beside other photos: blurred ones less.
+    /// Weight relative to other photos; lower for blurred ones.
     pub worth: f32,
-    /// A surface seen flatter than at this cosine shows nothing at all.
+    /// Minimum cosine of the viewing angle; below it the photo is not used at all.
     pub flattest: f64,
 }
 
-/// How a point was seen best so far.
+/// Best kind of view of a point so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Look {
     #[default]
     None,
-    /// Flatter than anybody would want it.
+    /// Viewing angle below the cosine `FLAT`.
     Flat,
     Straight,
 }
 
-/// What is known of a point from other photos: how these see it, the worst score that is remembered, and the most pixels a metre.
+/// State of a point from other photos: kind of view, minimum score of its samples, and maximum resolution in
+/// pixels per metre.
 #[derive(Clone, Copy, Debug)]
 pub struct Known {
     pub look: Look,
@@ -110,30 +114,31 @@ pub struct Known {
     pub density: f32,
 }
 
-/// A point in a photo; of score 0, and without colours, where the photo is not among the best.
+/// Observation of a point in a photo. The score is 0, without colours, if the photo is not among the best.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
-    /// Not [`Look::None`].
+    /// Never [`Look::None`].
     pub look: Look,
     pub score: f32,
     pub levels: Levels,
-    /// Pixels a metre, across the slope.
+    /// Resolution in pixels per metre, perpendicular to the slope.
     pub density: f32,
 }
 
-/// Points that are looked at together: what of them is the same sum for all is worked out for several at once.
+/// Points processed together, so that common arithmetic is vectorised.
 pub const TOGETHER: usize = 64;
 
-/// Points of the surface with their normals, a slice for each axis.
+/// Surface points with normals, one slice per axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Places<'a> {
     pub origin: Vec3,
-    /// From the origin.
+    /// Coordinates relative to `origin`.
     pub places: [&'a [f32]; 3],
     pub normals: [&'a [f32]; 3],
 }
 
 impl Places<'_> {
+    /// Return the position of a point.
     #[inline(always)]
     pub fn of(&self, i: usize) -> Vec3 {
         [0, 1, 2].map(|k| self.origin[k] + f64::from(self.places[k][i]))
@@ -142,19 +147,19 @@ impl Places<'_> {
 
 type Numbers = [f64; TOGETHER];
 
-/// Where points appear that are looked at together.
+/// Projection of a batch of points.
 #[derive(Debug)]
 pub struct Appear {
-    /// In front of the camera, within the photo and not seen too flat.
+    /// In front of the camera, inside the photo, and not at a grazing angle.
     is_seen: [bool; TOGETHER],
-    /// In camera axes, and in the photo.
+    /// Coordinates in camera axes, and pixels in the photo.
     points: [Numbers; 3],
     pixels: [Numbers; 2],
     cosines: Numbers,
-    /// Of the score, without what the photo is worth.
+    /// Score without the weight of the photo.
     values: [f32; TOGETHER],
     densities: [f32; TOGETHER],
-    /// In the image that the frame measured: its pixel and depth.
+    /// Pixel and depth in the measured depth image.
     measured: [Numbers; 3],
 }
 
@@ -174,7 +179,7 @@ impl Default for Appear {
 }
 
 impl View {
-    /// Where points appear, [`TOGETHER`] or fewer.
+    /// Project up to [`TOGETHER`] points.
     #[inline(always)]
     pub fn find(&self, points: &Places<'_>, appear: &mut Appear) {
         let count = points.places[0].len().min(TOGETHER);
@@ -210,8 +215,8 @@ impl View {
         }
     }
 
-    /// How one of the points that were found appears, if it does, in front, not hidden, where it was measured, and tells more than
-    /// is known.
+    /// Observe one of the projected points. None if it is occluded, disagrees with the measured depth, or
+    /// does not improve the known state.
     #[inline(always)]
     pub fn of(&self, appear: &Appear, i: usize, known: &Known) -> Option<Seen> {
         if !appear.is_seen[i] {
@@ -221,7 +226,7 @@ impl View {
         let look = if cosine < FLAT { Look::Flat } else { Look::Straight };
         let (least, most) = match (look, known.look) {
             (Look::Flat, Look::Straight) => return None,
-            // What flat looks have shown counts no more.
+            // Samples from grazing views are replaced.
             (Look::Straight, Look::Flat) => (0.0, 0.0),
             _ => (known.score, known.density),
         };
@@ -231,7 +236,7 @@ impl View {
         }
         let tangent = (1.0 - cosine * cosine).max(0.0).sqrt() / cosine;
         let pixel = [appear.pixels[0][i], appear.pixels[1][i]];
-        // The mesh was drawn from where the photo was taken.
+        // The mesh was rendered from the photo's viewpoint.
         let p = [0, 1, 2].map(|k| appear.points[k][i]);
         let drawn = if self.is_drawn_in_size { pixel } else { self.mesh.camera.pixel(&p) };
         if self.mesh.difference(drawn, p[2], tangent, look)? < -SAME_DEPTH {
@@ -264,10 +269,12 @@ impl View {
 }
 
 impl Depths {
-    /// How far behind a point of such a depth the nearest surface around its pixel is, as a share of that: negative where something is in
-    /// front. None where nothing is known. A surface of the point's own slope counts as no difference.
+    /// Compute the relative depth difference between the nearest surface around a pixel and a point at depth
+    /// `at`; negative if the surface occludes the point. None without depth there. The slope of the point's
+    /// own surface is compensated.
     ///
-    /// Around a point that is seen flat, its own surface is much nearer: only what is in its pixel tells, if there is anything.
+    /// At a grazing angle, the point's own surface is much nearer within the neighbourhood. Only the depth of
+    /// the pixel itself is used there, if it is known.
     #[inline(always)]
     fn difference(&self, pixel: [f64; 2], at: f64, tangent: f64, look: Look) -> Option<f64> {
         let pixel = self.camera.nearest(pixel)?;
@@ -281,7 +288,7 @@ impl Depths {
             let (depth, pixels) = if is_there(exact) { (exact, 1.0) } else { (nearest, self.reach + 0.5) };
             let difference = depth / at - 1.0;
             let slope = pixels / focal * tangent;
-            // To both sides: within a pixel there is all between.
+            // In both directions, because the surface covers the whole depth range within the pixel.
             return Some(difference.signum() * (difference.abs() - slope).max(0.0));
         }
         let slope = (self.reach + 0.5) / focal * tangent.min(MOST_TANGENT);

@@ -1,23 +1,24 @@
-//! Which triangle a camera sees at each pixel, and how far it is.
+//! Z-buffer rendering: visible triangle and depth of each pixel.
 
 use super::clusters::Clusters;
 use super::pinhole::Pinhole;
 use crate::base::by_processor::by_processor;
 use crate::base::geometry::{Vec3, add_scaled, sub};
 
-/// What stands in a pixel that sees nothing.
+/// Triangle index of a pixel that sees nothing.
 pub const NOTHING: u32 = u32::MAX;
 
-/// Depth along the optical axis and number of the nearest triangle, a row of the image after another.
+/// Depth along the optical axis and index of the nearest triangle, row by row.
 #[derive(Clone, Debug)]
 pub struct ZBuffer {
-    /// Infinite where nothing is seen.
+    /// Infinite where nothing is visible.
     pub depth: Vec<f32>,
     pub triangle: Vec<u32>,
 }
 
 by_processor! {
-    /// Draw a mesh, either side of its triangles; of two at one depth the first is seen. What is nearer than `near` is cut off.
+    /// Render a mesh without back-face culling. At equal depth the lower triangle index wins. Parts nearer
+    /// than `near` are clipped.
     pub fn zbuffer(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer = draw
 }
 
@@ -30,7 +31,7 @@ fn draw(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
     for (points, triangles, numbers) in mesh.before(camera, near) {
         seen.clear();
         seen.extend(points.iter().map(|p| camera.in_camera(p)));
-        // Those that are not in front have none that means anything; it is not asked for.
+        // Projections of points behind the camera are meaningless, and are not used.
         appear.clear();
         appear.extend(seen.iter().map(|&p| corner(p)));
         for (corners, &number) in triangles.iter().zip(numbers) {
@@ -49,14 +50,14 @@ fn draw(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
     buffer
 }
 
-/// Where a corner of a triangle appears, and its depth.
+/// Projected corner of a triangle, with its depth.
 #[derive(Clone, Copy)]
 struct Corner {
     pixel: [f64; 2],
     depth: f64,
 }
 
-/// The part of a triangle beyond `near`: a polygon of so many corners.
+/// Clip a triangle at the plane z = `near`; returns a polygon and its number of corners.
 fn cut_off(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
     let (mut cut, mut count) = ([[0.0; 3]; 4], 0);
     let mut push = |p| {
@@ -81,11 +82,11 @@ impl ZBuffer {
         let [a, b, c] = corners.map(|corner| corner.pixel);
         let between = |axis: usize, size: usize| {
             let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
-            // The one after the last; 0 where all is beyond the first.
+            // End of the range (exclusive); 0 if the triangle is outside.
             let end = (a[axis].max(b[axis]).max(c[axis]).floor() + 1.0).clamp(0.0, size as f64);
             low.min(size as f64) as usize..end as usize
         };
-        // Most triangles are elsewhere.
+        // Most triangles contain no pixel centre.
         let (columns, rows) = (between(0, camera.width), between(1, camera.height));
         if columns.is_empty() || rows.is_empty() {
             return;
@@ -94,7 +95,7 @@ impl ZBuffer {
         if twice == 0.0 || !twice.is_finite() {
             return;
         }
-        // The inverse of the depth is linear in the image.
+        // Inverse depth is linear in the image.
         let [za, zb, zc] = corners.map(|corner| 1.0 / corner.depth);
         let edge = |p: [f64; 2], q: [f64; 2]| {
             let (along, up) = (-(q[1] - p[1]) / twice, (q[0] - p[0]) / twice);
@@ -103,7 +104,7 @@ impl ZBuffer {
         let edges = [edge(b, c), edge(c, a), edge(a, b)];
         let inverse = [0, 1, 2].map(|i| edges[0][i] * za + edges[1][i] * zb + edges[2][i] * zc);
         for y in rows {
-            // Each edge leaves a part of the row, to one side.
+            // Intersect the row with the half-plane of each edge.
             let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
             for [along, up, rest] in edges {
                 let at = up * y as f64 + rest;
@@ -161,7 +162,7 @@ mod tests {
     fn a_floor_under_the_camera_is_cut_off_where_it_begins() {
         let points = [[-50.0, 1.0, -50.0], [50.0, 1.0, -50.0], [0.0, 1.0, 100.0]];
         let seen = zbuffer(&Clusters::new(&points, &[[0, 1, 2]]), &camera(), 0.1);
-        // Below the horizon the depth of a floor 1 m down is 100 / rows below it.
+        // Below the horizon, the depth of a floor 1 m down is 100 / rows below the horizon.
         assert!(seen.depth[..40 * 101].iter().all(|z| z.is_infinite()));
         for row in 45..81 {
             assert!((seen.depth[row * 101 + 50] - 100.0 / (row as f32 - 40.0)).abs() < 1e-3, "{row}");

@@ -1,8 +1,8 @@
-//! Small meshes with a name, and one noise for all tests.
+//! Small named meshes, and pseudo-random numbers for all tests.
 
 pub type Triangles = Vec<[u32; 3]>;
 
-/// Numbers that look random and are the same every time (a linear congruential generator).
+/// Deterministic pseudo-random numbers (linear congruential generator).
 pub struct Noise(pub u64);
 
 impl Noise {
@@ -35,7 +35,7 @@ pub fn octahedron() -> (Vec<[f64; 3]>, Triangles) {
     (points, triangles)
 }
 
-/// A sheet of w × h squares, each cut in two; corner (x, y) is vertex y·(w+1) + x.
+/// Sheet of w × h squares, each split in two triangles; corner (x, y) is vertex y·(w+1) + x.
 pub fn sheet(w: u32, h: u32) -> (Vec<[f64; 3]>, Triangles) {
     let points = (0..=h).flat_map(|y| (0..=w).map(move |x| [f64::from(x), f64::from(y), 0.0])).collect();
     let mut triangles = vec![];
@@ -49,7 +49,7 @@ pub fn sheet(w: u32, h: u32) -> (Vec<[f64; 3]>, Triangles) {
     (points, triangles)
 }
 
-/// A sheet with a square hole in the middle: two boundary loops.
+/// Sheet with a square hole in the middle: two boundary loops.
 pub fn sheet_with_hole(n: u32) -> (Vec<[f64; 3]>, Triangles) {
     let (points, mut triangles) = sheet(3 * n, 3 * n);
     let in_hole = |t: &[u32; 3]| {
@@ -61,7 +61,7 @@ pub fn sheet_with_hole(n: u32) -> (Vec<[f64; 3]>, Triangles) {
     (points, triangles)
 }
 
-/// A sheet rolled up and closed both ways.
+/// Sheet rolled into a torus.
 pub fn torus(w: u32, h: u32) -> (Vec<[f64; 3]>, Triangles) {
     let angle = |i: u32, n: u32| std::f64::consts::TAU * f64::from(i) / f64::from(n);
     let mut points = vec![];
@@ -79,7 +79,7 @@ pub fn torus(w: u32, h: u32) -> (Vec<[f64; 3]>, Triangles) {
     (points, triangles)
 }
 
-/// Each mesh a test should hold for.
+/// Meshes for properties that must hold for every mesh.
 pub fn gallery() -> Vec<(&'static str, Vec<[f64; 3]>, Triangles)> {
     let named = |name, (points, triangles)| (name, points, triangles);
     vec![
@@ -104,7 +104,7 @@ fn two_pieces() -> (Vec<[f64; 3]>, Triangles) {
     (points, triangles)
 }
 
-/// Points shaken by up to `by`, with `D − 3` attributes of up to 255.
+/// Displace points randomly by up to `by` / 2 per axis, and add `D − 3` random attributes of 0 to 255.
 pub fn coloured<const D: usize>(points: &[[f64; 3]], by: f64, seed: u64) -> Vec<[f64; D]> {
     let mut noise = Noise(seed);
     let mut shaken = |p: &[f64; 3]| {

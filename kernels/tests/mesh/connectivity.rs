@@ -1,4 +1,4 @@
-//! Building, splitting and collapsing: every invariant holds after every edit.
+//! Tests of construction, splits and collapses: every invariant must hold after every edit.
 
 use crate::promises::common::{Noise, gallery, octahedron, sheet, tetrahedron, torus};
 use scanloom_kernels::base::errors::KernelError;
@@ -57,7 +57,7 @@ fn errors_name_the_elements() {
     assert_eq!(message, "1 edge belongs to more than two triangles (0–1)");
 }
 
-/// A sheet whose vertices and triangles are in no order; large enough to be connected on several threads.
+/// Sheet with shuffled vertices and triangles, large enough to be connected on several threads.
 fn shuffled_sheet() -> (usize, Vec<[u32; 3]>) {
     let (points, mut triangles) = sheet(150, 100);
     let mut noise = Noise(5);
@@ -77,7 +77,7 @@ fn numbers_are_the_same_on_any_number_of_threads() {
     let (vertices, triangles) = shuffled_sheet();
     let alone = connect(vertices, &triangles);
     alone.validate().unwrap();
-    // By the lower end, then by the higher.
+    // Edges are sorted by lower end, then by higher end.
     let ends = |e: EdgeId| {
         let [a, b] = alone.ends(e);
         [a.min(b), a.max(b)]
@@ -188,7 +188,7 @@ fn no_piece_or_hole_may_vanish() {
 
 #[test]
 fn a_waist_of_three_edges_may_not_vanish() {
-    // Two tetrahedra glued on a face that is not there: 0, 1, 2 are the waist.
+    // Two tetrahedra without their common face: 0, 1, 2 are the waist.
     let mesh = connect(5, &[[0, 1, 3], [1, 2, 3], [2, 0, 3], [1, 0, 4], [2, 1, 4], [0, 2, 4]]);
     assert_eq!(verdict(&mesh, 0, 1), Err(Illegal::Topology));
     assert_eq!(verdict(&mesh, 0, 3), Ok(()));
@@ -211,7 +211,7 @@ fn a_collapse_tells_what_became_one() {
     assert_eq!(mesh.validate(), Ok(()));
 }
 
-/// Any legal collapse of either end, in any order, as long as there is one; splits in between.
+/// Random legal collapses of either end, and random splits.
 #[test]
 fn random_edits_keep_every_invariant() {
     for (name, points, triangles) in gallery() {
@@ -235,7 +235,7 @@ fn random_edits_keep_every_invariant() {
     }
 }
 
-/// A collapse that the link condition refuses would indeed break something, or change the topology.
+/// Every collapse that the link condition refuses would break an invariant or change the topology.
 #[test]
 fn refusals_of_the_link_condition_are_needed() {
     for (name, points, triangles) in gallery() {
@@ -246,7 +246,7 @@ fn refusals_of_the_link_condition_are_needed() {
             let mut after: Vec<[u32; 3]> = triangles.iter().map(|t| t.map(moved)).collect();
             after.retain(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]);
             let sound = Connectivity::from_triangles(points.len(), &after).is_ok_and(|collapsed| {
-                // An ear cut off would take its tip with it.
+                // Cutting off an ear would also remove its tip.
                 let one_less = collapsed.vertices().count() + 1 == mesh.vertices().count();
                 one_less && collapsed.validate().is_ok() && collapsed.topology() == mesh.topology()
             });

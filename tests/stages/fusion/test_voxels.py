@@ -162,10 +162,10 @@ def test_a_cuda_device_is_none_of_our_own() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"depth": np.ones((7, 7), np.float32)}, "of another size"),
+        ({"depth": np.ones((7, 7), np.float32)}, "size differs"),
         ({"depth": np.ones((240, 160), np.float32)[::2]}, "not contiguous"),
         ({"color": np.zeros((120, 160, 4), np.uint8)}, "h × w × 3"),
-        ({"color": None}, "the frame has none"),
+        ({"color": None}, "the frame has no colour image"),
         ({"pose": np.full((4, 4), np.nan)}, "finite"),
         ({"pose": np.eye(3)}, "4 × 4"),
         ({"pixels": (0.0, 140.0, 80.0, 60.0, 160, 120)}, "focal"),
@@ -250,9 +250,9 @@ def test_every_set_of_instructions_gives_the_same_field() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"instructions": "MMX"}, "this processor has no MMX"),
-        ({"weighing": (1.0, float("nan"), 0.0)}, "weighing needs finite numbers"),
-        ({"weighing": (1.0, 1.0, -1.0)}, "weighing needs finite numbers"),
+        ({"instructions": "MMX"}, "this processor does not support MMX"),
+        ({"weighing": (1.0, float("nan"), 0.0)}, "weighing must have finite values"),
+        ({"weighing": (1.0, 1.0, -1.0)}, "weighing must have finite values"),
     ],
 )
 def test_what_a_field_cannot_be_made_of_is_refused(changes: dict[str, Any], said: str) -> None:
@@ -261,7 +261,7 @@ def test_what_a_field_cannot_be_made_of_is_refused(changes: dict[str, Any], said
 
 
 def test_an_image_whose_columns_single_precision_cannot_tell_apart_is_refused() -> None:
-    with pytest.raises(ValueError, match="of sides below 2²⁴"):
+    with pytest.raises(ValueError, match="sides below 2²⁴"):
         _kernels.oriented_depth(
             np.zeros((1, 8), np.float32),
             (1.0, 1.0, 0.0, 0.0, 1 << 24, 1),

@@ -187,7 +187,7 @@ def test_neighbours_want_what_goes_with_the_points():
         {"every": 0},
     ):
         given = {"labels": labels, "pixels": one.pixels, "width": SIDE, "every": 1, **wrong}
-        with pytest.raises(ValueError, match="do not go with the points"):
+        with pytest.raises(ValueError, match="do not match the points"):
             one.points.neighbours(given.pop("labels"), given.pop("pixels"), **given)
 
 
@@ -246,14 +246,14 @@ def test_threads_change_no_bit(threads: int):
 def test_what_means_nothing_is_refused(named: dict[str, float]):
     one = seen([0.0])
     given = {"width": SIDE, "reach": REACH, "wanted_threads": 1} | named
-    with pytest.raises(ValueError, match="do not go with"):
+    with pytest.raises(ValueError, match="do not match"):
         one.points.level(one.colors, one.pixels, **given)
 
 
 def test_points_need_a_pixel_each():
     one = seen([0.0])
     for pixels in (one.pixels[:-1], np.full_like(one.pixels, 2**32 - 1)):
-        with pytest.raises(ValueError, match="do not go with"):
+        with pytest.raises(ValueError, match="do not match"):
             one.points.level(one.colors, pixels, width=SIDE, reach=REACH, wanted_threads=1)
 
 

@@ -197,7 +197,7 @@ def test_wrong_arrays_are_refused():
         _kernels.lay_out(
             mesh.vertices, mesh.triangles, np.ones(3, np.float32), side=64, padding=2, progress=silent
         )
-    with pytest.raises(ValueError, match="no room"):
+    with pytest.raises(ValueError, match="too small for the padding"):
         _kernels.lay_out(
             mesh.vertices, mesh.triangles, np.ones(12, np.float32), side=4, padding=2, progress=silent
         )

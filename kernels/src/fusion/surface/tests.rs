@@ -3,7 +3,7 @@ use std::collections::{HashMap, HashSet};
 use super::*;
 use crate::base::progress::Control;
 
-/// Blocks whose voxels a function of their places tells.
+/// Blocks whose voxel values are a function of position.
 struct Made<D> {
     blocks: Vec<[i32; 3]>,
     distance: D,
@@ -13,7 +13,7 @@ impl<D: Fn([i32; 3]) -> f32 + Sync> Made<D> {
     fn cube(reach: i32, distance: D) -> Self {
         let side = 2 * reach;
         let block = |i: i32| [i % side - reach, i / side % side - reach, i / (side * side) - reach];
-        // In an order that is not that of the result.
+        // Reversed, so that the order differs from the result's order.
         Self { blocks: (0..side.pow(3)).rev().map(block).collect(), distance }
     }
 
@@ -57,7 +57,7 @@ fn sphere([x, y, z]: [i32; 3]) -> f32 {
     ((x * x + y * y + z * z).sqrt() - 9.0) as f32
 }
 
-/// A number from 0 to 1 that depends on all of a place.
+/// Hash a position to a pseudo-random number from 0 to 1.
 fn noise([x, y, z]: [i32; 3], seed: u64) -> f32 {
     let mut h = seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     for c in [y, z] {
@@ -68,7 +68,7 @@ fn noise([x, y, z]: [i32; 3], seed: u64) -> f32 {
     ((h ^ h >> 32) >> 40) as f32 / (1 << 24) as f32
 }
 
-/// Signs without any order, and a share of the voxels unknown.
+/// Random signs, with a ratio of unknown voxels.
 fn random(seed: u64, unknown: f32) -> impl Fn([i32; 3]) -> f32 + Sync {
     move |at| {
         let zeros = [0.0, -0.0, noise(at, seed + 2) - 0.5];
@@ -84,7 +84,8 @@ fn sides(triangles: &[[u32; 3]]) -> impl Iterator<Item = [u32; 2]> + '_ {
     triangles.iter().flat_map(|t| (0..3).map(|k| [t[k], t[(k + 1) % 3]]))
 }
 
-/// Every edge has a triangle on either side, or one; no vertex joins two fans, and none is left over.
+/// Check that every edge has one or two triangles with consistent orientation, that no vertex joins two fans,
+/// and that none is unused.
 fn is_manifold(found: &Surface) {
     let mut directed = HashSet::new();
     assert!(
@@ -204,7 +205,7 @@ fn threads_and_the_order_of_blocks_change_nothing() {
 #[test]
 fn pieces_with_a_rim_give_the_whole_to_the_bit() {
     let whole = Made::cube(2, random(11, 0.2)).surface(None, 1);
-    // Bricks of 2³ blocks in their order; each knows its own blocks and those next to them alone.
+    // Bricks of 2³ blocks in Z-order; each field has only the brick's blocks and the adjacent ones.
     let mut lows: Vec<[i32; 3]> = (0..8).map(|i| [i % 2, i / 2 % 2, i / 4].map(|c| 2 * c - 2)).collect();
     lows.sort_unstable_by_key(|&low| order::key(low));
     let mut joined = Surface::default();

@@ -13,7 +13,7 @@ const VOXEL: f64 = 0.02;
 const TRUNCATION: f64 = 0.06;
 const WEIGHING: Weighing = Weighing { typical: 0.02, constant: 0.008, quadratic: 0.002 };
 
-/// Numbers from 0 to 1, always the same.
+/// Deterministic pseudo-random numbers from 0 to 1.
 struct Draw(u64);
 
 impl Draw {
@@ -23,7 +23,7 @@ impl Draw {
     }
 }
 
-/// A made depth map of a wall with a step in it, with noise, holes and colours.
+/// Synthetic depth map of a wall with a step, with noise, holes and colours.
 struct Shot {
     camera: Camera,
     depth: Vec<f32>,
@@ -58,7 +58,7 @@ impl Shot {
         for i in 0..width * height {
             let x = ((i % width) as f64 - 29.3) / 55.0;
             let y = ((i / width) as f64 - 24.1) / 56.0;
-            // A plane's normal times its ray is −1.
+            // The dot product of the scaled normal and the pixel ray is −1.
             let (p, q) = (slope[0], slope[1]);
             let inverse = (0.45 + if x > 0.1 { 0.2 } else { 0.0 }) * (1.0 + p * x + q * y);
             let normal = [-p, -q, -1.0].map(|n| n / (1.0 + p * x + q * y));
@@ -107,7 +107,7 @@ fn fused(shots: &[Shot], within: Option<BlockBox>, add: Add, threads: usize) -> 
     volume
 }
 
-/// All that is kept of a block, to the bit.
+/// All stored data of a block, as bits.
 type Bits = (Vec<u32>, Vec<u16>, Vec<u8>, Vec<u16>, Vec<u8>);
 
 fn bits(volume: &Volume) -> HashMap<u64, Bits> {
@@ -125,7 +125,7 @@ fn bits(volume: &Volume) -> HashMap<u64, Bits> {
     (0..blocks.count()).map(|slot| (blocks.key(slot), of(slot))).collect()
 }
 
-/// What a voxel is told of a shot, in double precision: distance, weight and colour; none where it cannot be told safely.
+/// Reference observation of a voxel by a frame, in double precision.
 enum Told {
     Nothing,
     /// Distance, weight and colour.
@@ -190,7 +190,8 @@ fn told(shot: &Shot, place: [f64; 3]) -> Told {
         return Told::Unsure;
     }
     let weight = weight.round().clamp(1.0, HEAVIEST.into());
-    // In full up to three deviations behind the surface, then less and less for one and a half voxels.
+    // Full weight up to three standard deviations behind the surface, then decreasing over one and a half
+    // voxels.
     let noise = f64::from(WEIGHING.constant) + f64::from(WEIGHING.quadratic) * at[2] * at[2];
     let faded = ((-distance * TRUNCATION - (3.0 * noise).max(0.5 * VOXEL)) / (1.5 * VOXEL)).clamp(0.0, 1.0);
     let weight = weight * (1.0 - faded);
@@ -276,7 +277,7 @@ fn a_brick_is_fused_alone_as_it_is_among_others() {
     assert!(together == whole);
 }
 
-/// A frame that sees a wall at a distance of 1, straight on.
+/// Fuse frames that see a wall straight on at a distance of 1 m.
 fn wall(count: u32, noise: impl Fn(u32) -> f32, color: impl Fn(u32) -> u8) -> (Volume, u64) {
     let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let camera = Camera::new((40, 40), [50.0, 50.0], [20.0, 20.0], pose);
@@ -295,7 +296,8 @@ fn wall(count: u32, noise: impl Fn(u32) -> f32, color: impl Fn(u32) -> u8) -> (V
 
 #[test]
 fn thousands_of_frames_leave_no_bias() {
-    // A voxel 0.4 of a truncation before the wall; the noise has a mean of zero, and none that rounding could follow.
+    // A voxel 0.4 truncations in front of the wall; the noise has zero mean, and no pattern that rounding
+    // could follow.
     let (volume, _) =
         wall(5000, |k| (k * 7919 % 5000) as f32 / 5000.0 * 0.04 - 0.02, |k| (k * 31 % 200) as u8);
     let (z, slot) = (48, 0);
@@ -348,7 +350,7 @@ fn a_volume_that_may_not_grow_says_so_and_stays_as_it_is() {
 
 #[test]
 fn a_surface_touches_the_blocks_it_passes_through() {
-    // All places on the surface and half a truncation around it, from every pixel.
+    // All points on the surface and up to half a truncation around it, from every pixel.
     for shot in shots(3) {
         let keys = shot.touched(None);
         let mut missing = 0;
