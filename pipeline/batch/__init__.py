@@ -1,1 +1,1 @@
-"""Many scans: found in a folder, queued, and run by any number of workers on any number of machines."""
+"""Batch processing: find scans in a folder, queue them, and run them with workers on one or more machines."""

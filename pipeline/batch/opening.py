@@ -1,4 +1,4 @@
-"""Begin a batch in an output folder, or go on with one that stands there."""
+"""Start a batch in an output folder, or resume an existing one."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.printing import counted
 
-# Seconds that the workers of another batch are watched for, and between two looks; four of their beats.
+# Seconds to watch the workers of another batch (at least four beats), and seconds between two checks.
 _WATCHED, _PAUSE = 9.0, 0.1
 
 
 def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
-    """Return the queue of a batch: one that is not finished is gone on with if it is of the same jobs.
+    """Open the queue of a batch: resume an unfinished queue of the same jobs, else write a new one.
 
-    What failed in it is then tried again: the disk may have been full.
+    Failed jobs of a resumed queue are run again, because the cause (e.g. a full disk) may be gone.
 
     Raises
     ------
     InputError
-        If workers are at another batch in the folder.
+        If workers are running another batch in the folder.
     StageError
         If the queue cannot be written.
     """
@@ -39,7 +39,7 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
         try:
             standing = standing_queue(out)
         except InputError as error:
-            # Its results are in the cache; only what was to be done is lost, and is written anew.
+            # Results of a damaged queue are in the cache; only the job list is lost, and is rewritten.
             emit(replace(error.diagnostic, severity=Severity.INFO))
             standing = None
         if standing is not None and not _is_finished(standing):
@@ -69,7 +69,7 @@ def _is_finished(queue: Queue) -> bool:
 
 
 def _give_back_failed(queue: Queue) -> int:
-    """Have jobs that failed taken again by whoever asks, and return how many they are."""
+    """Release failed jobs so that workers retry them, and return their number."""
     with explained(f"the queue {queue.folder} cannot be worked on"):
         records, claims = Records(queue.folder / "done"), Claims(queue.folder / "claims", "")
         failed = [one for one in records.read(records.ended().values()) if one.state == FAILED]
@@ -81,7 +81,7 @@ def _give_back_failed(queue: Queue) -> int:
 
 
 def _require_quiet(queue: Queue) -> None:
-    """Raise InputError if a worker of a queue lives: who has not said that it ended is watched."""
+    """Raise InputError if a worker of a queue is alive, after watching heartbeats for some seconds."""
     watch = Watch(queue.folder / "workers")
     silent = watch.living()
     if silent:

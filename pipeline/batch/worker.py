@@ -1,7 +1,7 @@
-"""A worker: takes jobs of a queue, one for each of its slots, until none is left.
+"""Worker that runs jobs of a queue, one per slot, until no job is left.
 
-It only claims, watches and writes down; jobs run in processes of their own
-(`scanloom.pipeline.batch.process`), so that no job can keep it from beating, or take it along.
+The worker only claims, watches and records. Jobs run in subprocesses (`scanloom.pipeline.batch.process`), so
+that no job can block the heartbeat or crash the worker.
 """
 
 from __future__ import annotations
@@ -28,34 +28,36 @@ from scanloom.pipeline.failures import explained
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import StageError
 
-# A process is replaced after so many jobs: what libraries leave behind in memory does not pile up.
+# Jobs after which a job process is replaced, to bound memory leaks of libraries.
 _JOBS_A_PROCESS = 64
-# Seconds that nothing is heard for, at most, until it is looked for work again.
+# Maximum seconds to wait for messages before looking for jobs again.
 _PAUSE = 0.5
-# Seconds that one turn counts for at most: what a machine sleeps, or a worker is stopped for, is no fault of
-# a job.
+# Maximum seconds that one loop iteration adds to a job's time without progress: a suspended machine or a
+# stopped worker must not count against the job.
 _LONGEST_TURN = 10.0
-# Of what systems send to end a process, SIGKILL and SIGTERM; what others end by is their own fault.
+# Exit codes for SIGKILL and SIGTERM, sent by the system; any other signal counts as a crash.
 _KILLING = (-9, -15)
 
 
 class Worker:
-    """Works on a queue.
+    """Worker on a queue.
 
     Parameters
     ----------
-    slots : jobs at a time.
-    threads : of each.
-    memory : bytes that all jobs may take together; None where it is not known.
-    is_limit : `memory` was asked for, and ends jobs that take more; else it only decides how many run at a
-        time.
-    only : numbers of the jobs to work on; None for all.
-    stay : wait for the jobs of others, to take over those of who dies.
-    disk : bytes that all jobs may write; None for no limit.
-    take_over_after : seconds; None for what the queue says.
-    timeout : seconds after which a job that gets no further is ended, 0 for never; None for what the queue
-        says.
-    clock : seconds that only go forward, by which `timeout` is counted.
+    slots : number of concurrent jobs.
+    threads : threads per job.
+    memory : bytes for all jobs together; None if unknown.
+    is_limit : True if `memory` is a limit that ends jobs; False if it only bounds how many jobs run
+    concurrently.
+    disk : bytes that all jobs may write in total; None for no limit.
+    take_over_after : seconds of silence after which a worker is presumed dead; None for the setting of the
+    queue.
+    timeout : seconds without progress after which a job is ended, 0 for never; None for the setting of the
+    queue.
+    only : numbers of the jobs to run; None for all.
+    stay : True to wait for jobs of other workers, and take over those of dead workers.
+    tell : callback for progress events.
+    clock : monotonic clock in seconds, for `timeout`.
     """
 
     def __init__(
@@ -93,12 +95,13 @@ class Worker:
         self._jobs = {job.number: job for job in queue.jobs}
 
     def work(self) -> None:
-        """Work until every job has come to an end, by this worker or another, or there is none to take.
+        """Run jobs until all have ended, on this worker or others, or none can be taken.
 
         Raises
         ------
         StageError
-            If the queue cannot be written to; what is finished stays, and what is not is left to others.
+            If the queue cannot be written to. Finished jobs keep their records; others are left to other
+            workers.
         """
         with (
             explained(f"the queue {self._queue.folder} cannot be worked on"),
@@ -107,7 +110,7 @@ class Worker:
             try:
                 self._work()
             except FileNotFoundError:
-                # It may go between two looks at it.
+                # The queue may be removed between two checks.
                 self._require_standing()
                 raise
             finally:
@@ -130,7 +133,7 @@ class Worker:
             self._look_after()
 
     def _require_standing(self) -> None:
-        """Raise StageError where a later batch has removed this one, as it may when no worker gave a sign."""
+        """Raise StageError if a later batch has replaced this queue, because this worker seemed dead."""
         if not self._queue.folder.is_dir():
             raise StageError(
                 BATCH_WORKER_STOPPED,
@@ -171,7 +174,7 @@ class Worker:
         return self._queue.folder / "workers" / f"{self.name}.log"
 
     def _hear(self) -> None:
-        """Take what processes say, until nothing is waiting."""
+        """Handle messages of job processes until the inbox is empty."""
         pause = _PAUSE
         while True:
             try:
@@ -239,7 +242,7 @@ class Worker:
         self._end(record)
 
     def _gone(self, slot: Slot, work: Work, code: int) -> None:
-        """Begin a job again whose process ended by itself; what it had finished is in the cache."""
+        """Retry a job whose process exited; finished stages are in the cache."""
         self._free(slot, 0)
         self._claims.end(work.claim, KILLED if code in _KILLING else CRASHED)
         self._supply.again(work.claim)
@@ -247,7 +250,7 @@ class Worker:
         self._tell(Noted(f"{work.job.name}: {how}"))
 
     def _look_after(self) -> None:
-        """End jobs that others have taken over, and those that get no further."""
+        """Kill jobs that other workers have taken over or that exceed the timeout."""
         now = self._clock()
         passed, self._turned = min(now - self._turned, _LONGEST_TURN), now
         for slot in self._slots:
@@ -268,7 +271,7 @@ class Worker:
                 )
 
     def _lost(self, slot: Slot, work: Work) -> None:
-        """Leave a job to who has taken it over: what becomes of it is theirs to say."""
+        """Leave a job to the worker that has taken it over and that will record its outcome."""
         self._free(slot, 0)
         self._supply.lost(work.claim.number)
         why = "another worker has taken it over while this one gave no sign of life"
@@ -279,7 +282,7 @@ class Worker:
         if process is not None and not process.kill():
             why = "the system cannot end its process, which waits for a drive"
             self._tell(Noted(f"{work.job.name}: {why}"))
-        # If it cannot be, the next run does it.
+        # If drafts cannot be removed now, the next run removes them.
         with suppress(StageError):
             Cache(self._queue.cache).remove_abandoned()
 
@@ -315,7 +318,7 @@ class Worker:
         return f"job {number}" if job is None else job.name
 
     def _stop(self) -> None:
-        """Have jobs that still run put away what they were writing, and leave them to others."""
+        """Interrupt running jobs and release them for other workers."""
         for slot in self._slots:
             if slot.process is not None and slot.work is not None:
                 slot.process.interrupt()
@@ -323,7 +326,7 @@ class Worker:
             if slot.process is not None:
                 slot.process.end()
             if slot.work is not None:
-                # If it cannot be written, others see that this worker has ended.
+                # If the claim cannot be written, others see from the heartbeat that this worker has ended.
                 with suppress(OSError):
                     self._claims.end(slot.work.claim, RELEASED)
 
