@@ -106,7 +106,7 @@ class Watch:
         return math.inf if said == _ENDED else self._clock() - since
 
     def is_dead(self, worker: str, after: float) -> bool:
-        """Return True if a worker has been silent for more than `after` seconds and has missed several beats."""
+        """Return True if a worker was silent for over `after` seconds and missed several beats."""
         said, _ = self._note(worker)
         every = re.search(r"one each ([0-9.]+) s", said)
         return self.silence(worker) > max(after, _MISSED * float(every[1]) if every else 0.0)

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the cache, with explanations."""
+"""Diagnostic codes of the cache, with explanations."""
 
 from __future__ import annotations
 
