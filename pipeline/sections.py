@@ -1,7 +1,7 @@
-"""A configuration in sections, one frozen parameter object each: from TOML or words, and back to TOML.
+"""Base class for configurations made of sections, with conversion from and to TOML.
 
-Nothing is declared here but the sections: names, types, units, ranges and texts are those of the stages'
-parameter classes.
+Each section is a frozen parameter object of a stage. Names, types, units, ranges and help texts come from the
+parameter classes of the stages.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "o
 
 
 class Sections:
-    """Base of a frozen dataclass whose fields are parameter objects, each a section of the config file."""
+    """Base of frozen configuration dataclasses; each field is a section with a parameter object."""
 
-    # What parameters begin with in place of their defaults, by section, under a word for it.
+    # Presets by name: parameter values that replace defaults, by section.
     QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {}
 
     @classmethod
     def of(cls: type[S], quality: str) -> S:
-        """Return what a configuration begins with, by one of the words of `QUALITIES`.
+        """Create the configuration of a quality preset.
 
         Raises
         ------
         UsageError
-            For another word.
+            If `QUALITIES` has no such preset.
         """
-        if quality not in [*cls.QUALITIES]:  # a file may hold what is no word
+        if quality not in [*cls.QUALITIES]:  # the value from a file may be unhashable
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {quality!r}; it must be one of {qualities}.",
@@ -69,22 +69,22 @@ class Sections:
 
     @classmethod
     def types(cls) -> dict[str, type]:
-        """Parameter class of every section, in order."""
+        """Return the parameter class of each section, in order."""
         hints = hints_of(cls)
         return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     def load(cls: type[S], path: Path, quality: str | None = None) -> S:
-        """Read a TOML file; what it does not name keeps its default, or has that of the quality.
+        """Read a TOML file; parameters that the file does not set keep the default or preset value.
 
         Parameters
         ----------
-        quality : in place of the one that the file names, if it names any.
+        quality : preset that overrides the preset named in the file.
 
         Raises
         ------
         UsageError
-            If the file cannot be read, is not TOML, or names an unknown section, parameter or value.
+            If the file cannot be read, is not TOML, or has an unknown section, parameter or value.
         """
         try:
             if path.stat().st_size > _MAX_BYTES:
@@ -103,7 +103,7 @@ class Sections:
 
     @classmethod
     def loads(cls: type[S], text: str, where: str = "config", quality: str | None = None) -> S:
-        """Read TOML text as `load` does a file; `where` starts every message."""
+        """Parse TOML text like `load`; messages begin with `where`."""
         try:
             data = parse_toml(text)
         except ValueError as error:
@@ -131,9 +131,9 @@ class Sections:
         return config
 
     def set(self: S, assignments: Iterable[str]) -> S:
-        """Return the configuration with `stage.parameter=value` words applied, read by the parameters' types.
+        """Apply assignments of the form `stage.parameter=value`.
 
-        `none` gives a parameter that is derived from the data back to being derived.
+        The value `none` resets an optional parameter, which is then derived from the data.
         """
         config = self
         for assignment in assignments:
@@ -152,20 +152,20 @@ class Sections:
         return config
 
     def dumps(self) -> str:
-        """Write every parameter as commented TOML that `loads` reads back to the same configuration."""
+        """Format all parameters as commented TOML that `loads` can parse."""
         return "\n".join(_section_toml(name, getattr(self, name)) for name in self.types())
 
     def get(self, kind: type[P]) -> P:
-        """Return the first section whose parameters are of a class."""
+        """Return the first section with parameters of a class."""
         return next(params for name in self.types() if isinstance(params := getattr(self, name), kind))
 
     def canonical(self, section: str) -> dict[str, Any]:
-        """Return the parameters of a section that decide its result, as JSON values.
+        """Return the result-relevant parameters of a section as JSON values, for the cache key.
 
         Raises
         ------
         UsageError
-            For a value that JSON cannot express, infinity.
+            If a value is infinite, which JSON cannot express.
         """
         return _canonicalise(getattr(self, section), section)
 
@@ -190,7 +190,7 @@ class Sections:
 
 
 def _kind(section: str, key: str, cls: type, where: str) -> Any:
-    """Return the type of a parameter of a section."""
+    """Return the type of a parameter of a section; raise UsageError if unknown."""
     if key in find_nested(cls):
         raise _section_error(f"{section}.{key}", where)
     if key not in described(cls):
@@ -216,7 +216,7 @@ def _section_error(section: str, where: str) -> UsageError:
 
 
 def _convert_section(values: Mapping[str, Any], section: str, cls: type, where: str) -> dict[str, Any]:
-    """Return values of a section with the types of its parameters, and nested sections as mappings."""
+    """Convert the values of a section to the types of its parameters; nested sections stay mappings."""
     typed = {}
     for key, value in values.items():
         nested = find_nested(cls).get(key)
@@ -230,7 +230,7 @@ def _convert_section(values: Mapping[str, Any], section: str, cls: type, where: 
 
 
 def _nest_value(section: str, key: str, cls: type, text: str, where: str) -> dict[str, Any]:
-    """Return the word for a parameter as a value, in mappings for the sections that its key names."""
+    """Parse the value of an assignment, nested in a mapping for each dot in its key."""
     first, dot, rest = key.partition(".")
     nested = find_nested(cls).get(first)
     if dot and nested is not None:
@@ -256,7 +256,7 @@ def _kind_names(hint: Any) -> str:
 
 
 def _typed(value: Any, hint: Any) -> Any:
-    # TOML writes 1 where 1.0 is meant; both must give one key.
+    # TOML integers are accepted for floats; 1 and 1.0 must give the same cache key.
     if float in kinds_of(hint) and type(value) is int:
         return float(value)
     if row_length(hint) and isinstance(value, (list, tuple)):
@@ -290,7 +290,7 @@ def _from_word(text: str, hint: Any, where: str) -> Any:
 
 
 def _number(word: str) -> Any:
-    # What is no number is refused where the parameter's other values are.
+    # Text that is not a number is rejected with the other range checks of the parameter.
     try:
         return float(word)
     except ValueError:
@@ -298,7 +298,7 @@ def _number(word: str) -> Any:
 
 
 def _canonicalise(params: Any, section: str) -> dict[str, Any]:
-    """Return the parameters that decide a result as JSON values; a nested section is an object."""
+    """Return the result-relevant parameters as JSON values; nested sections become objects."""
     cls = type(params)
     hints = hints_of(cls)
     values: dict[str, Any] = {
@@ -321,7 +321,7 @@ def _canonical_value(value: Any, hint: Any, where: str) -> Any:
     typed = _typed(value, hint)
     if isinstance(typed, tuple):
         return [number + 0.0 for number in typed]
-    return typed + 0.0 if isinstance(typed, float) else typed  # -0.0 is 0.0
+    return typed + 0.0 if isinstance(typed, float) else typed  # converts -0.0 to 0.0
 
 
 def _section_toml(name: str, params: Any) -> str:
@@ -342,7 +342,7 @@ def _comment(text: str) -> list[str]:
 
 
 def facts_of(about: Described, default: Any, hint: Any) -> str:
-    """Return kind, unit, range and default of a parameter in words; `hint` is its type."""
+    """Describe the type, unit, range and default of a parameter; `hint` is its type."""
     kind = f"one of {', '.join(about.choices)}" if about.choices else _kind_names(hint)
     facts = [f"{kind} in {about.unit}" if about.unit else kind]
     if about.low is not None:
@@ -354,8 +354,8 @@ def facts_of(about: Described, default: Any, hint: Any) -> str:
 
 
 def _toml(value: Any) -> str:
-    # TOML's strings, numbers and booleans are written as JSON's are, but for the infinities.
+    # TOML strings, numbers and booleans use JSON syntax, except for infinities.
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
         return "inf" if value > 0 else "-inf"
     text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
-    return text.replace("\x7f", "\\u007f")  # the one character that JSON allows and TOML does not
+    return text.replace("\x7f", "\\u007f")  # the only character that JSON allows unescaped and TOML does not

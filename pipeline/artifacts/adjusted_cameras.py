@@ -6,7 +6,7 @@ cameras.json     adjusted poses as 4x4 matrices by frame index, with frame names
                  and the rolling-shutter rotations, if any; whether the adjustment was accepted, and why
                  (`scan.adjusted` reads this file)
 
-If the adjustment was rejected, no files are written and the frames keep their poses.
+A rejected adjustment has no trajectory.tum, and the frames keep their poses.
 """
 
 from __future__ import annotations

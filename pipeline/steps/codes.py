@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the steps of the pipeline, with explanations."""
+"""Diagnostic codes of pipeline stages, with explanations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stage `depth`: depth maps of stereo pairs, of posed views, or completed by a network."""
+"""Stage `depth`: computes depth maps from stereo pairs or posed views, or completes depth with a network."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from scanloom.stages.stereo.networks.network import Network
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage.
+    """Inputs of the stage `depth`.
 
     Attributes
     ----------
-    scan : without depth, or with depth that the network completes.
+    scan : scan without depth, or with depth that the network completes.
     network : file of `depth.model`.
     """
 
@@ -37,7 +37,7 @@ class Inputs:
 
 
 def needs_depth(scan: Scan, config: Sections) -> bool:
-    """Return whether the depth of a scan is computed, by matching or by a network."""
+    """Return True if the depth of a scan is computed, by matching or by a network."""
     return scan.is_stereo or scan.is_views or config.get(DepthParams).model is not None
 
 
@@ -59,7 +59,7 @@ def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     scan: Scan = known["scan"]
     network = () if config.get(DepthParams).model is None else (network_of, Network)
     checks = (require_view_poses,) if _checks_poses(scan, config) else ()
-    # Views are matched in pairs, each pair by depth_scan.
+    # depth_scan is always included, because views are matched in pairs by depth_scan.
     return result_versions(depth_scan, choose_matcher(scan), *network, *checks)
 
 

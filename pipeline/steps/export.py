@@ -1,4 +1,4 @@
-"""The stage `export`: the result as glTF where there is no textured.glb, and in few bytes for the web."""
+"""Stage `export`: writes glTF if there is no textured.glb, and a compressed model for the web."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ExportedModels(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `export`."""
 
     simplified_mesh: SimplifiedMesh
     up_direction: UpDirection
@@ -70,12 +70,12 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
 
 
 def write_models(folder: Path, mesh: Mesh, name: str | None, params: ExportSection) -> dict[str, Any]:
-    """Write what is asked for, and return the figures.
+    """Export the requested models and return metrics.
 
     Parameters
     ----------
-    mesh : which says what is up.
-    name : of a plain file; None where there is one already.
+    mesh : mesh with its up direction.
+    name : file name of the uncompressed model; None to write none.
     """
     figures: dict[str, Any] = {}
     if name is not None:

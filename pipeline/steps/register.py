@@ -1,4 +1,4 @@
-"""The stage `register`: camera poses from the images and depth of a scan."""
+"""Stage `register`: estimates camera poses from images and depth."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from scanloom.stages.scans.model.scan import Scan
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `register`."""
 
     frames: Scan | DepthMaps
 
 
 def is_registered(scan: Scan, config: Sections) -> bool:
-    """Return whether poses are estimated: missing poses, or all poses if requested."""
+    """Return True if poses are estimated: if poses are missing, or on request."""
     params = config.get(RegisterParams)
     if params.enabled is None:
         return not scan.has_poses or (params.refine and not is_adjusted(scan, config))

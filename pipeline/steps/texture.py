@@ -1,4 +1,4 @@
-"""The stage `texture`: the simplified mesh with a texture from the photos."""
+"""Stage `texture`: textures the simplified mesh with the photos."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from scanloom.stages.texturing.texture import TextureParams, texture
 
 FILE = "textured.glb"
 
-# The golden angle, in half degrees as OpenCV counts hues.
+# Golden angle in units of 2°, the hue unit of OpenCV.
 _GOLDEN = 68.754
 
 
@@ -43,14 +43,14 @@ class TextureSection(TextureParams):
     enabled: bool = param(
         True,
         "Give the simplified mesh what the photos show, wherever frames have colour.",
-        # It decides whether the stage is there, not what comes out of it.
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
     images: str | None = param(
         None,
         "Folder of other photos with poses in the scan's world, in metres (COLMAP, nerfstudio, or any scan): "
         "their colours are taken, and none of the frames'.",
-        # The content of the folder decides the result, not its name.
+        # The cache key contains the content of the folder instead of its path.
         invalidates=False,
         is_path=True,
     )
@@ -58,7 +58,7 @@ class TextureSection(TextureParams):
 
 @dataclass(frozen=True)
 class TexturedMesh(Artifact):
-    """Simplified mesh with texture, and one map for each image: the photo that has the most weight."""
+    """Textured mesh, with per-texel maps of the photo with the largest weight."""
 
     NAME = "textured_mesh"
 
@@ -67,17 +67,17 @@ class TexturedMesh(Artifact):
         return read_mesh(self.folder / FILE)
 
     def color_by_photo(self, mesh: Mesh) -> Mesh:
-        """Colour the loaded mesh by the photo that has the most weight; grey where no photo sees it."""
+        """Colour the mesh by the photo with the largest weight per texel; grey without a photo."""
         return color_by_photo(mesh, self.folder / TEXTURE_MAPS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs(PosedFrames):
-    """Inputs of the stage.
+    """Inputs of the stage `texture`.
 
     Attributes
     ----------
-    photos : scan of `texture.images`, in place of the frames.
+    photos : scan read from `texture.images`, used instead of the frames.
     """
 
     simplified_mesh: SimplifiedMesh
@@ -99,7 +99,7 @@ def _unread(config: Sections) -> Collection[str]:
 
 
 def skip_reason(scan: Scan, config: Sections) -> str | None:
-    """Return why a scan gets no texture; None if it gets one."""
+    """Return why the scan gets no texture; None if it gets one."""
     params = config.get(TextureSection)
     if not params.enabled:
         return "is switched off; set texture.enabled=true"
@@ -118,7 +118,7 @@ def write_textured(
     up: Up | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write textured.glb, which stands by what is up, and the maps of its images, and return the figures."""
+    """Texture the mesh, write textured.glb (upright) and the per-texel maps, and return metrics."""
     textured = texture(mesh, frames, params, progress=progress)
     write_mesh(folder / FILE, textured.mesh.with_(up=up))
     (folder / TEXTURE_MAPS).mkdir()
@@ -127,7 +127,13 @@ def write_textured(
 
 
 def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
-    """Colour a mesh by the photo that has the most weight; grey where no photo sees it."""
+    """Colour a mesh by the photo with the largest weight per texel; grey without a photo.
+
+    Parameters
+    ----------
+    mesh : textured mesh.
+    maps : folder of the per-texel maps.
+    """
     assert mesh.texture is not None
     palette = _palette()
     materials = tuple(
@@ -138,11 +144,11 @@ def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
 
 
 def _palette() -> NDArray[np.uint8]:
-    """Return a colour for each number that 16 bits hold; grey for 0."""
+    """Return a colour for each 16-bit photo index, (65536, 3); index 0 is grey."""
     import cv2
 
     wheel = np.full((1, 1 << 16, 3), (0, 190, 230), np.uint8)
-    # Hues, of 180, apart by the golden angle: neighbours in time are far apart in colour.
+    # Hues in golden angle steps: photos that are close in time get very different colours.
     wheel[0, :, 0] = np.arange(1 << 16) * _GOLDEN % 180
     colors = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
     colors[0] = 128

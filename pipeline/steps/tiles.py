@@ -1,4 +1,4 @@
-"""The stage `tiles`: levels of detail as 3D Tiles, upright, and with the photos' colours."""
+"""Stage `tiles`: writes the levels of detail as 3D Tiles, upright, with colours of the photos."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class TilesSection(TileImageParams):
     enabled: bool = param(
         True,
         "Write 3D Tiles of the levels of detail, where there are any (lod.enabled=true).",
-        # It decides whether the stage is there, not what comes out of it.
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
     images: bool = param(
@@ -53,18 +53,18 @@ class TilesSection(TileImageParams):
 
 @dataclass(frozen=True)
 class Tileset(Artifact):
-    """3D Tiles."""
+    """Tileset in the format 3D Tiles."""
 
     NAME = "tileset"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage.
+    """Inputs of the stage `tiles`.
 
     Attributes
     ----------
-    textured_mesh : gives tiles their images.
+    textured_mesh : source of the tile images.
     """
 
     up_direction: UpDirection
@@ -98,13 +98,13 @@ def write_tileset(
     up: Up | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write the folder tiles/, and return the figures.
+    """Write the folder tiles/ and return metrics.
 
     Parameters
     ----------
-    hierarchy : the levels.
-    up : what is up in the scan; None to leave it as it is.
-    model : the textured mesh, whose colours tiles get; None for those of the levels.
+    hierarchy : levels of detail.
+    model : textured mesh that colours the tiles; None to use the vertex colours of the levels.
+    up : up direction of the scan; None to write tiles without rotation.
     """
     images = TileImageParams(**{field.name: getattr(params, field.name) for field in fields(TileImageParams)})
     written = write_tiles(
