@@ -1,4 +1,4 @@
-"""Go on with a run: its OUT says what it was made from and how, and one more stage is switched on."""
+"""Continuation of a run with one more stage enabled."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def run_again(
     cache_dir: Path | None = None,
     events: Events = unwatched,
 ) -> RunResult:
-    """Run an optional stage on what a run has left; all else is as that run was asked for, and mostly cached.
+    """Enable an optional stage for a finished run and run it; other stages come from the cache.
 
     Parameters
     ----------
-    out : the output folder of a run that came as far as clean.ply.
-    stage : whose section has `enabled`.
-    changes : other parameters of it.
-    scan : where the scan is now, if it was moved.
-    cache_dir : the cache of that run, as `run` takes it.
+    out : output folder of a run that has written clean.ply.
+    stage : stage whose section has the parameter `enabled`.
+    changes : other parameters of the stage.
+    scan : new location of the scan, if it was moved.
+    cache_dir : cache of the run, as for `run`.
 
     Raises
     ------
     InputError
-        If no run has left its results there, or the scan is not where it was.
+        If the folder has no results of a run, or the scan was moved.
     UsageError
         If a parameter is out of range.
     """

@@ -1,7 +1,7 @@
-"""What a run was asked for, as the record in its cache keeps it: so that its OUT alone is enough to go on.
+"""Arguments of a run, recorded in the cache so that the run can be continued from its OUT alone.
 
-It stands in the cache and not among the results: these are passed on, and where a scan lies on a machine is
-nobody else's matter.
+The record is not among the results: results are shared with others, and paths of the local machine are
+private.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from scanloom.stages.params import described
 
 @dataclass(frozen=True)
 class Asked:
-    """What a run was asked for.
+    """Recorded arguments of a run.
 
     Attributes
     ----------
-    scan : the folder or file of the scan, absolute.
-    config : files in it are absolute, too.
-    until : the last stage that was wanted.
+    scan : absolute path of the scan folder or file.
+    config : configuration with absolute paths.
+    until : last requested stage.
     """
 
     scan: Path
@@ -31,12 +31,12 @@ class Asked:
     until: str
 
     def record(self) -> dict[str, str]:
-        """Return it for JSON."""
+        """Return the arguments as JSON values."""
         return {"scan": str(self.scan), "config": self.config.dumps(), "until": self.until}
 
     @classmethod
     def of(cls, record: object) -> Asked | None:
-        """Return what a record says; None if it is none, or of a version that had other parameters."""
+        """Parse recorded arguments; None if invalid or from a version with other parameters."""
         if not isinstance(record, Mapping):
             return None
         scan, config, until = (record.get(name) for name in ("scan", "config", "until"))
@@ -49,7 +49,7 @@ class Asked:
 
 
 def from_anywhere(config: Config) -> Config:
-    """Return a configuration whose files are named in full, so that it holds in another folder, too."""
+    """Make the paths in a configuration absolute, so that it is valid in any working directory."""
     for section, kind in config.types().items():
         params = getattr(config, section)
         named = {name: getattr(params, name) for name, about in described(kind).items() if about.is_path}

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of runs, with explanations."""
+"""Diagnostic codes of runs, with explanations."""
 
 from __future__ import annotations
 
