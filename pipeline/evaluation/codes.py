@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the files that a report is made of, with explanations."""
+"""Diagnostic codes of report files, with explanations."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ class ReportParams:
     enabled: bool = param(
         True,
         "Measure the result against the meshes it came from, and draw them; without it there is no page.",
-        # It decides whether the stage is there, not what comes out of it.
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
     pictures: bool = param(True, "Draw each stage's mesh, as PNG files.")

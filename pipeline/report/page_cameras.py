@@ -1,4 +1,4 @@
-"""The cameras of a run's output folder, as its page shows them: only what a run writes gets into it."""
+"""Cameras in the output folder of a run, validated for its page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _JPEG = b"\xff\xd8\xff"
 
 @contextmanager
 def as_runs_write(path: Path) -> Iterator[None]:
-    """Say it in one sentence where a file does not hold what a run writes into it."""
+    """Convert parsing errors to an InputError for a file that was not written by a run."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -35,13 +35,13 @@ def as_runs_write(path: Path) -> Iterator[None]:
 
 
 def cameras_of(folder: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]) -> list[PageCamera]:
-    """Return the cameras of the scan that a run has told of.
+    """Read the cameras of a scan from the output folder of a run.
 
     Parameters
     ----------
-    folder : of the report's pictures.
-    turn : (3, 3) rotation that the models stand by.
-    skipped : why frames were skipped, by their names.
+    folder : folder of the report's pictures.
+    turn : (3, 3) rotation to the upright frame of the page.
+    skipped : reasons of skipped frames by frame name.
     """
     path = folder / CAMERAS
     if not path.is_file():
@@ -66,7 +66,7 @@ def _camera(
 
 
 def _photo(name: str, path: Path) -> bytes:
-    """Return a photo that cameras.json names; the page is passed on, so nothing else may get into it."""
+    """Read a photo named in cameras.json; reject anything outside the folder, as pages are shared."""
     photo = path.parent / require_inside(name, path, "photo")
     if not photo.resolve().is_relative_to(path.parent.resolve()):
         raise InputError(

@@ -1,4 +1,4 @@
-"""What is missing in a scan, as the page of its run shows it: a model in its colours, and a table."""
+"""Gaps of a scan for the page of its run: a coloured model and a table."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ _NEAREST = 2
 
 
 class Missing(NamedTuple):
-    """What the page shows of it: the model, and the table as `one_file` takes it."""
+    """Gaps as shown on the page: a model, and a table for `one_file`."""
 
     shown: Shown
     table: Mapping[str, Any]
 
 
 def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_metric: bool) -> Missing | None:
-    """Return what the stage `coverage` has left in the output folder of a run; None if it has not run.
+    """Read the results of the stage `coverage` from an output folder; None if it did not run.
 
     Parameters
     ----------
-    up : what is up in the scan.
-    turn : (3, 3) rotation that the models stand by.
-    is_metric : lengths are metres, else units of the scan.
+    up : up direction of the scan.
+    turn : (3, 3) rotation to the upright frame of the page.
+    is_metric : True if lengths are in metres; False if in units of the scan.
     """
     if not ((folder / COVERAGE_MESH).is_file() and (folder / COVERAGE).is_file()):
         return None
@@ -83,7 +83,7 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
 
 
 def _in_words(places: Any) -> str:
-    """Return which colours there are, and what they stand for."""
+    """Describe the colours that occur."""
     names = {one["kind"] for one in places}
     told = [f"{kind.word} {kind.text}" for name, kind in KINDS.items() if name in names]
     return "; ".join(["grey is well seen", *told])

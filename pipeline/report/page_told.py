@@ -1,4 +1,4 @@
-"""What the page of a run tells in words and tables, from its report.json."""
+"""Text and tables of a run's page, from report.json."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scanloom.stages.printing import at_most, place_in_words
 
 
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what report.json says, warnings first, as `one_file` takes it."""
+    """Convert report.json to the report data of `one_file`, warnings first."""
     scan, ran = report.get("scan", {}), report.get("stages", {})
     figures = [
         *scan.get("diagnostics", []),
@@ -48,7 +48,10 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def skipped_in(report: Mapping[str, Any]) -> dict[str, str]:
-    """Return why frames were skipped, by their names: when the scan was read, or by the first stage."""
+    """Return the reasons of skipped frames by frame name.
+
+    A frame may be skipped while reading or by a stage; the first reason counts.
+    """
     of_scan = at(report, "scan", "frames_skipped", otherwise=[])
     found = {str(one["frame"]): str(one["reason"]) for one in of_scan}
     for stage, about in report.get("stages", {}).items():
@@ -65,15 +68,15 @@ def deviation_tables(
     *,
     is_metric: bool = True,
 ) -> list[dict[str, Any]]:
-    """Return tables of a deviation: how large it is, and its worst places, which the page can fly to.
+    """Make the tables of a deviation: its size, and its worst locations.
 
     Parameters
     ----------
-    told : the figures of `scanloom.Deviations`.
-    proven : metres that no point is farther off than; None where nothing is proven.
-    places : of the worst, as `one_file` takes them.
-    title : of the first table.
-    is_metric : lengths are metres, else units of the scan.
+    told : metrics of `scanloom.Deviations`.
+    proven : proven bound in metres; None if there is none.
+    places : camera targets of the worst locations, as for `one_file`.
+    title : title of the first table.
+    is_metric : True if lengths are in metres; False if in units of the scan.
     """
     per, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
     percentiles = told["absolute_percentiles_m"]
@@ -103,7 +106,7 @@ def deviation_tables(
 
 
 def at(document: Mapping[str, Any], *names: str, otherwise: Any = None) -> Any:
-    """Return what stands in a document under names in names; else `otherwise`."""
+    """Look up a nested key; `otherwise` if missing or None."""
     found: Any = document
     for name in names:
         found = found.get(name) if isinstance(found, Mapping) else None
@@ -111,7 +114,7 @@ def at(document: Mapping[str, Any], *names: str, otherwise: Any = None) -> Any:
 
 
 def _frames_in_words(report: Mapping[str, Any]) -> str:
-    """Say how many frames there are, and what became of them."""
+    """Summarise how many frames were read, held out and skipped."""
     read, held_out = at(report, "scan", "frames"), at(report, "held_out", "photos", otherwise=0)
     if read is None:
         return ""
@@ -121,7 +124,7 @@ def _frames_in_words(report: Mapping[str, Any]) -> str:
 
 
 def _made_of(report: Mapping[str, Any]) -> str:
-    """Return the versions that made a result, and the SHA-256 of its files."""
+    """List the versions that made a result, and the SHA-256 of its files."""
     versions = {"scanloom": report.get("scanloom"), **at(report, "libraries", otherwise={})}
     lines = [
         f"made {report.get('created')}",

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of pages, with explanations."""
+"""Diagnostic codes of pages, with explanations."""
 
 from __future__ import annotations
 
