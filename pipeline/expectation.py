@@ -1,4 +1,7 @@
-"""Estimates of the time and memory of a stage, from earlier results or from the size of the scan."""
+"""Estimates of the time and memory of a stage.
+
+Estimates are based on earlier results, or else on the size of the scan.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ MAX_BYTES_IN_PARTS = 1.7e9
 
 @dataclass(frozen=True)
 class Cost:
-    """Linear cost model of a stage for its first run: constants plus rates per megapixel of the scan.
+    """Linear cost model of a stage for its first run.
+
+    The cost is a constant plus a rate per megapixel of the scan.
 
     Attributes
     ----------
@@ -45,8 +50,7 @@ class Expectation:
     Attributes
     ----------
     basis : "measured" from a result with the same inputs and other parameters, "scaled" from results of other
-    scans by
-        scan size, or "estimated" from the cost model.
+        scans by scan size, or "estimated" from the cost model.
     """
 
     seconds: float
@@ -66,7 +70,10 @@ class Expectation:
 
 
 def megapixels(scan: Scan) -> float:
-    """Return the total size of the depth images of a scan, or of its left images, in megapixels."""
+    """Return the size of all frames of a scan in megapixels.
+
+    The depth images count, or the left images without depth.
+    """
     return sum(frame.camera.width * frame.camera.height for frame in scan.frames) / 1e6
 
 

@@ -32,7 +32,10 @@ def from_there(path: Path, folder: Path) -> str:
 
 
 def home(folder: Path) -> Path:
-    """Return the folder that paths in messages are relative to: the scan folder or its parent."""
+    """Return the base folder of paths in messages.
+
+    This is the scan folder, or the parent folder of a scan file.
+    """
     return folder.parent if folder.is_file() else folder
 
 

@@ -75,7 +75,9 @@ class Sections:
 
     @classmethod
     def load(cls: type[S], path: Path, quality: str | None = None) -> S:
-        """Read a TOML file; parameters that the file does not set keep the default or preset value.
+        """Read a TOML file.
+
+        Parameters that the file does not set keep the default or preset value.
 
         Parameters
         ----------
@@ -216,7 +218,10 @@ def _section_error(section: str, where: str) -> UsageError:
 
 
 def _convert_section(values: Mapping[str, Any], section: str, cls: type, where: str) -> dict[str, Any]:
-    """Convert the values of a section to the types of its parameters; nested sections stay mappings."""
+    """Convert the values of a section to the types of its parameters.
+
+    Nested sections stay mappings.
+    """
     typed = {}
     for key, value in values.items():
         nested = find_nested(cls).get(key)
@@ -230,7 +235,10 @@ def _convert_section(values: Mapping[str, Any], section: str, cls: type, where: 
 
 
 def _nest_value(section: str, key: str, cls: type, text: str, where: str) -> dict[str, Any]:
-    """Parse the value of an assignment, nested in a mapping for each dot in its key."""
+    """Parse the value of an assignment.
+
+    The value is nested in a mapping for each dot in its key.
+    """
     first, dot, rest = key.partition(".")
     nested = find_nested(cls).get(first)
     if dot and nested is not None:

@@ -72,14 +72,12 @@ class Stage(Generic[Inputs, Params]):
     name : name in messages, and of the configuration section with the parameters.
     section : class of the parameters.
     inputs : dataclass of inputs; each field is named after a source of the run or an artifact. Fields with a
-    default
-        are optional.
+        default are optional.
     writes : class of the artifact.
     run : writes the files of the artifact and returns metrics. Emitted diagnostics are stored with the
-    result.
+        result.
     versions : function of known inputs and configuration that returns the RESULT_VERSION of all code that
-    `run`
-        executes, by name. It is called for every cache key.
+        `run` executes, by name. It is called for every cache key.
     libraries : versions of distributions that affect the result, by name.
     labels : inputs without a value that only enter the cache key, such as frame names.
     more_sections : further configuration sections that affect the result.
@@ -90,8 +88,7 @@ class Stage(Generic[Inputs, Params]):
         continues a sentence that begins with the stage name.
     cost : cost model for the first run.
     headline : format string for the summary line of a result, or a function of the metrics that returns the
-    format
-        string. Fields are metrics.
+        format string. Fields are metrics.
     progress_unit : unit counted by the progress callback.
     is_summary : True if the metrics summarise the run: report.json has them at the top level, and the page is
         written with this stage.

@@ -1,7 +1,9 @@
-"""Convert depth, stereo and photo scans to compact textured meshes, with functions on in-memory data.
+"""Conversion of depth, stereo and photo scans to compact textured meshes.
 
->>> import scanloom >>> fused = scanloom.fuse(scanloom.read_scan("my_scan")) >>> cleaned =
-scanloom.clean(fused.mesh) >>> simplified = scanloom.simplify(cleaned.mesh, ratio=0.1).mesh
+>>> import scanloom
+>>> fused = scanloom.fuse(scanloom.read_scan("my_scan"))
+>>> cleaned = scanloom.clean(fused.mesh)
+>>> simplified = scanloom.simplify(cleaned.mesh, ratio=0.1).mesh
 
 The package exports all public names of `scanloom.stages`, and `show` and `Page` from `scanloom.pipeline`.
 Names are imported on first use. `scanloom.pipeline` processes scan folders; `scanloom.cli` is the command

@@ -1,1 +1,4 @@
-"""Artifacts shared by several stages. An artifact of a single stage is defined with that stage."""
+"""Artifacts shared by several stages.
+
+An artifact of a single stage is defined with that stage.
+"""

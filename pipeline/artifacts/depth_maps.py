@@ -1,4 +1,4 @@
-"""Depth maps of a scan as an RGB-D scan folder, with a coloured point cloud.
+"""Depth maps of a scan, as files of an RGB-D scan folder.
 
     scan.json                scan description, read back by stages.layouts as RGB-D frames
     color/000000.png         rectified left image, 8-bit RGB or grey
@@ -170,7 +170,10 @@ def _write_png(path: Path, image: NDArray[Any]) -> None:
 
 
 def _grey_or_bgr(color: ColorImage) -> ColorImage:
-    """Convert an RGB image for PNG encoding: one channel if all channels are equal, else BGR."""
+    """Convert an RGB image for PNG encoding.
+
+    The result has one channel if all channels are equal, else BGR.
+    """
     grey = color[:, :, 0]
     is_grey = np.array_equal(grey, color[:, :, 1]) and np.array_equal(grey, color[:, :, 2])
     return grey if is_grey else color[:, :, ::-1]

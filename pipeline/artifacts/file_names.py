@@ -1,4 +1,4 @@
-"""Names of files and folders in the output folder that stages write and pages read."""
+"""Names of result files and folders that pages read."""
 
 # Pictures, cameras and photos of the report.
 PICTURES = "pictures"

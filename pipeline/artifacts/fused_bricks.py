@@ -1,4 +1,7 @@
-"""Cache of fused bricks: a frame added to a scan only causes the bricks it touches to be fused again."""
+"""Cache of fused bricks.
+
+After a frame is added to a scan, only the bricks that it touches are fused again.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ class KeptBricks:
     def store(
         self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
     ) -> Path:
-        """Write the files of a brick into a new cache entry and return its folder.
+        """Write a brick into a new cache entry and return its folder.
 
         Raises
         ------

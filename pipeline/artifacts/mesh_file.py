@@ -1,4 +1,7 @@
-"""Mesh of a stage as a PLY file. A mesh above the in-memory limit has a chunk table in a second file."""
+"""Mesh of a stage as a PLY file.
+
+A mesh above the in-memory limit has a chunk table in a second file.
+"""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Poses(Artifact):
         return self._with_poses(scan, document["poses"], document)
 
     def load_separate(self, scan: Scan) -> dict[int, Scan]:
-        """Load the connected components that could not be joined to the main one, by number."""
+        """Load the connected components that are separate from the main one, by number."""
         document = self._read()
         return {
             int(number): self._with_poses(scan, poses, document)

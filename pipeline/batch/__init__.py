@@ -1,1 +1,4 @@
-"""Batch processing: find scans in a folder, queue them, and run them with workers on one or more machines."""
+"""Batch processing of many scans.
+
+Scans are found in a folder, queued, and run by workers on one or more machines.
+"""

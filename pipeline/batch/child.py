@@ -128,7 +128,7 @@ def _run(job: Mapping[str, Any], link: Link, events: _Told) -> RunResult:
 
 
 def _leave(wanted: Wanted, cache: Cache, link: Link) -> Limits:
-    """Send the expected needs of a run to the worker and wait for its limits."""
+    """Send the expected needs of a run and wait for its limits."""
     needs = expected_of(wanted.scan, wanted.config, wanted.planned, cache.folder).values()
     link.say(
         needs={

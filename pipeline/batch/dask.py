@@ -1,4 +1,6 @@
-"""Batch execution with Dask: on an existing scheduler, or on workers started by SLURM and similar systems.
+"""Batch execution with Dask.
+
+Jobs run on an existing scheduler, or on workers started by SLURM and similar systems.
 
 Each job is a Dask task that starts a subprocess and waits for it. The subprocess is not bound by the thread
 and memory limits of the Dask worker, and no job can block the worker's event loop. If a Dask worker dies,
@@ -48,7 +50,10 @@ _PAUSE = 0.1
 
 
 def run_task(words: str, threads: int) -> str:
-    """Run a job in a subprocess of a Dask worker; return the last line of stderr if it failed."""
+    """Run a job in a subprocess of a Dask worker.
+
+    Returns the last line of stderr if the job failed, else "".
+    """
     done = subprocess.Popen(
         [sys.executable, "-c", _CODE, words],
         # If the Dask worker is killed, the pipe closes and the subprocess notices.
@@ -157,7 +162,10 @@ def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]
 
 
 def _ended(queue: Queue, records: Records, number: int, future: Any) -> Record:
-    """Return the record of a completed task; write a failure record if the job left none."""
+    """Return the record of a completed task.
+
+    Write a failure record if the job left none.
+    """
     known = records.ended()
     if number in known:
         return records.read([known[number]])[0]

@@ -14,7 +14,7 @@ _DRAWN = ("textured", "simplified", "clean", "fused")
 
 
 def figures_of(result: RunResult) -> dict[str, Any]:
-    """Return the table metrics of a run, with units in the keys; None for unknown values."""
+    """Return the table metrics of a run; None for unknown values."""
     report = result.report
     scan, mesh, held_out = report["scan"], report["mesh"], report["held_out"]
     stages: Mapping[str, Mapping[str, Any]] = report["stages"]
@@ -56,6 +56,9 @@ def _photo(placed: Collection[str]) -> str | None:
 
 
 def written_by(result: RunResult) -> int:
-    """Return the bytes a run has written: new cache entries and their copies in the output folder."""
+    """Return the bytes written by a run.
+
+    New cache entries count twice, because they are copied to the output folder.
+    """
     made = [one.folder for one in result.stages if not one.cached]
     return 2 * sum(path.stat().st_size for folder in made for path in folder.rglob("*") if path.is_file())

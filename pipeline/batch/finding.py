@@ -62,8 +62,7 @@ def find_scans(
     ----------
     layout : take every subfolder for a scan of this layout, recognised or not.
     include, exclude : patterns of scan names (`*`, `?`). Scans must match one of `include`, if given, and
-    none of
-        `exclude`.
+        none of `exclude`.
     besides : folders that are not searched.
 
     Returns
@@ -119,7 +118,10 @@ def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Fo
 
 
 def _is_collection(place: Path, reason: str, files: Sequence[Path]) -> bool:
-    """Return True if a folder recognised by a recording in it is only a collection of recordings."""
+    """Return True if a folder only collects recordings.
+
+    Such a folder is recognised as a scan because of a recording in it.
+    """
     if reason not in {file.name for file in files}:
         return False
     if (place / _LIST).is_file():

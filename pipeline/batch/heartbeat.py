@@ -35,7 +35,9 @@ def name_of_worker() -> str:
 
 
 class Heartbeat:
-    """Heartbeat thread of a worker, as a context manager; on exit it records that the worker ended.
+    """Heartbeat thread of a worker, as a context manager.
+
+    On exit, it records that the worker ended.
 
     Parameters
     ----------
@@ -101,12 +103,18 @@ class Watch:
             self._note(path.name.removesuffix(_SUFFIX))
 
     def silence(self, worker: str) -> float:
-        """Return the seconds since the last observed beat of a worker; infinite if the worker ended."""
+        """Return the seconds since the last observed beat of a worker.
+
+        The result is infinite if the worker ended.
+        """
         said, since = self._note(worker)
         return math.inf if said == _ENDED else self._clock() - since
 
     def is_dead(self, worker: str, after: float) -> bool:
-        """Return True if a worker was silent for over `after` seconds and missed several beats."""
+        """Return True if a worker is presumed dead.
+
+        A worker is presumed dead after `after` seconds of silence, and at least several missed beats.
+        """
         said, _ = self._note(worker)
         every = re.search(r"one each ([0-9.]+) s", said)
         return self.silence(worker) > max(after, _MISSED * float(every[1]) if every else 0.0)

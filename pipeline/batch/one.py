@@ -30,7 +30,7 @@ class Task:
     threads : threads of the job.
     memory, disk : bytes that the job may use; None for no limit.
     take_over_after : seconds of silence after which a worker is presumed dead; None for the setting of the
-    queue.
+        queue.
     """
 
     out: str

@@ -23,7 +23,9 @@ _WATCHED, _PAUSE = 9.0, 0.1
 
 
 def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
-    """Open the queue of a batch: resume an unfinished queue of the same jobs, else write a new one.
+    """Open the queue of a batch.
+
+    An unfinished queue of the same jobs is resumed; otherwise a new queue is written.
 
     Failed jobs of a resumed queue are run again, because the cause (e.g. a full disk) may be gone.
 
@@ -81,7 +83,10 @@ def _give_back_failed(queue: Queue) -> int:
 
 
 def _require_quiet(queue: Queue) -> None:
-    """Raise InputError if a worker of a queue is alive, after watching heartbeats for some seconds."""
+    """Raise InputError if a worker of a queue is alive.
+
+    Heartbeats are watched for some seconds.
+    """
     watch = Watch(queue.folder / "workers")
     silent = watch.living()
     if silent:

@@ -63,7 +63,10 @@ class Process:
                 self._process.stdin.flush()
 
     def interrupt(self) -> None:
-        """Interrupt the job, so that it removes its drafts and exits; `end` waits for that."""
+        """Interrupt the job, so that it removes its drafts.
+
+        `end` waits for the process to exit.
+        """
         self._is_interrupted = True
         with suppress(OSError):
             if sys.platform == "win32":

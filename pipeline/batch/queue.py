@@ -117,7 +117,7 @@ class Queue:
         return Path(os.path.normpath(self.out / self.settings.cache))
 
     def is_of(self, settings: Settings, jobs: Sequence[Job]) -> bool:
-        """Return True if this queue has these settings and jobs, and was written by this version."""
+        """Return True if settings, jobs and version of the queue match."""
         return not self.damaged and (self.settings, self.jobs, self.version) == (
             settings,
             tuple(jobs),
@@ -205,7 +205,10 @@ def _number(folder: Path) -> int:
 
 
 def _latest(out: Path) -> Path | None:
-    """Return the folder of the current queue, after waiting for a queue that is being written."""
+    """Return the folder of the current queue.
+
+    A queue that is being written is waited for.
+    """
     end = time.monotonic() + _PATIENCE
     while True:
         found = _generations(out)
@@ -249,7 +252,10 @@ def _read(out: Path, folder: Path) -> Queue:
 
 
 def _values(line: str) -> dict[str, Any] | None:
-    """Parse a line of the job list; None if its check digest does not match."""
+    """Parse a line of the job list.
+
+    Returns None if the check digest does not match.
+    """
     try:
         values = json.loads(line)
         require_shallow(values)

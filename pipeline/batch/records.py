@@ -88,7 +88,10 @@ class Records:
         ]
 
     def read(self, claims: Iterable[Claim]) -> list[Record]:
-        """Read the records of attempts, sorted by job number; a damaged one becomes a failure record."""
+        """Read the records of attempts, sorted by job number.
+
+        A damaged record becomes a failure record.
+        """
         return sorted((self._record(claim) for claim in claims), key=lambda one: one.number)
 
     def _record(self, claim: Claim) -> Record:

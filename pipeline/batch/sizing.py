@@ -21,7 +21,10 @@ _SHARE = 0.9
 
 
 def memory_to_use() -> int | None:
-    """Return the bytes of memory for all jobs; None if the system does not report its memory."""
+    """Return the bytes of memory for all jobs.
+
+    Returns None if the system does not report its memory.
+    """
     total, free = memory_bytes()
     known = free if free is not None else total
     return None if known is None else int(_SHARE * known)
@@ -42,7 +45,10 @@ def jobs_at_once(needs: Sequence[int], memory: int | None, cores: int) -> int:
 
 
 def expected_needs(queue: Queue) -> list[int]:
-    """Estimate the memory in bytes of up to 8 jobs, spaced evenly over the queue."""
+    """Estimate the memory in bytes of up to 8 jobs.
+
+    The jobs are spaced evenly over the queue.
+    """
     jobs = queue.jobs
     count = min(_SAMPLE, len(jobs))
     chosen = [jobs[(2 * k + 1) * len(jobs) // (2 * count)] for k in range(count)]

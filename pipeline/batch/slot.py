@@ -1,4 +1,4 @@
-"""Slot of a worker: the job that runs in it, its progress, and the time since its last progress."""
+"""Slot of a worker, and progress of the job that runs in it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ class Work:
         return round(time.monotonic() - self._begun, 3)
 
     def at(self, stage: str, share: float) -> None:
-        """Record progress. A repeated message is no progress: an endless loop can send it, too."""
+        """Record progress.
+
+        A repeated message is not progress, because an endless loop can send it, too.
+        """
         if (stage, share) != (self.stage, self.share) or self.is_waiting:
             self.stage, self.share, self.is_waiting, self.silent = stage, share, False, 0.0
 

@@ -132,7 +132,10 @@ class Supply:
         return not self._watch.is_dead(said.worker or f"{claim.number}.{claim.attempt}", self._patience)
 
     def _is_hopeless(self, claim: Claim) -> bool:
-        """Return True if a job ended too often without a result; a failure record is then queued."""
+        """Return True if a job ended too often without a result.
+
+        A failure record is then queued.
+        """
         tries = self._claims.tries(claim)
         crashes = sum(one.end == CRASHED for one in tries)
         last = tries[-1].stage if tries else ""

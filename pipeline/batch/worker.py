@@ -1,4 +1,4 @@
-"""Worker that runs jobs of a queue, one per slot, until no job is left.
+"""Worker that runs jobs of a queue, one per slot.
 
 The worker only claims, watches and records. Jobs run in subprocesses (`scanloom.pipeline.batch.process`), so
 that no job can block the heartbeat or crash the worker.
@@ -48,12 +48,12 @@ class Worker:
     threads : threads per job.
     memory : bytes for all jobs together; None if unknown.
     is_limit : True if `memory` is a limit that ends jobs; False if it only bounds how many jobs run
-    concurrently.
+        concurrently.
     disk : bytes that all jobs may write in total; None for no limit.
     take_over_after : seconds of silence after which a worker is presumed dead; None for the setting of the
-    queue.
+        queue.
     timeout : seconds without progress after which a job is ended, 0 for never; None for the setting of the
-    queue.
+        queue.
     only : numbers of the jobs to run; None for all.
     stay : True to wait for jobs of other workers, and take over those of dead workers.
     tell : callback for progress events.
@@ -95,7 +95,9 @@ class Worker:
         self._jobs = {job.number: job for job in queue.jobs}
 
     def work(self) -> None:
-        """Run jobs until all have ended, on this worker or others, or none can be taken.
+        """Run jobs until all have ended or none can be taken.
+
+        Jobs of other workers count, too.
 
         Raises
         ------
@@ -133,7 +135,10 @@ class Worker:
             self._look_after()
 
     def _require_standing(self) -> None:
-        """Raise StageError if a later batch has replaced this queue, because this worker seemed dead."""
+        """Raise StageError if a later batch has replaced this queue.
+
+        A later batch may do so if this worker seemed dead.
+        """
         if not self._queue.folder.is_dir():
             raise StageError(
                 BATCH_WORKER_STOPPED,
@@ -271,7 +276,10 @@ class Worker:
                 )
 
     def _lost(self, slot: Slot, work: Work) -> None:
-        """Leave a job to the worker that has taken it over and that will record its outcome."""
+        """Leave a job to the worker that has taken it over.
+
+        That worker records the outcome.
+        """
         self._free(slot, 0)
         self._supply.lost(work.claim.number)
         why = "another worker has taken it over while this one gave no sign of life"

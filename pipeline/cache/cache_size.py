@@ -39,7 +39,9 @@ class CacheParams:
 
 
 def bytes_of(text: str, name: str) -> int:
-    """Parse a size like `20 GB` to bytes; a number without a unit is in MB.
+    """Parse a size like `20 GB` to bytes.
+
+    A number without a unit is in MB.
 
     Raises
     ------

@@ -153,7 +153,9 @@ def _files_of(frames: Iterable[Frame]) -> set[Path]:
 
 
 def label_digests(scan: Scan) -> dict[str, str]:
-    """Compute digests of metadata of the frames, each for the stages that use the metadata.
+    """Compute digests of frame metadata.
+
+    Each digest is for the stages that use the metadata.
 
     Returns
     -------

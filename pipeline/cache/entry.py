@@ -114,7 +114,7 @@ class DamagedError(Exception):
 
 
 def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
-    """Flush the files of a draft to disk and write the manifest that makes it an entry."""
+    """Complete a draft: flush its files and write the manifest."""
     paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / IN_USE)
     names = [path.relative_to(draft).as_posix() for path in paths]
     flush_all(paths)

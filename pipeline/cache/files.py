@@ -15,7 +15,10 @@ from scanloom.stages.files.replacing import draft_of, stem_of_drafts
 
 
 def flush_all(paths: Iterable[Path]) -> None:
-    """Flush files to disk in parallel, since flushing waits for the disk and not for the CPU."""
+    """Flush files to disk in parallel.
+
+    Flushing waits for the disk, not for the CPU.
+    """
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(flush, paths))
 

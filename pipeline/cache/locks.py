@@ -68,7 +68,10 @@ def try_lock(path: Path) -> Lock | None:
 
 
 def take_folder(folder: Path) -> Lock:
-    """Wait for the exclusive lock of a folder; no file is created in the folder."""
+    """Wait for the exclusive lock of a folder.
+
+    No file is created in the folder.
+    """
     return _held(folder, open_folder_lock(folder), shared=False, wait=True)
 
 
@@ -143,7 +146,10 @@ def _is_in_the_way(path: Path) -> bool:
 
 
 def _make_way(path: Path) -> None:
-    """Remove anything that is not a regular file from a path; a folder only if empty."""
+    """Remove anything that is not a regular file from a path.
+
+    A folder is only removed if it is empty.
+    """
     # Two processes may see the same link: the second must not remove the file that the first one created.
     others = take_folder(path.parent)
     try:

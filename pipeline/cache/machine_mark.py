@@ -1,4 +1,7 @@
-"""Host identifier in names of cache drafts: in a shared cache, locks may only hold within one machine."""
+"""Host identifier in names of cache drafts.
+
+In a shared cache, locks may only hold within one machine.
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,10 @@ _KILOBYTE = 1024
 
 
 def open_lock(path: Path, *, writing: bool) -> int:
-    """Open a lock file, creating it if `writing`; do not follow links or block on pipes."""
+    """Open a lock file, creating it if `writing`.
+
+    Links are not followed, and pipes do not block.
+    """
     flags = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     return os.open(path, flags | (os.O_RDWR | os.O_CREAT if writing else os.O_RDONLY), 0o666)
 

@@ -64,7 +64,14 @@ _TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of scanloom; safe
 
 @dataclass(frozen=True)
 class Listed:
-    """Entry as listed by `scanloom cache`; `problem` is the reason why it is damaged, or None."""
+    """Entry as listed by `scanloom cache`.
+
+    Attributes
+    ----------
+    size : bytes of all files.
+    in_latest_run : True if the latest run of an output folder used the entry.
+    problem : reason why the entry is damaged; None if intact.
+    """
 
     stage: str
     key: str
@@ -127,11 +134,9 @@ class Cache:
         Parameters
         ----------
         make : writes the files of the stage into a given empty folder and returns manifest fields: `figures`,
-        and
-            `made` with seconds and memory, which do not affect the result.
+            and `made` with seconds and memory, which do not affect the result.
         replace : replace an existing entry. If False and another process stored the entry first, that entry
-        is
-            returned and the new files are discarded.
+            is returned and the new files are discarded.
 
         Raises
         ------
@@ -160,8 +165,7 @@ class Cache:
         Parameters
         ----------
         everywhere : also remove drafts of other machines. Only safe if no other machine is using the cache,
-        as the
-            share may not support locks between machines.
+            as the share may not support locks between machines.
         """
         with explained(f"the cache folder {self.folder} cannot be used"):
             drafts = self.folder / _DRAFTS
@@ -200,8 +204,7 @@ class Cache:
         unused : remove entries that no output folder's latest run used.
         older_than : remove entries last used more than this many seconds ago.
         max_size : then remove the least recently used entries until the cache is at most this many bytes.
-        Entries used
-            by latest runs are kept.
+            Entries used by latest runs are kept.
         dry_run : only return the entries that would be removed.
         everywhere : see `remove_abandoned`.
         """
@@ -299,7 +302,10 @@ class Cache:
         return self.folder / recipe.stage / recipe.key
 
     def _is_entry(self, place: Path) -> bool:
-        """Return True if the folder of an entry exists; remove anything else at its path."""
+        """Return True if the folder of an entry exists.
+
+        Anything else at the path of the entry is removed.
+        """
         if is_folder(place):
             return True
         if os.path.lexists(place):
@@ -371,7 +377,10 @@ class Cache:
         return folder
 
     def _publish(self, draft: Path, place: Path, lock: Lock, replace: bool) -> Lock | None:
-        """Turn a draft into an entry and return a shared lock on it; None if an entry exists."""
+        """Turn a draft into an entry and return a shared lock on it.
+
+        Returns None if the entry exists already.
+        """
         with self._names():
             if self._is_entry(place):
                 if not replace:
@@ -443,7 +452,10 @@ class Cache:
 
 
 def _require_folder(path: Path) -> None:
-    """Raise StageError if a path exists and is not a folder; a link could point to other data."""
+    """Raise StageError if a path exists and is not a folder.
+
+    A link is an error, too: it could point to other data.
+    """
     if os.path.lexists(path) and not is_folder(path):
         raise StageError(
             MACHINE_CACHE_UNUSABLE,
@@ -454,7 +466,10 @@ def _require_folder(path: Path) -> None:
 
 
 def _sole_folder(out: Path, waiting: Callable[[], None]) -> Lock:
-    """Wait for exclusive use of an output folder by locking the folder itself (read-only cache)."""
+    """Wait for exclusive use of an output folder.
+
+    The folder itself is locked, for a read-only cache.
+    """
     lock = try_folder(out)
     if lock is None:
         waiting()

@@ -1,4 +1,4 @@
-"""Files with the deviation of the result from the clean mesh: metrics, quantiles, and values at vertices."""
+"""Files with the deviation of the result from the clean mesh."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ class Kept:
     ----------
     figures : metrics of `scanloom.Deviations`, without a tolerance.
     quantiles : (_STEPS + 1,) quantiles of the deviation over the surface, in metres, ascending and at equal
-    probability
-        steps.
+        probability steps.
     vertices : (n, 3) vertices of the measured mesh.
     at_vertices : (n,) deviations at the vertices, in metres.
     """

@@ -55,8 +55,7 @@ def measure_and_draw(
     Parameters
     ----------
     meshes : meshes by name: "fused", "clean", "simplified" and, if available, "textured". The first two may
-    be
-        chunked.
+        be chunked.
     frames : frames of the scan, whose poses determine the viewpoints.
     compared : parameters of the comparison.
     by_photo : returns the textured mesh coloured by the photo with the largest weight, which is drawn, too.

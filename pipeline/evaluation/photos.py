@@ -28,7 +28,9 @@ _QUALITY = 75
 
 
 def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Sequence[Frame] = ()) -> int:
-    """Write cameras.json and up to `count` photos spread evenly over the scan; return the photo count.
+    """Write cameras.json and photos spread evenly over the scan.
+
+    Up to `count` photos are written; the number of written photos is returned.
 
     cameras.json has the number of frames with a pose, `posed`, and a list `cameras` of up to 2,000 of them,
     spread evenly, held-out frames last. A camera has `frame` (name), `world_from_camera` (pose of the colour

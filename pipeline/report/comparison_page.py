@@ -42,7 +42,7 @@ def page_of_comparison(
     most_bytes: int,
     palette: str = "metrology",
 ) -> bytes:
-    """Make the page of a comparison of two meshes or point clouds A and B.
+    """Make the page of a comparison of two models A and B.
 
     Parameters
     ----------
@@ -85,7 +85,10 @@ def _range_in_words(is_signed: bool, palette: str) -> str:
 
 
 def _scale_of(found: Deviations, palette: str) -> PageScale:
-    """Make the colour scale of deviations in millimetres, with the surface ratio of each colour."""
+    """Make the colour scale of deviations in millimetres.
+
+    The scale includes the surface ratio of each colour.
+    """
     most = found.color_range
     low = -most if found.is_signed else 0.0
     edges = np.linspace(low, most, _STEPS + 1)

@@ -22,7 +22,7 @@ _JPEG = b"\xff\xd8\xff"
 
 @contextmanager
 def as_runs_write(path: Path) -> Iterator[None]:
-    """Convert parsing errors to an InputError for a file that was not written by a run."""
+    """Convert parsing errors of a run file to InputError."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -66,7 +66,10 @@ def _camera(
 
 
 def _photo(name: str, path: Path) -> bytes:
-    """Read a photo named in cameras.json; reject anything outside the folder, as pages are shared."""
+    """Read a photo named in cameras.json.
+
+    Files outside the folder are rejected, because pages are shared.
+    """
     photo = path.parent / require_inside(name, path, "photo")
     if not photo.resolve().is_relative_to(path.parent.resolve()):
         raise InputError(

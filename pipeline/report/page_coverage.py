@@ -1,4 +1,4 @@
-"""Gaps of a scan for the page of its run: a coloured model and a table."""
+"""Gaps of a scan for the page: a coloured model and a table."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ class Missing(NamedTuple):
 
 
 def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_metric: bool) -> Missing | None:
-    """Read the results of the stage `coverage` from an output folder; None if it did not run.
+    """Read the results of the stage `coverage` from an output folder.
+
+    Returns None if it did not run.
 
     Parameters
     ----------

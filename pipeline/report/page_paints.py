@@ -1,4 +1,4 @@
-"""Colormaps of a run's result on the page: deviation, number of photos, and spread of the depth."""
+"""Colormaps of the result: deviation, photo count and depth spread."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ def deviation_paint(kept: Kept, bound: float | None, *, is_metric: bool) -> Pain
 
 
 def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
-    """Make the colormap of the number of photos per surface point; None without valid maps.
+    """Make the colormap of the photo count per surface point.
+
+    Returns None without valid maps.
 
     Parameters
     ----------

@@ -105,7 +105,7 @@ def page_of_run(folder: Path, most_bytes: int) -> bytes:
 
 
 def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:
-    """Return the deviations of the result: stored ones if they belong to it, else computed ones."""
+    """Return the deviations of the result, stored or computed."""
     with as_runs_write(pictures):
         kept = read_deviations(pictures)
     if kept is not None and _is_same(kept.vertices, result):
@@ -116,7 +116,10 @@ def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None
 
 
 def _of_other_file(kept: Kept, result: Mesh) -> Kept | None:
-    """Transfer deviations to the same mesh in another file with reordered vertices; None if it differs."""
+    """Transfer deviations to the same mesh with reordered vertices.
+
+    Returns None if the mesh differs.
+    """
     from scipy.spatial import cKDTree
 
     away, rows = cKDTree(kept.vertices).query(result.vertices, workers=-1)

@@ -26,7 +26,9 @@ def run_again(
     cache_dir: Path | None = None,
     events: Events = unwatched,
 ) -> RunResult:
-    """Enable an optional stage for a finished run and run it; other stages come from the cache.
+    """Enable an optional stage of a finished run and run it.
+
+    Other stages come from the cache.
 
     Parameters
     ----------

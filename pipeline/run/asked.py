@@ -1,4 +1,6 @@
-"""Arguments of a run, recorded in the cache so that the run can be continued from its OUT alone.
+"""Arguments of a run, recorded in the cache.
+
+The record allows the run to be continued from its OUT alone.
 
 The record is not among the results: results are shared with others, and paths of the local machine are
 private.
@@ -49,7 +51,10 @@ class Asked:
 
 
 def from_anywhere(config: Config) -> Config:
-    """Make the paths in a configuration absolute, so that it is valid in any working directory."""
+    """Make the paths in a configuration absolute.
+
+    The configuration is then valid in any working directory.
+    """
     for section, kind in config.types().items():
         params = getattr(config, section)
         named = {name: getattr(params, name) for name, about in described(kind).items() if about.is_path}

@@ -1,4 +1,4 @@
-"""Dry run: predict what a run would do without writing anything, not even a lock."""
+"""Dry run: predicts a run without writing, not even a lock."""
 
 from __future__ import annotations
 
@@ -169,7 +169,10 @@ def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen,
 def _looked_up(
     cache: Cache, recipe: Recipe, now: Mapping[str, Any], last: Mapping[str, Any] | None
 ) -> tuple[Mapping[str, Any] | None, str]:
-    """Return the manifest of a valid cached result, or None and the reason to run the stage."""
+    """Look up a valid cached result.
+
+    Returns its manifest and "", or None and the reason to run the stage.
+    """
     place = cache.folder / recipe.stage / recipe.key
     if not place.is_dir():
         return None, reason(now, last)
@@ -180,7 +183,7 @@ def _looked_up(
 
 
 def _awaiting(before: Sequence[str], recipe: Recipe, last: Mapping[str, Any] | None) -> str:
-    """Explain why a stage would run whose inputs depend on stages that run before it."""
+    """Explain why a stage would run after stages that run."""
     if last is None:
         return "first run"
     unchanged = {"recipe": {**recipe.as_json(), "inputs": last["recipe"]["inputs"]}, "parts": last["parts"]}

@@ -79,7 +79,10 @@ class Guard(Protocol):
         """Check the limits before a stage is computed."""
 
     def during(self, stage: str, folder: Path, share: float) -> None:
-        """Check the limits while a stage writes to `folder`; `share` of the work is done."""
+        """Check the limits during a stage.
+
+        `folder` has the files written so far; `share` is the completed ratio of the stage.
+        """
 
     def kept(self, stage: str, entry: Entry) -> None:
         """Check the limits after the result of a stage was stored."""

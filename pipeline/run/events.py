@@ -33,7 +33,10 @@ class StageStarted:
 
 @dataclass(frozen=True)
 class StageProgress:
-    """Progress of a stage in its own units; stage "scan" is the hashing of the scan files."""
+    """Progress of a stage in its own units.
+
+    The stage "scan" is the hashing of the scan files.
+    """
 
     stage: str
     done: int
@@ -63,7 +66,7 @@ class StageFinished:
 
 @dataclass(frozen=True)
 class Waiting:
-    """The run is blocked, for the reason in `text`: another run uses the output folder."""
+    """The run is blocked by another run, as stated in `text`."""
 
     text: str
 

@@ -156,7 +156,10 @@ class LimitGuard:
             self._require_disk(stage, 2 * _bytes_in(folder), share)
 
     def kept(self, stage: str, entry: Entry) -> None:
-        """Add the bytes written by a stage: its entry, and the copies in the output folder."""
+        """Add the bytes written by a stage.
+
+        The cache entry and its copies in the output folder count.
+        """
         self.ended(stage)
         size = 2 * sum(about["size"] for about in entry.manifest["files"].values())
         self._require_disk(stage, size)
@@ -219,7 +222,10 @@ class LimitGuard:
         return f"{self._voxels(needed, limit)} would fit"
 
     def _voxels(self, needed: float, limit: float) -> str:
-        """Suggest a voxel size that meets a limit; use is proportional to its inverse square."""
+        """Suggest a voxel size that meets a limit.
+
+        Memory and disk use are proportional to the inverse square of the voxel size.
+        """
         times = math.sqrt(max(needed / limit, 1.0))
         fuse = self._config.fuse
         if fuse.voxel_size is not None:

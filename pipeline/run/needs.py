@@ -90,7 +90,10 @@ def _content(one: Manifest) -> str:
 
 
 def _finer(one: Manifest, voxels: Mapping[str, tuple[float, FuseParams]], now: FuseParams) -> float | None:
-    """Return the factor by which the voxel count on a surface grows; None if unknown."""
+    """Return the ratio of new to old voxel count on a surface.
+
+    Returns None if unknown.
+    """
     if _content(one) not in voxels:
         return None
     size, then = voxels[_content(one)]

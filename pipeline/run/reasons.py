@@ -16,8 +16,7 @@ def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
     Parameters
     ----------
     now, last : `recipe` (see scanloom.pipeline.cache.entry.Recipe) and `parts`, the digests of the parts of
-    each input
-        by input name. `last` is None if the latest run did not reach this stage.
+        each input by input name. `last` is None if the latest run did not reach this stage.
     """
     if last is None:
         return "first run"

@@ -51,7 +51,10 @@ class Results:
         self._reported = _reported(out / REPORT)
 
     def decided(self, stage: str) -> Mapping[str, Any] | None:
-        """Return the recorded recipe and input parts of a stage's latest result; None if missing."""
+        """Return the recorded inputs of the latest result of a stage.
+
+        These are the recipe and the digests of input parts; None if not recorded.
+        """
         decided: Mapping[str, Any] | None = self._stages.get(stage, {}).get("decided")
         return decided
 
@@ -64,12 +67,14 @@ class Results:
         self._asked = asked
 
     def require_replaceable(self, names: Iterable[str]) -> None:
-        """Raise InputError if a file that the run will replace was not placed by a run.
+        """Raise InputError if the run would replace a foreign file.
+
+        A file is foreign if no run placed it.
 
         Parameters
         ----------
-        names : file names in the folder; names of folders end in /, and their content is only checked when
-        placed.
+        names : file names in the folder; names of folders end in /, and their content is only
+            checked when placed.
 
         Raises
         ------
@@ -87,7 +92,9 @@ class Results:
     def place(
         self, stage: str, entry: Entry, wanted: Iterable[str], decided: Mapping[str, Any]
     ) -> tuple[Path, ...]:
-        """Copy the files of a stage to the folder; files with equal content are left untouched.
+        """Copy the files of a stage to the folder.
+
+        Files with equal content are left untouched.
 
         Parameters
         ----------
@@ -145,7 +152,10 @@ class Results:
             self._reported = {name: at for name, at in (self._reported or {}).items() if name in stages}
 
     def write_report(self, report: Mapping[str, Any]) -> dict[str, Any]:
-        """Write report.json with digests of all placed files and of the report, and return it."""
+        """Write report.json and return its content.
+
+        Digests of all placed files and of the report itself are added.
+        """
         recorded = {
             stage: about.get("placed", {})
             for stage, about in self._stages.items()
@@ -254,7 +264,10 @@ class Results:
 
 
 def _reported(path: Path) -> dict[str, dict[str, str]] | None:
-    """Read the digests in report.json, by stage and file name; None if the report was edited."""
+    """Read the digests in report.json, by stage and file name.
+
+    Returns None if the report was edited.
+    """
     try:
         document = json.loads(text_in(path, "utf-8"))
         sealed = document.pop("digest")
@@ -285,7 +298,10 @@ def _is_placed(stage: object) -> bool:
 
 
 def _is_decided(stage: Mapping[str, Any]) -> bool:
-    """Return True if the recorded recipe has the expected structure, or is absent as for a report."""
+    """Return True if a recorded recipe has a valid structure.
+
+    The record of a report has no recipe, which is valid.
+    """
     if "decided" not in stage:
         return True
     decided = stage["decided"]

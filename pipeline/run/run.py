@@ -1,4 +1,4 @@
-"""Run of the whole pipeline, from a scan folder to files in an output folder."""
+"""Run of the whole pipeline, from scan to output folder."""
 
 from __future__ import annotations
 
@@ -91,7 +91,12 @@ class RunResult:
         )
 
     def show(self, *, width: str = "100%", height: int = 640) -> Page:
-        """Return the page of the run for a notebook, in a frame of a CSS width and a height in pixels.
+        """Return the page of the run for a notebook.
+
+        Parameters
+        ----------
+        width : CSS width of the frame.
+        height : height of the frame in pixels.
 
         Raises
         ------
@@ -134,11 +139,10 @@ def run(
     ----------
     scan_folder : scan folder, never written to.
     out : output folder, created if needed. Files: fused.ply, clean.ply, simplified.ply, report.json,
-    report.html,
-        pictures/; textured.glb and texture_maps/ if frames have colour, else simplified.glb; adjusted/ if the
-        adjustment was accepted; points.ply for stereo; web.glb with `export.web`; baked.glb with
-        `bake.enabled`; remeshed.ply, remeshed.snm and levels/ with `remesh.enabled`; lod.slod and tiles/ with
-        `lod.enabled`. Outdated files that a run placed there are removed.
+        report.html, pictures/; textured.glb and texture_maps/ if frames have colour, else simplified.glb;
+        adjusted/ if the adjustment was accepted; points.ply for stereo; web.glb with `export.web`; baked.glb
+        with `bake.enabled`; remeshed.ply, remeshed.snm and levels/ with `remesh.enabled`; lod.slod and tiles/
+        with `lod.enabled`. Outdated files that a run placed there are removed.
     until : last stage to run.
     force : stages to recompute even if their results are cached.
     cache_dir : see `cache_folder`.
@@ -190,7 +194,10 @@ def wanted_of(
     force: Collection[str],
     cache: Cache,
 ) -> Wanted:
-    """Read the scan, validate the arguments of `run`, and plan the stages; nothing is written."""
+    """Read the scan, validate the arguments, and plan the stages.
+
+    See `run`. Nothing is written.
+    """
     scan_folder, out = Path(scan_folder).resolve(), Path(out).resolve()
     for folder, what in ((out, "output"), (cache.folder, "cache")):
         if folder == scan_folder:
@@ -313,7 +320,10 @@ def _page(
     events: Events,
     guard: LimitGuard | None,
 ) -> Path | None:
-    """Write report.html unless it is up to date; return its path, or None if there is no page."""
+    """Write report.html unless it is up to date.
+
+    Returns its path, or None if there is no page.
+    """
     if not params.page or report["mesh"] is None:
         # Remove an outdated page: it would not match the results.
         results.holds_page(_decides_page(params))

@@ -1,4 +1,7 @@
-"""Inputs of the first stages of a run: scan, labels of its frames, held-out frames, photos, network."""
+"""Sources of a run: inputs that no stage writes.
+
+These are the scan, labels of its frames, held-out frames, photos and a network.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from scanloom.stages.stereo.networks.sidecar import sidecar_of
 def sources_of(
     scan: Scan, config: Config, photos: Scan | None = None, progress: Progress = silent
 ) -> dict[str, Source]:
-    """Compute the digests of all sources of a run, by the input name of the stages.
+    """Compute the sources of a run by input name, with digests.
 
     Parameters
     ----------

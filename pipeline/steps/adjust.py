@@ -30,7 +30,10 @@ class Inputs:
 
 
 def is_adjusted(scan: Scan, config: Sections) -> bool:
-    """Return True if poses and colour camera are adjusted; this requires colour and measured depth."""
+    """Return True if `adjust` applies.
+
+    It requires frames with colour and measured depth.
+    """
     if config.get(AdjustParams).enabled is False or scan.is_views:
         return False
     return any(frame.color is not None for frame in scan.frames)

@@ -1,4 +1,7 @@
-"""Optional stage `bake`: bakes the colours of the clean mesh into a texture of the simplified mesh."""
+"""Optional stage `bake`: bakes vertex colours into a texture.
+
+The colours are taken from the clean mesh; the texture is for the simplified mesh.
+"""
 
 from __future__ import annotations
 

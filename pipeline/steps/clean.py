@@ -27,7 +27,10 @@ class CleanMesh(MeshFile):
 
 
 def is_clean_mesh_large(known: Mapping[str, Any]) -> bool:
-    """Return True if the clean mesh is a known input and exceeds the in-memory limit."""
+    """Return True if the clean mesh exceeds the in-memory limit.
+
+    Returns False if the clean mesh is not known yet.
+    """
     return "clean_mesh" in known and known["clean_mesh"].is_large
 
 

@@ -1,4 +1,7 @@
-"""Stage `depth`: computes depth maps from stereo pairs or posed views, or completes depth with a network."""
+"""Stage `depth`: computes or completes depth maps.
+
+Depth comes from stereo pairs, from posed views, or from a network that completes measured depth.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ class Inputs:
 
 
 def needs_depth(scan: Scan, config: Sections) -> bool:
-    """Return True if the depth of a scan is computed, by matching or by a network."""
+    """Return True if depth is computed, by matching or a network."""
     return scan.is_stereo or scan.is_views or config.get(DepthParams).model is not None
 
 

@@ -1,4 +1,7 @@
-"""Stage `export`: writes glTF if there is no textured.glb, and a compressed model for the web."""
+"""Stage `export`: writes models for other programs.
+
+A glTF file is written if there is no textured.glb, and a compressed model for the web on request.
+"""
 
 from __future__ import annotations
 

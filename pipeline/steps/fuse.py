@@ -49,7 +49,10 @@ class FusedMesh(MeshFile):
     FILE = "fused.ply"
 
     def load_plane_normal(self) -> Up | None:
-        """Load the normal of the removed supporting plane, pointing up; None if no plane was removed."""
+        """Load the normal of the removed supporting plane, pointing up.
+
+        Returns None if no plane was removed.
+        """
         if not (self.folder / _PLANE).exists():
             return None
         x, y, z = read_document(self.folder / _PLANE)["up"]

@@ -154,8 +154,7 @@ def write_levels_of_simplified(
     ----------
     mesh : simplified mesh, used because the clean mesh exceeds the in-memory limit.
     proof : proven distance from the clean mesh, which is added to all bounds. None if not proven; bounds are
-    then
-        relative to the simplified mesh.
+        then relative to the simplified mesh.
     triangles : triangle count of the clean mesh.
     """
     off = 0.0 if proof is None else proof.shape_bound_m

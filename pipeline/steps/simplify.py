@@ -55,7 +55,10 @@ class SimplifiedMesh(MeshFile):
     FILE = "simplified.ply"
 
     def load_proof(self) -> Proof | None:
-        """Load the proof of a mesh that was simplified in chunks; None if not available."""
+        """Load the proof of a mesh that was simplified in chunks.
+
+        Returns None if not available.
+        """
         if not (self.folder / _PROOF).is_file():
             return None
         proven: Any = read_json(self.folder / _PROOF)

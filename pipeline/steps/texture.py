@@ -67,7 +67,10 @@ class TexturedMesh(Artifact):
         return read_mesh(self.folder / FILE)
 
     def color_by_photo(self, mesh: Mesh) -> Mesh:
-        """Colour the mesh by the photo with the largest weight per texel; grey without a photo."""
+        """Colour the mesh by the photo with the largest weight per texel.
+
+        Texels without a photo are grey.
+        """
         return color_by_photo(mesh, self.folder / TEXTURE_MAPS)
 
 
@@ -127,7 +130,9 @@ def write_textured(
 
 
 def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
-    """Colour a mesh by the photo with the largest weight per texel; grey without a photo.
+    """Colour a mesh by the photo with the largest weight per texel.
+
+    Texels without a photo are grey.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Stage `tiles`: writes the levels of detail as 3D Tiles, upright, with colours of the photos."""
+"""Stage `tiles`: writes levels of detail as 3D Tiles.
+
+Tiles are upright and have the colours of the photos.
+"""
 
 from __future__ import annotations
 

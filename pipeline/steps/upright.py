@@ -85,7 +85,10 @@ def _find_up(mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection) -
 
 
 def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
-    """Estimate the up direction of a mesh from its scan; None if no frame has a pose."""
+    """Estimate the up direction of a mesh from its scan.
+
+    Returns None if no frame has a pose.
+    """
     poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if not poses:
         return None

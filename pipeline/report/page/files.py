@@ -14,7 +14,7 @@ _LIBRARY = ("library.js", "LICENSES.txt")
 
 
 def tiles_page() -> dict[str, bytes]:
-    """Return the files of the tileset page: contents by path relative to the tileset folder.
+    """Return the files of the tileset page by relative path.
 
     All files except `index.html` are in `page/`: bundled libraries, their licences, and the modules of the
     page. The page loads nothing from other servers.

@@ -1,4 +1,4 @@
-"""Single-file pages that open from disk without a network: for models, and for batches of scans."""
+"""Single-file pages that open from disk without a network."""
 
 from __future__ import annotations
 
@@ -57,8 +57,7 @@ class PageLook:
     ----------
     name : name in the menu.
     channel : component of the vertex attribute `_VALUES` to show, 0 to 255 from `scale.low` to `scale.high`;
-    None for
-        the vertex colours of a textured model.
+        None for the vertex colours of a textured model.
     note : short text shown with the triangle count.
     scale : colour scale of the values; None for vertex colours.
     """
@@ -101,7 +100,7 @@ class PageCamera:
     ----------
     frame : frame name.
     pose : 12 numbers, row-major (3, 4) matrix from camera coordinates (OpenCV axes) to the upright frame, z
-    up, metres.
+        up, metres.
     size : image width and height in pixels.
     focal, center : (fx, fy) and (cx, cy) in pixels.
     photo : JPEG file without lens distortion, of any size; None without a photo.
@@ -123,16 +122,18 @@ def one_file(
     told: Mapping[str, Any] | None = None,
     cameras: Sequence[PageCamera] = (),
 ) -> bytes:
-    """Make a single-file page that shows models, one or two at a time, with report data.
+    """Make a single-file page of models with report data.
+
+    The page shows one or two models at a time.
 
     Parameters
     ----------
     title : page title.
     models : one or more models in the same upright frame.
     told : JSON-ready report data. `warnings`: list of sentences. `tables`: each with `title`, `head`, `rows`
-    of text, and
-        `places` to fly to, with `target` (3,) in the upright frame, z up, and the distance `away` or the
-        viewpoint `eye` (3,). `texts`: each with `title` and `text`. `unit`: unit of lengths, if not metres.
+        of text, and `places` to fly to, with `target` (3,) in the upright frame, z up, and the distance
+        `away` or the viewpoint `eye` (3,). `texts`: each with `title` and `text`. `unit`: unit of lengths, if
+        not metres.
     cameras : cameras of the scan, in order.
     """
     content = {
@@ -182,16 +183,18 @@ def scans_page(title: str, rows: Sequence[Mapping[str, Any]]) -> bytes:
     ----------
     title : page title.
     rows : JSON-ready rows, one per scan: `scan` (name), `state`, `reason`, `warnings` (sentences), `out`
-    (result folder
-        relative to the page), files in that folder (`picture`, `page`, `result`), and metrics of the scan by
-        name; None for a missing value.
+        (result folder relative to the page), files in that folder (`picture`, `page`, `result`), and metrics
+        of the scan by name; None for a missing value.
     """
     page = content_of(_HERE / "scans" / "index.html").decode()
     return page.replace("CONTENT", _script_json({"title": title, "rows": rows}), 1).encode()
 
 
 def _script_json(content: Mapping[str, Any]) -> str:
-    """Format JSON for a script element, escaping `<` so that no HTML end tag can occur."""
+    """Format JSON for a script element.
+
+    Every `<` is escaped, so that no HTML end tag can occur.
+    """
     return json.dumps(content).replace("<", "\\u003c")
 
 

@@ -1,4 +1,7 @@
-"""Packing of models into a page of limited size, by dropping photos and simplifying models."""
+"""Packing of models into a page of limited size.
+
+Photos are dropped and models are simplified to fit.
+"""
 
 from __future__ import annotations
 
@@ -144,7 +147,10 @@ def packed_page(
 
 
 def turn_of_page(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation of a mesh to z up, the frame of the page; y up if unknown, as in glTF."""
+    """Return the (3, 3) rotation of a mesh to z up.
+
+    z up is the frame of the page. An unknown up direction is y up, as in glTF.
+    """
     return turn_along_z(np.array((0.0, 1.0, 0.0) if mesh.up is None else mesh.up))
 
 
@@ -166,7 +172,10 @@ def _shares(sizes: Sequence[float], excess: float, *, is_first_kept: bool) -> li
 
 
 def _with_photos_within(cameras: Sequence[PageCamera], most: int) -> tuple[list[PageCamera], int]:
-    """Drop every other photo until the rest fits in `most` bytes; return cameras and dropped count."""
+    """Drop every other photo until the rest fits in `most` bytes.
+
+    Returns the cameras and the number of dropped photos.
+    """
     sizes = [0 if camera.photo is None else len(camera.photo) for camera in cameras]
     kept = [number for number, size in enumerate(sizes) if size]
     count = len(kept)
@@ -261,7 +270,10 @@ def _as_file(plan: _Plan) -> tuple[Shown, PageModel]:
 
 
 def _values(paints: Mapping[str, Paint]) -> NDArray[np.uint8] | None:
-    """Encode the colormap values as the GLB vertex attribute, (n, 4) in 0 to 255; None without any."""
+    """Encode colormap values as a GLB vertex attribute, (n, 4) uint8.
+
+    Returns None without colormaps.
+    """
     if not paints:
         return None
     columns = [_as_share(paint) for paint in paints.values()]

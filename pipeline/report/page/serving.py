@@ -74,7 +74,10 @@ class FolderServer(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_port}/"
 
     def content(self, path: str) -> bytes | None:
-        """Return the content at a path below the folder, or None; links are not followed."""
+        """Return the content at a path below the folder, or None.
+
+        Links are not followed.
+        """
         parts = path.split("/")
         if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
             return None
