@@ -41,7 +41,7 @@ def _changed(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> It
 def _changed_versions(
     before: Mapping[str, Any], now: Mapping[str, Any], *, only_common: bool
 ) -> Iterator[str]:
-    # Records of old versions have no code versions.
+    # Records of earlier program versions have no code versions.
     old, new = before.get("versions", {}), now["versions"]
     # Changed parameters may add or remove modules; only a changed version of a common module is a separate
     # reason.

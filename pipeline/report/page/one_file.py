@@ -79,7 +79,7 @@ class PageModel:
     triangles : triangle count.
     note : short text shown with the triangle count.
     facing : (3,) mean normal of a surface seen from one side, z up; None if seen from all around.
-    scale : colour scale; None if the colours are those of the object.
+    scale : colour scale; None if the model has the natural colours of the object.
     looks : alternative colourings.
     """
 

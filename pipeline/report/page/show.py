@@ -85,7 +85,7 @@ def show(
     thing : Mesh, Open3D or trimesh mesh, (vertices, triangles), or a result with the attribute `mesh`.
     beside : further meshes by name, in the same frame, to compare with a movable divider.
     title : page title.
-    up : up direction: an axis (+x, -x, +y, -y, +z, -z) or three numbers; by default that of the mesh.
+    up : up direction: an axis (+x, -x, +y, -y, +z, -z) or three numbers; None uses `mesh.up`.
     width, height : size of the frame in a notebook: CSS length, and pixels.
     page_size : maximum size of the page in megabytes; models are simplified to fit.
 
