@@ -12,7 +12,7 @@ from scanloom.stages.diagnostics.errors import StageError, is_lack_of_memory
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 # Windows errors for a file that another program has open: ERROR_ACCESS_DENIED, ERROR_SHARING_VIOLATION.
 _IN_USE = (5, 32)
-_ADVICE = "free some space, or keep the cache elsewhere (SCANLOOM_CACHE)"
+_ADVICE = "free disk space, or move the cache to another disk (SCANLOOM_CACHE)"
 
 
 @contextlib.contextmanager
@@ -29,7 +29,7 @@ def explained(what: str) -> Iterator[None]:
         raise
     except Exception as error:
         if is_lack_of_memory(error):
-            raise StageError(MACHINE_OUT_OF_MEMORY, "{what}: the memory is used up.", what=what) from error
+            raise StageError(MACHINE_OUT_OF_MEMORY, "{what}: out of memory.", what=what) from error
         if isinstance(error, OSError):
             raise StageError(
                 MACHINE_DISK_FAILED, "{what}: {reason}.", what=what, reason=_reason(error)
@@ -42,5 +42,5 @@ def _reason(error: OSError) -> str:
         return f"{_FULL[error.errno]}; {_ADVICE}"
     reason = error.strerror or str(error)
     if getattr(error, "winerror", None) in _IN_USE:
-        reason = f"{reason.rstrip('.')}; another program may have it open"
+        reason = f"{reason.rstrip('.')}; another program may have the file open"
     return f"{reason} ({error.filename})" if error.filename else reason

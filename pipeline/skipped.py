@@ -15,7 +15,7 @@ def emit_skipped(skipped: Sequence[Mapping[str, Any]]) -> None:
     if skipped:
         emit(
             SCAN_FRAMES_SKIPPED.warning(
-                "left out {frames}; the first is {first}: {reason}",
+                "{frames} skipped; the first is {first}: {reason}",
                 frames=counted(len(skipped), "frame"),
                 first=skipped[0]["frame"],
                 reason=skipped[0]["reason"],

@@ -105,7 +105,7 @@ def write_depth_maps(
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
-            "none of the {count} pairs can be used.{first}",
+            "depth could not be computed for any of {count} frames.{first}",
             count=count,
             first=first,
         )

@@ -62,10 +62,10 @@ class MeshFile(Artifact):
             raise StageError(
                 FUSE_TOO_LARGE,
                 (
-                    "{stage} reads all of {file} at once, which has {triangle_count:,} "
-                    "triangles; it takes up to {most_at_once:,}."
+                    "{stage} cannot process chunks, and {file} has {triangle_count:,} triangles, more than "
+                    "the in-memory limit of {most_at_once:,}."
                 ),
-                remedy="Give a larger fuse.voxel_size, or fuse a part (fuse.box).",
+                remedy="Increase fuse.voxel_size, or fuse a part of the scan (fuse.box).",
                 stage=stage,
                 file=self.FILE,
                 triangle_count=self.triangle_count,

@@ -113,7 +113,7 @@ def work_by_dask(
             ): number
             for number in open_ones
         }
-        tell(Noted(f"{len(tasks)} scans are given to the scheduler at {client.scheduler.address}"))
+        tell(Noted(f"{len(tasks)} scans are submitted to the scheduler at {client.scheduler.address}"))
         for count, future in enumerate(_completed(client, tasks, tell), 1):
             record = _ended(queue, records, tasks[future], future)
             tell(JobEnded(record))
@@ -138,10 +138,8 @@ def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]
             if one.cancelled():
                 raise StageError(
                     BATCH_DASK,
-                    (
-                        "the scheduler at {address} is gone; what has ended is kept: run the batch "
-                        "again, with a scheduler that runs."
-                    ),
+                    "the connection to the scheduler at {address} is lost; finished scans are kept",
+                    remedy="run the batch again, with a running scheduler.",
                     address=client.scheduler.address,
                 )
             yield one
@@ -153,9 +151,9 @@ def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]
             if is_alone and not is_told:
                 tell(
                     Noted(
-                        f"no worker is at the scheduler {client.scheduler.address}; scans that wait for one: "
-                        f"{ended.count()}. Whatever starts workers tells whether they wait for their turn, "
-                        "and their logs why they ended"
+                        f"the scheduler at {client.scheduler.address} has no workers; {ended.count()} scans "
+                        "are waiting. Check if the queueing system lists workers as pending, and the logs of "
+                        "workers that have ended"
                     )
                 )
             is_told = is_alone
@@ -171,8 +169,8 @@ def _ended(queue: Queue, records: Records, number: int, future: Any) -> Record:
         return records.read([known[number]])[0]
     why = str(future.exception() or future.result() or "its process ended without a result")
     if future.status == "error" and type(future.exception()).__name__ == "KilledWorker":
-        why = "the workers that ran it died again and again, as they do where memory ends"
-    why = f"it could not be run by Dask: {' '.join(why.split())}.".replace("..", ".")
+        why = "several workers that ran it died, possibly because memory ran out"
+    why = f"Dask could not run it: {' '.join(why.split())}.".replace("..", ".")
     latest = Claims(queue.folder / "claims", "").latest().get(number)
     names = {job.number: job.name for job in queue.jobs}
     record = Record(
@@ -204,7 +202,7 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
     except (OSError, ValueError) as error:
         raise InputError(
             BATCH_DASK,
-            "no scheduler of Dask answers at {scheduler}: {error}.",
+            "no Dask scheduler answers at {scheduler}: {error}.",
             scheduler=scheduler,
             error=error,
         ) from error
@@ -216,7 +214,9 @@ def _cluster(system: str, workers: int | None) -> Any:
     """Start a dask-jobqueue cluster, as configured by the user."""
     if workers is None:
         raise UsageError(
-            BATCH_DASK, "--scheduler {system} needs --jobs N: how many workers to ask it for.", system=system
+            BATCH_DASK,
+            "--scheduler {system} needs --jobs N, the number of workers.",
+            system=system,
         )
     ctrl_c = signal.getsignal(signal.SIGINT)
     try:
@@ -243,7 +243,7 @@ def _cluster(system: str, workers: int | None) -> Any:
                 cluster.close()
         raise InputError(
             BATCH_DASK,
-            "workers cannot be started by {system}: {split}; ~/.config/dask/jobqueue.yaml says how.",
+            "{system} cannot start workers: {split}; configure it in ~/.config/dask/jobqueue.yaml.",
             system=system,
             split=" ".join(str(error).split()),
         ) from error

@@ -97,7 +97,7 @@ def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Fo
     if real in seen:
         return
     seen.add(real)
-    why = "it is of no known layout" if _listed(place) else "it is empty"
+    why = "its layout is unknown" if _listed(place) else "it is empty"
     try:
         matched = matching(place)
     except InputError as error:
@@ -159,7 +159,11 @@ def _require_listed(folder: Path) -> None:
     if not folder.is_dir():
         what = "this is a file" if folder.exists() else "there is no such folder"
         raise InputError(
-            BATCH_SCANS_NOT_DONE, "{what}", folder, remedy="give the folder that holds the scans.", what=what
+            BATCH_SCANS_NOT_DONE,
+            "{what}",
+            folder,
+            remedy="give the folder of the scans.",
+            what=what,
         )
     try:
         next(folder.iterdir(), None)

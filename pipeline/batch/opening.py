@@ -46,16 +46,12 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
             standing = None
         if standing is not None and not _is_finished(standing):
             if standing.is_of(settings, jobs):
-                emit(
-                    BATCH_ALREADY_EXISTS.info(
-                        "a batch of the same scans was begun here; this goes on with it"
-                    )
-                )
+                emit(BATCH_ALREADY_EXISTS.info("an unfinished batch of the same scans is resumed"))
                 again = _give_back_failed(standing)
                 if again:
                     emit(
                         BATCH_SCANS_NOT_DONE.info(
-                            "{scans} that failed: tried again", scans=counted(again, "scan")
+                            "{scans} that failed: run again", scans=counted(again, "scan")
                         )
                     )
                 return standing
@@ -92,7 +88,7 @@ def _require_quiet(queue: Queue) -> None:
     if silent:
         emit(
             BATCH_ALREADY_EXISTS.info(
-                "another batch was begun here and not finished; its workers are watched for signs of life"
+                "this folder has another, unfinished batch; checking if its workers are running"
             )
         )
     end = time.monotonic() + _WATCHED
@@ -103,8 +99,8 @@ def _require_quiet(queue: Queue) -> None:
             if watch.said(worker) != first.get(worker):
                 raise InputError(
                     BATCH_ALREADY_EXISTS,
-                    "another batch is at work in it (worker {worker})",
+                    "another batch is running in this folder (worker {worker})",
                     queue.out,
-                    remedy="wait for its end, or name another output folder.",
+                    remedy="wait for its end, or choose another output folder.",
                     worker=worker,
                 )

@@ -72,9 +72,9 @@ def require_replaceable(out: Path) -> None:
         if os.path.lexists(path) and not _is_own(path):
             raise InputError(
                 BATCH_ALREADY_EXISTS,
-                "no batch has written this",
+                "this file was not written by a batch",
                 path,
-                remedy="move it, name another output folder, or give --overwrite.",
+                remedy="move it, choose another output folder, or use --overwrite.",
             )
 
 

@@ -241,9 +241,9 @@ def _read(out: Path, folder: Path) -> Queue:
     if about is None or settings is None or not isinstance(count, int):
         raise InputError(
             BATCH_QUEUE_DAMAGED,
-            "the queue is damaged, or of another version",
+            "the queue is damaged, or was written by another version",
             path,
-            remedy="run scanloom batch again, which writes it anew and keeps all results.",
+            remedy="run `scanloom batch` again: it rewrites the queue and keeps all results.",
         )
     jobs = {job.number: job for line in rest if line and (job := _job(line)) is not None}
     damaged = tuple(number for number in range(count) if number not in jobs)

@@ -101,7 +101,7 @@ class Records:
             diagnostics = tuple(Diagnostic.from_figures(one) for one in known["diagnostics"])
             return Record(**{**known, "diagnostics": diagnostics})
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            why = f"what became of it is not known: {self._path(claim)} is damaged; run the batch again."
+            why = f"the outcome is unknown, because {self._path(claim)} is damaged; run the batch again."
             return Record(claim.number, "", FAILED, why, attempt=claim.attempt)
 
     def _path(self, claim: Claim) -> Path:

@@ -150,8 +150,8 @@ class Supply:
         how = f"crashed {crashes} times" if crashes >= _MOST_CRASHES else f"was killed {alike} times"
         worker = tries[-1].worker if tries else ""
         why = BATCH_PROCESS_ENDED.error(
-            "the process that ran it {how}{place}, as it does where memory ends; run this scan alone, or "
-            "with larger voxels. Its output is in {log}.",
+            "the process of this scan {how}{place}, possibly because memory ran out; run the scan alone, or "
+            "with larger voxels. The output of the process is in {log}.",
             how=how,
             place=where,
             log=f"{self._logs / worker}.log",

@@ -142,10 +142,8 @@ class Worker:
         if not self._queue.folder.is_dir():
             raise StageError(
                 BATCH_WORKER_STOPPED,
-                (
-                    "another batch was begun in {out} while this worker gave no sign of life; "
-                    "what it had finished is in the cache."
-                ),
+                "another batch was started in {out} while this worker was unresponsive; its finished stages "
+                "are in the cache.",
                 out=self._queue.out,
             )
 
@@ -153,7 +151,7 @@ class Worker:
         job = self._jobs.get(claim.number)
         if job is None:
             where = self._queue.folder / "jobs.jsonl"
-            why = f"{where}: the line of this job is damaged; run the batch again, which writes it anew."
+            why = f"{where}: the line of this job is damaged; run the batch again to rewrite it."
             self._end(Record(claim.number, "", FAILED, why, worker=self.name, attempt=claim.attempt))
             return
         slot.work = Work(job, claim)
@@ -232,7 +230,7 @@ class Worker:
         self._free(slot, said["written"])
         state, why = said["state"], said["reason"]
         if state == UNUSABLE and not self._queue.scan_of(job).exists():
-            why = f"{self._queue.scan_of(job)}: the scan is not there any more."
+            why = f"{self._queue.scan_of(job)}: the scan does not exist any more."
         record = Record(
             job.number,
             job.name,
@@ -251,7 +249,7 @@ class Worker:
         self._free(slot, 0)
         self._claims.end(work.claim, KILLED if code in _KILLING else CRASHED)
         self._supply.again(work.claim)
-        how = f"the process that ran it ended by itself ({_how(code)}) in {work.stage}"
+        how = f"its process ended unexpectedly ({_how(code)}) in {work.stage}; the scan is run again"
         self._tell(Noted(f"{work.job.name}: {how}"))
 
     def _look_after(self) -> None:
@@ -282,13 +280,13 @@ class Worker:
         """
         self._free(slot, 0)
         self._supply.lost(work.claim.number)
-        why = "another worker has taken it over while this one gave no sign of life"
+        why = "another worker has taken it over while this worker was unresponsive"
         self._tell(Noted(f"{work.job.name}: {why}"))
 
     def _kill(self, slot: Slot, work: Work) -> None:
         process, slot.process = slot.process, None
         if process is not None and not process.kill():
-            why = "the system cannot end its process, which waits for a drive"
+            why = "its process cannot be killed, because it is waiting for a drive"
             self._tell(Noted(f"{work.job.name}: {why}"))
         # If drafts cannot be removed now, the next run removes them.
         with suppress(StageError):
@@ -297,16 +295,16 @@ class Worker:
     def _why_ended(self, work: Work) -> Diagnostic:
         if work.is_waiting:
             return BATCH_SCAN_STUCK.error(
-                "it waited {seconds:g} s for another run that is working into {folder}, and was ended",
-                remedy="end that one, and run the batch again.",
+                "ended after waiting {seconds:g} s for another run into {folder}",
+                remedy="end the other run, and run the batch again.",
                 seconds=self._timeout,
                 folder=self._queue.results_of(work.job),
             )
-        where = f"in {work.stage}" if work.stage else "while its files were read"
+        where = f"in {work.stage}" if work.stage else "while reading its files"
         return BATCH_SCAN_STUCK.error(
-            "it got no further {place} for {seconds:g} s and was ended",
-            remedy="see whether the drive of its files answers, or give a longer --timeout, and run the "
-            "batch again: it goes on from what is in the cache.",
+            "ended after {seconds:g} s without progress {place}",
+            remedy="check that the drive of the scan responds, or increase --timeout, and run the batch "
+            "again: it continues from the cache.",
             place=where,
             seconds=self._timeout,
         )

@@ -22,8 +22,9 @@ class CacheParams:
 
     max_size: str | None = param(
         None,
-        "Size of the cache, such as `20 GB`, down to which results that were unused longest are removed "
-        "after a run; never those that the latest run of an output folder used. Without it all is kept.",
+        "Maximum size of the cache, such as `20 GB`. After a run, the least recently used results are "
+        "removed until the cache fits; results of the latest run of each output folder are kept. No limit by "
+        "default.",
         invalidates=False,
     )
 

@@ -117,7 +117,7 @@ class ScanDigest:
                 raise StageError(
                     MACHINE_BUSY,
                     "{path} changed while it was being read",
-                    remedy="run again when it is complete.",
+                    remedy="run again when the file is complete.",
                     path=path,
                 )
 

@@ -143,7 +143,7 @@ def verified(place: Path) -> dict[str, Any]:
     for name in names:
         # Links are rejected: they could expose or overwrite files outside the cache.
         if Path(os.path.realpath(place / name)) != inside / name:
-            raise DamagedError(f"{name} leads elsewhere")
+            raise DamagedError(f"{name} is a link")
         if not (place / name).is_file():
             raise DamagedError(f"{name} is missing")
         if (place / name).stat().st_size != manifest["files"][name]["size"]:
@@ -154,7 +154,7 @@ def verified(place: Path) -> dict[str, Any]:
         raise DamagedError(f"{error.filename} cannot be read: {error.strerror}") from error
     for name, content in zip(names, contents, strict=True):
         if content != manifest["files"][name]["sha256"]:
-            raise DamagedError(f"{name} has another content")
+            raise DamagedError(f"{name} was modified")
     return manifest
 
 
@@ -164,7 +164,7 @@ def read_manifest(place: Path) -> dict[str, Any]:
         manifest: dict[str, Any] = json.loads(_text_of(place / MANIFEST))
         sealed = manifest.pop("digest")
         if digest(manifest) != sealed:
-            raise DamagedError(f"{MANIFEST} has another content")
+            raise DamagedError(f"{MANIFEST} was modified")
         if digest({"schema": manifest["schema"], **manifest["recipe"]}) != place.name:
             raise DamagedError(f"{MANIFEST} belongs to another entry")
     except OSError as error:
@@ -176,5 +176,5 @@ def read_manifest(place: Path) -> dict[str, Any]:
 
 def _text_of(path: Path) -> str:
     if path.is_symlink():
-        raise DamagedError(f"{path.name} leads elsewhere")
+        raise DamagedError(f"{path.name} is a link")
     return text_in(path, "utf-8")

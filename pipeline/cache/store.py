@@ -112,7 +112,7 @@ class Cache:
                     if self._drop(place, lock):
                         emit(
                             MACHINE_CACHE_UNUSABLE.warning(
-                                "the cached result of {stage} is damaged ({reason}); it is made anew.",
+                                "the cached result of {stage} is damaged ({reason}); the stage runs again.",
                                 stage=recipe.stage,
                                 reason=str(error),
                             )
@@ -241,8 +241,8 @@ class Cache:
         if total > max_size:
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "the cache {folder} holds {total_gb:.3g} GB, more than cache.max_size of "
-                    "{limit_gb:.3g} GB: all of it is of the latest run of an output folder, or in use.",
+                    "the cache {folder} has {total_gb:.3g} GB, more than cache.max_size ({limit_gb:.3g} GB): "
+                    "all entries are in use, or belong to the latest run of an output folder.",
                     folder=self.folder,
                     total_gb=total / 1e9,
                     limit_gb=max_size / 1e9,
@@ -291,8 +291,7 @@ class Cache:
             self._is_read_only = True
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "the cache {folder} may only be read: its entries are used, and what this run used is "
-                    "not remembered.",
+                    "the cache {folder} is read-only: its entries are used, but this run is not recorded.",
                     folder=self.folder,
                 )
             )
@@ -312,7 +311,7 @@ class Cache:
             place.unlink()
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "{place} was no folder; it is removed and the result is made anew.", place=place
+                    "{place} was not a folder; it is removed, and the stage runs again.", place=place
                 )
             )
         return False
@@ -459,8 +458,8 @@ def _require_folder(path: Path) -> None:
     if os.path.lexists(path) and not is_folder(path):
         raise StageError(
             MACHINE_CACHE_UNUSABLE,
-            "a folder of the cache is expected here, and this is a link or a file",
-            remedy="remove it, or keep the whole cache elsewhere (SCANLOOM_CACHE).",
+            "a folder of the cache is expected here, but this is a link or a file",
+            remedy="remove it, or move the cache to another folder (SCANLOOM_CACHE).",
             where=path,
         )
 
@@ -499,7 +498,7 @@ def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
     try:
         manifest = (verified if thorough else read_manifest)(place)
     except DamagedError as error:
-        problem = str(error) if is_folder(place) else "it is no folder"
+        problem = str(error) if is_folder(place) else "it is not a folder"
     sizes = [path.lstat().st_size for path in place.rglob("*") if path.is_file()] if is_folder(place) else []
     stamp = place / IN_USE
     last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).lstat().st_mtime, timezone.utc)

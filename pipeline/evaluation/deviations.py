@@ -79,7 +79,7 @@ def read_deviations(folder: Path) -> Kept | None:
     if values is None or not np.isfinite(values).all():
         raise InputError(
             REPORT_INCOMPLETE,
-            "its vertices have no property `{property}` that is finite.",
+            "its vertices have no property `{property}` with finite values.",
             folder / MESH,
             property=PROPERTY,
         )

@@ -62,12 +62,12 @@ def page_of_comparison(
     for letter, name, mesh in zip("AB", names, meshes, strict=True):
         models[f"{letter}: {name}"] = _shown(mesh, up)
     if moved is not None:
-        about = "what is new in B is green, what is gone of A red"
+        about = "green: added in B; red: missing from A"
         models["change"] = _shown(_shaded(moved.painted), up, about)
     turn = turn_of_page(next(iter(models.values())).mesh)
     away = _NEAR * float(np.linalg.norm(np.ptp(found.painted.vertices, axis=0)))
     told = {"tables": list(_tables(figures, turn, away))}
-    return packed_page(f"{names[1]} beside {names[0]}", models, most_bytes, told)
+    return packed_page(f"{names[1]} compared with {names[0]}", models, most_bytes, told)
 
 
 def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") -> Shown:
@@ -112,14 +112,14 @@ def _tables(figures: Mapping[str, Any], turn: NDArray[np.float64], away: float) 
 
     told = figures["deviation"]
     tables = [
-        *deviation_tables(told, None, places(told["worst"]), "Deviation of B from A, by samples"),
+        *deviation_tables(told, None, places(told["worst"]), "Deviation of B from A, sampled"),
         _distances(figures["distance"]),
     ]
     change = figures["change"]
     if change is not None and change["largest"]:
         tables.append({
-            "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other, largest first",
-            "head": ["", "area", "in the middle, in the axes of the scan, m", ""],
+            "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other model, largest first",
+            "head": ["", "area", "centre in scan coordinates, m", ""],
             "rows": [
                 [one["kind"], f"{one['area_m2']:.4g} m²", place_in_words(one["point_m"])]
                 for one in change["largest"]
@@ -149,6 +149,6 @@ def _views(told: Mapping[str, Any]) -> dict[str, Any]:
         ]
         for one in [*told["each"], {**told, "viewpoint": "all"}]
     ]
-    compared = {"colors": "by their colours", "shape": "by shading alone"}[told["compared"]]
-    title = f"Drawn from around, {compared}"
-    return {"title": title, "head": ["", "PSNR", "SSIM", "silhouettes shared"], "rows": rows}
+    compared = {"colors": "in colour", "shape": "shaded without colour"}[told["compared"]]
+    title = f"Pictures from all around, {compared}"
+    return {"title": title, "head": ["", "PSNR", "SSIM", "silhouette overlap (IoU)"], "rows": rows}

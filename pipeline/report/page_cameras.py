@@ -28,9 +28,9 @@ def as_runs_write(path: Path) -> Iterator[None]:
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
             REPORT_INCOMPLETE,
-            "this is not as a run writes it",
+            "this file was not written by a run, or is damaged",
             path,
-            remedy="run once more, or move it away.",
+            remedy="run again, or move the file away.",
         ) from error
 
 
@@ -73,10 +73,10 @@ def _photo(name: str, path: Path) -> bytes:
     photo = path.parent / require_inside(name, path, "photo")
     if not photo.resolve().is_relative_to(path.parent.resolve()):
         raise InputError(
-            REPORT_INCOMPLETE, "the photo {name!r} leads out of the folder.", path, name=name[:100]
+            REPORT_INCOMPLETE, "the photo {name!r} is outside the folder.", path, name=name[:100]
         )
     if not photo.is_file():
-        raise InputError(REPORT_INCOMPLETE, "this photo is missing", photo, remedy="run once more.")
+        raise InputError(REPORT_INCOMPLETE, "this photo is missing", photo, remedy="run again.")
     content = content_of(photo)
     if not content.startswith(_JPEG):
         raise InputError(REPORT_INCOMPLETE, "this is not a JPEG file.", photo)

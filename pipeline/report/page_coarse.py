@@ -30,5 +30,7 @@ def coarsely(path: Path, up: Up | None, note: str, *, is_metric: bool) -> Shown:
     found = clustered(path, _VERTICES)
     words = f"{found.cell:.3g} {'m' if is_metric else 'units'}"
     return Shown(
-        found.mesh.with_(up=up), f"{note}; each cell of {words} as one", complete=found.triangle_count
+        found.mesh.with_(up=up),
+        f"{note}; clustered in cells of {words}",
+        complete=found.triangle_count,
     )

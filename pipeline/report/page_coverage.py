@@ -64,14 +64,14 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
             away = float(np.linalg.norm(eye - target))
             places.append({"target": target.tolist(), "away": away, "eye": eye.tolist()})
     head = [
-        "what is missing",
+        "gap",
         "area",
-        f"at, in the axes of the scan, {m}",
-        f"look from, {m}",
-        "frames that came nearest",
+        f"location in scan coordinates, {m}",
+        f"suggested viewpoint, {m}",
+        "nearest frames",
         "",
     ]
-    table = {"title": "Where to go again", "head": head, "rows": rows, "places": places}
+    table = {"title": "Gaps to capture again", "head": head, "rows": rows, "places": places}
     if is_many(promised(folder / COVERAGE_MESH, "face")):
         return Missing(
             coarsely(folder / COVERAGE_MESH, up, _in_words(told["places"]), is_metric=is_metric), table
@@ -88,4 +88,4 @@ def _in_words(places: Any) -> str:
     """Describe the colours that occur."""
     names = {one["kind"] for one in places}
     told = [f"{kind.word} {kind.text}" for name, kind in KINDS.items() if name in names]
-    return "; ".join(["grey is well seen", *told])
+    return "; ".join(["grey is well observed", *told])

@@ -58,7 +58,7 @@ def deviation_paint(kept: Kept, bound: float | None, *, is_metric: bool) -> Pain
         shares=shares,
         safe=_as_css(colors_of(middles, within, most, "safe")),
     )
-    return Paint(per * kept.at_vertices, scale, "of the result from the clean mesh")
+    return Paint(per * kept.at_vertices, scale, "deviation of the result from the clean mesh")
 
 
 def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
@@ -89,7 +89,7 @@ def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
         rows = np.floor((1 - at[..., 1]) * height).clip(0, height - 1).astype(np.int64)
         counts[chosen] = image[rows, columns]
     most = max(int(counts.max(initial=0)), 1)
-    note = f"photos that show a place, of which {most} count at most"
+    note = f"number of photos per surface point, at most {most}"
     return Paint(_at_vertices(mesh, counts), _photo_scale(mesh, counts, most), note)
 
 
@@ -122,7 +122,7 @@ def spread_paint(mesh: Mesh, spread: Floats, *, is_metric: bool) -> Paint:
         shares=(shares / max(shares.sum(), _TINY)).round(5).tolist(),
         marks=[0.0, most / 2, most],
     )
-    return Paint(values, scale, "how far off the surface frames measured it, RMS; grey where none did")
+    return Paint(values, scale, "RMS distance of depth measurements from the surface; grey if not measured")
 
 
 def _at_vertices(mesh: Mesh, counts: Floats) -> Floats:

@@ -30,12 +30,12 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
             ]
             for stage, about in ran.items()
         ]
-        head = ["stage", "this run", "when it was made", "memory", "why it ran"]
+        head = ["stage", "this run", "computed in", "memory", "reason"]
         tables.append({"title": "Stages", "head": head, "rows": rows})
     skipped = skipped_in(report)
     if skipped:
         rows = [[frame, reason] for frame, reason in skipped.items()]
-        tables.append({"title": "Frames that were skipped", "head": ["frame", "why"], "rows": rows})
+        tables.append({"title": "Skipped frames", "head": ["frame", "reason"], "rows": rows})
     texts = []
     if ran:
         texts = [
@@ -64,7 +64,7 @@ def deviation_tables(
     told: Mapping[str, Any],
     proven: float | None,
     places: Sequence[Mapping[str, Any]],
-    title: str = "Deviation of the result from the clean mesh, by samples",
+    title: str = "Deviation of the result from the clean mesh, sampled",
     *,
     is_metric: bool = True,
 ) -> list[dict[str, Any]]:
@@ -82,20 +82,20 @@ def deviation_tables(
     percentiles = told["absolute_percentiles_m"]
     rows = [[f"{p} % are within", f"{per * d:.4g} {small}"] for p, d in percentiles.items()]
     farthest = max((abs(one["distance_m"]) for one in told["worst"]), default=0.0)
-    rows.append(["at most, of samples and vertices", f"{per * farthest:.4g} {small}"])
+    rows.append(["maximum of samples and vertices", f"{per * farthest:.4g} {small}"])
     rows.append(["RMS", f"{per * told['rms_m']:.4g} {small}"])
     if proven is not None:
-        rows.append(["proven: no point is farther off than", f"{at_most(per * proven)} {small}"])
+        rows.append(["proven bound for all points", f"{at_most(per * proven)} {small}"])
     if told["share_within"] is not None:
         bound = f"within the bound of {per * told['tolerance_m']:g} {small}"
         rows.append([bound, f"{told['share_within']:.2%}"])
     if told["delta_e_2000"] is not None:
-        rows.append(["ΔE2000 of colours, on average", f"{told['delta_e_2000']['mean']:.3g}"])
+        rows.append(["mean colour difference ΔE2000", f"{told['delta_e_2000']['mean']:.3g}"])
     return [
         {"title": title, "head": ["", ""], "rows": rows},
         {
-            "title": "Where it is farthest off",
-            "head": ["deviation", f"at, in the axes of the scan, {large}", ""],
+            "title": "Largest deviations",
+            "head": ["deviation", f"location in scan coordinates, {large}", ""],
             "rows": [
                 [f"{per * one['distance_m']:+.3g} {small}", place_in_words(one["point_m"])]
                 for one in told["worst"]
@@ -118,7 +118,7 @@ def _frames_in_words(report: Mapping[str, Any]) -> str:
     read, held_out = at(report, "scan", "frames"), at(report, "held_out", "photos", otherwise=0)
     if read is None:
         return ""
-    told = [f"{read:,} frames were read", f"{held_out:,} were held out, and compared" if held_out else ""]
+    told = [f"{read:,} frames were read", f"{held_out:,} were held out for evaluation" if held_out else ""]
     skipped = len(skipped_in(report))
     return "; ".join(filter(None, [*told, f"{skipped:,} were skipped" if skipped else ""])) + "."
 
@@ -133,7 +133,7 @@ def _made_of(report: Mapping[str, Any]) -> str:
     ]
     for files in at(report, "placed", otherwise={}).values():
         lines += (f"{content}  {name}" for name, content in files.items())
-    return "\n".join([*lines, f"{report.get('digest')}  report.json, but for this line", ""])
+    return "\n".join([*lines, f"{report.get('digest')}  report.json without this line", ""])
 
 
 def _toml(ran: Mapping[str, Any]) -> str:

@@ -55,9 +55,9 @@ def page_of_run(folder: Path, most_bytes: int) -> bytes:
         known = ", ".join(_RESULTS)
         raise InputError(
             REPORT_INCOMPLETE,
-            "holds none of {known}, nor tiles",
+            "the folder has none of {known}, nor tiles",
             folder,
-            remedy="give a mesh file, or the OUT of a run.",
+            remedy="give a mesh file, or the output folder of a run.",
             known=known,
         )
     result = standing(folder / name, stages.read_mesh(folder / name))
@@ -94,7 +94,7 @@ def page_of_run(folder: Path, most_bytes: int) -> bytes:
             ]
     missing = missing_of(folder, result.up, turn, is_metric=is_metric)
     if missing is not None:
-        models["what is missing"] = missing.shown
+        models["coverage"] = missing.shown
         told["tables"] = [missing.table, *told.get("tables", ())]
     confidence = confidence_paint(result, folder / TEXTURE_MAPS)
     if confidence is not None:

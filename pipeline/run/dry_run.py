@@ -124,7 +124,7 @@ def foresee(
         refused = str(error)
     with collecting() as diagnostics:
         if refused is not None:
-            emit(FILE_OUTPUT_REFUSED.warning("the run would not begin: {reason}", reason=refused))
+            emit(FILE_OUTPUT_REFUSED.warning("the run would not start: {reason}", reason=refused))
     return DryRun(
         out=wanted.out,
         cache=cache.folder,
@@ -179,7 +179,7 @@ def _looked_up(
     try:
         return verified(place), ""
     except DamagedError as error:
-        return None, f"its cached result is damaged: {error}"
+        return None, f"cached result damaged: {error}"
 
 
 def _awaiting(before: Sequence[str], recipe: Recipe, last: Mapping[str, Any] | None) -> str:

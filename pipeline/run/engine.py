@@ -122,7 +122,7 @@ class Engine:
         self._entries: list[Entry] = []
 
     def __enter__(self) -> Engine:
-        said = f"another run is working into {self._out}; this one waits for it"
+        said = f"waiting for another run into {self._out}"
         self._lock = self._cache.sole_run(self._out, lambda: self._events(Waiting(said)))
         self.results = Results(self._cache, self._out, overwrite=self._overwrite)
         return self

@@ -29,7 +29,11 @@ _MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0
 _OF_VOLUME = 3
 # Minimum completed ratio for extrapolation: early use of a stage is a poor predictor of its total.
 _LEAST_SHARE = 0.25
-_BASES = {"measured": "as it took before", "scaled": "by other work", "estimated": "by the scan's size"}
+_BASES = {
+    "measured": "measured in an earlier run",
+    "scaled": "scaled from other scans",
+    "estimated": "estimated from the scan size",
+}
 
 
 @dataclass(frozen=True)
@@ -120,8 +124,8 @@ class LimitGuard:
             if total > self._limits.disk - self._written:
                 bases = {self._expected[name].basis for name in to_come}
                 self._end_or_warn(
-                    "the run is expected to write {total}, and the limit leaves {left} of {limit}; raise it, "
-                    "or make less: {lighter}.",
+                    "the run is expected to write {total}, but only {left} of the disk limit of {limit} "
+                    "remain; increase the limit, or use larger voxels: {lighter}.",
                     "estimated" if "estimated" in bases else "scaled",
                     total=_size(total),
                     left=_size(self._limits.disk - self._written),
@@ -132,7 +136,7 @@ class LimitGuard:
     def _end_or_warn(self, message: str, basis: str, **values: str) -> None:
         if basis != "estimated" or (self._limits.memory or math.inf) <= BASE_BYTES:
             raise StageError(BATCH_LIMIT_EXCEEDED, message, **values)
-        estimate = "This is an estimate; the stage is stopped if it comes to that."
+        estimate = "This is an estimate; the stage is only stopped if it exceeds the limit."
         emit(BATCH_LIMIT_EXCEEDED.warning(f"{message} {estimate}", **values))
 
     def during(self, stage: str, folder: Path, share: float) -> None:
@@ -172,7 +176,7 @@ class LimitGuard:
             self._told = taken
             emit(
                 BATCH_LIMIT_EXCEEDED.warning(
-                    "{work} has taken {taken} of memory as it ended, more than the limit of {limit}.",
+                    "{work} used {taken} of memory at its end, more than the limit of {limit}.",
                     work=what,
                     taken=_size(taken),
                     limit=_size(limit),
@@ -185,11 +189,11 @@ class LimitGuard:
             total = self._written + more
             raise StageError(
                 BATCH_LIMIT_EXCEEDED,
-                "{stage} brings what the run has written to {size}, more than the limit of {size_2}",
-                remedy="raise it, or make less: {lighter}.",
+                "with {stage}, the run has written {size}, more than the disk limit of {limit}",
+                remedy="increase the limit, or use larger voxels: {lighter}.",
                 stage=stage,
                 size=_size(total),
-                size_2=_size(limit),
+                limit=_size(limit),
                 lighter=self._lighter(self._at_end(total, share), limit),
             )
 
@@ -202,12 +206,12 @@ class LimitGuard:
 
     def _memory_trouble(self, stage: str, needed: int, basis: str | None, share: float = 1.0) -> str:
         limit = self._limits.memory or 0
-        takes = "has taken" if basis is None else f"is expected to take ({basis})"
+        takes = "has used" if basis is None else f"is expected to use ({basis})"
         what = f"{stage} {takes} {_size(needed)} of memory, more than the limit of {_size(limit)}; "
         if limit <= BASE_BYTES:
-            return f"{what}no voxel size fits, {_size(BASE_BYTES)} are there before any frame is read."
+            return f"{what}no voxel size fits, because the libraries alone use {_size(BASE_BYTES)}."
         if stage not in self._by_voxels:
-            return f"{what}that does not follow from the voxel size: raise the limit, or leave the stage out."
+            return f"{what}the voxel size has no influence: increase the limit, or disable the stage."
         return (
             f"{what}{self._voxels(self._at_end(needed - BASE_BYTES, share), limit - BASE_BYTES)} would fit."
         )
@@ -218,7 +222,7 @@ class LimitGuard:
 
     def _lighter(self, needed: float, limit: int) -> str:
         if limit <= 0:
-            return "nothing is left"
+            return "no voxel size fits"
         return f"{self._voxels(needed, limit)} would fit"
 
     def _voxels(self, needed: float, limit: float) -> str:

@@ -243,9 +243,9 @@ class Results:
         if not self._overwrite:
             raise InputError(
                 FILE_OUTPUT_REFUSED,
-                "no run has placed this, or it was changed since",
+                "this file was not written by a run, or was edited since",
                 path,
-                remedy="move it, name another output folder, or give --overwrite.",
+                remedy="move it, choose another output folder, or use --overwrite.",
             )
 
     def _remember(self) -> None:

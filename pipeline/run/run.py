@@ -79,7 +79,7 @@ class RunResult:
             for one in self.stages
         ]
         told = ", ".join(fact for fact in self._facts() if fact)
-        of_stages = rows_table([["stage", "this run", "when it was made"], *rows])
+        of_stages = rows_table([["stage", "this run", "computed in"], *rows])
         return f"<div><b>{escape(str(self.out))}</b>: {escape(told)}{of_stages}</div>"
 
     def _facts(self) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ class RunResult:
             counted(len(self.stages), "stage"),
             f"{sum(one.cached for one in self.stages)} cached",
             counted((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
-            counted(len(self.unmet), "requirement not reached", "requirements not reached"),
+            counted(len(self.unmet), "requirement not met", "requirements not met"),
         )
 
     def show(self, *, width: str = "100%", height: int = 640) -> Page:
@@ -105,7 +105,7 @@ class RunResult:
         """
         if self.page is None:
             raise UsageError(
-                REPORT_INCOMPLETE, "this run left no page; report.page=true and report.enabled=true make one."
+                REPORT_INCOMPLETE, "this run has no page; report.page=true and report.enabled=true write one."
             )
         html = content_of(self.page)
         return Page(title=self.out.name, html=html, width=width, height=height)
@@ -203,8 +203,8 @@ def wanted_of(
         if folder == scan_folder:
             raise UsageError(
                 FILE_OUTPUT_REFUSED,
-                "the {what} folder is the scan itself, which is only read",
-                remedy="name another.",
+                "the {what} folder is the scan itself, which is never written to",
+                remedy="choose another folder.",
                 where=folder,
                 what=what,
             )
@@ -222,7 +222,7 @@ def wanted_of(
         if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
             emit(
                 USAGE_STAGE_SKIPPED.warning(
-                    "register.refine has no effect: adjust refines poses where frames have colour"
+                    "register.refine has no effect, because adjust refines the poses of frames with colour"
                 )
             )
         emit_skipped([one.figures() for one in scan.skipped])
@@ -336,7 +336,7 @@ def _page(
     try:
         page = page_of_run(out, int(1e6 * params.page_size))
     except InputError as error:
-        emit(REPORT_INCOMPLETE.warning("there is no {page}: {reason}", page=PAGE, reason=str(error)))
+        emit(REPORT_INCOMPLETE.warning("{page} is not written: {reason}", page=PAGE, reason=str(error)))
         return None
     events(StageProgress("page", 1, 1))
     if guard is not None:

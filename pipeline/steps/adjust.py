@@ -72,8 +72,8 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if config.get(AdjustParams).enabled is False:
         return "is switched off"
     if scan.is_views:
-        return "is not a stage of this scan: its depth is found with the poses that it has"
-    return "is not a stage of this scan: its frames have no colour"
+        return "does not apply to this scan: its depth is computed from its poses"
+    return "does not apply to this scan: its frames have no colour"
 
 
 STAGE = Stage(

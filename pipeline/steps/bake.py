@@ -33,7 +33,7 @@ class BakeSection(BakeParams):
 
     enabled: bool = param(
         False,
-        "Bake the colours of the clean mesh into a texture of the simplified one, which shows them in full.",
+        "Bake the colours of the clean mesh into a texture of the simplified mesh, at full resolution.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )

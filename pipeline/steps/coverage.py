@@ -54,8 +54,8 @@ class CoverageSection(CoverageParams):
 
     enabled: bool = param(
         False,
-        "Tell what is missing in the scan: holes, what no frame saw, and surface that was hardly seen. "
-        "`scanloom coverage OUT` does it afterwards.",
+        "Find the gaps of the scan: holes, regions that no frame saw, and surface with few observations. "
+        "`scanloom coverage OUT` does it for a finished run.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
@@ -121,7 +121,7 @@ def _write_in_pieces(path: Path, covered: Covered) -> None:
     write_by_pieces(path, covered.vertex_count, count, pieces, has_colors=True, values=VALUES)
     emit(
         COVERAGE_LIMITED.warning(
-            "{model} is left out: {triangles:,} triangles are too many for it; {file} has them.",
+            "{model} is not written: {triangles:,} triangles are too many for viewers; {file} has the mesh.",
             model=MODEL,
             triangles=count,
             file=path.name,
@@ -149,6 +149,6 @@ STAGE = Stage(
     results=(COVERAGE_MESH, MODEL, COVERAGE),
     skip_reason=_skip_reason,
     cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
-    headline="{places} places to go again",
+    headline="{places} gaps",
     progress_unit="frames",
 )

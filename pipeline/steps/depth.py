@@ -69,7 +69,7 @@ def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
 def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if needs_depth(scan, config):
         return None
-    return "is not a stage of this scan: it is RGB-D, its depth is measured already"
+    return "does not apply to this scan: it is RGB-D and has measured depth"
 
 
 STAGE = Stage(

@@ -35,7 +35,7 @@ class ExportSection:
 
     web: bool = param(
         False,
-        "Write web.glb: the result in few bytes, unlit, packed by meshopt, which viewers have to understand.",
+        "Write web.glb: a small, unlit model for the web. Viewers must support EXT_meshopt_compression.",
     )
 
     def __post_init__(self) -> None:
@@ -68,7 +68,7 @@ def _run(inputs: Inputs, params: ExportSection, context: Context) -> Mapping[str
 
 def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if reason_for_no_texture(scan, config) is None and not config.get(ExportSection).web:
-        return "has nothing to write: textured.glb is there; export.web=true makes a small one"
+        return "has nothing to write: there is a textured.glb; export.web=true writes a small web.glb"
     return None
 
 

@@ -94,7 +94,7 @@ def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) ->
         if params.box is not None or params.center is not None:
             emit(
                 REGISTER_NOT_CONNECTED.warning(
-                    "piece {number} is not fused: where the box or the center is in it is not known",
+                    "component {number} is not fused: fuse.box and fuse.center apply to the main one",
                     number=number,
                 )
             )
@@ -105,7 +105,7 @@ def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) ->
         except (InputError, UsageError) as error:
             emit(
                 REGISTER_NOT_CONNECTED.warning(
-                    "piece {number} is not fused: {reason}", number=number, reason=str(error)
+                    "component {number} is not fused: {reason}", number=number, reason=str(error)
                 )
             )
             continue
@@ -114,11 +114,11 @@ def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) ->
         write_ply(pieces / f"fused-{number}.ply", fused.mesh)
         emit(
             REGISTER_NOT_CONNECTED.warning(
-                "piece {number}, of {frames} frames, is fused apart: pieces/fused-{number}.ply",
+                "component {number} with {frames} frames is fused separately: pieces/fused-{number}.ply",
                 number=number,
                 frames=len(piece.frames),
             ),
-            *(one.at(f"piece {number}") for one in diagnostics),
+            *(one.at(f"component {number}") for one in diagnostics),
         )
 
 
@@ -135,7 +135,7 @@ def _memory_bound(config: Sections) -> float:
 def _headline(figures: Mapping[str, Any]) -> str:
     if figures.get("truncation_m") == 0:
         # A single frame is triangulated directly, without a volume.
-        return "{triangles:,} triangles, the pixels of a frame alone joined; depth up to {max_depth_m:.3g} m"
+        return "{triangles:,} triangles from a single frame; depth up to {max_depth_m:.3g} m"
     return (
         "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, truncation "
         "{truncation_m:.3g} m, depth up to {max_depth_m:.3g} m"

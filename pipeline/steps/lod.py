@@ -42,15 +42,15 @@ class LodSection(LevelsParams):
 
     enabled: bool = param(
         False,
-        "Build levels of detail of the clean mesh, each proven.",
+        "Build levels of detail of the clean mesh, each with a proven error bound.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
     base_error: float | None = param(
         None,
-        "The finest level is the clean mesh simplified within this proven distance; 0 for the clean mesh "
-        "itself. By default from the scan's noise: half of the standard deviation of a frame's depth at the "
-        "median depth, which neighbouring frames show.",
+        "Proven distance of the finest level from the clean mesh; 0 for the clean mesh itself. By default "
+        "half of the depth noise: the standard deviation of a frame's depth at the median depth, estimated "
+        "from neighbouring frames.",
         unit="m",
         low=0,
     )
@@ -130,9 +130,8 @@ def write_levels(
         if noise == 0:
             emit(
                 LEVELS_NOISE_UNKNOWN.warning(
-                    "the noise of the frames' depth cannot be estimated; the finest level is the clean mesh "
-                    "itself.",
-                    remedy="lod.base_error gives another.",
+                    "the depth noise cannot be estimated, so the finest level is the unsimplified clean mesh",
+                    remedy="set lod.base_error to simplify it.",
                 )
             )
     hierarchy = _built(mesh, error, params, progress)
@@ -162,13 +161,14 @@ def write_levels_of_simplified(
     hierarchy = _built(mesh, error, params, progress)
     if proof is None:
         said = LEVELS_MESH_LARGE.warning(
-            "the clean mesh is too large for levels of its own: they are those of the simplified mesh, and "
-            "its distance from the clean one is not proven; with a bound, simplify.max_shape, it is."
+            "the clean mesh is too large: levels are built from the simplified mesh, whose distance from the "
+            "clean mesh is not proven",
+            remedy="set simplify.max_shape for a proven distance.",
         )
     else:
         said = LEVELS_MESH_LARGE.warning(
-            "the clean mesh is too large for levels of its own: they begin with the simplified mesh, proven "
-            "to be within {distance} m of it, which is part of the bound of each level.",
+            "the clean mesh is too large: levels are built from the simplified mesh, which is proven to be "
+            "within {distance} m of the clean mesh. The bound of each level includes this distance.",
             distance=at_most(off),
         )
         hierarchy = further_off(hierarchy, off, proof.color_bound_levels or 0.0)
@@ -212,7 +212,7 @@ STAGE = Stage(
     when={"simplified_mesh": is_clean_mesh_large},
     skip_reason=_skip_reason,
     cost=Cost(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
-    headline="{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
+    headline="{levels} levels from {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
     "{file_bytes:,} bytes",
     progress_unit="triangles",
 )

@@ -50,8 +50,8 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if config.get(RegisterParams).enabled is False:
         return "is switched off"
     return (
-        "is not a stage of this scan: its frames have poses; adjust makes them better, and "
-        "register.enabled=true finds others"
+        "does not apply to this scan: its frames have poses; adjust refines them, and "
+        "register.enabled=true estimates new ones"
     )
 
 
@@ -67,5 +67,5 @@ STAGE = Stage(
     results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
     skip_reason=_skip_reason,
     cost=Cost(seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, by_voxels=False),
-    headline="{frames} frames of the {subject} placed; pieces: {pieces}",
+    headline="poses of {frames} frames of the {subject}; connected components: {pieces}",
 )

@@ -28,8 +28,8 @@ class RemeshSection(RemeshParams):
 
     enabled: bool = param(
         False,
-        "Make a normal mesh of the simplified one: even triangles at several levels of detail, and a small "
-        "file of them.",
+        "Convert the simplified mesh to a normal mesh: regular triangles at several levels of detail, in a "
+        "small file.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )

@@ -42,14 +42,14 @@ class TextureSection(TextureParams):
 
     enabled: bool = param(
         True,
-        "Give the simplified mesh what the photos show, wherever frames have colour.",
+        "Texture the simplified mesh with the photos, if frames have colour.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
     images: str | None = param(
         None,
-        "Folder of other photos with poses in the scan's world, in metres (COLMAP, nerfstudio, or any scan): "
-        "their colours are taken, and none of the frames'.",
+        "Folder of other photos, with poses in the world frame of the scan in metres (COLMAP, nerfstudio, or "
+        "any scan). These photos replace the photos of the frames.",
         # The cache key contains the content of the folder instead of its path.
         invalidates=False,
         is_path=True,
@@ -107,9 +107,7 @@ def skip_reason(scan: Scan, config: Sections) -> str | None:
     if not params.enabled:
         return "is switched off; set texture.enabled=true"
     if params.images is None and not any(frame.color is not None for frame in scan.frames):
-        return (
-            "is not a stage of this scan: its frames have no colour; texture.images=FOLDER takes other photos"
-        )
+        return "does not apply to this scan: its frames have no colour; set texture.images=FOLDER"
     return None
 
 
@@ -180,6 +178,6 @@ STAGE = Stage(
         by_voxels=False,
         most_bytes=MAX_BYTES_IN_PARTS,
     ),
-    headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface seen, texels of "
-    "{texel_size_m:.2g} m",
+    headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface covered, "
+    "texel size {texel_size_m:.2g} m",
 )

@@ -36,20 +36,20 @@ class TilesSection(TileImageParams):
 
     enabled: bool = param(
         True,
-        "Write 3D Tiles of the levels of detail, where there are any (lod.enabled=true).",
+        "Write the levels of detail as 3D Tiles, if there are any (lod.enabled=true).",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
     )
     images: bool = param(
         True,
-        "Give each tile an image with the colours of textured.glb, where the run makes one; else tiles have "
-        "colours of vertices.",
+        "Texture each tile with the colours of textured.glb, if the run writes one; otherwise tiles have "
+        "vertex colours.",
     )
-    page: bool = param(False, "Write a page beside the tiles that draws them in a browser.")
+    page: bool = param(False, "Write a page next to the tiles that shows them in a browser.")
     compress: str = param(
         "none",
-        "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
-        "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
+        "Lossless compression of the geometry of tiles. `meshopt` requires viewers that support "
+        "EXT_meshopt_compression; tiles that it would not reduce are left uncompressed.",
         choices=COMPRESSIONS,
     )
 
@@ -89,7 +89,7 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     if not config.get(TilesSection).enabled:
         return "is switched off; set tiles.enabled=true"
     if not config.get(LodSection).enabled:
-        return "is made of levels of detail, which are not enabled; set lod.enabled=true"
+        return "needs levels of detail, which are not enabled; set lod.enabled=true"
     return None
 
 

@@ -32,10 +32,10 @@ class UprightSection:
 
     up: str | None = param(
         None,
-        "What is up in the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `as-is`, "
-        "which turns nothing. By default as the scan's layout defines it (a phone's worlds have y up) or an "
-        "accelerometer measured it; else where most of the surface looks that is within 60° of up in the "
-        "frames: floors and tops of tables, also if they are left out by fuse.remove_plane.",
+        "Up direction of the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or "
+        "`as-is` for no rotation. By default as defined by the scan layout (phones use y up) or measured by "
+        "an accelerometer; otherwise the dominant surface normal within 60° of up in the frames, usually the "
+        "normal of floors and table tops, even if fuse.remove_plane removes them.",
     )
 
     def __post_init__(self) -> None:
@@ -118,5 +118,5 @@ STAGE = Stage(
     # Increase if the direction changes for the same clean mesh and frames.
     versions=lambda known, config: {"upright": 3},  # noqa: ARG005
     cost=Cost(seconds=0.5, most_bytes=MAX_BYTES_IN_PARTS),
-    headline="what is up is told by: {up_source}",
+    headline="up direction from {up_source}",
 )

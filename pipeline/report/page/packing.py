@@ -105,7 +105,7 @@ def packed_page(
     if photos:
         emit(
             REPORT_REDUCED.warning(
-                "{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.",
+                "{photos} photos are omitted to keep the page below {most_bytes:,} bytes.",
                 photos=photos,
                 most_bytes=most_bytes,
             )
@@ -138,7 +138,7 @@ def packed_page(
         ]
     emit(
         REPORT_REDUCED.warning(
-            "the page takes {size:,} bytes, more than {most_bytes:,}, as small as it gets.",
+            "the page has {size:,} bytes, more than {most_bytes:,}, and cannot be reduced further.",
             size=len(page),
             most_bytes=most_bytes,
         )
@@ -250,7 +250,7 @@ def _as_file(plan: _Plan) -> tuple[Shown, PageModel]:
         shown = _simplified(shown, plan.triangles)
     mesh, note, scale, paints, _ = shown
     count = len(mesh.triangles)
-    words = f"of {plan.complete:,}, for this page" if count < plan.complete else ""
+    words = f"reduced from {plan.complete:,} for this page" if count < plan.complete else ""
     looks = [
         PageLook(name, channel, ", ".join(filter(None, (paint.note, words))), paint.scale)
         for channel, (name, paint) in enumerate(paints.items())

@@ -65,7 +65,7 @@ class FolderServer(ThreadingHTTPServer):
         except (OSError, OverflowError) as error:
             said = getattr(error, "strerror", None) or str(error)
             raise StageError(
-                MACHINE_PORT_TAKEN, "port {port} cannot be listened on: {said}.", port=port, said=said
+                MACHINE_PORT_TAKEN, "cannot listen on port {port}: {said}.", port=port, said=said
             ) from error
 
     @property

@@ -44,7 +44,7 @@ class Page:
 
     def __repr__(self) -> str:
         size = f"{len(self.html) / 1e6:.1f} MB"
-        return line(self, (self.title, size, "shows itself in a notebook", 'else save("FILE.html")'))
+        return line(self, (self.title, size, "displayed in a notebook", 'or save("FILE.html")'))
 
     def _repr_html_(self) -> str:
         # A sandboxed iframe: the page cannot access the notebook.
@@ -120,7 +120,7 @@ def _mesh_of(thing: Any, name: str) -> Mesh:
     own = getattr(thing, "mesh", None)
     mesh = as_mesh(own if isinstance(own, Mesh) else thing, name)
     if not len(mesh.triangles):
-        raise MeshError(RENDER_NOTHING_TO_DRAW, "there are no triangles to show.", name)
+        raise MeshError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles.", name)
     return mesh
 
 
