@@ -1,4 +1,4 @@
-"""The configuration of a run."""
+"""Configuration of a run."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from scanloom.stages.stereo.depth import DepthParams
 
 @dataclass(frozen=True)
 class Config(Sections):
-    """Every parameter of a run, by section; see each section's class.
+    """All parameters of a run by section; each section's class describes its parameters.
 
-    `Config()` has the defaults, `Config.of("draft")` what a quality makes of them.
+    `Config()` has the defaults, `Config.of("draft")` the values of a quality preset.
     """
 
     QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = QUALITIES
@@ -46,7 +46,7 @@ class Config(Sections):
     upright: UprightSection = field(default_factory=UprightSection)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
     texture: TextureSection = field(default_factory=TextureSection)
-    # How the folder of `texture.images` is read, as `scan` says it of the scan's.
+    # Parameters for reading the folder of `texture.images`, like `scan` for the scan folder.
     photos: ScanParams = field(default_factory=ScanParams)
     bake: BakeSection = field(default_factory=BakeSection)
     remesh: RemeshSection = field(default_factory=RemeshSection)
@@ -54,7 +54,7 @@ class Config(Sections):
     tiles: TilesSection = field(default_factory=TilesSection)
     export: ExportSection = field(default_factory=ExportSection)
     coverage: CoverageSection = field(default_factory=CoverageSection)
-    # Fewer samples than `compare` alone takes: a report waits for them in every run.
+    # Fewer samples than the default of `compare`, because every run computes the report.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)
     cache: CacheParams = field(default_factory=CacheParams)

@@ -1,4 +1,7 @@
-"""What a stage will take, in time and memory: as it took before, else by the size of the scan."""
+"""Estimates of the time and memory of a stage.
+
+Estimates are based on earlier results, or else on the size of the scan.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,25 @@ from typing import Any
 
 from scanloom.stages.scans.model.scan import Scan
 
-# What the process holds before any frame is read: the interpreter and the libraries.
+# Bytes of memory of the interpreter and the libraries before any frame is read.
 BASE_BYTES = 300_000_000
-# Memory of stages that process large meshes in parts, measured on a building of a hundred million triangles.
+# Bytes of memory of stages that process large meshes in chunks, measured on a mesh of 100 million triangles.
 MAX_BYTES_IN_PARTS = 1.7e9
 
 
 @dataclass(frozen=True)
 class Cost:
-    """A rough guess for a stage nobody has run yet: a fixed part, and one for a million pixels of the scan.
+    """Linear cost model of a stage for its first run.
+
+    The cost is a constant plus a rate per megapixel of the scan.
 
     Attributes
     ----------
-    seconds, seconds_per_megapixel : on two cores without a GPU.
-    bytes, bytes_per_megapixel : beyond what the process holds anyway.
-    disk, disk_per_megapixel : bytes that are written, into the cache and the output folder.
-    by_voxels : memory and disk follow from how fine the voxels are.
-    most_bytes : beyond what the process holds anyway, for a stage that takes large work piece by piece.
+    seconds, seconds_per_megapixel : time on two cores without a GPU.
+    bytes, bytes_per_megapixel : memory above BASE_BYTES.
+    disk, disk_per_megapixel : bytes written to the cache and the output folder.
+    by_voxels : True if memory and disk depend on the voxel size.
+    most_bytes : upper bound of the memory above BASE_BYTES, for stages that process large meshes in chunks.
     """
 
     seconds: float = 0.5
@@ -40,12 +45,12 @@ class Cost:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What a stage will take.
+    """Expected time, memory and disk use of a stage.
 
     Attributes
     ----------
-    basis : "measured" when the stage worked on the same before, with other parameters; "scaled" from work on
-        something else, by the sizes of the scans where they are known; "estimated" from the size alone.
+    basis : "measured" from a result with the same inputs and other parameters, "scaled" from results of other
+        scans by scan size, or "estimated" from the cost model.
     """
 
     seconds: float
@@ -54,18 +59,21 @@ class Expectation:
     disk_bytes: int = 0
 
     def scaled(self, factor: float) -> Expectation:
-        """Return what so many times as much work of the same kind will take."""
+        """Scale time, disk and the memory above BASE_BYTES by a factor."""
         beyond = max(self.memory_bytes - BASE_BYTES, 0)
         memory = int(min(self.memory_bytes, BASE_BYTES) + factor * beyond)
         return Expectation(self.seconds * factor, memory, self.basis, int(self.disk_bytes * factor))
 
     def bounded(self, memory_bytes: float) -> Expectation:
-        """Return it for a stage that keeps to so much memory."""
+        """Cap the memory, for a stage with a memory bound in bytes."""
         return replace(self, memory_bytes=int(min(self.memory_bytes, memory_bytes)))
 
 
 def megapixels(scan: Scan) -> float:
-    """Return how many million pixels the frames of a scan have, of depth or of their left images."""
+    """Return the size of all frames of a scan in megapixels.
+
+    The depth images count, or the left images without depth.
+    """
     return sum(frame.camera.width * frame.camera.height for frame in scan.frames) / 1e6
 
 
@@ -76,14 +84,15 @@ def expected(
     earlier: Iterable[Mapping[str, Any]],
     cost: Cost,
 ) -> Expectation:
-    """Return what a stage will take.
+    """Estimate the cost of a stage.
 
     Parameters
     ----------
+    stage : name of the stage.
     size : megapixels of the scan.
-    inputs : digests of what the stage will read, None if not known yet.
-    earlier : manifests of results in the cache, the latest used first.
-    cost : for a stage that none of them is of.
+    inputs : input digests of the stage; None if not known yet.
+    earlier : manifests of cached results, most recently used first.
+    cost : cost model, used if there is no cached result of the stage.
     """
     same_stage = [one for one in earlier if one["recipe"]["stage"] == stage and "seconds" in one["made"]]
     for one in same_stage:
@@ -104,9 +113,17 @@ def expected(
 
 
 def as_before(manifest: Mapping[str, Any], factor: float, basis: str, cost: Cost) -> Expectation:
-    """Return what a stage of such cost will take that does so many times the work of a cached result."""
+    """Estimate the cost of a stage by scaling the cost of a cached result.
+
+    Parameters
+    ----------
+    manifest : manifest of the cached result.
+    factor : amount of work relative to the cached result.
+    basis : see `Expectation`.
+    cost : cost model, for its memory bound.
+    """
     made = manifest["made"]
-    # The result, and its copy in the output folder.
+    # Counted twice: cache entry and copy in the output folder.
     disk = 2 * sum(about["size"] for about in manifest.get("files", {}).values())
     peak = int(made.get("peak_memory_bytes", BASE_BYTES))
     most = max(BASE_BYTES + cost.most_bytes, peak)

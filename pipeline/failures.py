@@ -1,4 +1,4 @@
-"""What the machine refuses, turned into one plain sentence."""
+"""Conversion of operating system errors to StageError."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from scanloom.stages.diagnostics.codes import MACHINE_DISK_FAILED, MACHINE_OUT_O
 from scanloom.stages.diagnostics.errors import StageError, is_lack_of_memory
 
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
-# ERROR_ACCESS_DENIED and ERROR_SHARING_VIOLATION: what Windows says of files that are open elsewhere.
+# Windows errors for a file that another program has open: ERROR_ACCESS_DENIED, ERROR_SHARING_VIOLATION.
 _IN_USE = (5, 32)
-_ADVICE = "free some space, or keep the cache elsewhere (SCANLOOM_CACHE)"
+_ADVICE = "free disk space, or move the cache to another disk (SCANLOOM_CACHE)"
 
 
 @contextlib.contextmanager
 def explained(what: str) -> Iterator[None]:
-    """Turn an OSError or a lack of memory into a StageError that starts with `what`."""
+    """Convert OSError and out-of-memory errors to a StageError that begins with `what`."""
     try:
         yield
     except StageError as error:
-        # A writer in `stages` met the full disk first; only here is known what can be done about it.
+        # A writer in `stages` has converted a full disk already, but does not know the remedy.
         if isinstance(error.__cause__, OSError) and error.__cause__.errno in _FULL:
             raise StageError(
                 MACHINE_DISK_FAILED, "{what}: {reason}.", what=what, reason=_reason(error.__cause__)
@@ -29,7 +29,7 @@ def explained(what: str) -> Iterator[None]:
         raise
     except Exception as error:
         if is_lack_of_memory(error):
-            raise StageError(MACHINE_OUT_OF_MEMORY, "{what}: the memory is used up.", what=what) from error
+            raise StageError(MACHINE_OUT_OF_MEMORY, "{what}: out of memory.", what=what) from error
         if isinstance(error, OSError):
             raise StageError(
                 MACHINE_DISK_FAILED, "{what}: {reason}.", what=what, reason=_reason(error)
@@ -42,5 +42,5 @@ def _reason(error: OSError) -> str:
         return f"{_FULL[error.errno]}; {_ADVICE}"
     reason = error.strerror or str(error)
     if getattr(error, "winerror", None) in _IN_USE:
-        reason = f"{reason.rstrip('.')}; another program may have it open"
+        reason = f"{reason.rstrip('.')}; another program may have the file open"
     return f"{reason} ({error.filename})" if error.filename else reason

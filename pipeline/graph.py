@@ -1,4 +1,4 @@
-"""The stages of the pipeline, in the order they run.
+"""Stages of the pipeline, in execution order.
 
 scan ──depth──▶ frames ──────────────fuse──▶ fused_mesh ──clean──▶ clean_mesh ──simplify──▶ simplified_mesh
                   ├─register─▶ poses ─▲
@@ -9,7 +9,8 @@ simplified_mesh ──bake────▶ baked_mesh          simplified_mesh �
 simplified_mesh ──remesh──▶ normal_mesh         clean_mesh ──coverage──▶ coverage_map
 clean_mesh ──upright──▶ up_direction            all meshes ──report──▶ report
 
-An RGB-D scan is `frames` from the start. What else a stage reads is in its file in `pipeline/steps/`.
+An RGB-D scan is used as `frames` directly. The remaining inputs of each stage are listed in its file in
+`pipeline/steps/`.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ STAGES: tuple[AnyStage, ...] = (
     report.STAGE,
 )
 
-# Sources without a value, which decide results that mention them. See
+# Inputs without a value: they only enter the cache keys of stages whose results contain them. See
 # `scanloom.pipeline.cache.digest.label_digests`.
 LABELS = ("names", "times", "world")
 
@@ -68,18 +69,18 @@ def find_stage(name: str) -> AnyStage | None:
 
 
 def source_name(scan: Scan, config: Sections) -> str:
-    """Return the name of the input as which stages read the scan."""
+    """Return the input name of the scan: "scan" if depth is computed, else "frames"."""
     return "scan" if depth.needs_depth(scan, config) else "frames"
 
 
 def skip_reasons(scan: Scan, config: Sections) -> Mapping[str, str]:
-    """Return the stages that a scan skips, and why."""
+    """Return the skipped stages of a scan with the reasons."""
     reasons = {stage.name: stage.skip_reason(scan, config) for stage in STAGES}
     return {name: reason for name, reason in reasons.items() if reason is not None}
 
 
 def plan_for(scan: Scan, config: Sections) -> Sequence[AnyStage]:
-    """Return the stages of a scan, each with the inputs that are there."""
+    """Plan the stages of a scan, each with its available inputs."""
     skipped = skip_reasons(scan, config)
     stages = [stage for stage in STAGES if stage.name not in skipped]
     scan_name = source_name(scan, config)
@@ -93,7 +94,7 @@ def plan_for(scan: Scan, config: Sections) -> Sequence[AnyStage]:
     plan = []
     for stage in stages:
         reads = [name for name in stage.reads if name not in stage.unread(config)]
-        # Frames that the depth stage has written are numbered, and have no time stamps.
+        # Frames written by the depth stage are numbered and have no time stamps, so labels do not apply.
         labels = LABELS if scan_name in reads else ()
         reads = [name for name in reads if name in available or name in labels]
         plan.append(replace(stage, reads=tuple(reads)))

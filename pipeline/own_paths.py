@@ -1,4 +1,4 @@
-"""Name the files of a scan from its folder on, in what is kept of a result."""
+"""Paths relative to the scan folder, for texts stored with cached results."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ T = TypeVar("T")
 
 
 def from_folder(value: T, folder: Path | None) -> T:
-    """Return figures whose sentences name files from the scan's folder on.
+    """Make the paths in all strings of a value relative to the scan folder.
 
-    A kept result is given again after the scan was moved: where it stood before is then wrong.
+    Cached results are reused after the scan was moved, so stored texts must not contain its absolute path.
 
     Parameters
     ----------
-    value : plain JSON values; keys of mappings stay.
-    folder : of the scan, or the file that is one; None leaves all as it is.
+    value : JSON values; keys of mappings are not changed.
+    folder : scan folder or file; None returns the value unchanged.
     """
     return value if folder is None else _shortened(value, f"{home(folder)}{os.sep}")
 
 
 def from_there(path: Path, folder: Path) -> str:
-    """Return a path as it is written from a folder on; whole where no way leads there, to another drive."""
+    """Return a path relative to a folder, or absolute if on another Windows drive."""
     try:
         return os.path.relpath(path, folder)
     except ValueError:
@@ -32,7 +32,10 @@ def from_there(path: Path, folder: Path) -> str:
 
 
 def home(folder: Path) -> Path:
-    """Return the folder files of a scan are named from: the scan's own, or that of the one file it is."""
+    """Return the base folder of paths in messages.
+
+    This is the scan folder, or the parent folder of a scan file.
+    """
     return folder.parent if folder.is_file() else folder
 
 

@@ -1,7 +1,8 @@
-"""Presets: what the parameters of a run begin with, by one word for how good the result shall be.
+"""Quality presets: initial parameter values of a run, chosen by name.
 
-Each names only what it changes, so that stages it leaves alone keep their cached results. None says how far
-to simplify: that decides what is proven, and is asked for by itself. docs/quality.md has what each comes to.
+Each preset lists only the values it changes, so that other stages keep their cached results. No preset sets
+the degree of simplification: error bounds are a requirement of the user. docs/quality.md compares the
+presets.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 STANDARD = "standard"
 
 QUALITIES: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
-    # Poses and colour camera are adjusted in a draft, too: without, its texture is not in its place.
+    # A draft still adjusts poses and colour camera, because the texture would be misaligned otherwise.
     "draft": {
         "scan": {"max_frames": 50},
         "fuse": {"voxel_factor": 2.0},
@@ -21,7 +22,7 @@ QUALITIES: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "report": {"pictures": False},
     },
     STANDARD: {},
-    # More texels a pixel look sharper, and are no nearer to photos that were left out.
+    # More texels per pixel look sharper but do not improve the error on held-out photos.
     "best": {
         "depth": {"matcher": "hh4", "sgbm": {"left_right": "match"}},
         "fuse": {"voxel_factor": 0.7},

@@ -1,4 +1,4 @@
-"""Versions of the code that decides a result, for cache keys."""
+"""Versions of the code that determines a result, for cache keys."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Versions = Callable[[Mapping[str, Any], Sections], Mapping[str, int]]
 
 
 def result_versions(*functions: Callable[..., Any]) -> dict[str, int]:
-    """Return the RESULT_VERSION in the module of each function, by the name of the module."""
+    """Return the RESULT_VERSION of the module of each function, by module name."""
     modules = [sys.modules[function.__module__] for function in functions]
     return {module.__name__.rpartition(".")[2]: module.RESULT_VERSION for module in modules}
 
 
 def always(*functions: Callable[..., Any]) -> Versions:
-    """Create the `versions` of a stage that runs the same functions with every configuration."""
+    """Create the `versions` of a stage that runs the same functions in every configuration."""
     return lambda known, config: result_versions(*functions)  # noqa: ARG005

@@ -41,21 +41,21 @@ _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "o
 
 
 class Sections:
-    """Base of a frozen dataclass whose fields are parameter objects, each a section of the config file."""
+    """Base of frozen configuration dataclasses; each field is a section with a parameter object."""
 
-    # What parameters begin with in place of their defaults, by section, under a word for it.
+    # Presets by name: parameter values that replace defaults, by section.
     QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {}
 
     @classmethod
     def of(cls: type[S], quality: str) -> S:
-        """Return what a configuration begins with, by one of the words of `QUALITIES`.
+        """Create the configuration of a quality preset.
 
         Raises
         ------
         UsageError
-            For another word.
+            If `QUALITIES` has no such preset.
         """
-        if quality not in [*cls.QUALITIES]:  # a file may hold what is no word
+        if quality not in [*cls.QUALITIES]:  # the value from a file may be unhashable
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {quality!r}; it must be one of {qualities}.",
@@ -70,22 +70,24 @@ class Sections:
 
     @classmethod
     def types(cls) -> dict[str, type]:
-        """Parameter class of every section, in order."""
+        """Return the parameter class of each section, in order."""
         hints = hints_of(cls)
         return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     def load(cls: type[S], path: Path, quality: str | None = None) -> S:
-        """Read a TOML file; what it does not name keeps its default, or has that of the quality.
+        """Read a TOML file.
+
+        Parameters that the file does not set keep the default or preset value.
 
         Parameters
         ----------
-        quality : in place of the one that the file names, if it names any.
+        quality : preset that overrides the preset named in the file.
 
         Raises
         ------
         UsageError
-            If the file cannot be read, is not TOML, or names an unknown section, parameter or value.
+            If the file cannot be read, is not TOML, or has an unknown section, parameter or value.
         """
         try:
             if path.stat().st_size > _MAX_BYTES:
@@ -104,7 +106,7 @@ class Sections:
 
     @classmethod
     def loads(cls: type[S], text: str, where: str = "config", quality: str | None = None) -> S:
-        """Read TOML text as `load` does a file; `where` starts every message."""
+        """Parse TOML text like `load`; messages begin with `where`."""
         try:
             data = parse_toml(text)
         except ValueError as error:
@@ -143,16 +145,16 @@ class Sections:
         return "\n".join(section_toml(name, getattr(self, name)) for name in self.types())
 
     def get(self, kind: type[P]) -> P:
-        """Return the first section whose parameters are of a class."""
+        """Return the first section with parameters of a class."""
         return next(params for name in self.types() if isinstance(params := getattr(self, name), kind))
 
     def canonical(self, section: str) -> dict[str, Any]:
-        """Return the parameters of a section that decide its result, as JSON values.
+        """Return the result-relevant parameters of a section as JSON values, for the cache key.
 
         Raises
         ------
         UsageError
-            For a value that JSON cannot express, infinity.
+            If a value is infinite, which JSON cannot express.
         """
         return _canonicalise(getattr(self, section), section)
 
@@ -310,7 +312,7 @@ def _is_optional(hint: Any) -> bool:
 
 
 def _typed(value: Any, hint: Any) -> Any:
-    # TOML writes 1 where 1.0 is meant; both must give one key.
+    # TOML integers are accepted for floats; 1 and 1.0 must give the same cache key.
     if float in kinds_of(hint) and type(value) is int:
         return float(value)
     if row_length(hint) and isinstance(value, (list, tuple)):
@@ -337,7 +339,7 @@ def _read_value(text: str, hint: Any) -> Any:
 
 
 def _number(word: str) -> Any:
-    # What is no number is refused where the parameter's other values are.
+    # Text that is not a number is rejected with the other range checks of the parameter.
     try:
         return float(word)
     except ValueError:
@@ -345,7 +347,7 @@ def _number(word: str) -> Any:
 
 
 def _canonicalise(params: Any, section: str) -> dict[str, Any]:
-    """Return the parameters that decide a result as JSON values; a nested section is an object."""
+    """Return the result-relevant parameters as JSON values; nested sections become objects."""
     cls = type(params)
     hints = hints_of(cls)
     values: dict[str, Any] = {
@@ -368,7 +370,7 @@ def _canonical_value(value: Any, hint: Any, where: str) -> Any:
     typed = _typed(value, hint)
     if isinstance(typed, tuple):
         return [number + 0.0 for number in typed]
-    return typed + 0.0 if isinstance(typed, float) else typed  # -0.0 is 0.0
+    return typed + 0.0 if isinstance(typed, float) else typed  # converts -0.0 to 0.0
 
 
 def section_toml(name: str, params: Any, *, is_shown: Callable[[Described], bool] = lambda _: True) -> str:
@@ -408,8 +410,8 @@ def facts_of(about: Described, default: Any, hint: Any) -> str:
 
 
 def _toml(value: Any) -> str:
-    # TOML's strings, numbers and booleans are written as JSON's are, but for the infinities.
+    # TOML strings, numbers and booleans use JSON syntax, except for infinities.
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
         return "inf" if value > 0 else "-inf"
     text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
-    return text.replace("\x7f", "\\u007f")  # the one character that JSON allows and TOML does not
+    return text.replace("\x7f", "\\u007f")  # the only character that JSON allows unescaped and TOML does not

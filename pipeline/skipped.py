@@ -1,4 +1,4 @@
-"""Warning about frames that could not be used."""
+"""Warning about skipped frames."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 
 
 def emit_skipped(skipped: Sequence[Mapping[str, Any]]) -> None:
-    """Emit a warning if frames were left out: how many, and why the first of them."""
+    """Emit a warning if frames were skipped, with their number and the first reason."""
     if skipped:
         emit(
             SCAN_FRAMES_SKIPPED.warning(
-                "left out {frames}; the first is {first}: {reason}",
+                "{frames} skipped; the first is {first}: {reason}",
                 frames=counted(len(skipped), "frame"),
                 first=skipped[0]["frame"],
                 reason=skipped[0]["reason"],

@@ -1,4 +1,4 @@
-"""Declaration of a stage: what the pipeline knows about it."""
+"""Declaration of a pipeline stage."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Params = TypeVar("Params")
 
 @dataclass(frozen=True)
 class Context:
-    """Context of a stage: its folder, the configuration, progress and the cache.
+    """Execution context of a stage.
 
     Attributes
     ----------
     folder : empty folder for the files of the stage.
-    config : all sections; results may depend on the sections that the stage declares, and no others.
+    config : full configuration; results may only depend on the sections that the stage declares.
     progress : progress callback.
-    get, store : of the cache, for parts of the stage's work; their entries are held to the end of the run.
+    get, store : cache access for intermediate results; their entries are kept until the end of the run.
     """
 
     folder: Path
@@ -39,11 +39,12 @@ class Context:
 
 @dataclass(frozen=True)
 class Artifact:
-    """Files that a stage has written. A subclass names their content and loads it.
+    """Files written by a stage. A subclass names and loads their content.
 
     Attributes
     ----------
-    NAME : name of the content, the same in the graph, in the cache and in documents.
+    NAME : name of the content in the graph, the cache and reports.
+    folder : folder of the files.
     """
 
     NAME: ClassVar[str]
@@ -64,31 +65,34 @@ def _reads_all(config: Any) -> Collection[str]:  # noqa: ARG001
 
 @dataclass(frozen=True, kw_only=True)
 class Stage(Generic[Inputs, Params]):
-    """Everything the pipeline knows about a stage.
+    """Declaration of a stage.
 
     Attributes
     ----------
-    name : for people; also the section of the configuration with its parameters.
+    name : name in messages, and of the configuration section with the parameters.
     section : class of the parameters.
-    inputs : dataclass; each field is named after a source of the run or an artifact. A field with a default
-        may be missing.
+    inputs : dataclass of inputs; each field is named after a source of the run or an artifact. Fields with a
+        default are optional.
     writes : class of the artifact.
-    run : writes the files of the artifact and returns figures. What it emits is kept with the result.
-    versions : from known inputs and configuration to the RESULT_VERSION of all code that `run` then uses, by
-        name. It is called for every cache key.
-    libraries : versions of distributions that decide the result, by name.
-    labels : sources without a value that decide the result, such as names of frames.
-    more_sections : further sections of the configuration that decide the result.
-    results : files that are copied to the output folder; a name that ends in / is a folder.
-    when : conditions on the other inputs, by the input that is only read if they hold.
-    unread : inputs that are not read with a configuration.
-    skip_reason : from scan and configuration to the reason why the stage is skipped, or None. The text
-        continues a sentence that begins with the name of the stage.
-    cost : estimate for the first run.
-    headline : format of the line that sums up a result, or a function from figures to it. Fields are figures.
-    progress_unit : what the progress callback counts.
-    is_summary : its figures sum up the run: report.json has them at the top, and the page belongs to it.
-    memory_bound : from the configuration to the bytes that the stage keeps to.
+    run : writes the files of the artifact and returns metrics. Emitted diagnostics are stored with the
+        result.
+    versions : function of known inputs and configuration that returns the RESULT_VERSION of all code that
+        `run` executes, by name. It is called for every cache key.
+    libraries : versions of distributions that affect the result, by name.
+    labels : inputs without a value that only enter the cache key, such as frame names.
+    more_sections : further configuration sections that affect the result.
+    results : files copied to the output folder; names of folders end in /.
+    when : condition for reading an input, by input name, as a function of the other inputs.
+    unread : function of the configuration that returns the names of ignored inputs.
+    skip_reason : function of scan and configuration that returns why the stage is skipped, or None. The text
+        continues a sentence that begins with the stage name.
+    cost : cost model for the first run.
+    headline : format string for the summary line of a result, or a function of the metrics that returns the
+        format string. Fields are metrics.
+    progress_unit : unit counted by the progress callback.
+    is_summary : True if the metrics summarise the run: report.json has them at the top level, and the page is
+        written with this stage.
+    memory_bound : function of the configuration that returns the maximum memory of the stage in bytes.
     reads : names of the inputs and labels.
     """
 
@@ -119,9 +123,9 @@ class Stage(Generic[Inputs, Params]):
 
     @property
     def sections(self) -> tuple[str, ...]:
-        """Return the sections of the configuration that decide the result."""
+        """Configuration sections that affect the result."""
         return (self.name, *self.more_sections)
 
 
-# A stage whose inputs and parameters the code at hand does not look into.
+# Stage with unspecified input and parameter types.
 AnyStage = Stage[Any, Any]

@@ -1,13 +1,13 @@
-"""Depth, stereo and photo scans to compact textured meshes, as plain functions on in-memory data.
+"""Conversion of depth, stereo and photo scans to compact textured meshes.
 
 >>> import scanloom
 >>> fused = scanloom.fuse(scanloom.read_scan("my_scan"))
 >>> cleaned = scanloom.clean(fused.mesh)
 >>> simplified = scanloom.simplify(cleaned.mesh, ratio=0.1).mesh
 
-Every public name of `scanloom.stages` is also a name of this package. `show` and `Page` are in this package
-alone, since pages belong to the report. Names are imported on first use. `scanloom.pipeline` processes a scan
-folder, and `scanloom.cli` is the command line.
+The package exports all public names of `scanloom.stages`, and `show` and `Page` from `scanloom.pipeline`.
+Names are imported on first use. `scanloom.pipeline` processes scan folders; `scanloom.cli` is the command
+line.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import sys
 from importlib import import_module
 from os import path
 
-# Type checkers take this name for true. Importing it from typing takes longer than all of this module.
+# Type checkers treat this name as true. `typing.TYPE_CHECKING` is avoided, because importing typing takes
+# longer than this whole module.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
     from scanloom.stages import __version__ as __version__
 
 _PACKAGES = ("stages", "pipeline", "cli")
-# Modules of the public names that are not of `scanloom.stages`.
+# Modules of public names that are not in `scanloom.stages`.
 _MODULE_OF = dict.fromkeys(("Page", "show"), "pipeline.report.page.show")
 
 _FOLDER = path.dirname(__file__)
 if not path.isdir(path.join(_FOLDER, "stages")):
-    # In a checkout the packages lie beside this folder. The build of a wheel moves them into it.
+    # In a checkout, the packages are siblings of this folder. The wheel build moves them into it.
     __path__.append(path.dirname(_FOLDER))
 
 
-# Hidden from type checkers: they know the names above.
+# Hidden from type checkers, which use the imports above.
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
@@ -61,16 +62,16 @@ if not TYPE_CHECKING:
 
 
 def add_alias(package: str) -> None:
-    """Make a top-level package of a checkout (`stages`) the same module as `scanloom.stages`.
+    """Alias a top-level package of a checkout, such as `stages`, to `scanloom.stages`.
 
-    Its modules get both names, too, so that no module is loaded twice.
+    Submodules are aliased, too, so that no module is loaded twice.
     """
     sys.modules[package] = import_module(f"{__name__}.{package}")
     sys.meta_path.insert(0, _AliasFinder(package))
 
 
 class _AliasFinder:
-    """Import hook that gives `stages.x` the module `scanloom.stages.x`."""
+    """Import hook that resolves `stages.x` to the module `scanloom.stages.x`."""
 
     def __init__(self, package: str) -> None:
         self._package = package
@@ -85,7 +86,7 @@ class _AliasFinder:
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         module = import_module(f"{__name__}.{spec.name}")
-        # Python overwrites the module's own `__spec__` after this call.
+        # The import system overwrites `__spec__` after this call; `exec_module` restores it.
         spec.loader_state = module.__spec__
         return module
 

@@ -1,1 +1,4 @@
-"""Artifacts that several stages write or read. An artifact of one stage is in the file of its stage."""
+"""Artifacts shared by several stages.
+
+An artifact of a single stage is defined with that stage.
+"""

@@ -1,11 +1,12 @@
-"""Poses and cameras that adjustment found, as files.
+"""Files with the poses and cameras estimated by `adjust`.
 
-trajectory.tum   a pose a line, camera-to-world, of all frames that have one, as given if not adjusted
-cameras.json     those that were adjusted, as matrices by the frame's place in the scan, and their names;
-                 the colour camera, if it was adjusted; how cameras turn while rows are read, if that was;
-                 whether it is used, and why (`scan.adjusted` reads it)
+trajectory.tum   camera-to-world poses of all frames that have a pose; frames that were not adjusted keep
+                 their input pose
+cameras.json     adjusted poses as 4x4 matrices by frame index, with frame names; the adjusted colour camera
+                 and the rolling-shutter rotations, if any; whether the adjustment was accepted, and why
+                 (`scan.adjusted` reads this file)
 
-Where what was found is not better there is no trajectory, and frames stay as they are.
+A rejected adjustment has no trajectory.tum, and the frames keep their poses.
 """
 
 from __future__ import annotations
@@ -27,23 +28,23 @@ from scanloom.stages.scans.trajectory.files import write_tum
 _FILE = "cameras.json"
 
 
-# Subfolder with the files; there is none if the scan's own poses are as good.
+# Subfolder of the artifact; it does not exist if the adjustment was rejected.
 FOLDER = "adjusted"
 
 
 @dataclass(frozen=True)
 class AdjustedCameras(Artifact):
-    """Poses and colour camera found by adjustment; empty if the scan's own are as good."""
+    """Adjusted poses and colour camera; empty if the adjustment was rejected."""
 
     NAME = "adjusted_cameras"
 
     def apply_to(self, scan: Scan) -> Scan:
-        """Return the scan with these poses and cameras."""
+        """Apply the adjusted poses and cameras to a scan."""
         return apply_adjusted(scan, self.folder / FOLDER)
 
 
 def write_adjusted(folder: Path, found: Adjusted) -> Mapping[str, Any]:
-    """Write the files into an empty folder; return figures."""
+    """Write an adjustment into an empty folder and return its metrics."""
     poses = {place: require_rigid_pose(found.frames[place]) for place in found.places}
     if poses:
         posed = {place: one for place, one in enumerate(found.frames) if one.world_from_camera is not None}
@@ -64,7 +65,10 @@ def write_adjusted(folder: Path, found: Adjusted) -> Mapping[str, Any]:
 
 
 def apply_adjusted(scan: Scan, folder: Path) -> Scan:
-    """Return a scan with the poses and the colour camera in a folder, if the folder has any."""
+    """Apply the adjustment stored in a folder to a scan.
+
+    The scan is returned unchanged if the folder has no cameras.json.
+    """
     if not (folder / _FILE).exists():
         return scan
     found = json.loads((folder / _FILE).read_text(encoding="utf-8"))
@@ -82,7 +86,8 @@ def apply_adjusted(scan: Scan, folder: Path) -> Scan:
 def _color_camera(found: Adjusted) -> tuple[dict[str, Any] | None, list[list[float]] | None]:
     if not found.has_camera:
         return None, None
-    # Not all frames can be used, and those keep what was given.
+    # Frames that could not be adjusted keep their input camera, so take the first frame with the adjusted
+    # one.
     frame = next(
         one
         for one in found.frames

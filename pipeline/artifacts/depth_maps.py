@@ -1,13 +1,14 @@
-"""Depth maps of a scan as files: an RGB-D scan folder of our own layout, and a coloured point cloud.
+"""Depth maps of a scan, as files of an RGB-D scan folder.
 
-    scan.json                what stages.layouts reads back as RGB-D frames
-    color/000000.png         the rectified left image, 8-bit RGB or grey
-    depth/000000.png         16-bit; the units of a metre are in scan.json, 0 is missing
-    confidence/000000.png    8-bit, 0 to 255; 1 where a network of single images filled depth in
-    mask/000000.png          8-bit, 0 where nothing is; of a scan with depth and masks
-    points.ply               coloured points of all frames, thinned out
+    scan.json                scan description, read back by stages.layouts as RGB-D frames
+    color/000000.png         rectified left image, 8-bit RGB or grey
+    depth/000000.png         16-bit depth; 0 is missing, the units per metre are in scan.json
+    confidence/000000.png    8-bit confidence, 0 to 255; 1 for depth filled in by a monocular network
+    mask/000000.png          8-bit foreground mask, 0 is background; only for scans with depth and masks
+    points.ply               coloured points of all frames, subsampled
 
-Frames are numbered, not named after their files: names decide nothing, so a result must not hold them.
+Frames are numbered instead of named after their source files: file names are not part of the cache key, so
+the result must not depend on them.
 """
 
 from __future__ import annotations
@@ -34,20 +35,20 @@ from scanloom.stages.stereo.depth import DepthMap, depth_scan
 from scanloom.stages.stereo.views_depth import views_depth
 from scanloom.stages.surface.formats.ply import write_ply_cloud
 
-# Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
+# Points in the cloud of a scan: dense enough to inspect, small enough for any viewer (15 bytes per point).
 MAX_POINTS = 1_000_000
 _LARGEST = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True)
 class DepthMaps(Artifact):
-    """RGB-D frames that the stage `depth` has written."""
+    """RGB-D frames written by the stage `depth`."""
 
     NAME = "frames"
 
     def load(self) -> Scan:
         """Load the frames as a scan."""
-        # No message should name the folder of the cache.
+        # Messages must not name the cache folder.
         return replace(read_scan(self.folder, complete=False), folder=None)
 
 
@@ -60,7 +61,7 @@ class _Written:
 
 
 def choose_matcher(scan: Scan) -> Callable[..., Any]:
-    """Choose the function that computes depth: from stereo pairs, from posed views, or by completion."""
+    """Choose the depth function: stereo matching, multi-view matching, or depth completion."""
     if scan.is_views:
         return views_depth
     return depth_scan if scan.is_stereo else completed_scan
@@ -69,13 +70,13 @@ def choose_matcher(scan: Scan) -> Callable[..., Any]:
 def write_depth_maps(
     folder: Path, measured: Iterable[tuple[Frame, DepthMap | SkippedFrame]], scan: Scan
 ) -> dict[str, Any]:
-    """Write the frames that come, a few ahead and in threads, and return figures.
+    """Write depth maps as they are computed, in threads, and return metrics.
 
     Parameters
     ----------
-    folder : an empty folder.
-    measured : as `scanloom.stages.stereo.depth.depth_scan` yields them.
-    scan : whose frames they are.
+    folder : empty folder.
+    measured : pairs of a frame and its result, as `scanloom.stages.stereo.depth.depth_scan` yields them.
+    scan : scan that the frames belong to.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def write_depth_maps(
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
-            "none of the {count} pairs can be used.{first}",
+            "depth could not be computed for any of {count} frames.{first}",
             count=count,
             first=first,
         )
@@ -124,7 +125,7 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
     raw = np.rint(result.depth * np.float32(scale))
     raw[raw > _LARGEST] = 0
     name = f"{number:06d}.png"
-    # A photo of a camera of its own is kept as it is; depth has but the colours it needs.
+    # A separate colour camera keeps its full photo; `result.color` only has colours at depth resolution.
     photo = frame.color if isinstance(frame.color, np.ndarray) else result.color
     _write_png(folder / "color" / name, _grey_or_bgr(photo))
     _write_png(folder / "depth" / name, raw.astype(np.uint16))
@@ -134,7 +135,7 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
         _write_png(folder / "mask" / name, frame.mask)
         frame = replace(frame, mask=folder / "mask" / name)
     if result.filled is not None:
-        # So that what was filled in can be left out: scan.least_confidence=2.
+        # The confidence map lets users exclude filled-in depth: scan.least_confidence=2.
         frame = replace(frame, confidence=folder / "confidence" / name)
     kept = replace(
         frame,
@@ -149,24 +150,30 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
 
 
 def depth_scale(max_depth: float) -> float:
-    """Return the units of a metre that make the most of 16 bits for depths up to `max_depth` metres."""
+    """Choose the depth units per metre that use the full 16-bit range.
+
+    `max_depth` is the largest depth to encode, in metres.
+    """
     scale = _LARGEST / max_depth
-    # A whole number where that costs nothing: people read it, and other programs ask for it.
+    # Round to an integer if the loss is at most 1 %: other programs expect an integer scale.
     return float(math.floor(scale)) if scale >= 100 else scale
 
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
     import cv2
 
-    # Quick rather than small: at higher levels this takes longer than matching does, for a tenth of the size.
+    # Fast compression: higher levels take longer than the matching and save a tenth of the size.
     quick = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-    # Encoded in memory and written here, so that a full disk is an error and not a False nobody looks at.
+    # Encode in memory: cv2.imwrite only returns False on a full disk, write_bytes raises.
     _, data = cv2.imencode(".png", image, quick)
     path.write_bytes(data.tobytes())
 
 
 def _grey_or_bgr(color: ColorImage) -> ColorImage:
-    """Return the image as PNG writing wants it; one channel is enough for that of a grey camera."""
+    """Convert an RGB image for PNG encoding.
+
+    The result has one channel if all channels are equal, else BGR.
+    """
     grey = color[:, :, 0]
     is_grey = np.array_equal(grey, color[:, :, 1]) and np.array_equal(grey, color[:, :, 2])
     return grey if is_grey else color[:, :, ::-1]
@@ -175,7 +182,19 @@ def _grey_or_bgr(color: ColorImage) -> ColorImage:
 def cloud_of(
     depth: DepthImage, color: ColorImage, frame: Frame, budget: int
 ) -> tuple[NDArray[np.float32], ColorImage]:
-    """Return at most `budget` of a frame's points in the world, evenly taken from its pixels."""
+    """Unproject an evenly spaced sample of a depth map to world coordinates.
+
+    Parameters
+    ----------
+    depth : (h, w) depth in metres, 0 is missing.
+    color : (h, w, 3) colours.
+    frame : camera and pose; without a pose, points stay in camera coordinates.
+    budget : maximum number of points.
+
+    Returns
+    -------
+    Points (n, 3) in metres and colours (n, 3).
+    """
     valid = np.flatnonzero(depth)
     chosen = valid[:: max(1, math.ceil(len(valid) / budget))]
     rows, columns = np.divmod(chosen, depth.shape[1])
@@ -188,7 +207,7 @@ def cloud_of(
 
 
 def _summary(figures: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the mean of what is measured for each frame; what is equal in all is said once."""
+    """Aggregate per-frame metrics: the common value if all frames agree, else the mean."""
     summary = {}
     for name in figures[0]:
         values = [one[name] for one in figures if one[name] is not None]

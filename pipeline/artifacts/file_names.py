@@ -1,8 +1,8 @@
-"""Names of files and folders in the output folder that steps write and pages read."""
+"""Names of result files and folders that pages read."""
 
 # Pictures, cameras and photos of the report.
 PICTURES = "pictures"
-# Number of photos and photo with the most weight, for each texel of the texture.
+# Per-texel maps of the texture: number of photos, and index of the photo with the largest weight.
 TEXTURE_MAPS = "texture_maps"
-# Mesh and list of the gaps of a scan.
+# Mesh coloured by coverage, and list of gaps.
 COVERAGE_MESH, COVERAGE = "coverage.ply", "coverage.json"

@@ -1,4 +1,7 @@
-"""Bricks of fused space as entries of the cache: a frame that is new fuses again only what it touches."""
+"""Cache of fused bricks.
+
+After a frame is added to a scan, only the bricks that it touches are fused again.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ from scanloom.stages.scans.model.scan import Scan
 
 
 class KeptBricks:
-    """The bricks of a scan; see scanloom.stages.fusion.in_bricks.
+    """Store of fused bricks in the pipeline cache; see scanloom.stages.fusion.in_bricks.
 
     Parameters
     ----------
-    context : of the stage, whose cache holds the bricks.
-    scan : in its world, as it is fused.
-    versions, libraries : that decide the result of the stage.
+    context : context of the stage, which gives access to the cache.
+    scan : scan with final poses, as it is fused.
+    versions, libraries : code and library versions that determine the result of the stage.
     """
 
     def __init__(
@@ -34,19 +37,19 @@ class KeptBricks:
         self._frames: list[str] = []
 
     def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
-        """Return the folder of a brick that was made of the same."""
+        """Look up a brick fused from the same inputs, and return its folder."""
         entry = self._context.get(self._recipe(brick, frames, decided))
         return None if entry is None else entry.folder
 
     def store(
         self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
     ) -> Path:
-        """Have a brick's files written into a new entry.
+        """Write a brick into a new cache entry and return its folder.
 
         Raises
         ------
         StageError
-            If a file of its frames is not any more what the name of the entry says.
+            If a file of the frames changed since its digest was computed.
         """
 
         def made(folder: Path) -> Mapping[str, Any]:
@@ -66,13 +69,13 @@ class KeptBricks:
         )
 
     def _digest(self) -> ScanDigest:
-        """Return what the scan holds; made when first asked for."""
+        """Compute the digest of the scan on first use."""
         if self._known is None:
             self._known = scan_digest(self._scan)
         return self._known
 
     def _digests(self) -> list[str]:
-        """Return a digest of each frame's content."""
+        """Return the content digest of each frame."""
         if not self._frames:
             parts = self._digest().parts
             self._frames = [

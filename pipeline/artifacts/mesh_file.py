@@ -1,4 +1,7 @@
-"""Mesh of a stage as a PLY file. A mesh above the in-memory limit has a second file with its parts."""
+"""Mesh of a stage as a PLY file.
+
+A mesh above the in-memory limit has a chunk table in a second file.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ class MeshFile(Artifact):
 
     Attributes
     ----------
-    FILE : name of the file.
+    FILE : file name.
     """
 
     FILE: ClassVar[str]
@@ -35,7 +38,7 @@ class MeshFile(Artifact):
 
     @property
     def is_large(self) -> bool:
-        """Return whether the mesh is above the in-memory limit and has to be processed in parts."""
+        """True if the mesh exceeds the in-memory limit and must be processed in chunks."""
         return table_of(self.path).exists()
 
     @property
@@ -44,25 +47,25 @@ class MeshFile(Artifact):
         return Pieces(self.path).triangle_count
 
     def load(self) -> Mesh:
-        """Load a mesh that is not large."""
+        """Load a mesh that fits in memory."""
         return read_ply(self.path)
 
     def load_whole(self, stage: str) -> Mesh:
-        """Load the mesh for a stage that cannot process it in parts.
+        """Load the mesh for a stage that cannot process chunks.
 
         Raises
         ------
         StageError
-            If the mesh is large.
+            If the mesh exceeds the in-memory limit.
         """
         if self.is_large:
             raise StageError(
                 FUSE_TOO_LARGE,
                 (
-                    "{stage} reads all of {file} at once, which has {triangle_count:,} "
-                    "triangles; it takes up to {most_at_once:,}."
+                    "{stage} cannot process chunks, and {file} has {triangle_count:,} triangles, more than "
+                    "the in-memory limit of {most_at_once:,}."
                 ),
-                remedy="Give a larger fuse.voxel_size, or fuse a part (fuse.box).",
+                remedy="Increase fuse.voxel_size, or fuse a part of the scan (fuse.box).",
                 stage=stage,
                 file=self.FILE,
                 triangle_count=self.triangle_count,
@@ -71,15 +74,15 @@ class MeshFile(Artifact):
         return self.load()
 
     def load_surface(self) -> Mesh | Piecewise:
-        """Load the mesh, in parts if it is large."""
+        """Load the mesh, as chunks if it exceeds the in-memory limit."""
         return Piecewise(Pieces(self.path)) if self.is_large else self.load()
 
     def load_in_parts(self) -> Mesh | Piecewise:
-        """Load the mesh in parts wherever that saves memory."""
+        """Load the mesh, as chunks if that saves memory."""
         return Piecewise(Pieces(self.path)) if self.is_large else piecewise(self.load())
 
     def load_sample(self) -> Mesh:
-        """Load the mesh; subsample its triangles evenly if it is large."""
+        """Load the mesh, evenly subsampling its triangles if it exceeds the in-memory limit."""
         if not self.is_large:
             return self.load()
         pieces = Pieces(self.path)

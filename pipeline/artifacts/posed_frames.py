@@ -11,7 +11,7 @@ from scanloom.stages.scans.model.scan import Scan
 
 
 def load_frames(frames: Scan | DepthMaps) -> Scan:
-    """Load frames that are a scan already, or that the stage `depth` has written."""
+    """Load frames from a scan or from the depth maps of the stage `depth`."""
     return frames if isinstance(frames, Scan) else frames.load()
 
 
@@ -21,9 +21,9 @@ class PosedFrames:
 
     Attributes
     ----------
-    frames : RGB-D scan, or the depth maps computed for a scan.
-    poses : if registration has run.
-    adjusted_cameras : if adjustment has run.
+    frames : RGB-D scan, or depth maps computed for a scan.
+    poses : poses estimated by `register`, if it ran.
+    adjusted_cameras : poses and cameras refined by `adjust`, if it ran.
     """
 
     frames: Scan | DepthMaps | None = None
@@ -31,7 +31,7 @@ class PosedFrames:
     adjusted_cameras: AdjustedCameras | None = None
 
     def load_scan(self) -> Scan:
-        """Load the frames with the poses of the scan."""
+        """Load the frames with the input poses of the scan."""
         assert self.frames is not None
         return load_frames(self.frames)
 
@@ -40,7 +40,7 @@ class PosedFrames:
         return self.apply_to(self.load_scan())
 
     def apply_to(self, scan: Scan) -> Scan:
-        """Return a scan of these frames with their final poses and cameras."""
+        """Apply the final poses and cameras to a scan with these frames."""
         if self.poses is not None:
             scan = self.poses.apply_to(scan)
         return scan if self.adjusted_cameras is None else self.adjusted_cameras.apply_to(scan)

@@ -1,10 +1,12 @@
-"""Poses that registration found, as files.
+"""Files with the poses estimated by `register`.
 
-trajectory.tum      a pose a line, camera-to-world, of the frames that are used
-registration.json   the same as matrices by the frame's place in the scan; edges, pieces, breaks
-path.ply            a coloured cloud of what the frames show, and the camera's path in red
-pieces/             trajectories of the pieces that could not be joined to it, by their numbers
-masks/              where each frame shows the thing that was registered alone, by the frame's place; white
+trajectory.tum      camera-to-world poses of the used frames, one per line
+registration.json   the same poses as 4x4 matrices by frame index; edges, components and breaks of the pose
+graph
+path.ply            coloured point cloud of the frames, with the camera path in red
+pieces/             trajectories of the other connected components, by component number
+masks/              masks of the moving object by frame index, if only the object was registered; white is
+object
 """
 
 from __future__ import annotations
@@ -32,9 +34,9 @@ from scanloom.stages.scans.model.scan import ColorImage, Frame, Scan
 from scanloom.stages.scans.trajectory.files import write_tum
 from scanloom.stages.surface.formats.ply import write_ply_cloud
 
-# Points in the cloud: enough to judge the poses by.
+# Points in the cloud: enough to judge the poses visually.
 _MAX_POINTS = 500_000
-# Points between two camera positions.
+# Points drawn between two consecutive camera positions.
 _PATH_POINTS = 20
 _PATH_COLOR = (255, 0, 0)
 _FILE = "registration.json"
@@ -43,17 +45,17 @@ _MASKS = "masks"
 
 @dataclass(frozen=True)
 class Poses(Artifact):
-    """Poses by the index of the frame in the scan."""
+    """Estimated poses by frame index."""
 
     NAME = "poses"
 
     def apply_to(self, scan: Scan) -> Scan:
-        """Return the frames of a scan that have a pose, with these poses."""
+        """Apply the estimated poses to a scan, dropping frames without a pose."""
         document = self._read()
         return self._with_poses(scan, document["poses"], document)
 
     def load_separate(self, scan: Scan) -> dict[int, Scan]:
-        """Return the connected groups of frames that could not be joined to the others, by number."""
+        """Load the connected components that are separate from the main one, by number."""
         document = self._read()
         return {
             int(number): self._with_poses(scan, poses, document)
@@ -71,14 +73,17 @@ class Poses(Artifact):
             if focal is not None:
                 frame = replace(frame, camera=replace(frame.camera, fx=focal, fy=focal, is_guess=False))
             mask = self.folder / _MASKS / _mask_name(int(index))
-            # This mask includes the frame's own mask.
+            # The stored mask already includes the frame's input mask.
             frames.append(replace(frame, mask=mask) if mask.exists() else frame)
-        # The world is now that of the first frame: an up direction of another world does not hold in it.
+        # The new world frame is the camera frame of the first frame, so an input up direction is invalid.
         return replace(scan, frames=frames, missing=(), up=None)
 
 
 def write_poses(folder: Path, found: Registration, scan_folder: Path | None = None) -> Mapping[str, Any]:
-    """Write poses into an empty folder; paths start at the folder of the scan. Return figures."""
+    """Write a registration into an empty folder and return its metrics.
+
+    Paths in texts are made relative to the scan folder.
+    """
     used = dict(zip(found.places, found.frames, strict=True))
     _write_trajectory(folder / "trajectory.tum", used)
     others = {number: frames for number, frames in found.apart.items() if len(frames) > 1}

@@ -17,16 +17,16 @@ _FILE = "upright.json"
 
 @dataclass(frozen=True)
 class UpDirection(Artifact):
-    """Up direction as a JSON file."""
+    """Up direction in a JSON file."""
 
     NAME = "up_direction"
 
     def load(self) -> Up | None:
-        """Load the up direction; None to rotate nothing."""
+        """Load the up direction; None means that results are not rotated."""
         up = read_document(self.folder / _FILE)["up"]
         return None if up is None else (up[0], up[1], up[2])
 
 
 def write_up(folder: Path, up: Up | None) -> None:
-    """Write the up direction; None to rotate nothing."""
+    """Write the up direction; None means that results are not rotated."""
     (folder / _FILE).write_text(json.dumps({"up": up}) + "\n", encoding="utf-8", newline="\n")

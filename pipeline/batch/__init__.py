@@ -1,1 +1,4 @@
-"""Many scans: found in a folder, queued, and run by any number of workers on any number of machines."""
+"""Batch processing of many scans.
+
+Scans are found in a folder, queued, and run by workers on one or more machines.
+"""

@@ -1,4 +1,4 @@
-"""Which jobs may begin: those whose expected memory fits beside that of the others, as they asked in turn."""
+"""Admission control: start queued jobs in order while their expected memory fits."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ S = TypeVar("S")
 
 @dataclass(frozen=True)
 class Needs:
-    """What a job is expected to take, bytes."""
+    """Expected memory and disk use of a job, in bytes."""
 
     memory: int
     disk: int
 
 
 class Admission(Generic[S]):
-    """Lets jobs begin side by side.
+    """First-in-first-out admission of jobs by expected memory.
 
-    One that needs more than there is runs alone: what is expected may be wrong. None is overtaken, so that a
-    large one does not wait for ever.
+    A job that exceeds the total memory still runs, alone, because the expectation may be wrong. Jobs never
+    overtake each other, so a large job does not starve.
 
     Parameters
     ----------
-    memory : bytes for all together; None lets all begin at once.
-    disk : bytes that all may write; None for no limit.
-    is_limit : a job is ended that takes more memory.
+    memory : bytes for all running jobs together; None admits all jobs at once.
+    disk : bytes that all jobs may write in total; None for no limit.
+    is_limit : True to also enforce `memory` as a limit on each job.
     """
 
     def __init__(self, memory: int | None, disk: int | None, *, is_limit: bool) -> None:
@@ -39,11 +39,14 @@ class Admission(Generic[S]):
         self._running: list[tuple[S, Needs]] = []
 
     def ask(self, who: S, needs: Needs) -> None:
-        """Ask for a job to begin."""
+        """Queue a job for admission."""
         self._waiting.append((who, needs))
 
     def admitted(self) -> Iterator[tuple[S, dict[str, Any]]]:
-        """Return who may begin now, and what each may take at most: `memory`, `disk`; None for no limit."""
+        """Yield the jobs that may start now, each with its limits.
+
+        The limits are a dict with `memory` and `disk` in bytes; None for no limit.
+        """
         while self._waiting:
             who, needs = self._waiting[0]
             taken = sum(one.memory for _, one in self._running)
@@ -61,7 +64,7 @@ class Admission(Generic[S]):
             )
 
     def leave(self, who: S, written: int) -> None:
-        """Take note that a job has ended, which has written so many bytes."""
+        """Remove a finished job and deduct the bytes it wrote from the disk budget."""
         self._waiting = deque(one for one in self._waiting if one[0] is not who)
         self._running = [one for one in self._running if one[0] is not who]
         if self._disk is not None:

@@ -1,9 +1,8 @@
-"""The process that runs jobs, one after another, for the worker that started it.
+"""Job process: runs jobs one after another for the worker that started it.
 
-It reads a line of JSON for each job from stdin, and writes lines of JSON to what was stdout: what it needs
-before it begins (and then waits for leave), what it is at, and how the job ended. Where stdin ends the worker
-is gone, and so is this process, in the middle of a job too: what it was writing is a draft that the next run
-removes.
+The process reads one JSON line per job from stdin. It writes JSON lines to the original stdout: the expected
+needs (then it waits for permission to start), the progress, and the outcome. If stdin closes, the worker has
+died and the process exits, even in the middle of a job; the next run removes the draft left behind.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ from scanloom.stages.diagnostics.collector import listening
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained
 
-# Seconds between two lines of progress.
+# Minimum seconds between two progress messages.
 _PAUSE = 0.5
 
 
 class Link:
-    """What goes to the worker and comes from it."""
+    """Message channel between a job process and its worker."""
 
     def __init__(self, words: BinaryIO, to: BinaryIO) -> None:
         self._words = words
@@ -47,7 +46,7 @@ class Link:
         threading.Thread(target=self._listen, name="listen", daemon=True).start()
 
     def say(self, **message: Any) -> None:
-        """Tell the worker something; without one there is nothing more to do."""
+        """Send a message to the worker; exit the process if the worker is gone."""
         try:
             self._to.write(json.dumps(message, allow_nan=False).encode() + b"\n")
             self._to.flush()
@@ -55,9 +54,9 @@ class Link:
             os._exit(1)
 
     def hear(self) -> Mapping[str, Any]:
-        """Wait for what the worker says next."""
+        """Wait for the next message of the worker."""
         while True:
-            # In short waits, which Ctrl-C ends on every system.
+            # Short waits: on Windows, Ctrl-C does not interrupt a wait without a timeout.
             with suppress(queue.Empty):
                 return self._inbox.get(timeout=1.0)
 
@@ -68,8 +67,8 @@ class Link:
 
 
 def main() -> None:
-    """Run the jobs that come, until no more do."""
-    # Only the worker sends it here; started in the background, a process has it switched off.
+    """Run jobs received on stdin until it closes."""
+    # Processes started in the background ignore SIGINT; the worker sends it to cancel a job.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     link = Link(sys.stdin.buffer, _own_stdout())
     try:
@@ -77,26 +76,26 @@ def main() -> None:
             job = link.hear()
             link.say(ended=_ended(job, link))
     except KeyboardInterrupt:
-        # The worker is interrupted, and waits for this to have put its drafts away.
+        # The run has removed its drafts by now; the interrupted worker waits for this exit.
         os._exit(0)
 
 
 def _own_stdout() -> BinaryIO:
-    """Return what stdout was; what libraries print goes where errors go from now on."""
+    """Return the original stdout, and redirect stdout to stderr for prints of libraries."""
     kept = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return kept
 
 
 def _ended(job: Mapping[str, Any], link: Link) -> dict[str, Any]:
-    """Run a job, and return what became of it; nothing that it raises gets out, but an interruption."""
+    """Run a job and return its outcome; no exception escapes but KeyboardInterrupt."""
     started = time.perf_counter()
     events = _Told(link)
     figures: dict[str, Any] = {}
     diagnostics: list[Diagnostic] = []
     written = 0
     try:
-        # What a run explains already goes through; what reading a scan may meet is explained here.
+        # Stages convert their own OS errors; this converts the OS errors of reading the scan.
         with explained(f"{job['name']} cannot be run"), listening(diagnostics.append):
             result = _run(job, link, events)
         reason = " ".join(map(str, result.unmet))
@@ -129,7 +128,7 @@ def _run(job: Mapping[str, Any], link: Link, events: _Told) -> RunResult:
 
 
 def _leave(wanted: Wanted, cache: Cache, link: Link) -> Limits:
-    """Tell the worker what a run needs, wait until it may begin, and return what it may take."""
+    """Send the expected needs of a run and wait for its limits."""
     needs = expected_of(wanted.scan, wanted.config, wanted.planned, cache.folder).values()
     link.say(
         needs={
@@ -144,7 +143,7 @@ def _leave(wanted: Wanted, cache: Cache, link: Link) -> Limits:
 
 
 class _Told:
-    """Passes on the progress of a run."""
+    """Event handler that forwards the progress of a run to the worker."""
 
     def __init__(self, link: Link) -> None:
         self._link = link

@@ -1,11 +1,11 @@
-"""Who works on what: a file for each try at a job, made by whoever then has the job.
+"""Claims of jobs by workers: one file per attempt at a job.
 
-`claims/000017.0` is the first try at job 17, `claims/000017.1` the second. A file that must not be there yet
-can be made by one process only, over a shared folder too, so a job is taken, and taken over, in one step. No
-claim is ever removed: how many there are tells how often a job was begun.
+`claims/000017.0` is the first attempt at job 17, `claims/000017.1` the second. Exclusive creation of a file
+is atomic, on network shares too, so a job is claimed or taken over in one step. Claims are never deleted:
+their number is the number of attempts.
 
-A claim holds the name of its worker, then a line for each stage that was begun, and how it ended if not by a
-result: released where the worker was interrupted, killed or crashed where the process that ran the job was.
+A claim file has the name of the worker, one line per started stage, and the end of the attempt if it produced
+no result: `released` if the worker was interrupted, `killed` or `crashed` if the job process was.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | get
 
 @dataclass(frozen=True)
 class Claim:
-    """One try at a job.
+    """One attempt at a job.
 
     Attributes
     ----------
-    number : of the job.
-    attempt : from 0.
+    number : job number.
+    attempt : attempt number, from 0.
     """
 
     number: int
@@ -36,19 +36,19 @@ class Claim:
 
     @property
     def next(self) -> Claim:
-        """The try that takes over."""
+        """Claim that takes over this job."""
         return Claim(self.number, self.attempt + 1)
 
 
 @dataclass(frozen=True)
 class Said:
-    """What stands in a claim.
+    """Content of a claim file.
 
     Attributes
     ----------
-    worker : "" if it is not written yet.
-    stage : that was begun last; "" if none was.
-    end : how it ended without a result, if it did.
+    worker : name of the worker; "" if not written yet.
+    stage : last started stage; "" if none.
+    end : `released`, `killed` or `crashed`; None if the attempt is running or has a result.
     """
 
     worker: str
@@ -57,11 +57,11 @@ class Said:
 
 
 class Claims:
-    """The folder of claims of a queue.
+    """Folder of claim files of a queue.
 
     Parameters
     ----------
-    worker : the name of this one.
+    worker : name of the worker that makes claims.
     """
 
     def __init__(self, folder: Path, worker: str) -> None:
@@ -69,12 +69,12 @@ class Claims:
         self._worker = worker
 
     def take(self, claim: Claim) -> bool:
-        """Make a claim, and return whether it is ours: another may have been faster.
+        """Try to claim a job; return False if another worker was faster.
 
         Raises
         ------
         OSError
-            If nothing can be written there.
+            If the folder cannot be written to.
         """
         path = self._path(claim)
         try:
@@ -84,7 +84,7 @@ class Claims:
         try:
             os.write(descriptor, f"{self._worker}\n".encode())
         except OSError:
-            # On a full disk nobody would know whose it is.
+            # A claim without a worker name (full disk) could not be attributed to anyone.
             path.unlink(missing_ok=True)
             raise
         finally:
@@ -92,19 +92,19 @@ class Claims:
         return True
 
     def is_lost(self, claim: Claim) -> bool:
-        """Return whether another worker has taken over what is ours by this claim."""
+        """Return True if another worker has taken over the job of a claim."""
         return os.path.lexists(self._path(claim.next))
 
     def at(self, claim: Claim, stage: str) -> None:
-        """Note in a claim of ours which stage is begun."""
+        """Record in a claim that a stage started."""
         self._append(claim, f"{_AT}{stage}")
 
     def end(self, claim: Claim, how: str) -> None:
-        """Note in a claim of ours that it ended without a result."""
+        """Record in a claim that the attempt ended without a result."""
         self._append(claim, how)
 
     def latest(self) -> dict[int, Claim]:
-        """Return the last try at each job that has any; the folder is listed once."""
+        """List the folder once and return the last attempt of each claimed job."""
         found: dict[int, Claim] = {}
         with os.scandir(self._folder) as names:
             for one in names:
@@ -114,7 +114,7 @@ class Claims:
         return found
 
     def said(self, claim: Claim) -> Said:
-        """Return what stands in a claim."""
+        """Read the content of a claim file; empty if it cannot be read."""
         try:
             lines = text_in(self._path(claim), "utf-8").splitlines()
         except (OSError, UnicodeDecodeError):
@@ -125,7 +125,7 @@ class Claims:
         return Said(worker, stages[-1] if stages else "", ends[0] if ends else None)
 
     def tries(self, claim: Claim) -> list[Said]:
-        """Return what stands in the claims of a job up to this one, but for those that were released."""
+        """Read all attempts of a job up to a claim, without released ones."""
         said = [self.said(Claim(claim.number, attempt)) for attempt in range(claim.attempt + 1)]
         return [one for one in said if one.end != RELEASED]
 

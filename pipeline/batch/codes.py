@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of batches of scans, with explanations."""
+"""Diagnostic codes of batches, with explanations."""
 
 from __future__ import annotations
 
@@ -6,98 +6,85 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 BATCH_SCAN_STUCK = Code(
     "batch.scan-stuck",
-    "A scan that gets no further",
+    "Scan without progress",
     """
-For `worker.timeout` seconds (an hour, if nothing is said) no new stage began, and no other share of the stage
-was done. Copy a
-file of the scan to see whether its drive answers; a process that the system cannot end goes when the
-drive answers again,
-or is gone for good (`umount -f`). If the machine is just slow, give a longer `worker.timeout`.
+The scan made no progress for `worker.timeout` seconds (default: one hour). Copy a file of the scan to check
+that its drive responds. A process that waits for an unresponsive drive cannot be killed: it ends when the
+drive responds again, or is unmounted (`umount -f`). If the machine is just slow, increase `worker.timeout`.
 """,
     (
-        "it got no further in fuse for 600 s and was ended; see whether the drive of its files "
-        "answers, or give a longer --set worker.timeout, and run the batch again: it goes on from what is in "
-        "the cache."
+        "ended after 600 s without progress in fuse; check that the drive of the scan responds, or "
+        "increase worker.timeout, and run the batch again: it continues from the cache."
     ),
 )
 BATCH_PROCESS_ENDED = Code(
     "batch.process-ended",
-    "A scan whose process ended",
+    "Scan whose process ended",
     """
-A scan is begun again from what is in the cache, and given up after two crashes, or after six ends in one
-stage without
-a result. `--memory` ends it in a sentence before the system does, and says which voxel size would fit.
-What was printed
-is in `queue/*/workers/*.log`.
+The scan is run again, continuing from the cache. It is given up after two crashes, or after six attempts
+that end in the same stage. With `--memory`, a scan is stopped before the system kills its process, and
+the message suggests a voxel size that fits. The output of the processes is in `queue/*/workers/*.log`.
 """,
     (
-        "the process that ran it was killed in simplify, as it is where memory ends; run this scan "
-        "alone, or with larger voxels. Its output is in kitchen.log."
+        "the process of this scan was killed 6 times in simplify, possibly because memory ran out; run "
+        "the scan alone, or with larger voxels. The output of the process is in kitchen.log."
     ),
 )
 BATCH_WORKER_STOPPED = Code(
     "batch.worker-stopped",
-    "A worker that was stopped",
+    "Worker that was unresponsive",
     """
-A worker was stopped (Ctrl-Z, a machine that slept, a drive that was gone) for longer than
-`worker.worker_timeout`, and goes on.
-Its scans are others' by now: it ends its own work on them, and nothing is lost. Give a longer
-`worker.worker_timeout` if that
-is usual.
+The worker was stopped for longer than `worker.worker_timeout` (Ctrl-Z, a machine in standby, a disconnected
+drive). Other workers have taken over its scans, so it stops working on them; no results are lost. If that
+happens regularly, increase `worker.worker_timeout`.
 """,
-    "another worker has taken it over while this one gave no sign of life",
+    "another worker has taken it over while this worker was unresponsive",
 )
 BATCH_ALREADY_EXISTS = Code(
     "batch.already-exists",
-    "Another batch is there",
+    "Output folder with another batch",
     """
-The same command goes on with what is not finished, or joins those who are at it. Another one waits some
-seconds for
-signs of life, and takes the folder only if there are none. Workers of different versions may come to
-different bytes:
-let all be of one.
+Repeating the same command resumes an unfinished batch, or joins the workers that are running it. A
+different batch first checks for some seconds that no worker of the old batch is running. All workers
+should use the same version of scanloom, because results of different versions can differ.
 """,
     (
-        "out: another batch is at work in it (worker pc7-4021); wait for its end, or name another "
-        "output folder."
+        "out: another batch is running in this folder (worker pc7-4021); wait for its end, or choose "
+        "another output folder."
     ),
 )
 BATCH_DASK = Code(
     "batch.dask",
     "Dask",
     """
-Dask's workers need scanloom in the same version, and must see the scans and OUT under the paths that are
-given. Dask
-gives a task up when several workers in a row died of it; `worker.threads=1` and workers with fewer threads
-let a scan have
-more memory. A batch that no worker is there for waits, and says so once: on SLURM, `squeue` shows whether
-jobs are
-pending; workers that ended at once, as where they cannot reach the scheduler, say so in their jobs' logs.
+Dask workers need the same version of scanloom, and must be able to access the scans and OUT under the
+given paths. Dask gives up a scan if several workers died while running it; `worker.threads=1`, and workers
+with fewer threads, leave more memory per scan. If no worker is available, the batch waits and prints a
+notice: on SLURM, `squeue` shows if the jobs are pending. Workers that end at once, e.g. because they
+cannot reach the scheduler, log the reason.
 """,
     "--set batch.dask=slurm needs --jobs N: how many workers to ask it for.",
 )
 BATCH_QUEUE_DAMAGED = Code(
     "batch.queue-damaged",
-    "The queue",
+    "Damaged or read-only queue",
     """
-What is finished is in OUT and in the cache, so writing the queue anew costs little. A queue that cannot
-be written to
-(a full disk, a folder that may only be read) ends the worker; its scans are left to others, or to the
+Finished results are in OUT and in the cache, so rewriting the queue costs little. If the queue cannot be
+written to (full disk, read-only folder), the worker ends; its scans are left to other workers, or to the
 next call.
 """,
     (
-        "the queue is damaged, or of another version; run scanloom batch again, "
-        "which writes it anew and keeps all results."
+        "the queue is damaged, or was written by another version; run `scanloom batch` again: it "
+        "rewrites the queue and keeps all results."
     ),
 )
 BATCH_SCANS_NOT_DONE = Code(
     "batch.scans-not-done",
-    "There are no scans, or some are not done",
+    "No scans, or unfinished scans",
     """
-Exit code 3 where there is nothing to do, or no scan can be read; 1 where some are not done. `scanloom
-inspect FOLDER`
-says of one folder what it holds and what is missing; what helps `inspect` helps the batch, with the same
-options.
+Exit code 3 if there are no scans, or none can be read; 1 if some scans are not done. `scanloom inspect
+FOLDER` shows what a folder contains and what is missing. Options that solve a problem with `inspect` also
+work for the batch.
 """,
     "3 of 40 scans are not done: 2 failed, 1 unusable; the table has the reasons.",
 )

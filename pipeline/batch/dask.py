@@ -1,8 +1,10 @@
-"""The jobs of a queue by Dask: by a scheduler that runs, or workers that SLURM or others start.
+"""Batch execution with Dask.
 
-Each job is a task that starts a process of its own and waits for it: the limits that Dask sets to threads and
-memory of its workers are not the job's, and no job can keep a worker from answering. What a task was at when
-its worker died is begun again by Dask elsewhere, from what is in the cache.
+Jobs run on an existing scheduler, or on workers started by SLURM and similar systems.
+
+Each job is a Dask task that starts a subprocess and waits for it. The subprocess is not bound by the thread
+and memory limits of the Dask worker, and no job can block the worker's event loop. If a Dask worker dies,
+Dask reschedules its task, and the job continues from the cache.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from scanloom.pipeline.failures import explained
 from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
 from scanloom.stages.scans.model.threads import environment_of
 
-# Systems that dask-jobqueue starts workers by, and its classes.
+# Job queueing systems and their dask-jobqueue classes.
 SYSTEMS = {
     "slurm": "SLURMCluster",
     "pbs": "PBSCluster",
@@ -39,19 +41,22 @@ SYSTEMS = {
 }
 _ROOT = Path(scanloom.__file__).parents[1]
 _CODE = "from scanloom.pipeline.batch.one import main; main()"
-# Seconds that a scheduler may take to answer.
+# Seconds to wait for the scheduler to answer.
 _PATIENCE = 10
-# Seconds that no task ends for, after which it is looked for workers.
+# Seconds without a finished task until the number of workers is checked.
 _LOOK = 60.0
-# Seconds between two looks at what has ended.
+# Seconds between two checks for finished tasks.
 _PAUSE = 0.1
 
 
 def run_task(words: str, threads: int) -> str:
-    """Run a job in a process of its own, on a worker of Dask; return what it said on stderr if it failed."""
+    """Run a job in a subprocess of a Dask worker.
+
+    Returns the last line of stderr if the job failed, else "".
+    """
     done = subprocess.Popen(
         [sys.executable, "-c", _CODE, words],
-        # Where this worker is killed, its end of the pipe is closed, by which the process knows.
+        # If the Dask worker is killed, the pipe closes and the subprocess notices.
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -75,23 +80,23 @@ def work_by_dask(
     take_over_after: float | None = None,
     tell: Tell = untold,
 ) -> None:
-    """Have every job of a queue run by Dask that has not come to an end.
+    """Run all unfinished jobs of a queue with Dask.
 
     Parameters
     ----------
-    scheduler : an address, or one of `SYSTEMS`.
-    workers : how many to ask such a system for.
-    threads : of each job.
-    memory, disk : bytes that each job may take; None for no limit.
+    scheduler : address of a scheduler, or a key of `SYSTEMS`.
+    workers : number of workers to request from the queueing system.
+    threads : threads per job.
+    memory, disk : bytes that each job may use; None for no limit.
 
     Raises
     ------
     UsageError
-        If Dask is not installed, or a system is named without a number of workers.
+        If Dask is not installed, or `workers` is missing for a queueing system.
     InputError
-        If no scheduler answers, or a system refuses to start workers.
+        If the scheduler does not answer, or the queueing system refuses to start workers.
     StageError
-        If the scheduler is gone before all have ended.
+        If the connection to the scheduler is lost.
     """
     records = Records(queue.folder / "done")
     open_ones = [number for number in queue.numbers if number not in records.ended()]
@@ -108,7 +113,7 @@ def work_by_dask(
             ): number
             for number in open_ones
         }
-        tell(Noted(f"{len(tasks)} scans are given to the scheduler at {client.scheduler.address}"))
+        tell(Noted(f"{len(tasks)} scans are submitted to the scheduler at {client.scheduler.address}"))
         for count, future in enumerate(_completed(client, tasks, tell), 1):
             record = _ended(queue, records, tasks[future], future)
             tell(JobEnded(record))
@@ -116,12 +121,12 @@ def work_by_dask(
 
 
 def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]:
-    """Return tasks as they end, and tell where they wait for want of a worker, once for each time.
+    """Yield tasks as they complete; notify once whenever no worker is available.
 
     Raises
     ------
     StageError
-        If the scheduler is gone.
+        If the connection to the scheduler is lost.
     """
     from distributed import as_completed
 
@@ -133,10 +138,8 @@ def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]
             if one.cancelled():
                 raise StageError(
                     BATCH_DASK,
-                    (
-                        "the scheduler at {address} is gone; what has ended is kept: run the batch "
-                        "again, with a scheduler that runs."
-                    ),
+                    "the connection to the scheduler at {address} is lost; finished scans are kept",
+                    remedy="run the batch again, with a running scheduler.",
                     address=client.scheduler.address,
                 )
             yield one
@@ -148,23 +151,26 @@ def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]
             if is_alone and not is_told:
                 tell(
                     Noted(
-                        f"no worker is at the scheduler {client.scheduler.address}; scans that wait for one: "
-                        f"{ended.count()}. Whatever starts workers tells whether they wait for their turn, "
-                        "and their logs why they ended"
+                        f"the scheduler at {client.scheduler.address} has no workers; {ended.count()} scans "
+                        "are waiting. Check if the queueing system lists workers as pending, and the logs of "
+                        "workers that have ended"
                     )
                 )
             is_told = is_alone
 
 
 def _ended(queue: Queue, records: Records, number: int, future: Any) -> Record:
-    """Return what became of a job whose task has ended; where nothing was written, that is written."""
+    """Return the record of a completed task.
+
+    Write a failure record if the job left none.
+    """
     known = records.ended()
     if number in known:
         return records.read([known[number]])[0]
     why = str(future.exception() or future.result() or "its process ended without a result")
     if future.status == "error" and type(future.exception()).__name__ == "KilledWorker":
-        why = "the workers that ran it died again and again, as they do where memory ends"
-    why = f"it could not be run by Dask: {' '.join(why.split())}.".replace("..", ".")
+        why = "several workers that ran it died, possibly because memory ran out"
+    why = f"Dask could not run it: {' '.join(why.split())}.".replace("..", ".")
     latest = Claims(queue.folder / "claims", "").latest().get(number)
     names = {job.number: job.name for job in queue.jobs}
     record = Record(
@@ -194,7 +200,7 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
     except (OSError, ValueError) as error:
         raise InputError(
             BATCH_DASK,
-            "no scheduler of Dask answers at {scheduler}: {error}.",
+            "no Dask scheduler answers at {scheduler}: {error}.",
             scheduler=scheduler,
             error=error,
         ) from error
@@ -203,10 +209,12 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 def _cluster(system: str, workers: int | None) -> Any:
-    """Return a cluster whose workers a system of a computing centre starts, as the user has configured it."""
+    """Start a dask-jobqueue cluster, as configured by the user."""
     if workers is None:
         raise UsageError(
-            BATCH_DASK, "batch.dask={system} needs --jobs N: how many workers to ask it for.", system=system
+            BATCH_DASK,
+            "batch.dask={system} needs --jobs N, the number of workers.",
+            system=system,
         )
     ctrl_c = signal.getsignal(signal.SIGINT)
     try:
@@ -219,7 +227,8 @@ def _cluster(system: str, workers: int | None) -> Any:
             system=system,
         ) from error
     if signal.getsignal(signal.SIGINT) is not ctrl_c:
-        # As it is imported it takes Ctrl-C for an end in good order: whatever calls this would seem done.
+        # Importing dask_jobqueue replaces the SIGINT handler with a clean exit: an interrupted batch would
+        # look done.
         signal.signal(signal.SIGINT, ctrl_c)
     cluster = None
     try:
@@ -227,12 +236,12 @@ def _cluster(system: str, workers: int | None) -> Any:
         cluster.sync(_ask, cluster, workers)
     except (ValueError, TypeError, OSError, RuntimeError) as error:
         if cluster is not None:
-            # It does not expect workers that were refused.
+            # `close` asserts that all requested workers exist, which is false after a refusal.
             with suppress(AssertionError):
                 cluster.close()
         raise InputError(
             BATCH_DASK,
-            "workers cannot be started by {system}: {split}; ~/.config/dask/jobqueue.yaml says how.",
+            "{system} cannot start workers: {split}; configure it in ~/.config/dask/jobqueue.yaml.",
             system=system,
             split=" ".join(str(error).split()),
         ) from error
@@ -240,10 +249,10 @@ def _cluster(system: str, workers: int | None) -> Any:
 
 
 async def _ask(cluster: Any, workers: int) -> None:
-    """Ask for workers, and wait until the system has taken that; raise RuntimeError where it refuses."""
-    # As its `scale` does, which would ask later, where a refusal is only logged.
+    """Request workers and wait until the system accepts; raise RuntimeError on refusal."""
+    # Same as `cluster.scale`, which would submit later in the background and only log a refusal.
     for _ in range(workers):
         cluster.worker_spec.update(cluster.new_worker_spec())
     await cluster
-    # Centres end jobs when their time is over: as long as scans wait, others are asked for in their place.
+    # Queueing systems end jobs at their time limit: replace such workers while scans are waiting.
     cluster.adapt(minimum_jobs=workers, maximum_jobs=workers)

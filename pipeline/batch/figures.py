@@ -1,4 +1,4 @@
-"""What the tables and the page of a batch show of a run."""
+"""Metrics of a run for the tables and the page of a batch."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 
 from scanloom.pipeline.run.run import RunResult
 
-# Results a person opens first, the best of them first.
+# Main result files, best first.
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply", "fused.ply")
-# The picture of a result, by the mesh that is drawn; from above and aside, where all of it is seen.
+# Mesh whose overview picture represents the run, best first.
 _DRAWN = ("textured", "simplified", "clean", "fused")
 
 
 def figures_of(result: RunResult) -> dict[str, Any]:
-    """Return the figures of a run, units in the names; None where the run does not tell."""
+    """Return the table metrics of a run; None for unknown values."""
     report = result.report
     scan, mesh, held_out = report["scan"], report["mesh"], report["held_out"]
     stages: Mapping[str, Mapping[str, Any]] = report["stages"]
@@ -41,7 +41,7 @@ def figures_of(result: RunResult) -> dict[str, Any]:
 
 
 def _picture(drawn: Sequence[str]) -> str | None:
-    """Return the picture that stands for a run, as it is named from the output folder on."""
+    """Choose the picture that represents a run, relative to the output folder."""
     for mesh in _DRAWN:
         of_mesh = [name for name in drawn if name.startswith(f"pictures/{mesh}-")]
         if of_mesh:
@@ -50,12 +50,15 @@ def _picture(drawn: Sequence[str]) -> str | None:
 
 
 def _photo(placed: Collection[str]) -> str | None:
-    """Return the photo in the middle of a scan, for a run that drew nothing."""
+    """Choose the middle photo of a scan, for a run without pictures."""
     photos = sorted(name for name in placed if name.startswith("pictures/photos/"))
     return photos[len(photos) // 2] if photos else None
 
 
 def written_by(result: RunResult) -> int:
-    """Return how many bytes a run has written: its new entries in the cache, and the copies of them."""
+    """Return the bytes written by a run.
+
+    New cache entries count twice, because they are copied to the output folder.
+    """
     made = [one.folder for one in result.stages if not one.cached]
     return 2 * sum(path.stat().st_size for folder in made for path in folder.rglob("*") if path.is_file())

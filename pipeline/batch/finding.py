@@ -1,4 +1,4 @@
-"""The scans in a folder: found by what the readers recognise, and named by where they are."""
+"""Scan discovery: find the scans in a folder tree."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from scanloom.stages.scans.codes import SCAN_LAYOUT_UNKNOWN
 from scanloom.stages.scans.read import matching
 from scanloom.stages.scans.table import LAYOUTS
 
-# Files that are scans by themselves.
+# Suffixes of single-file scans (recordings).
 _SUFFIXES = frozenset(suffix for one in LAYOUTS for suffix in one.suffixes)
-# ROS 2 lists the files of one recording in it.
+# A folder with this file is a single ROS 2 recording, possibly split into several files.
 _LIST = "metadata.yaml"
-# Folders in folders; what is deeper is no collection of scans.
+# Maximum folder depth of the search.
 _DEEPEST = 8
 
 
 @dataclass(frozen=True)
 class Found:
-    """A scan.
+    """Scan found by the search.
 
     Attributes
     ----------
-    place : its folder, or the file that is one.
-    name : where it is below the folder that was searched, its parts joined by /; of results, too.
-    layout : by name.
+    place : scan folder or file.
+    name : path relative to the searched folder, with / separators; also the name of its results.
+    layout : name of the layout.
     """
 
     place: Path
@@ -40,7 +40,7 @@ class Found:
 
 @dataclass(frozen=True)
 class NoScan:
-    """A folder that holds none, and why."""
+    """Folder that contains no scan, with the reason."""
 
     place: Path
     reason: str
@@ -54,16 +54,20 @@ def find_scans(
     exclude: Sequence[str] = (),
     besides: Collection[Path] = (),
 ) -> tuple[list[Found], list[NoScan]]:
-    """Return the scans in a folder by name, and the folders in it that are none.
+    """Search a folder for scans.
 
-    What is recognised as a scan is not looked into. Links are followed, each folder once.
+    Folders inside a recognised scan are not searched. Links are followed, each target once.
 
     Parameters
     ----------
-    layout : every folder in `folder` is taken for a scan of it, recognised or not.
-    include, exclude : patterns of names (`*`, `?`); what matches none of the first, or one of the second, is
-        not looked at.
-    besides : folders that are not looked into.
+    layout : take every subfolder for a scan of this layout, recognised or not.
+    include, exclude : patterns of scan names (`*`, `?`). Scans must match one of `include`, if given, and
+        none of `exclude`.
+    besides : folders that are not searched.
+
+    Returns
+    -------
+    Scans sorted by name, and folders without a scan sorted by path.
 
     Raises
     ------
@@ -93,7 +97,7 @@ def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Fo
     if real in seen:
         return
     seen.add(real)
-    why = "it is of no known layout" if _listed(place) else "it is empty"
+    why = "its layout is unknown" if _listed(place) else "it is empty"
     try:
         matched = matching(place)
     except InputError as error:
@@ -109,12 +113,15 @@ def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Fo
     if any(isinstance(one, Found) for one in inside) or place == top:
         yield from inside
     else:
-        # One sentence for all that is below it.
+        # One report for the whole subtree.
         yield NoScan(place, why)
 
 
 def _is_collection(place: Path, reason: str, files: Sequence[Path]) -> bool:
-    """Return whether a folder that is known by a recording in it is only where recordings are kept."""
+    """Return True if a folder only collects recordings.
+
+    Such a folder is recognised as a scan because of a recording in it.
+    """
     if reason not in {file.name for file in files}:
         return False
     if (place / _LIST).is_file():
@@ -152,7 +159,11 @@ def _require_listed(folder: Path) -> None:
     if not folder.is_dir():
         what = "this is a file" if folder.exists() else "there is no such folder"
         raise InputError(
-            BATCH_SCANS_NOT_DONE, "{what}", folder, remedy="give the folder that holds the scans.", what=what
+            BATCH_SCANS_NOT_DONE,
+            "{what}",
+            folder,
+            remedy="give the folder of the scans.",
+            what=what,
         )
     try:
         next(folder.iterdir(), None)

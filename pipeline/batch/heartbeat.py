@@ -1,8 +1,7 @@
-"""Signs of life of workers, and who is taken for dead.
+"""Heartbeats of workers, and detection of dead workers.
 
-A worker's file says how often it has beaten. Who wonders whether the worker lives looks at whether that
-number changes, by its own clock that only goes forward: what time it is elsewhere, or what time a file has,
-says nothing.
+Each worker writes a beat counter to its file. Other workers watch the counter for changes, with their own
+monotonic clocks. Clocks of other machines and file times are not used: they may differ.
 """
 
 from __future__ import annotations
@@ -23,24 +22,28 @@ from scanloom.stages.files.opening import text_in
 
 _SUFFIX = ".alive"
 _ENDED = "ended"
-# A worker beats this many times before any other could take it for dead, but at least every two seconds.
+# Beats per `take_over_after`, and the maximum seconds between two beats.
 _BEATS, _LONGEST = 8, 2.0
-# Whatever others say, so many beats have to be missed.
+# Minimum number of missed beats before a worker is presumed dead, whatever timeout the observer uses.
 _MISSED = 4
 
 
 def name_of_worker() -> str:
-    """Return a name that no other worker has, on this machine or another."""
+    """Generate a worker name that is unique across machines."""
     host = re.sub(r"[^A-Za-z0-9-]", "-", socket.gethostname())[:40] or "host"
     return f"{host}-{os.getpid()}-{secrets.token_hex(3)}"
 
 
 class Heartbeat:
-    """Beats in a thread of its own, in a `with` block; at its end it says that this worker has ended.
+    """Heartbeat thread of a worker, as a context manager.
+
+    On exit, it records that the worker ended.
 
     Parameters
     ----------
-    take_over_after : seconds of silence after which others take this worker for dead.
+    folder : folder of the heartbeat files.
+    worker : name of the worker.
+    take_over_after : seconds of silence after which other workers presume this one dead.
     """
 
     def __init__(self, folder: Path, worker: str, take_over_after: float) -> None:
@@ -66,12 +69,12 @@ class Heartbeat:
         count = 0
         while not self._stop.wait(self.every):
             count += 1
-            # A full or absent disk may be there again for the next one; if not, others take over.
+            # A full or missing disk may recover before the next beat; otherwise others take over.
             with contextlib.suppress(OSError):
                 self._write(count)
 
     def _write(self, count: int) -> None:
-        # As long as before, so that even a full disk has room for it.
+        # Constant length: overwriting in place works on a full disk, too.
         descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
         try:
             os.write(descriptor, f"{count:012d} beats, one each {self.every:09.3f} s\n".encode())
@@ -80,41 +83,48 @@ class Heartbeat:
 
 
 class Watch:
-    """Tells for how long a worker has been silent, as far as this one has watched.
+    """Observer of heartbeats: measures for how long each worker has been silent.
 
     Parameters
     ----------
-    clock : seconds that only go forward.
+    folder : folder of the heartbeat files.
+    clock : monotonic clock in seconds.
     """
 
     def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self._folder = folder
         self._clock = clock
-        # What a worker last said, and when that was first seen.
+        # Last content of each heartbeat file, and the time it was first seen.
         self._seen: dict[str, tuple[str, float]] = {}
 
     def look(self) -> None:
-        """Note what all workers say now."""
+        """Read the heartbeats of all workers."""
         for path in self._folder.glob(f"*{_SUFFIX}"):
             self._note(path.name.removesuffix(_SUFFIX))
 
     def silence(self, worker: str) -> float:
-        """Return for how many seconds a worker has been known to say nothing new; infinite if it ended."""
+        """Return the seconds since the last observed beat of a worker.
+
+        The result is infinite if the worker ended.
+        """
         said, since = self._note(worker)
         return math.inf if said == _ENDED else self._clock() - since
 
     def is_dead(self, worker: str, after: float) -> bool:
-        """Return whether a worker has been silent for so many seconds, and has missed several beats."""
+        """Return True if a worker is presumed dead.
+
+        A worker is presumed dead after `after` seconds of silence, and at least several missed beats.
+        """
         said, _ = self._note(worker)
         every = re.search(r"one each ([0-9.]+) s", said)
         return self.silence(worker) > max(after, _MISSED * float(every[1]) if every else 0.0)
 
     def said(self, worker: str) -> str:
-        """Return what a worker says now."""
+        """Read the heartbeat file of a worker."""
         return self._note(worker)[0]
 
     def living(self) -> list[str]:
-        """Return who has not said that it has ended."""
+        """Return the workers that have not recorded their end."""
         self.look()
         return [worker for worker, (said, _) in self._seen.items() if said != _ENDED]
 

@@ -1,7 +1,6 @@
-"""Work on one job of a queue that an engine chose: a process that `scanloom.pipeline.batch.dask` starts.
+"""Subprocess for one job of a queue, started by `scanloom.pipeline.batch.dask`.
 
-Where its stdin ends, whoever started it is gone; the job is then given back, for the engine to have it run
-elsewhere.
+If stdin closes, the Dask worker has died. The job is then released, for Dask to run it elsewhere.
 """
 
 from __future__ import annotations
@@ -21,16 +20,17 @@ from scanloom.stages.diagnostics.errors import ScanloomError
 
 @dataclass(frozen=True)
 class Task:
-    """What an engine is given of a job.
+    """Job description passed to the subprocess.
 
     Attributes
     ----------
-    out : the output folder.
-    queue : name of the queue's folder; where another stands by now, nothing is done.
-    number : of the job.
-    threads : that it uses.
-    memory, disk : bytes that it may take; None for no limit.
-    take_over_after : seconds; None for what the queue says.
+    out : output folder of the batch.
+    queue : name of the queue folder; the task does nothing if the current queue is another one.
+    number : job number.
+    threads : threads of the job.
+    memory, disk : bytes that the job may use; None for no limit.
+    take_over_after : seconds of silence after which a worker is presumed dead; None for the setting of the
+        queue.
     """
 
     out: str
@@ -42,12 +42,12 @@ class Task:
     take_over_after: float | None = None
 
     def words(self) -> str:
-        """Return it as a word of a command line."""
+        """Serialise the task as a command-line argument."""
         return json.dumps(asdict(self))
 
 
 def main() -> None:
-    """Work on the job that the first word of the command line tells."""
+    """Run the job given by the first command-line argument."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_listen, name="listen", daemon=True).start()
     try:
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def work_on(task: Task) -> None:
-    """Work on one job until it has come to an end, here or wherever it is at work already."""
+    """Run one job until it has a record, written by this process or another."""
     queue = standing_queue(Path(task.out))
     if queue is None or queue.folder.name != task.queue:
         return

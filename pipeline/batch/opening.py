@@ -1,4 +1,4 @@
-"""Begin a batch in an output folder, or go on with one that stands there."""
+"""Start a batch in an output folder, or resume an existing one."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.printing import counted
 
-# Seconds that the workers of another batch are watched for, and between two looks; four of their beats.
+# Seconds to watch the workers of another batch (at least four beats), and seconds between two checks.
 _WATCHED, _PAUSE = 9.0, 0.1
 
 
 def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
-    """Return the queue of a batch: one that is not finished is gone on with if it is of the same jobs.
+    """Open the queue of a batch.
 
-    What failed in it is then tried again: the disk may have been full.
+    An unfinished queue of the same jobs is resumed; otherwise a new queue is written.
+
+    Failed jobs of a resumed queue are run again, because the cause (e.g. a full disk) may be gone.
 
     Raises
     ------
     InputError
-        If workers are at another batch in the folder.
+        If workers are running another batch in the folder.
     StageError
         If the queue cannot be written.
     """
@@ -39,21 +41,17 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
         try:
             standing = standing_queue(out)
         except InputError as error:
-            # Its results are in the cache; only what was to be done is lost, and is written anew.
+            # Results of a damaged queue are in the cache; only the job list is lost, and is rewritten.
             emit(replace(error.diagnostic, severity=Severity.INFO))
             standing = None
         if standing is not None and not _is_finished(standing):
             if standing.is_of(settings, jobs):
-                emit(
-                    BATCH_ALREADY_EXISTS.info(
-                        "a batch of the same scans was begun here; this goes on with it"
-                    )
-                )
+                emit(BATCH_ALREADY_EXISTS.info("an unfinished batch of the same scans is resumed"))
                 again = _give_back_failed(standing)
                 if again:
                     emit(
                         BATCH_SCANS_NOT_DONE.info(
-                            "{scans} that failed: tried again", scans=counted(again, "scan")
+                            "{scans} that failed: run again", scans=counted(again, "scan")
                         )
                     )
                 return standing
@@ -69,7 +67,7 @@ def _is_finished(queue: Queue) -> bool:
 
 
 def _give_back_failed(queue: Queue) -> int:
-    """Have jobs that failed taken again by whoever asks, and return how many they are."""
+    """Release failed jobs so that workers retry them, and return their number."""
     with explained(f"the queue {queue.folder} cannot be worked on"):
         records, claims = Records(queue.folder / "done"), Claims(queue.folder / "claims", "")
         failed = [one for one in records.read(records.ended().values()) if one.state == FAILED]
@@ -81,13 +79,16 @@ def _give_back_failed(queue: Queue) -> int:
 
 
 def _require_quiet(queue: Queue) -> None:
-    """Raise InputError if a worker of a queue lives: who has not said that it ended is watched."""
+    """Raise InputError if a worker of a queue is alive.
+
+    Heartbeats are watched for some seconds.
+    """
     watch = Watch(queue.folder / "workers")
     silent = watch.living()
     if silent:
         emit(
             BATCH_ALREADY_EXISTS.info(
-                "another batch was begun here and not finished; its workers are watched for signs of life"
+                "this folder has another, unfinished batch; checking if its workers are running"
             )
         )
     end = time.monotonic() + _WATCHED
@@ -98,8 +99,8 @@ def _require_quiet(queue: Queue) -> None:
             if watch.said(worker) != first.get(worker):
                 raise InputError(
                     BATCH_ALREADY_EXISTS,
-                    "another batch is at work in it (worker {worker})",
+                    "another batch is running in this folder (worker {worker})",
                     queue.out,
-                    remedy="wait for its end, or name another output folder.",
+                    remedy="wait for its end, or choose another output folder.",
                     worker=worker,
                 )

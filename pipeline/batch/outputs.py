@@ -1,4 +1,4 @@
-"""What a batch writes into OUT beside the results of its runs: its tables and its page."""
+"""Summary files of a batch in OUT: tables and page."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _PARQUET_MARK = b"PAR1"
 
 
 def write_outputs(summary: Summary, title: str) -> list[Path]:
-    """Write index.html, batch.csv and, where pyarrow is installed, batch.parquet; return where they are.
+    """Write index.html, batch.csv and, if pyarrow is installed, batch.parquet; return their paths.
 
     Raises
     ------
     StageError
-        If they cannot be written.
+        If a file cannot be written.
     """
     rows = summary.rows()
     with_warnings = [
@@ -40,18 +40,18 @@ def write_outputs(summary: Summary, title: str) -> list[Path]:
             if content is not None:
                 write_whole(summary.out / name, content)
             else:
-                # One of other results must not stay beside these.
+                # Remove an outdated Parquet file: it would not match the other files.
                 (summary.out / name).unlink(missing_ok=True)
     return [summary.out / name for name, content in files.items() if content is not None]
 
 
 def withdraw_outputs(out: Path) -> None:
-    """Remove what an earlier batch wrote: what it tells is not of the results beside it any more.
+    """Remove the summary files of an earlier batch, which no longer match the results.
 
     Raises
     ------
     StageError
-        If it cannot be removed.
+        If a file cannot be removed.
     """
     with explained(f"outdated tables cannot be removed from {out}"):
         for name in (PAGE, CSV, PARQUET):
@@ -60,21 +60,21 @@ def withdraw_outputs(out: Path) -> None:
 
 
 def require_replaceable(out: Path) -> None:
-    """Refuse, before any work, files in the place of these that no batch has written.
+    """Raise InputError if a summary file exists that was not written by a batch.
 
     Raises
     ------
     InputError
-        For the first there is.
+        For the first such file.
     """
     for name in (PAGE, CSV, PARQUET):
         path = out / name
         if os.path.lexists(path) and not _is_own(path):
             raise InputError(
                 BATCH_ALREADY_EXISTS,
-                "no batch has written this",
+                "this file was not written by a batch",
                 path,
-                remedy="move it, name another output folder, or give --overwrite.",
+                remedy="move it, choose another output folder, or use --overwrite.",
             )
 
 

@@ -1,4 +1,4 @@
-"""A process that runs jobs, as the worker that started it sees it."""
+"""Worker side of a job process."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from typing import Any
 import scanloom
 from scanloom.stages.scans.model.threads import environment_of
 
-# The folder that scanloom is imported from, installed or not: Python searches it first.
+# Parent folder of the package: as working directory it is first on the import path of the subprocess.
 _ROOT = Path(scanloom.__file__).parents[1]
 _CODE = "from scanloom.pipeline.batch.child import main; main()"
-# Seconds that an interrupted job gets to put its drafts away, and the system to end a process.
+# Seconds for an interrupted job to remove its drafts, and for the system to end a killed process.
 _PATIENCE = 10.0
 
 Message = Mapping[str, Any]
 
 
 class Process:
-    """Runs jobs in a process of its own; what it says goes into an inbox, together with who says it.
+    """Subprocess that runs jobs and puts its messages into an inbox.
 
-    A crash in native code, or the system where memory ends, takes this process alone.
+    A crash in native code, or the out-of-memory killer, only ends this subprocess, not the worker.
 
     Parameters
     ----------
-    inbox : gets (process, message); the last message is {"gone": exit code}.
-    threads : that a job uses.
-    log : file that what libraries print is added to.
+    inbox : receives (process, message); the last message is {"gone": exit code}.
+    threads : threads per job.
+    log : file that output of libraries is appended to.
     """
 
     def __init__(self, inbox: queue.SimpleQueue[tuple[Process, Message]], threads: int, log: Path) -> None:
@@ -49,21 +49,24 @@ class Process:
                 stderr=errors,
                 cwd=_ROOT,
                 env={**os.environ, **environment_of(threads)},
-                # Ctrl-C is the worker's: it says what becomes of the job.
+                # New session: Ctrl-C must only reach the worker, which decides about the jobs.
                 start_new_session=True,
             )
         self._listener = threading.Thread(target=self._listen, name="listen", daemon=True)
         self._listener.start()
 
     def say(self, message: Message) -> None:
-        """Send a line; a process that is gone tells so by itself."""
+        """Send a message; a dead process is reported by its "gone" message instead."""
         if self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.write(json.dumps(message).encode() + b"\n")
                 self._process.stdin.flush()
 
     def interrupt(self) -> None:
-        """Have it end, and its job put away what it was writing; `end` waits for that."""
+        """Interrupt the job, so that it removes its drafts.
+
+        `end` waits for the process to exit.
+        """
         self._is_interrupted = True
         with suppress(OSError):
             if sys.platform == "win32":
@@ -72,9 +75,9 @@ class Process:
                 self._process.send_signal(signal.SIGINT)
 
     def end(self) -> None:
-        """Have it end if it has not; it is not waited for long."""
+        """End the process, and kill it if it does not exit within some seconds."""
         if self._is_interrupted:
-            # Where its stdin ends, it puts nothing away.
+            # Wait before closing stdin: the process would exit at once and leave its drafts.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_PATIENCE)
         self._close()
@@ -85,16 +88,16 @@ class Process:
             self.kill()
 
     def kill(self) -> bool:
-        """End it and its children, whatever they are at; return whether that could be done.
+        """Kill the process and its children; return False if the process did not exit.
 
-        Where a drive does not answer, the system ends who waits for it only when it does.
+        A process blocked on an unresponsive network drive dies only once the drive answers.
         """
         with suppress(OSError):
             if sys.platform == "win32":
                 words = ["taskkill", "/F", "/T", "/PID", str(self._process.pid)]
                 subprocess.run(words, capture_output=True, check=False)
             else:
-                # It began a session, and with it a group of its own.
+                # The new session made the process leader of a process group.
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._close()
         try:
@@ -114,7 +117,7 @@ class Process:
         assert stdout is not None
         with stdout:
             for line in stdout:
-                # A process that is killed may leave half a line.
+                # A killed process may leave an incomplete line.
                 with suppress(ValueError):
                     self._inbox.put((self, json.loads(line)))
         self._inbox.put((self, {"gone": self._process.wait()}))

@@ -1,13 +1,14 @@
-"""The queue of a batch: a folder of plain files that any number of machines may share.
+"""Queue of a batch: a folder of plain files that several machines can share.
 
     OUT/queue/0001/
-      jobs.jsonl     the batch and a line for each job; written whole, then only read
-      claims/        who works on what (`scanloom.pipeline.batch.claims`)
-      done/          what became of each job (`scanloom.pipeline.batch.records`)
-      workers/       signs of life (`scanloom.pipeline.batch.heartbeat`), and what workers said on stderr
+      jobs.jsonl     settings of the batch, then one line per job; written atomically, never changed
+      claims/        claims of jobs by workers (`scanloom.pipeline.batch.claims`)
+      done/          outcomes of jobs (`scanloom.pipeline.batch.records`)
+      workers/       heartbeats (`scanloom.pipeline.batch.heartbeat`) and stderr logs of workers
 
-The folder of the highest number holds the queue that stands; making the next one is the one step by which a
-batch begins, and only one of several can make it. Nothing is locked, and no file's time is looked at.
+The current queue is the folder with the highest number. Creating the next folder starts a batch, and is
+atomic: only one of several processes succeeds. Neither locks nor file times are used, because network shares
+may support neither.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from scanloom.stages.files.opening import text_in
 FOLDER = "queue"
 _JOBS = "jobs.jsonl"
 _FORMAT_VERSION = 1
-# Names in OUT that are not a scan's.
+# Names in OUT that a scan must not use.
 RESERVED = frozenset({FOLDER, "cache", "index.html", "batch.csv", "batch.parquet", "batch.json"})
-# Seconds until a queue that another process began to write is taken for one that it never will.
+# Seconds to wait for another process to finish writing a queue, and seconds between two checks.
 _PATIENCE, _PAUSE = 10.0, 0.1
 
 
@@ -47,9 +48,9 @@ class Job:
 
     Attributes
     ----------
-    number : from 0, in order.
-    scan : where it is, as written from OUT on, or a whole path where no way leads there.
-    name : of its results below OUT, parts joined by /.
+    number : index in the batch, from 0.
+    scan : path of the scan relative to OUT; absolute if on another drive.
+    name : path of the results below OUT, with / separators.
     """
 
     number: int
@@ -59,14 +60,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is the same for all jobs of a batch; see `scanloom.pipeline.run.run.run`.
+    """Settings common to all jobs of a batch; see `scanloom.pipeline.run.run.run`.
 
     Attributes
     ----------
-    config : as TOML.
-    cache : folder of the shared cache, as written from OUT on.
-    take_over_after : seconds without a sign of life after which a worker is taken for dead.
-    timeout : seconds after which a job that gets no further is ended; 0 for never.
+    config : configuration as TOML.
+    cache : folder of the shared cache, relative to OUT.
+    take_over_after : seconds without a heartbeat after which a worker is presumed dead.
+    timeout : seconds without progress after which a job is ended; 0 for never.
     """
 
     config: str
@@ -80,12 +81,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class Queue:
-    """A queue that stands.
+    """Queue read from its folder.
 
     Attributes
     ----------
-    damaged : numbers of the jobs whose lines cannot be read.
-    version : of the scanloom that wrote it.
+    out : output folder of the batch.
+    folder : folder of the queue.
+    damaged : numbers of the jobs whose lines are damaged.
+    version : version of scanloom that wrote the queue.
     """
 
     out: Path
@@ -97,11 +100,11 @@ class Queue:
 
     @property
     def numbers(self) -> list[int]:
-        """The numbers of all jobs, of damaged ones too."""
+        """Numbers of all jobs, including damaged ones."""
         return [*range(len(self.jobs) + len(self.damaged))]
 
     def scan_of(self, job: Job) -> Path:
-        """Return where a job's scan is."""
+        """Return the path of the scan of a job."""
         return Path(os.path.normpath(self.out / job.scan))
 
     def results_of(self, job: Job) -> Path:
@@ -110,11 +113,11 @@ class Queue:
 
     @property
     def cache(self) -> Path:
-        """The folder of the shared cache."""
+        """Folder of the shared cache."""
         return Path(os.path.normpath(self.out / self.settings.cache))
 
     def is_of(self, settings: Settings, jobs: Sequence[Job]) -> bool:
-        """Return whether this is the queue of these jobs, by this version."""
+        """Return True if settings, jobs and version of the queue match."""
         return not self.damaged and (self.settings, self.jobs, self.version) == (
             settings,
             tuple(jobs),
@@ -123,9 +126,14 @@ class Queue:
 
 
 def jobs_of(scans: Sequence[tuple[Path, str]], out: Path) -> tuple[Job, ...]:
-    """Return the jobs of scans, each a place and a name; no two get results under one name.
+    """Make the jobs of a batch, with unique result names.
 
-    Upper and lower case alone do not tell names apart, for file systems that ignore it.
+    Names that differ only in upper and lower case are made unique, too, for case-insensitive file systems.
+
+    Parameters
+    ----------
+    scans : path and name of each scan.
+    out : output folder of the batch.
     """
     taken: set[str] = set()
     jobs = []
@@ -140,33 +148,33 @@ def jobs_of(scans: Sequence[tuple[Path, str]], out: Path) -> tuple[Job, ...]:
 
 
 def standing_queue(out: Path) -> Queue | None:
-    """Return the queue of an output folder, or None if there is none.
+    """Read the current queue of an output folder; None if it has no queue.
 
     Raises
     ------
     InputError
-        If its first line is damaged.
+        If the settings line is damaged.
     """
     folder = _latest(out)
     return None if folder is None else _read(out, folder)
 
 
 def latest_number(out: Path) -> int:
-    """Return the number of the queue that was begun last, whole or not; 0 if none was."""
+    """Return the highest queue number, complete or not; 0 without a queue."""
     return max(map(_number, _generations(out)), default=0)
 
 
 def new_queue(out: Path, number: int, settings: Settings, jobs: Sequence[Job]) -> Queue | None:
-    """Write a queue, which then stands; None if another process was faster.
+    """Write a new queue and make it current; None if another process was faster.
 
     Parameters
     ----------
-    number : one more than the latest that was seen: of those who have seen the same, one writes the next.
+    number : highest existing queue number plus one.
 
     Raises
     ------
     StageError
-        If it cannot be written.
+        If the queue cannot be written.
     """
     with explained(f"the queue in {out / FOLDER} cannot be written"):
         (out / FOLDER).mkdir(parents=True, exist_ok=True)
@@ -197,7 +205,10 @@ def _number(folder: Path) -> int:
 
 
 def _latest(out: Path) -> Path | None:
-    """Return the folder of the queue that stands; one that is being written is waited for."""
+    """Return the folder of the current queue.
+
+    A queue that is being written is waited for.
+    """
     end = time.monotonic() + _PATIENCE
     while True:
         found = _generations(out)
@@ -207,13 +218,13 @@ def _latest(out: Path) -> Path | None:
         if whole and whole[-1] == found[-1]:
             return whole[-1]
         if time.monotonic() > end:
-            # Whoever made the last one was killed before it was written.
+            # The process that created the last folder was killed before it wrote the job list.
             return whole[-1] if whole else None
         time.sleep(_PAUSE)
 
 
 def _line(values: Mapping[str, Any]) -> str:
-    # As JSON has them, in which a row is a list.
+    # Convert tuples to lists first, so that the check digest matches the values read back.
     plain = json.loads(json.dumps(values))
     return json.dumps({**plain, "check": digest(plain)[:16]}, ensure_ascii=False) + "\n"
 
@@ -230,9 +241,9 @@ def _read(out: Path, folder: Path) -> Queue:
     if about is None or settings is None or not isinstance(count, int):
         raise InputError(
             BATCH_QUEUE_DAMAGED,
-            "the queue is damaged, or of another version",
+            "the queue is damaged, or was written by another version",
             path,
-            remedy="run scanloom batch again, which writes it anew and keeps all results.",
+            remedy="run `scanloom batch` again: it rewrites the queue and keeps all results.",
         )
     jobs = {job.number: job for line in rest if line and (job := _job(line)) is not None}
     damaged = tuple(number for number in range(count) if number not in jobs)
@@ -241,7 +252,10 @@ def _read(out: Path, folder: Path) -> Queue:
 
 
 def _values(line: str) -> dict[str, Any] | None:
-    """Return what stands in a line, None if it is not as it was written."""
+    """Parse a line of the job list.
+
+    Returns None if the check digest does not match.
+    """
     try:
         values = json.loads(line)
         require_shallow(values)

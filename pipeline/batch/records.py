@@ -1,4 +1,4 @@
-"""What became of each job: a file for each try that came to an end."""
+"""Outcomes of jobs: one file per finished attempt."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from scanloom.pipeline.batch.whole import write_whole
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.files.opening import text_in
 
-# The states of a job; what is UNMET is written, and is not what was asked for.
+# States of a finished job. UNMET: there is a result, but requirements were not met.
 DONE, UNMET, FAILED, UNUSABLE = "done", "unmet", "failed", "unusable"
-# While there is no record.
+# States of a job without a record.
 WAITING, RUNNING = "waiting", "running"
 
 
 @dataclass(frozen=True)
 class Record:
-    """What became of a scan.
+    """Outcome of a job.
 
     Attributes
     ----------
-    state : one of the above; UNUSABLE where the scan cannot be read.
-    reason : why it is not DONE, in one sentence.
-    seconds : from its begin to its end.
-    figures : what the tables and the page show of it, by name; empty where there is no result.
+    state : DONE, UNMET, FAILED, or UNUSABLE if the scan cannot be read; WAITING or RUNNING before the end.
+    reason : one sentence why the state is not DONE.
+    seconds : duration of the job.
+    worker : name of the worker.
+    attempt : attempt number, from 0.
+    figures : metrics for the tables and the page, by name; empty without a result.
     """
 
     number: int
@@ -44,30 +46,30 @@ class Record:
 
     @property
     def warnings(self) -> tuple[Diagnostic, ...]:
-        """Return the warnings alone."""
+        """Diagnostics of severity WARNING."""
         return tuple(one for one in self.diagnostics if one.severity is Severity.WARNING)
 
 
 class Records:
-    """The folder of records of a queue."""
+    """Folder of job records of a queue."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def write(self, record: Record) -> None:
-        """Keep a record; another try at the same job has one of its own."""
+        """Write the record of an attempt."""
         values = {**vars(record), "diagnostics": [one.figures() for one in record.diagnostics]}
         text = json.dumps(values, ensure_ascii=False, allow_nan=False)
         write_whole(self._path(Claim(record.number, record.attempt)), text.encode())
 
     def withdraw(self, claim: Claim) -> None:
-        """Forget what became of a job by a try."""
+        """Delete the record of an attempt."""
         self._path(claim).unlink(missing_ok=True)
 
     def ended(self) -> dict[int, Claim]:
-        """Return the last try that came to an end, of each job that has any; the folder is listed once.
+        """List the folder once and return the last finished attempt of each job.
 
-        Where there are several, the last has taken over from the others.
+        If several attempts finished, the last one had taken over the job from the others.
         """
         found: dict[int, Claim] = {}
         for claim in self.all():
@@ -76,7 +78,7 @@ class Records:
         return found
 
     def all(self) -> list[Claim]:
-        """Return every try that came to an end."""
+        """List all finished attempts."""
         with os.scandir(self._folder) as names:
             parts = [one.name.split(".") for one in names if one.name.endswith(".json")]
         return [
@@ -86,7 +88,10 @@ class Records:
         ]
 
     def read(self, claims: Iterable[Claim]) -> list[Record]:
-        """Return the records of tries, by number; one that is damaged says so."""
+        """Read the records of attempts, sorted by job number.
+
+        A damaged record becomes a failure record.
+        """
         return sorted((self._record(claim) for claim in claims), key=lambda one: one.number)
 
     def _record(self, claim: Claim) -> Record:
@@ -96,7 +101,7 @@ class Records:
             diagnostics = tuple(Diagnostic.from_figures(one) for one in known["diagnostics"])
             return Record(**{**known, "diagnostics": diagnostics})
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            why = f"what became of it is not known: {self._path(claim)} is damaged; run the batch again."
+            why = f"the outcome is unknown, because {self._path(claim)} is damaged; run the batch again."
             return Record(claim.number, "", FAILED, why, attempt=claim.attempt)
 
     def _path(self, claim: Claim) -> Path:

@@ -1,4 +1,4 @@
-"""How many jobs at a time: as many as there are cores and memory for."""
+"""Number of concurrent jobs, from cores and memory."""
 
 from __future__ import annotations
 
@@ -14,26 +14,30 @@ from scanloom.pipeline.run.run import wanted_of
 from scanloom.stages.diagnostics.errors import ScanloomError
 from scanloom.stages.inspecting.system import memory_bytes
 
-# Scans that are read to say what one needs.
+# Number of scans whose needs are estimated.
 _SAMPLE = 8
-# Of the memory that is free, jobs get so much: others take some, too, and what is expected may be wrong.
+# Ratio of the free memory that jobs may use: estimates can be wrong, and other programs need memory, too.
 _SHARE = 0.9
 
 
 def memory_to_use() -> int | None:
-    """Return the bytes that jobs may be expected to take together; None where the system does not tell."""
+    """Return the bytes of memory for all jobs.
+
+    Returns None if the system does not report its memory.
+    """
     total, free = memory_bytes()
     known = free if free is not None else total
     return None if known is None else int(_SHARE * known)
 
 
 def jobs_at_once(needs: Sequence[int], memory: int | None, cores: int) -> int:
-    """Return how many jobs fit side by side, one at least.
+    """Compute how many jobs can run concurrently, at least one.
 
     Parameters
     ----------
-    needs : bytes that some of them are expected to take.
-    memory : bytes there are for all.
+    needs : expected memory in bytes of some jobs.
+    memory : bytes for all jobs; None if unknown.
+    cores : number of CPU cores.
     """
     if memory is None or not needs:
         return cores
@@ -41,7 +45,10 @@ def jobs_at_once(needs: Sequence[int], memory: int | None, cores: int) -> int:
 
 
 def expected_needs(queue: Queue) -> list[int]:
-    """Return the bytes of memory that some jobs of a queue are expected to take, spread evenly over it."""
+    """Estimate the memory in bytes of up to 8 jobs.
+
+    The jobs are spaced evenly over the queue.
+    """
     jobs = queue.jobs
     count = min(_SAMPLE, len(jobs))
     chosen = [jobs[(2 * k + 1) * len(jobs) // (2 * count)] for k in range(count)]

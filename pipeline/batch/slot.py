@@ -1,4 +1,4 @@
-"""Place for one job of a worker: what runs in it, how far that is, and for how long it has told nothing."""
+"""Slot of a worker, and progress of the job that runs in it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from scanloom.pipeline.batch.queue import Job
 
 @dataclass
 class Work:
-    """A job that runs.
+    """Running job.
 
     Attributes
     ----------
-    stage : that it is at.
-    share : of that stage that is done.
-    is_queueing : it waits for leave to begin, and for nothing that could hang.
-    is_waiting : it waits for another run.
-    silent : seconds for which it has told nothing new.
+    stage : current stage.
+    share : completed ratio of the stage, 0 to 1.
+    is_queueing : True while the job waits for permission to start, which cannot hang.
+    is_waiting : True while the job waits for another run into the same folder.
+    silent : seconds without progress.
     """
 
     job: Job
@@ -34,27 +34,31 @@ class Work:
 
     @property
     def seconds(self) -> float:
-        """Since it began."""
+        """Seconds since the job started."""
         return round(time.monotonic() - self._begun, 3)
 
     def at(self, stage: str, share: float) -> None:
-        """Take note of how far it is; the same again is nothing new, which what is endless tells, too."""
+        """Record progress.
+
+        A repeated message is not progress, because an endless loop can send it, too.
+        """
         if (stage, share) != (self.stage, self.share) or self.is_waiting:
             self.stage, self.share, self.is_waiting, self.silent = stage, share, False, 0.0
 
     def passed(self, seconds: float) -> None:
-        """Take note of time in which it could have told something."""
+        """Add seconds without progress, unless the job waits for permission to start."""
         self.silent = 0.0 if self.is_queueing else self.silent + seconds
 
 
 @dataclass
 class Slot:
-    """Place for one job.
+    """Slot for one job.
 
     Attributes
     ----------
-    work : the job that runs in it; None where it is free.
-    ran : how many jobs the process has run.
+    process : job process; None if not started.
+    work : running job; None if the slot is free.
+    ran : number of jobs that the process has run.
     """
 
     process: Process | None = None

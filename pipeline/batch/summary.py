@@ -1,4 +1,4 @@
-"""What a batch came to: a row for each scan, as tables for people and programs have it."""
+"""Summary of a batch: one table row per scan."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from scanloom.pipeline.batch.queue import Queue
 from scanloom.pipeline.batch.records import DONE, RUNNING, UNUSABLE, WAITING, Record, Records
 
 CSV, PARQUET = "batch.csv", "batch.parquet"
-# The columns of a row, each with the type of its values; figures by the names of
-# `scanloom.pipeline.batch.figures`.
+# Columns of a row with their types; metrics are named as in `scanloom.pipeline.batch.figures`.
 _TOLD: Mapping[str, type] = {
     "scan": str,
     "state": str,
@@ -48,12 +47,13 @@ COLUMNS: Mapping[str, type] = {**_TOLD, **_FIGURES}
 
 @dataclass(frozen=True)
 class Summary:
-    """What became of all scans of a batch.
+    """Outcomes of all scans of a batch.
 
     Attributes
     ----------
-    records : in the order of the jobs; of those that have not ended, with WAITING or RUNNING.
-    folders : of the scans, in the same order; "" where it is not known.
+    out : output folder of the batch.
+    records : records in job order; unfinished jobs have the state WAITING or RUNNING.
+    folders : scan folders in job order; "" if unknown.
     """
 
     out: Path
@@ -62,27 +62,27 @@ class Summary:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many scans are in each state that any is in."""
+        """Number of scans per state, without empty states."""
         states = [one.state for one in self.records]
         return {state: states.count(state) for state in dict.fromkeys(sorted(states))}
 
     @property
     def is_finished(self) -> bool:
-        """Whether every scan came to an end."""
+        """True if every job has ended."""
         return not {WAITING, RUNNING} & {one.state for one in self.records}
 
     @property
     def not_done(self) -> list[Record]:
-        """The scans that came to an end, and not to what was asked for."""
+        """Records of ended jobs whose state is not DONE."""
         return [one for one in self.records if one.state not in (DONE, WAITING, RUNNING)]
 
     @property
     def is_unusable(self) -> bool:
-        """Whether no scan of them can be used."""
+        """True if no scan of the batch is usable."""
         return bool(self.records) and all(one.state == UNUSABLE for one in self.records)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each scan, by `COLUMNS`; None for what is not known."""
+        """Return one row per scan, with the keys of `COLUMNS`; None for unknown values."""
         return [
             {
                 "scan": one.name,
@@ -90,7 +90,7 @@ class Summary:
                 "reason": one.reason,
                 "seconds": one.seconds,
                 "warnings": len(one.warnings),
-                # From the table on, which may be moved together with its results.
+                # Relative to the table, which may be moved together with the results.
                 "out": one.name,
                 "folder": folder,
                 **{name: one.figures.get(name) for name in _FIGURES},
@@ -99,7 +99,7 @@ class Summary:
         ]
 
     def figures(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
+        """Return the JSON-ready summary."""
         told = [
             {**row, "diagnostics": [told.figures() for told in one.diagnostics]}
             for row, one in zip(self.rows(), self.records, strict=True)
@@ -108,7 +108,7 @@ class Summary:
 
 
 def summary_of(queue: Queue) -> Summary:
-    """Return what has become of a batch so far."""
+    """Read the current summary of a batch."""
     records = Records(queue.folder / "done")
     ended = {one.number: one for one in records.read(records.ended().values())}
     begun = Claims(queue.folder / "claims", "").latest()
@@ -124,7 +124,7 @@ def summary_of(queue: Queue) -> Summary:
 
 
 def csv_of(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return rows as CSV: UTF-8, a head, nothing for what is not known."""
+    """Format rows as UTF-8 CSV with a header; unknown values are empty."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, [*COLUMNS], lineterminator="\n")
     writer.writeheader()
@@ -133,7 +133,7 @@ def csv_of(rows: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def parquet_of(rows: Sequence[Mapping[str, Any]]) -> bytes | None:
-    """Return rows as a Parquet file, or None if pyarrow (extra `batch`) is not installed."""
+    """Format rows as a Parquet file; None if pyarrow (extra `batch`) is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet as parquet

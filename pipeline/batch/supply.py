@@ -1,7 +1,7 @@
-"""Which job a worker takes next: one that nobody has, else one of a worker that is dead.
+"""Scheduling within a worker: take unclaimed jobs first, then jobs of dead workers.
 
-Jobs that nobody has are tried in their order: whoever makes a claim first has it, and a folder is listed once
-only, at the beginning. When all have been tried, what is not finished is looked through every now and then.
+Unclaimed jobs are tried in order; the folder of claims is listed only once, at the start. After all jobs have
+been tried, unfinished jobs are checked at intervals for dead workers.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from scanloom.pipeline.batch.heartbeat import Watch
 from scanloom.pipeline.batch.queue import Queue
 from scanloom.pipeline.batch.records import FAILED, Record, Records
 
-# A job is given up after so many tries that ended in one stage without a result, and so many that crashed.
+# Attempts that end in the same stage without a result, and crashes, after which a job is given up.
 _MOST_TRIES, _MOST_CRASHES = 6, 2
-# Seconds between two looks, as a share of those after which a worker is taken for dead, and their bounds.
+# Interval of checks as a ratio of `patience`, and its minimum and maximum in seconds.
 _SHARE, _SHORTEST, _LONGEST = 0.05, 0.05, 3.0
 
 
 class Supply:
-    """Hands out claims.
+    """Scheduler that hands out claims to the slots of a worker.
 
     Parameters
     ----------
-    patience : seconds of silence after which a worker is taken for dead.
+    patience : seconds of silence after which a worker is presumed dead.
     only : numbers of the jobs to take; None for all.
     """
 
@@ -56,7 +56,7 @@ class Supply:
         self._next_look = 0.0
 
     def next(self) -> Claim | None:
-        """Return a claim that is ours now, or None if there is nothing to take at the moment."""
+        """Claim the next job; None if no job is available now."""
         while self._again:
             claim = self._again.popleft()
             if not self._is_hopeless(claim) and self._took(claim.next):
@@ -71,34 +71,34 @@ class Supply:
         return self._taken_over()
 
     def again(self, claim: Claim) -> None:
-        """Take note that a job of ours ended without a result: it is tried again, or given up."""
+        """Schedule a retry of an own job that ended without a result."""
         self._mine.pop(claim.number, None)
         self._again.append(claim)
 
     def lost(self, number: int) -> None:
-        """Take note that another has taken over a job of ours."""
+        """Record that another worker has taken over an own job."""
         self._mine.pop(number, None)
 
     def ended(self, number: int) -> None:
-        """Take note that a job of ours came to an end."""
+        """Record that an own job ended."""
         self._mine.pop(number, None)
         self._ended.add(number)
 
     def given_up(self) -> Iterator[Record]:
-        """Return what has to be written of jobs that were given up."""
+        """Yield failure records of jobs that were given up, for the caller to write."""
         while self._given_up:
             yield self._given_up.pop()
 
     def counted(self) -> tuple[int, int]:
-        """Return how many jobs have come to an end, as far as known, and how many there are."""
+        """Return the number of jobs known to have ended, and the total number."""
         return len(self._ended), len(self._numbers)
 
     def has_more(self) -> bool:
-        """Return whether there are jobs that were not tried yet, or that have to be again."""
+        """Return True if jobs are untried or scheduled for a retry."""
         return bool(self._ahead or self._again)
 
     def is_finished(self) -> bool:
-        """Return whether every job has come to an end."""
+        """Return True if every job has ended."""
         return not self.has_more() and all(one in self._ended for one in self._numbers)
 
     def _taken_over(self) -> Claim | None:
@@ -128,11 +128,14 @@ class Supply:
     def _is_alive(self, claim: Claim, said: Said) -> bool:
         if said.end is not None:
             return False
-        # Of a claim whose maker has not come to write its name, the claim itself is watched.
+        # If the claiming worker has not written its name yet, the claim itself is watched for silence.
         return not self._watch.is_dead(said.worker or f"{claim.number}.{claim.attempt}", self._patience)
 
     def _is_hopeless(self, claim: Claim) -> bool:
-        """Return whether a job ended too often without a result; it is then given up."""
+        """Return True if a job ended too often without a result.
+
+        A failure record is then queued.
+        """
         tries = self._claims.tries(claim)
         crashes = sum(one.end == CRASHED for one in tries)
         last = tries[-1].stage if tries else ""
@@ -147,8 +150,8 @@ class Supply:
         how = f"crashed {crashes} times" if crashes >= _MOST_CRASHES else f"was killed {alike} times"
         worker = tries[-1].worker if tries else ""
         why = BATCH_PROCESS_ENDED.error(
-            "the process that ran it {how}{place}, as it does where memory ends; run this scan alone, or "
-            "with larger voxels. Its output is in {log}.",
+            "the process of this scan {how}{place}, possibly because memory ran out; run the scan alone, or "
+            "with larger voxels. The output of the process is in {log}.",
             how=how,
             place=where,
             log=f"{self._logs / worker}.log",

@@ -1,4 +1,4 @@
-"""What a worker tells while it works; whoever watches passes one function that takes these."""
+"""Progress events of a worker, passed to a single callback."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from scanloom.pipeline.batch.records import Record
 
 @dataclass(frozen=True)
 class JobBegun:
-    """A scan is taken in hand.
+    """A worker started a job.
 
     Attributes
     ----------
-    attempt : from 0; more where it is taken over, or begun again.
+    name : name of the scan.
+    attempt : attempt number; above 0 for a retry or a takeover.
     """
 
     name: str
@@ -23,7 +24,7 @@ class JobBegun:
 
 @dataclass(frozen=True)
 class JobAt:
-    """A scan's stage has finished this share of its work."""
+    """Progress of a job: completed ratio of its current stage."""
 
     name: str
     stage: str
@@ -32,14 +33,14 @@ class JobAt:
 
 @dataclass(frozen=True)
 class JobEnded:
-    """A scan came to an end, by this worker."""
+    """A job of this worker ended."""
 
     record: Record
 
 
 @dataclass(frozen=True)
 class Counted:
-    """So many of all scans have come to an end, by whichever worker."""
+    """Number of ended jobs of all workers, and total number."""
 
     ended: int
     total: int
@@ -47,7 +48,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Noted:
-    """Something a person should know."""
+    """Notice for the user."""
 
     text: str
 
@@ -56,11 +57,11 @@ Told = JobBegun | JobAt | JobEnded | Counted | Noted
 
 
 class Tell(Protocol):
-    """Called from the thread of the worker."""
+    """Callback for worker events, called from the worker's thread."""
 
     def __call__(self, told: Told) -> None:
-        """Take note of one thing."""
+        """Handle an event."""
 
 
 def untold(told: Told) -> None:
-    """Take note of what nobody watches."""
+    """Ignore an event."""

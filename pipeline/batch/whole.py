@@ -1,4 +1,4 @@
-"""Small files of a queue that are whole or absent, without the locks that shared folders may not have."""
+"""Atomic writes without locks, which network shares may not support."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from scanloom.stages.files.replacing import draft_of
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that its name shows all of it or nothing.
+    """Write a file atomically: other processes see all of its content or no file.
 
-    A process that is killed meanwhile may leave a draft, which the queue's end takes away.
+    A process killed during the write may leave a draft, which is deleted with the queue.
     """
     draft = draft_of(path)
     try:

@@ -1,7 +1,7 @@
-"""A worker: takes jobs of a queue, one for each of its slots, until none is left.
+"""Worker that runs jobs of a queue, one per slot.
 
-It only claims, watches and writes down; jobs run in processes of their own
-(`scanloom.pipeline.batch.process`), so that no job can keep it from beating, or take it along.
+The worker only claims, watches and records. Jobs run in subprocesses (`scanloom.pipeline.batch.process`), so
+that no job can block the heartbeat or crash the worker.
 """
 
 from __future__ import annotations
@@ -28,34 +28,36 @@ from scanloom.pipeline.failures import explained
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import StageError
 
-# A process is replaced after so many jobs: what libraries leave behind in memory does not pile up.
+# Jobs after which a job process is replaced, to bound memory leaks of libraries.
 _JOBS_A_PROCESS = 64
-# Seconds that nothing is heard for, at most, until it is looked for work again.
+# Maximum seconds to wait for messages before looking for jobs again.
 _PAUSE = 0.5
-# Seconds that one turn counts for at most: what a machine sleeps, or a worker is stopped for, is no fault of
-# a job.
+# Maximum seconds that one loop iteration adds to a job's time without progress: a suspended machine or a
+# stopped worker must not count against the job.
 _LONGEST_TURN = 10.0
-# Of what systems send to end a process, SIGKILL and SIGTERM; what others end by is their own fault.
+# Exit codes for SIGKILL and SIGTERM, sent by the system; any other signal counts as a crash.
 _KILLING = (-9, -15)
 
 
 class Worker:
-    """Works on a queue.
+    """Worker on a queue.
 
     Parameters
     ----------
-    slots : jobs at a time.
-    threads : of each.
-    memory : bytes that all jobs may take together; None where it is not known.
-    is_limit : `memory` was asked for, and ends jobs that take more; else it only decides how many run at a
-        time.
-    only : numbers of the jobs to work on; None for all.
-    stay : wait for the jobs of others, to take over those of who dies.
-    disk : bytes that all jobs may write; None for no limit.
-    take_over_after : seconds; None for what the queue says.
-    timeout : seconds after which a job that gets no further is ended, 0 for never; None for what the queue
-        says.
-    clock : seconds that only go forward, by which `timeout` is counted.
+    slots : number of concurrent jobs.
+    threads : threads per job.
+    memory : bytes for all jobs together; None if unknown.
+    is_limit : True if `memory` is a limit that ends jobs; False if it only bounds how many jobs run
+        concurrently.
+    disk : bytes that all jobs may write in total; None for no limit.
+    take_over_after : seconds of silence after which a worker is presumed dead; None for the setting of the
+        queue.
+    timeout : seconds without progress after which a job is ended, 0 for never; None for the setting of the
+        queue.
+    only : numbers of the jobs to run; None for all.
+    stay : True to wait for jobs of other workers, and take over those of dead workers.
+    tell : callback for progress events.
+    clock : monotonic clock in seconds, for `timeout`.
     """
 
     def __init__(
@@ -93,12 +95,15 @@ class Worker:
         self._jobs = {job.number: job for job in queue.jobs}
 
     def work(self) -> None:
-        """Work until every job has come to an end, by this worker or another, or there is none to take.
+        """Run jobs until all have ended or none can be taken.
+
+        Jobs of other workers count, too.
 
         Raises
         ------
         StageError
-            If the queue cannot be written to; what is finished stays, and what is not is left to others.
+            If the queue cannot be written to. Finished jobs keep their records; others are left to other
+            workers.
         """
         with (
             explained(f"the queue {self._queue.folder} cannot be worked on"),
@@ -107,7 +112,7 @@ class Worker:
             try:
                 self._work()
             except FileNotFoundError:
-                # It may go between two looks at it.
+                # The queue may be removed between two checks.
                 self._require_standing()
                 raise
             finally:
@@ -130,14 +135,15 @@ class Worker:
             self._look_after()
 
     def _require_standing(self) -> None:
-        """Raise StageError where a later batch has removed this one, as it may when no worker gave a sign."""
+        """Raise StageError if a later batch has replaced this queue.
+
+        A later batch may do so if this worker seemed dead.
+        """
         if not self._queue.folder.is_dir():
             raise StageError(
                 BATCH_WORKER_STOPPED,
-                (
-                    "another batch was begun in {out} while this worker gave no sign of life; "
-                    "what it had finished is in the cache."
-                ),
+                "another batch was started in {out} while this worker was unresponsive; its finished stages "
+                "are in the cache.",
                 out=self._queue.out,
             )
 
@@ -145,7 +151,7 @@ class Worker:
         job = self._jobs.get(claim.number)
         if job is None:
             where = self._queue.folder / "jobs.jsonl"
-            why = f"{where}: the line of this job is damaged; run the batch again, which writes it anew."
+            why = f"{where}: the line of this job is damaged; run the batch again to rewrite it."
             self._end(Record(claim.number, "", FAILED, why, worker=self.name, attempt=claim.attempt))
             return
         slot.work = Work(job, claim)
@@ -171,7 +177,7 @@ class Worker:
         return self._queue.folder / "workers" / f"{self.name}.log"
 
     def _hear(self) -> None:
-        """Take what processes say, until nothing is waiting."""
+        """Handle messages of job processes until the inbox is empty."""
         pause = _PAUSE
         while True:
             try:
@@ -224,7 +230,7 @@ class Worker:
         self._free(slot, said["written"])
         state, why = said["state"], said["reason"]
         if state == UNUSABLE and not self._queue.scan_of(job).exists():
-            why = f"{self._queue.scan_of(job)}: the scan is not there any more."
+            why = f"{self._queue.scan_of(job)}: the scan does not exist any more."
         record = Record(
             job.number,
             job.name,
@@ -239,15 +245,15 @@ class Worker:
         self._end(record)
 
     def _gone(self, slot: Slot, work: Work, code: int) -> None:
-        """Begin a job again whose process ended by itself; what it had finished is in the cache."""
+        """Retry a job whose process exited; finished stages are in the cache."""
         self._free(slot, 0)
         self._claims.end(work.claim, KILLED if code in _KILLING else CRASHED)
         self._supply.again(work.claim)
-        how = f"the process that ran it ended by itself ({_how(code)}) in {work.stage}"
+        how = f"its process ended unexpectedly ({_how(code)}) in {work.stage}; the scan is run again"
         self._tell(Noted(f"{work.job.name}: {how}"))
 
     def _look_after(self) -> None:
-        """End jobs that others have taken over, and those that get no further."""
+        """Kill jobs that other workers have taken over or that exceed the timeout."""
         now = self._clock()
         passed, self._turned = min(now - self._turned, _LONGEST_TURN), now
         for slot in self._slots:
@@ -268,34 +274,37 @@ class Worker:
                 )
 
     def _lost(self, slot: Slot, work: Work) -> None:
-        """Leave a job to who has taken it over: what becomes of it is theirs to say."""
+        """Leave a job to the worker that has taken it over.
+
+        That worker records the outcome.
+        """
         self._free(slot, 0)
         self._supply.lost(work.claim.number)
-        why = "another worker has taken it over while this one gave no sign of life"
+        why = "another worker has taken it over while this worker was unresponsive"
         self._tell(Noted(f"{work.job.name}: {why}"))
 
     def _kill(self, slot: Slot, work: Work) -> None:
         process, slot.process = slot.process, None
         if process is not None and not process.kill():
-            why = "the system cannot end its process, which waits for a drive"
+            why = "its process cannot be killed, because it is waiting for a drive"
             self._tell(Noted(f"{work.job.name}: {why}"))
-        # If it cannot be, the next run does it.
+        # If drafts cannot be removed now, the next run removes them.
         with suppress(StageError):
             Cache(self._queue.cache).remove_abandoned()
 
     def _why_ended(self, work: Work) -> Diagnostic:
         if work.is_waiting:
             return BATCH_SCAN_STUCK.error(
-                "it waited {seconds:g} s for another run that is working into {folder}, and was ended",
-                remedy="end that one, and run the batch again.",
+                "ended after waiting {seconds:g} s for another run into {folder}",
+                remedy="end the other run, and run the batch again.",
                 seconds=self._timeout,
                 folder=self._queue.results_of(work.job),
             )
-        where = f"in {work.stage}" if work.stage else "while its files were read"
+        where = f"in {work.stage}" if work.stage else "while reading its files"
         return BATCH_SCAN_STUCK.error(
-            "it got no further {place} for {seconds:g} s and was ended",
-            remedy="see whether the drive of its files answers, or give a longer worker.timeout, and run the "
-            "batch again: it goes on from what is in the cache.",
+            "ended after {seconds:g} s without progress {place}",
+            remedy="check that the drive of the scan responds, or increase worker.timeout, and run the batch "
+            "again: it continues from the cache.",
             place=where,
             seconds=self._timeout,
         )
@@ -315,7 +324,7 @@ class Worker:
         return f"job {number}" if job is None else job.name
 
     def _stop(self) -> None:
-        """Have jobs that still run put away what they were writing, and leave them to others."""
+        """Interrupt running jobs and release them for other workers."""
         for slot in self._slots:
             if slot.process is not None and slot.work is not None:
                 slot.process.interrupt()
@@ -323,7 +332,7 @@ class Worker:
             if slot.process is not None:
                 slot.process.end()
             if slot.work is not None:
-                # If it cannot be written, others see that this worker has ended.
+                # If the claim cannot be written, others see from the heartbeat that this worker has ended.
                 with suppress(OSError):
                     self._claims.end(slot.work.claim, RELEASED)
 

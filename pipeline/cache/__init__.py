@@ -1,1 +1,1 @@
-"""Cache of results: entries, keys, locks."""
+"""Cache of stage results: entries, keys, locks."""

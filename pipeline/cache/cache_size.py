@@ -1,4 +1,4 @@
-"""How large a cache may become, in words as people write sizes."""
+"""Size limit of the cache, and parsing of sizes with units."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from scanloom.stages.diagnostics.diagnostic import Where
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check, param
 
-# Of a thousand each, as disks are sold and `scanloom cache ls` shows sizes.
+# Decimal units, as disks are sold and as `scanloom cache ls` prints sizes.
 _UNITS = {"kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
-# Megabytes: a hundred terabytes.
+# Megabytes, i.e. 100 TB: a larger number without a unit is meant in bytes.
 _BYTES_MEANT = 1e8
 
 
 @dataclass(frozen=True, kw_only=True)
 class CacheParams:
-    """What is kept of results of earlier runs."""
+    """Cached results of earlier runs."""
 
     max_size: str | None = param(
         None,
-        "Size of the cache, such as `20 GB`, down to which results that were unused longest are removed "
-        "after a run; never those that the latest run of an output folder used. Without it all is kept.",
+        "Maximum size of the cache, such as `20 GB`. After a run, the least recently used results are "
+        "removed until the cache fits; results of the latest run of each output folder are kept. No limit by "
+        "default.",
         invalidates=False,
         common=True,
     )
@@ -35,20 +36,22 @@ class CacheParams:
 
     @property
     def max_bytes(self) -> int | None:
-        """Return the size in bytes; None for no limit."""
+        """Size limit in bytes; None for no limit."""
         return None if self.max_size is None else bytes_of(self.max_size, "max_size")
 
 
 def bytes_of(text: str, name: str) -> int:
-    """Return a size like `20 GB` in bytes; a number alone is in MB.
+    """Parse a size like `20 GB` to bytes.
+
+    A number without a unit is in MB.
 
     Raises
     ------
     UsageError
-        If it is no size; `name` says whose.
+        If the text is not a size; the message names the parameter `name`.
     """
     found = re.fullmatch(r"\s*(\d{1,12}(?:\.\d{1,12})?)\s*([kmgt]b)?\s*", text, re.ASCII | re.IGNORECASE)
-    # Who writes so much without a unit means bytes, and would have no limit at all.
+    # Reject huge numbers without a unit: they are meant in bytes, and as MB would be no limit at all.
     if found is None or (not found[2] and float(found[1]) >= _BYTES_MEANT):
         raise UsageError(
             USAGE_VALUE_INVALID,

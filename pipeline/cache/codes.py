@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the cache, with explanations."""
+"""Diagnostic codes of the cache, with explanations."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 MACHINE_CACHE_UNUSABLE = Code(
     "machine.cache-unusable",
-    "The cache",
+    "Damaged or read-only cache",
     """
-A damaged entry is dropped, and its stage runs again: nothing has to be done, unless it happens often,
-which speaks of a
-bad disk. A cache that may only be read is used as it is. `scanloom cache verify` looks at all entries,
-`scanloom cache prune` removes old ones; deleting the whole folder only costs time.
+A damaged entry is removed and its stage runs again, so nothing has to be done. Repeated damage indicates
+a failing disk. A read-only cache is used but not updated. `scanloom cache verify` checks all entries, and
+`scanloom cache prune` removes old ones. The whole folder can be deleted safely: stages then run again.
 """,
-    ("the cached result of fuse is damaged (fused.ply has 10 bytes instead of 2,045); it is made anew."),
+    "the cached result of fuse is damaged (fused.ply has another size); the stage runs again.",
 )

@@ -1,8 +1,8 @@
-"""Digests that decide a cache hit: of parameters in canonical form, of file contents, of a whole scan.
+"""Digests for cache keys: of canonical parameters, of file contents, and of a scan.
 
-Only content counts. Paths and times of change stay out, so that a moved or touched scan keeps its results.
-What frames are called and when they were taken are digests of their own, for the stages whose results say so,
-and so is what is known of the world.
+Digests only depend on content. Paths and modification times are excluded, so that a moved or touched scan
+keeps its results. Frame names, time stamps and facts about the world frame have separate digests, for the
+stages whose results contain them.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from scanloom.stages.scans.model.prefetch import read_ahead
 from scanloom.stages.scans.model.scan import Frame, Packed, Scan
 from scanloom.stages.scans.model.threads import threads_to_use
 
-# Few stages look at these, or none: names and times are shown to people. See `label_digests`.
+# Fields excluded from the frame digest, because most stages ignore them; see `label_digests`.
 _DIGESTED_APART = frozenset({"name", "timestamp", "up"})
 _BLOCK = 1 << 20
-# Files whose digests are being made: enough that no core waits for the one that is asked for first.
+# Files digested ahead of the one requested first: enough to keep all cores busy.
 _AHEAD = 256
 
 _Signature = tuple[int, ...] | None
 
 
 def canonical(value: Any) -> str:
-    """Write a value as JSON that is the same text for the same value.
+    """Serialise a value as canonical JSON: equal values give equal text.
 
     Raises
     ------
     TypeError, ValueError
-        For what JSON cannot express (paths, arrays, sets, keys that are not text, NaN, infinity): a digest of
-        a guess would be a wrong hit later.
+        For values JSON cannot express: paths, arrays, sets, keys that are not text, NaN, infinity. An
+        approximate conversion could cause a wrong cache hit.
     """
     _require_json(value, "value")
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -68,12 +68,12 @@ def _require_json(value: Any, where: str) -> None:
 
 
 def digest(value: Any) -> str:
-    """Return the SHA-256 of a value's canonical JSON, in hex."""
+    """Compute the SHA-256 of the canonical JSON of a value, in hex."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hex."""
+    """Compute the SHA-256 of a file, in hex."""
     sha = hashlib.sha256()
     with opened(path) as file:
         while block := file.read(_BLOCK):
@@ -82,18 +82,18 @@ def file_digest(path: Path) -> str:
 
 
 def file_digests(paths: Iterable[Path]) -> list[str]:
-    """Digests of many files, read on all cores."""
+    """Compute the SHA-256 of many files on all cores."""
     return list(_on_all_cores(file_digest, paths))
 
 
 @dataclass(frozen=True)
 class ScanDigest:
-    """The content of a scan in one digest.
+    """Content digest of a scan.
 
     Attributes
     ----------
-    digest : of everything a stage may read.
-    parts : a digest for each frame and for the rig, to say what changed between two runs.
+    digest : digest of everything a stage may read.
+    parts : digest of each frame and of the rig, by name, to report which of them changed between two runs.
     """
 
     digest: str
@@ -101,31 +101,32 @@ class ScanDigest:
     _files: Mapping[Path, tuple[str, _Signature]]
 
     def require_unchanged(self, frames: Iterable[Frame] | None = None) -> None:
-        """Raise StageError if the content of a file of the scan changed since its digest was taken.
+        """Raise StageError if a file of the scan changed since its digest was computed.
 
-        A result made from such a file must not be stored: its key would promise another content.
+        A result computed from such a file must not be stored: its cache key would refer to different content.
 
         Parameters
         ----------
-        frames : of the scan, whose files are looked at; None for all.
+        frames : frames of the scan whose files are checked; None for all.
         """
         paths = self._files if frames is None else _files_of(frames)
         for path in paths:
             before, signature = self._files[path]
-            # The time stamp only saves reading all files again; a touched file is read, and is no change.
+            # Only read files whose size or time changed; a touched file with equal content is fine.
             if _signature(path) != signature and content(path) != before:
                 raise StageError(
                     MACHINE_BUSY,
                     "{path} changed while it was being read",
-                    remedy="run again when it is complete.",
+                    remedy="run again when the file is complete.",
                     path=path,
                 )
 
 
 def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
-    """Digest poses, cameras, scales and the bytes of every image of a scan.
+    """Compute the digest of poses, cameras, scales and all image files of a scan.
 
-    A file that cannot be read counts as "unreadable"; the stage that needs it decides what to do about it.
+    An unreadable file gets the digest "unreadable"; the stage that reads the file decides how to handle the
+    error.
     """
     paths = sorted(_files_of(scan.frames))
     signatures = [_signature(path) for path in paths]
@@ -152,13 +153,15 @@ def _files_of(frames: Iterable[Frame]) -> set[Path]:
 
 
 def label_digests(scan: Scan) -> dict[str, str]:
-    """Digest what is said of the frames beside their content, each for the stages that hand it on.
+    """Compute digests of frame metadata.
+
+    Each digest is for the stages that use the metadata.
 
     Returns
     -------
-    `names` : what messages call each frame and its files, as seen from the scan's folder.
-    `times` : when each was taken.
-    `world` : what is up in it, by the layout or in each frame, and whether its lengths are metres.
+    `names` : digest of frame names and file paths relative to the scan folder.
+    `times` : digest of the time stamps.
+    `world` : digest of the up directions and of `is_metric`.
     """
     names = [
         [frame.name, *(_place(value, scan.folder) for value in vars(frame).values())] for frame in scan.frames
@@ -172,12 +175,12 @@ def _place(value: Any, folder: Path | None) -> str | None:
     file = value.file if isinstance(value, Packed) else value
     if not isinstance(file, Path):
         return None
-    # From the folder on, so that a moved scan keeps its results.
+    # Relative to the scan folder, so that a moved scan keeps its results.
     return str(file) if folder is None else from_there(file, home(folder))
 
 
 def content(path: Path) -> str:
-    """Return the digest of a file's bytes, or "unreadable"."""
+    """Return the digest of a file, or "unreadable"."""
     try:
         return file_digest(path)
     except OSError:

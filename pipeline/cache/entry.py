@@ -1,11 +1,12 @@
-"""One result of a stage in the cache: what decided it, its files, and the manifest that vouches for them.
+"""Cache entry of a stage result: recipe, files, and a manifest with their digests.
 
     fuse/<key>/
-      fused.ply …         what the stage wrote
-      manifest.json       the recipe, size and digest of every file, figures, diagnostics, a digest of itself
+      fused.ply …         files written by the stage
+      manifest.json       recipe, size and digest of each file, metrics, diagnostics, and a digest of the
+      manifest
       in-use.lock         see scanloom.pipeline.cache.store
 
-The manifest is written last: a folder without one is no entry.
+The manifest is written last: a folder without a manifest is not an entry.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from scanloom.pipeline.cache.system import flush
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.files.opening import text_in
 
-# Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
+# Increase when the meaning of keys or the format of entries changes; older entries then miss.
 FORMAT_VERSION = 3
 
 MANIFEST = "manifest.json"
@@ -34,15 +35,15 @@ IN_USE = "in-use.lock"
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides a stage's result.
+    """Everything that determines the result of a stage; its digest is the cache key.
 
     Attributes
     ----------
-    stage : which computation.
-    versions : the RESULT_VERSION of everything it runs, by the name of the file that states it.
-    params : its parameters in canonical form, by section.
-    inputs : content digests of what it reads, by name.
-    libraries : versions of the libraries that compute the result.
+    stage : name of the stage.
+    versions : RESULT_VERSION of each module the stage runs, by module name.
+    params : canonical parameters by section.
+    inputs : content digests of the inputs by name.
+    libraries : versions of the libraries that affect the result.
     """
 
     stage: str
@@ -53,7 +54,7 @@ class Recipe:
 
     @property
     def key(self) -> str:
-        """Return the digest that names the entry."""
+        """Cache key: digest that names the entry."""
         return digest({"schema": FORMAT_VERSION, **self.as_json()})
 
     def as_json(self) -> dict[str, Any]:
@@ -64,12 +65,12 @@ class Recipe:
 
 
 class Entry:
-    """A whole, verified entry; it cannot be removed by anyone until it is closed.
+    """Complete, verified entry, protected from removal until closed.
 
     Attributes
     ----------
-    folder : where its files are; not to be written to.
-    manifest : what its manifest.json says.
+    folder : folder of the files; read-only.
+    manifest : content of manifest.json.
     """
 
     def __init__(self, folder: Path, manifest: dict[str, Any], lock: Lock) -> None:
@@ -79,41 +80,41 @@ class Entry:
 
     @property
     def key(self) -> str:
-        """Return the digest of the entry's recipe."""
+        """Digest of the recipe."""
         return self.folder.name
 
     @property
     def files(self) -> dict[str, str]:
-        """Content digest of every file, by its path within the folder."""
+        """SHA-256 of each file, by path relative to the folder."""
         return {name: about["sha256"] for name, about in self.manifest["files"].items()}
 
     @property
     def digest(self) -> str:
-        """Return the content digest of the whole entry, which the keys of later stages are made of."""
+        """Content digest of the whole entry, used in the cache keys of later stages."""
         return digest(self.files)
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What the stage counted and measured."""
+        """Metrics and statistics returned by the stage."""
         figures: dict[str, Any] = self.manifest["figures"]
         return figures
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Return what the stage emitted when the result was made."""
+        """Diagnostics emitted when the result was computed."""
         return tuple(Diagnostic.from_figures(one) for one in self.manifest.get("diagnostics", ()))
 
     def close(self) -> None:
-        """Let the entry go."""
+        """Release the entry, which other processes may then remove."""
         self._lock.release()
 
 
 class DamagedError(Exception):
-    """An entry does not hold what its manifest promises."""
+    """Entry that does not match its manifest."""
 
 
 def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
-    """Flush a draft's files to the disk and write the manifest that makes it an entry."""
+    """Complete a draft: flush its files and write the manifest."""
     paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / IN_USE)
     names = [path.relative_to(draft).as_posix() for path in paths]
     flush_all(paths)
@@ -135,14 +136,14 @@ def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
 
 
 def verified(place: Path) -> dict[str, Any]:
-    """Return an entry's manifest after reading every file it names; raise DamagedError."""
+    """Read the manifest of an entry and verify all files; raise DamagedError."""
     manifest = read_manifest(place)
     names = list(manifest["files"])
     inside = Path(os.path.realpath(place))
     for name in names:
-        # A link would have files of others read, and perhaps written, as the entry's own.
+        # Links are rejected: they could expose or overwrite files outside the cache.
         if Path(os.path.realpath(place / name)) != inside / name:
-            raise DamagedError(f"{name} leads elsewhere")
+            raise DamagedError(f"{name} is a link")
         if not (place / name).is_file():
             raise DamagedError(f"{name} is missing")
         if (place / name).stat().st_size != manifest["files"][name]["size"]:
@@ -153,17 +154,17 @@ def verified(place: Path) -> dict[str, Any]:
         raise DamagedError(f"{error.filename} cannot be read: {error.strerror}") from error
     for name, content in zip(names, contents, strict=True):
         if content != manifest["files"][name]["sha256"]:
-            raise DamagedError(f"{name} has another content")
+            raise DamagedError(f"{name} was modified")
     return manifest
 
 
 def read_manifest(place: Path) -> dict[str, Any]:
-    """Return an entry's manifest without looking at the files; raise DamagedError."""
+    """Read the manifest of an entry without checking its files; raise DamagedError."""
     try:
         manifest: dict[str, Any] = json.loads(_text_of(place / MANIFEST))
         sealed = manifest.pop("digest")
         if digest(manifest) != sealed:
-            raise DamagedError(f"{MANIFEST} has another content")
+            raise DamagedError(f"{MANIFEST} was modified")
         if digest({"schema": manifest["schema"], **manifest["recipe"]}) != place.name:
             raise DamagedError(f"{MANIFEST} belongs to another entry")
     except OSError as error:
@@ -175,5 +176,5 @@ def read_manifest(place: Path) -> dict[str, Any]:
 
 def _text_of(path: Path) -> str:
     if path.is_symlink():
-        raise DamagedError(f"{path.name} leads elsewhere")
+        raise DamagedError(f"{path.name} is a link")
     return text_in(path, "utf-8")

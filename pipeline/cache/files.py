@@ -1,4 +1,4 @@
-"""Files that are whole or absent."""
+"""Atomic file writes with locked drafts."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from scanloom.stages.files.replacing import draft_of, stem_of_drafts
 
 
 def flush_all(paths: Iterable[Path]) -> None:
-    """Flush many files; several at a time, since each wait is for the disk and not for the processor."""
+    """Flush files to disk in parallel.
+
+    Flushing waits for the disk, not for the CPU.
+    """
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(flush, paths))
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that its name shows the old content or the new one, never a part."""
+    """Write a file atomically: readers see the old or the new content."""
     _replace(path, lambda draft: draft.write_bytes(data))
 
 
 def copy_whole(source: Path, path: Path) -> None:
-    """Copy a file so that the new name shows the old content or the new one, never a part."""
+    """Copy a file atomically: readers see the old or the new content."""
     _replace(path, lambda draft: shutil.copyfile(source, draft))
 
 
@@ -50,12 +53,12 @@ def _new_draft(path: Path) -> tuple[Path, Lock]:
         lock = take_lock(draft)
         if lock.is_of(draft):
             return draft, lock
-        # Another process took it for debris before it was locked.
+        # Another process removed the draft as abandoned before it was locked.
         lock.release()
 
 
 def remove_abandoned(path: Path) -> None:
-    """Remove drafts of a file whose writers were killed."""
+    """Remove drafts of a file left by killed processes."""
     for draft in path.parent.glob(f".{glob.escape(stem_of_drafts(path.name))}.*.part"):
         lock = try_lock(draft) if draft.is_file() and not draft.is_symlink() else None
         if lock is not None:

@@ -1,4 +1,4 @@
-"""Locks on files and folders, shared or for oneself alone, that end with the process that holds them."""
+"""Shared and exclusive locks on files and folders, released when the process ends."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from pathlib import Path
 
 from scanloom.pipeline.cache.system import lock, open_folder_lock, open_lock
 
-# What the system says where there are no locks, as in some shared folders.
+# Error codes of file systems without locks, such as some network shares.
 _NO_LOCKS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS})
-# What it says where nothing may be written.
+# Error codes of read-only locations.
 READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
 
 
 class Lock:
-    """A lock that is held until it is released, or the process ends.
+    """Lock held until released, or until the process ends.
 
     Parameters
     ----------
-    path : of the locked file.
-    descriptor : of that file, open.
+    path : locked file.
+    descriptor : open file descriptor of the locked file.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
@@ -29,13 +29,13 @@ class Lock:
         self._descriptor: int | None = descriptor
 
     def release(self) -> None:
-        """Let the next one have it; more than once does no harm."""
+        """Release the lock; a second call has no effect."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
     def is_of(self, path: Path) -> bool:
-        """Return whether the locked file is still the one of that name."""
+        """Return True if the locked file is still the file at a path."""
         if self._descriptor is None:
             return False
         try:
@@ -44,23 +44,23 @@ class Lock:
             return False
 
     def touch(self) -> None:
-        """Set the time of the locked file to now."""
+        """Set the modification time of the locked file to now."""
         descriptor = self._descriptor
-        # Windows takes no descriptor.
+        # os.utime does not accept a descriptor on Windows.
         os.utime(self._path if descriptor is None or os.utime not in os.supports_fd else descriptor)
 
 
 def take_lock(path: Path, *, shared: bool = False) -> Lock:
-    """Open a lock file, made if need be, and wait for the lock.
+    """Open a lock file, creating it if needed, and wait for the lock.
 
-    A link, a pipe or an empty folder in its place is removed, and never followed. A file that may only be
-    read is locked all the same.
+    A link, a pipe or an empty folder at the path is replaced by a file; links are never followed. A read-only
+    file can be locked, too.
     """
     return _locked(path, shared=shared, wait=True)
 
 
 def try_lock(path: Path) -> Lock | None:
-    """Take a lock file for oneself alone, or return None if anybody else has it."""
+    """Take an exclusive lock on a file; None if another process holds the lock."""
     try:
         return _locked(path, shared=False, wait=False)
     except BlockingIOError:
@@ -68,12 +68,15 @@ def try_lock(path: Path) -> Lock | None:
 
 
 def take_folder(folder: Path) -> Lock:
-    """Wait for the lock of a folder, which needs no file in it."""
+    """Wait for the exclusive lock of a folder.
+
+    No file is created in the folder.
+    """
     return _held(folder, open_folder_lock(folder), shared=False, wait=True)
 
 
 def try_folder(folder: Path) -> Lock | None:
-    """Take the lock of a folder, or return None if anybody else has it."""
+    """Take the exclusive lock of a folder; None if another process holds the lock."""
     try:
         return _held(folder, open_folder_lock(folder), shared=False, wait=False)
     except BlockingIOError:
@@ -81,7 +84,7 @@ def try_folder(folder: Path) -> Lock | None:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a folder is there itself, and no link to one."""
+    """Return True for a folder, False for a link to a folder."""
     try:
         return stat.S_ISDIR(path.lstat().st_mode)
     except OSError:
@@ -99,8 +102,9 @@ def _held(path: Path, descriptor: int, *, shared: bool, wait: bool) -> Lock:
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
-            # What is waited for is then held with others: entries are whole or absent all the same, and the
-            # same work may be done twice. What is only tried could be in use, and is let be.
+            # Without lock support, `wait` continues unlocked: entries are written atomically anyway, and the
+            # worst case is duplicate work. Without `wait`, the lock is assumed to be held, so that nothing in
+            # use is removed.
             if not wait:
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from error
     except BaseException:
@@ -116,7 +120,7 @@ def _opened(path: Path) -> int:
         try:
             descriptor = _opened_to_write_or_read(path)
         except OSError as error:
-            # What became a link, a folder or a pipe by now.
+            # The path became a link, folder or pipe in the meantime.
             if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO) and _is_in_the_way(path):
                 continue
             raise
@@ -142,8 +146,11 @@ def _is_in_the_way(path: Path) -> bool:
 
 
 def _make_way(path: Path) -> None:
-    """Remove what is no file from the place of one; a folder only if it is empty."""
-    # Two processes may see the link: the second must not remove the file that the first has put there.
+    """Remove anything that is not a regular file from a path.
+
+    A folder is only removed if it is empty.
+    """
+    # Two processes may see the same link: the second must not remove the file that the first one created.
     others = take_folder(path.parent)
     try:
         if _is_in_the_way(path):

@@ -1,4 +1,7 @@
-"""Which machine made a draft in a shared cache: locks there may hold on one machine only."""
+"""Host identifier in names of cache drafts.
+
+In a shared cache, locks may only hold within one machine.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ _MARKED = re.compile(r"[^-]+-m([0-9a-f]{8})-")
 
 @functools.cache
 def machine_mark() -> str:
-    """Return what the names of this machine's drafts have in common."""
+    """Return the host identifier used in names of drafts."""
     return "m" + hashlib.sha256(socket.gethostname().encode("utf-8", "replace")).hexdigest()[:8]
 
 
 def is_of_another_machine(name: str) -> bool:
-    """Return whether the name of a draft, after its stage, has the mark of another machine."""
+    """Return True if the name of a draft has the identifier of another host."""
     found = _MARKED.match(name)
     return found is not None and f"m{found[1]}" != machine_mark()

@@ -1,4 +1,4 @@
-"""What Linux and macOS do in their way; `scanloom.pipeline.cache.windows` has the same functions."""
+"""System functions for Linux and macOS; same interface as `scanloom.pipeline.cache.windows`."""
 
 from __future__ import annotations
 
@@ -8,36 +8,39 @@ import resource
 import sys
 from pathlib import Path
 
-# For type checkers: what follows is not there elsewhere.
+# For type checkers: the modules below only exist on POSIX systems.
 assert sys.platform != "win32"
 
 _KILOBYTE = 1024
 
 
 def open_lock(path: Path, *, writing: bool) -> int:
-    """Open a lock file, made if need be when `writing`; no link is followed, no pipe waited for."""
+    """Open a lock file, creating it if `writing`.
+
+    Links are not followed, and pipes do not block.
+    """
     flags = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     return os.open(path, flags | (os.O_RDWR | os.O_CREAT if writing else os.O_RDONLY), 0o666)
 
 
 def open_folder_lock(folder: Path) -> int:
-    """Open what is locked where a folder as a whole is meant."""
+    """Open a folder, to lock it."""
     return os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
 
 
 def lock(descriptor: int, *, shared: bool, wait: bool) -> None:
-    """Lock an open file, with others that share it or alone; it ends when the file is closed.
+    """Lock an open file, shared or exclusively, until it is closed.
 
     Raises
     ------
     BlockingIOError
-        If it cannot be had at once and is not to be waited for.
+        If another process holds the lock and `wait` is False.
     """
     fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
 
 
 def flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Flush a file, or the entries of a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -46,7 +49,7 @@ def flush(path: Path) -> None:
 
 
 def reset_peak() -> None:
-    """Forget the peak so far, where the system can (Linux: proc(5), clear_refs)."""
+    """Reset the peak memory of the process, if supported (Linux: proc(5), clear_refs)."""
     try:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     except OSError:
@@ -54,13 +57,13 @@ def reset_peak() -> None:
 
 
 def peak_bytes() -> int:
-    """Return the largest resident size since `reset_peak`, or since the process began."""
+    """Return the peak resident memory in bytes since `reset_peak`, or since process start."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * _KILOBYTE
     except OSError:
         pass
-    # macOS counts bytes, the others kilobytes.
+    # ru_maxrss is in bytes on macOS, in kilobytes elsewhere.
     unit = 1 if sys.platform == "darwin" else _KILOBYTE
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -1,22 +1,21 @@
-"""Results of stages, kept under a digest of all that decided them.
+"""Cache of stage results, stored under the digests of their recipes.
 
     cache/
-      CACHEDIR.TAG             tells backup programs to leave the folder out
-      names.lock               held for moments, by whoever adds, moves or looks up an entry
-      fuse/<key>/              an entry: the stage's files, manifest.json and in-use.lock
-      drafts/fuse-m1f0…-k3j2…/ an entry being made or removed, locked by the process that does it
-      runs/<output>.json       which entries the latest run of each output folder used
-      runs/<output>.lock       held by the run that works into that folder
+      CACHEDIR.TAG             excludes the folder from backups
+      names.lock               held briefly while an entry is added, moved or looked up
+      fuse/<key>/              entry: files of the stage, manifest.json and in-use.lock
+      drafts/fuse-m1f0…-k3j2…/ entry being written or removed, locked by the process that does it
+      runs/<output>.json       entries used by the latest run of each output folder
+      runs/<output>.lock       held by the run that writes to the output folder
 
-An entry is made in `drafts`, flushed to disk and moved to its place in one rename, so it is whole or it is
-not there. Who reads an entry holds a shared lock on its `in-use.lock`; who removes one must first get it
-exclusively. The system releases the locks of a killed process, which is how its drafts are told from those
-of a living one; in a folder that several machines share, each looks after its own. Where such a folder has no
-locks, entries are whole or absent all the same.
+Entries are written in `drafts`, flushed to disk and renamed, so each entry is complete or absent. Readers of
+an entry hold a shared lock on `in-use.lock`; removal needs an exclusive lock. The system releases the locks
+of a killed process, so its drafts can be recognised as abandoned. If several machines share the cache, each
+machine only removes its own drafts. On file systems without locks, entries are still complete or absent.
 
-Nothing in the folder is believed to be what it should: a link or a file in the place of an entry or a lock
-is removed, one in the place of a folder of entries is refused, and none is followed. Where the folder may
-only be read, what it holds is used.
+The content of the folder is not trusted. A link or a file in place of an entry or lock is removed. A link or
+a file in place of a folder of entries is an error. Links are never followed. A read-only cache is used
+without being updated.
 """
 
 from __future__ import annotations
@@ -65,7 +64,14 @@ _TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of scanloom; safe
 
 @dataclass(frozen=True)
 class Listed:
-    """One entry as `scanloom cache` shows it; `problem` says why it is of no use, or is None."""
+    """Entry as listed by `scanloom cache`.
+
+    Attributes
+    ----------
+    size : bytes of all files.
+    in_latest_run : True if the latest run of an output folder used the entry.
+    problem : reason why the entry is damaged; None if intact.
+    """
 
     stage: str
     key: str
@@ -77,11 +83,11 @@ class Listed:
 
 
 class Cache:
-    """A folder of entries, shared safely by any number of processes.
+    """Folder of cache entries, safe for concurrent use by several processes.
 
     Parameters
     ----------
-    folder : made when the first entry is stored.
+    folder : cache folder, created when the first entry is stored.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -89,7 +95,10 @@ class Cache:
         self._is_read_only = False
 
     def get(self, recipe: Recipe) -> Entry | None:
-        """Return the verified entry of a recipe, or None; a damaged entry is reported and dropped."""
+        """Look up and verify the entry of a recipe; None if missing.
+
+        A damaged entry is removed with a warning.
+        """
         place = self._place(recipe)
         with explained(f"the cache folder {self.folder} cannot be used"):
             while os.path.lexists(place):
@@ -103,7 +112,7 @@ class Cache:
                     if self._drop(place, lock):
                         emit(
                             MACHINE_CACHE_UNUSABLE.warning(
-                                "the cached result of {stage} is damaged ({reason}); it is made anew.",
+                                "the cached result of {stage} is damaged ({reason}); the stage runs again.",
                                 stage=recipe.stage,
                                 reason=str(error),
                             )
@@ -112,9 +121,7 @@ class Cache:
                 except BaseException:
                     lock.release()
                     raise
-                with contextlib.suppress(
-                    OSError
-                ):  # A cache that may only be read does not note who reads it.
+                with contextlib.suppress(OSError):  # Read-only cache: the time of last use is not updated.
                     lock.touch()
                 return Entry(place, manifest, lock)
         return None
@@ -122,19 +129,19 @@ class Cache:
     def store(
         self, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]], *, replace: bool = False
     ) -> Entry:
-        """Make an entry and return it.
+        """Compute and store an entry.
 
         Parameters
         ----------
-        make : writes the stage's files into the empty folder it is given, and returns what the manifest is to
-            say beside: `figures`, and `made` for seconds and the like that decide nothing.
-        replace : take the place of an entry that is there already. Otherwise, when another process was
-            faster, its entry is returned and this one thrown away.
+        make : writes the files of the stage into a given empty folder and returns manifest fields: `figures`,
+            and `made` with seconds and memory, which do not affect the result.
+        replace : replace an existing entry. If False and another process stored the entry first, that entry
+            is returned and the new files are discarded.
 
         Raises
         ------
         StageError
-            If the disk is full or the folder cannot be written; nothing of the entry stays behind.
+            If the disk is full or the folder is not writable; no partial entry is left.
         """
         with explained(f"the result of {recipe.stage} cannot be written to the cache {self.folder}"):
             draft, lock = self._new_draft(recipe.stage)
@@ -153,32 +160,32 @@ class Cache:
             return Entry(self._place(recipe), read_manifest(self._place(recipe)), held)
 
     def remove_abandoned(self, *, everywhere: bool = False) -> None:
-        """Remove what killed processes left half-made, and what was dropped while another was reading it.
+        """Remove drafts of killed processes, and removed entries that were still being read.
 
         Parameters
         ----------
-        everywhere : what processes of other machines left, too; none of them may be at work where the shared
-            folder has no locks between machines.
+        everywhere : also remove drafts of other machines. Only safe if no other machine is using the cache,
+            as the share may not support locks between machines.
         """
         with explained(f"the cache folder {self.folder} cannot be used"):
             drafts = self.folder / _DRAFTS
             for draft in drafts.iterdir() if is_folder(drafts) else ():
-                # Locks of shared folders may hold on one machine only: what others make is theirs to remove.
+                # Locks may only hold within one machine, so drafts of other machines could be in use.
                 if is_of_another_machine(draft.name) and not everywhere:
                     continue
                 with self._names():
-                    # A draft and its lock are made together under the names lock: without one it is debris.
+                    # A draft is created and locked under the names lock, so an unlocked draft is abandoned.
                     lock = try_lock(draft / IN_USE) if is_folder(draft) else None
                 if lock is not None:
                     _discard(draft, lock)
 
     def ls(self) -> list[Listed]:
-        """List all entries, by stage and from the last used to the longest unused; nothing is verified."""
+        """List all entries by stage, most recently used first, without verifying files."""
         listed = self._listed(thorough=False)
         return sorted(listed, key=lambda entry: (entry.stage, -entry.last_used.timestamp()))
 
     def verify(self) -> list[Listed]:
-        """List all entries with what is wrong with each, reading every file; nothing is changed."""
+        """List all entries, reading every file to find damage; nothing is changed."""
         return self._listed(thorough=True)
 
     def prune(
@@ -190,15 +197,15 @@ class Cache:
         dry_run: bool = False,
         everywhere: bool = False,
     ) -> list[Listed]:
-        """Remove entries and return them; those another process is using stay.
+        """Remove entries and return them; entries in use by other processes are kept.
 
         Parameters
         ----------
-        unused : remove what the latest run of no output folder used.
-        older_than : seconds; remove what was last used longer ago.
-        max_size : bytes; then remove what was unused longest until the rest is no larger, or only what
-            latest runs used is left.
-        dry_run : only say what would be removed.
+        unused : remove entries that no output folder's latest run used.
+        older_than : remove entries last used more than this many seconds ago.
+        max_size : then remove the least recently used entries until the cache is at most this many bytes.
+            Entries used by latest runs are kept.
+        dry_run : only return the entries that would be removed.
         everywhere : see `remove_abandoned`.
         """
         entries = sorted(self.ls(), key=lambda entry: entry.last_used)
@@ -223,19 +230,19 @@ class Cache:
         return removed
 
     def limit(self, max_size: int) -> None:
-        """Remove what was unused longest until the cache is no larger; never what latest runs used.
+        """Remove least recently used entries until the cache fits; keep entries of latest runs.
 
         Parameters
         ----------
-        max_size : bytes. If more is left, a warning is emitted.
+        max_size : bytes. If the cache remains larger, a warning is emitted.
         """
         self.prune(unused=False, max_size=max_size)
         total = sum(entry.size for entry in self.ls())
         if total > max_size:
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "the cache {folder} holds {total_gb:.3g} GB, more than cache.max_size of "
-                    "{limit_gb:.3g} GB: all of it is of the latest run of an output folder, or in use.",
+                    "the cache {folder} has {total_gb:.3g} GB, more than cache.max_size ({limit_gb:.3g} GB): "
+                    "all entries are in use, or belong to the latest run of an output folder.",
                     folder=self.folder,
                     total_gb=total / 1e9,
                     limit_gb=max_size / 1e9,
@@ -243,11 +250,11 @@ class Cache:
             )
 
     def sole_run(self, out: Path, waiting: Callable[[], None]) -> Lock:
-        """Wait until no other run works into an output folder; release the lock to let the next one in.
+        """Wait for exclusive use of an output folder; release the returned lock afterwards.
 
         Parameters
         ----------
-        waiting : called once if another run is at it.
+        waiting : called once if another run is using the folder.
         """
         with explained(f"the cache folder {self.folder} cannot be used"):
             path = self._run_record(out).with_suffix(".lock")
@@ -264,7 +271,7 @@ class Cache:
             return lock
 
     def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
-        """Keep what the latest run of an output folder used; `record["keys"]` names its entries."""
+        """Record the latest run of an output folder; `record["keys"]` lists the used entries."""
         with explained(f"the cache folder {self.folder} cannot be used"):
             text = json.dumps({"out": self._seen_from_here(out), **record}, indent=1)
             try:
@@ -276,7 +283,7 @@ class Cache:
                 self._say_read_only()
 
     def latest_run(self, out: Path) -> dict[str, Any]:
-        """Return what `remember_run` was last told about an output folder; empty if nothing."""
+        """Return the record of the latest run of an output folder; empty if missing."""
         return _read_record(self._run_record(out))
 
     def _say_read_only(self) -> None:
@@ -284,8 +291,7 @@ class Cache:
             self._is_read_only = True
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "the cache {folder} may only be read: its entries are used, and what this run used is "
-                    "not remembered.",
+                    "the cache {folder} is read-only: its entries are used, but this run is not recorded.",
                     folder=self.folder,
                 )
             )
@@ -295,14 +301,17 @@ class Cache:
         return self.folder / recipe.stage / recipe.key
 
     def _is_entry(self, place: Path) -> bool:
-        """Return whether an entry's folder is there; what else stands in its place is removed."""
+        """Return True if the folder of an entry exists.
+
+        Anything else at the path of the entry is removed.
+        """
         if is_folder(place):
             return True
         if os.path.lexists(place):
             place.unlink()
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "{place} was no folder; it is removed and the result is made anew.", place=place
+                    "{place} was not a folder; it is removed, and the stage runs again.", place=place
                 )
             )
         return False
@@ -316,7 +325,7 @@ class Cache:
         used = self._used_by_latest_runs()
         listed = []
         for place in self._places():
-            # Another process may remove an entry while it is being listed.
+            # Another process may remove an entry during the listing.
             with contextlib.suppress(FileNotFoundError):
                 listed.append(_listed(place, place.name in used, thorough=thorough))
         return listed
@@ -333,7 +342,7 @@ class Cache:
         try:
             lock = take_lock(self.folder / "names.lock")
         except OSError as error:
-            # Where no lock can be made, nobody moves anything either.
+            # In a read-only folder no process can move entries, so no lock is needed.
             if error.errno not in READ_ONLY:
                 raise
             yield
@@ -353,7 +362,7 @@ class Cache:
                 lock = take_lock(draft / IN_USE)
             return draft, lock
         except BaseException:
-            # Ctrl-C may come before anybody else knows of it.
+            # Ctrl-C may arrive before the caller knows of the draft.
             if lock is not None:
                 lock.release()
             if draft is not None:
@@ -362,30 +371,34 @@ class Cache:
 
     def _fresh_folder(self, stage: str) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=f"{stage}-{machine_mark()}-", dir=self.folder / _DRAFTS))
-        # mkdtemp shuts everybody else out; an entry is as open as the folder it will stand in.
+        # mkdtemp creates the folder with mode 0700; entries get the mode of the cache folder.
         folder.chmod(self.folder.stat().st_mode & 0o777)
         return folder
 
     def _publish(self, draft: Path, place: Path, lock: Lock, replace: bool) -> Lock | None:
-        """Make a draft an entry, and return a shared lock on it; None if there is one already."""
+        """Turn a draft into an entry and return a shared lock on it.
+
+        Returns None if the entry exists already.
+        """
         with self._names():
             if self._is_entry(place):
                 if not replace:
                     return None
                 self._put_aside(place)
             place.parent.mkdir(exist_ok=True)
-            # Nobody else locks an entry or a draft while the names are locked, so there is no gap. Windows
-            # moves no folder in which a file is open.
+            # Windows cannot move a folder that contains an open file. Releasing is safe: no other process
+            # locks entries or drafts while this one holds the names lock.
             lock.release()
             try:
                 move(draft, place)
             except OSError as error:
-                # Without locks between machines another may have come first.
+                # Without locks between machines, another machine may have stored the entry first.
                 if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not replace:
                     return None
                 raise
             held = take_lock(place / IN_USE, shared=True)
-        # Whoever waits for the names need not wait for the disk, too: all of the entry is on it already.
+        # Flush after the names lock is released, so that others need not wait for the disk; the files are
+        # flushed already.
         try:
             flush(place.parent)
         except BaseException:
@@ -394,7 +407,7 @@ class Cache:
         return held
 
     def _drop(self, place: Path, lock: Lock) -> bool:
-        """Put a damaged entry aside unless another process has done so; `lock` is given up."""
+        """Remove a damaged entry unless another process has done so; release `lock`."""
         with self._names():
             ours = lock.is_of(place / IN_USE)
             lock.release()
@@ -404,7 +417,7 @@ class Cache:
         return ours
 
     def _put_aside(self, place: Path) -> None:
-        # Out of sight at once, but its files stay until the last process that reads them has let go.
+        # The entry disappears at once, but its files stay until the last reader releases its lock.
         move(place, self.folder / _DRAFTS / f"{place.parent.name}-{secrets.token_hex(8)}")
 
     def _remove(self, entry: Listed) -> bool:
@@ -423,7 +436,7 @@ class Cache:
         return self.folder / _RUNS / f"{digest(self._seen_from_here(out))[:16]}.json"
 
     def _seen_from_here(self, out: Path) -> str:
-        # An output folder that is moved together with its cache keeps its record.
+        # A relative path: an output folder that is moved together with its cache keeps its record.
         return from_there(out, self.folder)
 
     def _used_by_latest_runs(self) -> set[str]:
@@ -431,25 +444,31 @@ class Cache:
         for path in (self.folder / _RUNS).glob("*.json"):
             record = _read_record(path)
             keys = record.get("keys")
-            # Where the output folder is gone, nobody will ask for its results again.
+            # Results of deleted output folders are not protected.
             if isinstance(keys, list) and (self.folder / str(record.get("out"))).is_dir():
                 used.update(map(str, keys))
         return used
 
 
 def _require_folder(path: Path) -> None:
-    """Refuse what is no folder: behind a link stand files of somebody else."""
+    """Raise StageError if a path exists and is not a folder.
+
+    A link is an error, too: it could point to other data.
+    """
     if os.path.lexists(path) and not is_folder(path):
         raise StageError(
             MACHINE_CACHE_UNUSABLE,
-            "a folder of the cache is expected here, and this is a link or a file",
-            remedy="remove it, or keep the whole cache elsewhere (SCANLOOM_CACHE).",
+            "a folder of the cache is expected here, but this is a link or a file",
+            remedy="remove it, or move the cache to another folder (SCANLOOM_CACHE).",
             where=path,
         )
 
 
 def _sole_folder(out: Path, waiting: Callable[[], None]) -> Lock:
-    """Wait until no other run with a cache that may only be read works into an output folder."""
+    """Wait for exclusive use of an output folder.
+
+    The folder itself is locked, for a read-only cache.
+    """
     lock = try_folder(out)
     if lock is None:
         waiting()
@@ -458,13 +477,14 @@ def _sole_folder(out: Path, waiting: Callable[[], None]) -> Lock:
 
 
 def _discard(draft: Path, lock: Lock) -> None:
-    # Windows removes no folder in which a file is open; whoever takes it for debris now may have it.
+    # Windows cannot remove a folder that contains an open file. Another process may remove the unlocked draft
+    # first.
     lock.release()
     shutil.rmtree(draft, ignore_errors=True)
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    # A record only explains and protects from pruning; one that cannot be read counts as none.
+    # Records only serve explanations and pruning, so an unreadable record is treated as missing.
     try:
         record = {} if path.is_symlink() else json.loads(text_in(path, "utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -478,7 +498,7 @@ def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
     try:
         manifest = (verified if thorough else read_manifest)(place)
     except DamagedError as error:
-        problem = str(error) if is_folder(place) else "it is no folder"
+        problem = str(error) if is_folder(place) else "it is not a folder"
     sizes = [path.lstat().st_size for path in place.rglob("*") if path.is_file()] if is_folder(place) else []
     stamp = place / IN_USE
     last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).lstat().st_mtime, timezone.utc)

@@ -1,4 +1,4 @@
-"""Functions that differ by system: `posix` and `windows` have the same."""
+"""Platform-specific functions, from `posix` or `windows`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What Windows does in its way; `scanloom.pipeline.cache.posix` has the same functions.
+"""System functions for Windows; same interface as `scanloom.pipeline.cache.posix`.
 
-Python's own `msvcrt.locking` knows no lock that several share and gives up after ten seconds; the system's
-LockFileEx does what flock does elsewhere. The lock ends with the open file, so also when a process ends.
+LockFileEx is called directly, because `msvcrt.locking` has no shared locks and gives up after ten seconds.
+The lock ends when the file is closed, and so also when the process ends.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ import tempfile
 import time
 from pathlib import Path
 
-# For type checkers: what follows is not there elsewhere.
+# For type checkers: the modules below only exist on Windows.
 assert sys.platform == "win32"
 
 import msvcrt  # noqa: E402
 from ctypes import wintypes  # noqa: E402
 
 _READ, _WRITE = 0x80000000, 0x40000000
-# Of GENERIC_READ | GENERIC_WRITE; whoever opens the file may read, write, move and remove it meanwhile.
+# FILE_SHARE_READ | FILE_SHARE_WRITE | FILE_SHARE_DELETE: other processes may move and remove the open file.
 _SHARE_ALL = 0x7
 _OPEN_EXISTING, _OPEN_ALWAYS = 3, 4
 _NORMAL, _NOT_FOLLOWING = 0x80, 0x00200000
 _AT_ONCE, _ALONE = 0x1, 0x2
-# Where others hold it: ERROR_LOCK_VIOLATION, ERROR_IO_PENDING.
+# Errors if another process holds the lock: ERROR_LOCK_VIOLATION, ERROR_IO_PENDING.
 _HELD = (33, 997)
-# Others can read and write all of the file: what is locked is a byte far beyond its end.
+# High word of the locked byte's offset: far beyond the end, so that the content stays accessible.
 _FAR = 0x7FFFFFFF
-# Seconds between looks at a lock that is waited for.
+# Seconds between two attempts to lock; doubled up to the maximum.
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.001, 0.05
 
 
 class _Overlapped(ctypes.Structure):
-    """OVERLAPPED: which byte of a file is meant."""
+    """OVERLAPPED structure: offset of the locked byte."""
 
     _fields_ = (
         ("Internal", ctypes.c_void_p),
@@ -48,7 +48,7 @@ class _Overlapped(ctypes.Structure):
 
 
 class _MemoryCounters(ctypes.Structure):
-    """PROCESS_MEMORY_COUNTERS."""
+    """PROCESS_MEMORY_COUNTERS structure."""
 
     _fields_ = (
         ("cb", wintypes.DWORD),
@@ -70,9 +70,9 @@ _kernel.K32GetProcessMemoryInfo.argtypes = (wintypes.HANDLE, ctypes.POINTER(_Mem
 
 
 def open_lock(path: Path, *, writing: bool) -> int:
-    """Open a lock file, made if need be when `writing`; no link is followed.
+    """Open a lock file, creating it if `writing`; do not follow links.
 
-    Unlike files that Python opens, it can be moved and removed by others meanwhile.
+    Unlike files opened by Python, the file can be moved and removed by others while it is open.
     """
     handle = _kernel.CreateFileW(
         str(path),
@@ -93,22 +93,22 @@ def open_lock(path: Path, *, writing: bool) -> int:
 
 
 def open_folder_lock(folder: Path) -> int:
-    """Open what is locked where a folder as a whole is meant: a file that stands for it."""
+    """Open a lock file in the temporary folder that represents a folder."""
     name = os.path.normcase(os.path.realpath(folder))
     mark = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:32]
     return open_lock(Path(tempfile.gettempdir()) / f"scanloom-{mark}.lock", writing=True)
 
 
 def lock(descriptor: int, *, shared: bool, wait: bool) -> None:
-    """Lock an open file, with others that share it or alone; it ends when the file is closed.
+    """Lock an open file, shared or exclusively, until it is closed.
 
     Raises
     ------
     BlockingIOError
-        If it cannot be had at once and is not to be waited for.
+        If another process holds the lock and `wait` is False.
     """
     pause = _FIRST_PAUSE
-    # The system's own waiting would let no Ctrl-C through.
+    # Poll: a blocking LockFileEx could not be interrupted by Ctrl-C.
     while not _is_locked(descriptor, shared):
         if not wait:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
@@ -133,7 +133,7 @@ def _failure(path: Path | None) -> OSError:
 
 
 def flush(path: Path) -> None:
-    """Wait until a file is on the disk; names in a folder are the file system's own care."""
+    """Flush a file to disk; Windows cannot flush folders."""
     if path.is_dir():
         return
     descriptor = os.open(path, os.O_RDWR | os.O_BINARY)
@@ -144,11 +144,11 @@ def flush(path: Path) -> None:
 
 
 def reset_peak() -> None:
-    """Forget the peak so far, where the system can: it cannot."""
+    """Do nothing: Windows cannot reset the peak memory."""
 
 
 def peak_bytes() -> int:
-    """Return the largest resident size since the process began; 0 if the system does not tell."""
+    """Return the peak resident memory in bytes since process start; 0 if unknown."""
     found = _MemoryCounters(cb=ctypes.sizeof(_MemoryCounters))
     told = _kernel.K32GetProcessMemoryInfo(_kernel.GetCurrentProcess(), ctypes.byref(found), found.cb)
     return int(found.PeakWorkingSetSize) if told else 0

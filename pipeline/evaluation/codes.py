@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the files that a report is made of, with explanations."""
+"""Diagnostic codes of report files, with explanations."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 REPORT_INCOMPLETE = Code(
     "report.incomplete",
-    "The page of a run",
+    "Missing or modified files of a page",
     """
-The page is made of the files in OUT. If something there is missing or changed, run again: cached results
-are only copied.
+The page is made from the files in OUT. If files are missing or modified, run again: cached results are
+only copied.
 """,
-    "out/photos/12.jpg: this photo is missing; run once more.",
+    "out/photos/12.jpg: this photo is missing; run again.",
 )

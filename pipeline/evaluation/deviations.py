@@ -1,4 +1,4 @@
-"""What a report keeps of how far the result is from the clean mesh: figures, and distances at vertices."""
+"""Files with the deviation of the result from the clean mesh."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, wr
 from scanloom.stages.surface.raycasting import Floats
 
 MESH, FIGURES = "deviation.ply", "deviation.json"
-# The property of its vertices, metres.
+# Vertex property with the deviation in metres.
 PROPERTY = "deviation"
-# In so many steps it is kept how the distances are spread.
+# Number of quantile steps of the stored distribution.
 _STEPS = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Deviations as they are kept.
+    """Deviations as stored in the report.
 
     Attributes
     ----------
-    figures : those of `scanloom.Deviations`, without a tolerance.
-    quantiles : (_STEPS + 1,) distances of samples spread evenly over the surface, ascending, metres: as many
-        of them lie between two neighbours as between any others.
-    vertices : (n, 3) of the mesh that was measured.
-    at_vertices : (n,) distances there, metres.
+    figures : metrics of `scanloom.Deviations`, without a tolerance.
+    quantiles : (_STEPS + 1,) quantiles of the deviation over the surface, in metres, ascending and at equal
+        probability steps.
+    vertices : (n, 3) vertices of the measured mesh.
+    at_vertices : (n,) deviations at the vertices, in metres.
     """
 
     figures: Mapping[str, Any]
@@ -43,19 +43,19 @@ class Kept:
     at_vertices: Floats
 
     def share_within(self, low: float, high: float) -> float:
-        """Return the share of the surface that is between two distances."""
+        """Return the ratio of the surface with a deviation between two values in metres."""
         below = np.interp([low, high], self.quantiles, np.linspace(0, 1, len(self.quantiles)))
         return float(below[1] - below[0])
 
 
 def kept_of(found: Deviations) -> Kept:
-    """Return what is kept of deviations."""
+    """Convert deviations to their stored form."""
     quantiles = np.quantile(found.samples, np.linspace(0, 1, _STEPS + 1))
     return Kept(found.figures(), quantiles, found.painted.vertices, found.at_vertices)
 
 
 def write_deviations(folder: Path, found: Deviations) -> dict[str, Any]:
-    """Write the mesh in the colours of its deviations, with these as a property, and what there is to say."""
+    """Write the mesh coloured by deviation and the metrics, and return the metrics."""
     kept = kept_of(found)
     write_ply(folder / MESH, found.painted, vertex_values={PROPERTY: kept.at_vertices.astype(np.float32)})
     document = {"figures": kept.figures, "quantiles_m": kept.quantiles.tolist()}
@@ -64,12 +64,12 @@ def write_deviations(folder: Path, found: Deviations) -> dict[str, Any]:
 
 
 def read_deviations(folder: Path) -> Kept | None:
-    """Return what `write_deviations` left in a folder; None if it holds nothing of it.
+    """Read the files of `write_deviations`; None if the folder has none.
 
     Raises
     ------
     InputError
-        If it holds files of these names that are not as they are written.
+        If the files are damaged.
     """
     if not ((folder / FIGURES).is_file() and (folder / MESH).is_file()):
         return None
@@ -79,7 +79,7 @@ def read_deviations(folder: Path) -> Kept | None:
     if values is None or not np.isfinite(values).all():
         raise InputError(
             REPORT_INCOMPLETE,
-            "its vertices have no property `{property}` that is finite.",
+            "its vertices have no property `{property}` with finite values.",
             folder / MESH,
             property=PROPERTY,
         )

@@ -1,4 +1,4 @@
-"""Frames that no stage saw, beside the result: placed like their neighbours, compared, drawn."""
+"""Evaluation of the result against held-out frames."""
 
 from __future__ import annotations
 
@@ -20,9 +20,15 @@ from scanloom.stages.surface.mesh import Mesh
 def judge(
     folder: Path | None, mesh: Mesh, held_out: Sequence[Frame], progress: Progress = silent
 ) -> tuple[dict[str, Any], list[str]]:
-    """Compare frames with a mesh, and draw the worst and the median into a folder, if there is one.
+    """Compare held-out frames with a mesh, and draw the worst and the median frame.
 
-    Returns the figures, and the names of the files.
+    Parameters
+    ----------
+    folder : folder for the pictures; None to draw none.
+
+    Returns
+    -------
+    Metrics, and the file names of the pictures.
     """
     found = left_out(mesh, held_out, progress)
     if folder is None:
@@ -37,13 +43,15 @@ def judge(
 def like_neighbours(
     held_out: Sequence[Frame], every: int, given: Sequence[Frame], used: Sequence[Frame]
 ) -> list[Frame]:
-    """Return frames moved as those taken just after them were, with their colour camera.
+    """Apply the pose and camera corrections of neighbouring frames to held-out frames.
+
+    Each held-out frame uses the correction of the frame taken just after it.
 
     Parameters
     ----------
     held_out : every `every`-th frame of a scan.
-    given : the other frames, in order, as the scan has them.
-    used : those that were used, with the poses and the camera found for them.
+    given : remaining frames in order, with input poses and cameras.
+    used : frames with final poses and cameras.
     """
     found = {frame.name: frame for frame in used}
     return [
@@ -62,10 +70,10 @@ def _like(frame: Frame, neighbour: Frame, found: dict[str, Frame]) -> Frame:
     return replace(
         frame,
         world_from_camera=pose,
-        # What nobody stated may have been estimated.
+        # A guessed camera may have been replaced by an estimate.
         camera=used.camera if frame.camera.is_guess else frame.camera,
         color_camera=used.color_camera,
         color_from_depth=used.color_from_depth,
-        # That it has one is known of its neighbours; its own is looked for when it is judged.
+        # Zero marks a rolling shutter: the rotation of this frame itself is estimated during the comparison.
         shutter_turn=None if used.shutter_turn is None else np.zeros(3),
     )

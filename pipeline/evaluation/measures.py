@@ -1,6 +1,6 @@
-"""Measurements on the meshes of a run, and pictures of them.
+"""Measurements and pictures of the meshes of a run.
 
-Both depend on the meshes alone and are cached. `scanloom.pipeline.run.document` adds what belongs to one run.
+Both only depend on the meshes and are cached. `scanloom.pipeline.run.document` adds data of the run itself.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from scanloom.stages.surface.topology import require_area, topology
 
 RESULT_VERSION = 7
 
-# Points on the result that are measured with signs.
+# Number of samples for signed deviations.
 SIGNED_SAMPLES = 100_000
 
 
@@ -50,14 +50,16 @@ def measure_and_draw(
     by_photo: Callable[[], Mesh] | None = None,
     held_out: Sequence[Frame] = (),
 ) -> dict[str, Any]:
-    """Measure the simplified mesh, write pictures of all into `folder`, and return the figures.
+    """Measure the simplified mesh, draw all meshes into `folder`, and return metrics.
 
     Parameters
     ----------
-    meshes : "fused", "clean" and "simplified", and "textured", if it was; the first two may be in pieces.
-    frames : of the scan, whose poses say where to look from.
-    by_photo : gives the textured mesh in colours of the photos that count most, which is drawn, too.
-    held_out : frames that no stage saw, placed like their neighbours.
+    meshes : meshes by name: "fused", "clean", "simplified" and, if available, "textured". The first two may
+        be chunked.
+    frames : frames of the scan, whose poses determine the viewpoints.
+    compared : parameters of the comparison.
+    by_photo : returns the textured mesh coloured by the photo with the largest weight, which is drawn, too.
+    held_out : held-out frames with corrected poses.
 
     Raises
     ------
@@ -68,17 +70,18 @@ def measure_and_draw(
     small = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, Mesh)}
     for name, mesh in small.items():
         require_area(mesh, f"{name}.ply")
-    # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
+    # Measurements and pictures share ray-casting structures, which take longer to build than a picture to
+    # draw.
     box = _around(bounding_box(*small.values()), *(one.box for one in large.values()))
     models = {name: cache(partial(_model, mesh, box)) for name, mesh in small.items()}
-    # Beside pieces there is no room for what is drawn, before it is.
+    # Chunked meshes need the memory, so models are then built one by one when drawn.
     if not large:
         _side_by_side([*models.values()])
-    # What they were read and made ready with has left holes.
+    # Release memory freed after loading the meshes.
     give_back()
     of = _Measured(models, large, small, box)
     work: list[Callable[[], Any]] = [
-        # The longest first.
+        # Longest task first, for the best use of threads.
         partial(_off_fused, of, compared),
         partial(_off_clean, folder, of, compared),
         partial(measure, small["simplified"]),
@@ -90,7 +93,7 @@ def measure_and_draw(
         drawings += (_InPieces(name, one, chosen, box) for name, one in large.items())
         drawings += _drawings(models, chosen, by_photo)
     work += [partial(one.draw, folder) for one in drawings]
-    # Of pieces, there is room for one.
+    # Chunked meshes are processed one at a time to save memory.
     threads = 1 if large else workers()
     to_fused, (to_clean, deviation), measured, photos, *_ = _side_by_side(work, progress, threads)
     return {
@@ -102,7 +105,15 @@ def measure_and_draw(
 
 
 class _Measured(NamedTuple):
-    """What is measured: models, made when asked for, meshes in pieces and others, the box (2, 3) of all."""
+    """Meshes to measure.
+
+    Attributes
+    ----------
+    models : functions that build a model on first use, by mesh name.
+    large : chunked meshes by name.
+    small : in-memory meshes by name.
+    box : (2, 3) common bounding box.
+    """
 
     models: Mapping[str, Callable[[], Model]]
     large: Mapping[str, Piecewise]
@@ -125,7 +136,10 @@ def _model(mesh: Mesh, box: Floats) -> Model:
 def _side_by_side(
     work: Sequence[Callable[[], Any]], progress: Progress = silent, threads: int | None = None
 ) -> list[Any]:
-    """Return what pieces of work return, done in their order, on all cores if not told otherwise."""
+    """Run tasks in parallel, started in order, and return their results in order.
+
+    `threads` defaults to the number of cores.
+    """
     results = []
     for result in read_ahead(lambda one: one(), work, threads=threads or workers(), ahead=len(work)):
         results.append(result)
@@ -134,10 +148,10 @@ def _side_by_side(
 
 
 def _off_fused(of: _Measured, params: CompareParams) -> dict[str, Any]:
-    """Measure how far the simplified mesh and the fused one are apart.
+    """Measure the two-sided distance between the simplified and the fused mesh.
 
-    From the simplified mesh to the fused one (`b_to_a`) is the error of what is there. The other way is
-    mostly how far off the islands were that cleaning removed.
+    From the simplified to the fused mesh (`b_to_a`) it is the error of the result. The other direction is
+    dominated by the islands that cleaning removed.
     """
     if "fused" in of.large:
         found, _ = compare_in_pieces(of.large["fused"], of.small["simplified"], params, box=of.box)
@@ -146,9 +160,10 @@ def _off_fused(of: _Measured, params: CompareParams) -> dict[str, Any]:
 
 
 def _off_clean(folder: Path, of: _Measured, params: CompareParams) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Measure how far simplification has moved the clean mesh, both ways, and the result from it, with signs.
+    """Measure the two-sided error of simplification, and the signed deviation of the result.
 
-    The clean mesh has no islands that were removed: the error is of simplification alone.
+    Both are relative to the clean mesh. Islands are already removed from it, so only simplification
+    contributes.
     """
     final = of.small["simplified"]
     result = of.small.get("textured", final)
@@ -169,7 +184,7 @@ def _off_clean(folder: Path, of: _Measured, params: CompareParams) -> tuple[dict
 
 
 def measure(final: Mesh) -> dict[str, Any]:
-    """Return the simplified mesh's counts, and what its edges are like."""
+    """Return element counts, topology and edge statistics of the simplified mesh."""
     found = topology(final)
     return {
         "vertices": len(final.vertices),
@@ -183,10 +198,10 @@ def measure(final: Mesh) -> dict[str, Any]:
 
 
 def edge_figures(mesh: Mesh) -> dict[str, Any]:
-    """Return mean and spread of the edges' lengths; every edge counts once."""
+    """Return statistics of edge lengths; each edge counts once."""
     ends = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     count = len(mesh.vertices)
-    # An edge as one number: sorting numbers is several times faster than sorting rows.
+    # Encode each edge as one integer: sorting integers is several times faster than sorting rows.
     edges = np.unique(ends[:, 0] * count + ends[:, 1])
     lengths = np.linalg.norm(mesh.vertices[edges // count] - mesh.vertices[edges % count], axis=1)
     if len(lengths) == 0:
@@ -201,7 +216,7 @@ def edge_figures(mesh: Mesh) -> dict[str, Any]:
 
 
 class _Drawing(NamedTuple):
-    """A picture to draw; and perhaps another one, of the same with its triangles beside it."""
+    """Picture to draw, with an optional second picture that also shows the triangles."""
 
     file: str
     model: Callable[[], Model]
@@ -221,7 +236,7 @@ class _Drawing(NamedTuple):
 
 
 class _InPieces(NamedTuple):
-    """All pictures of a mesh in pieces."""
+    """All pictures of a chunked mesh."""
 
     name: str
     mesh: Piecewise
@@ -246,10 +261,10 @@ def _drawings(
     chosen: Sequence[Viewpoint],
     by_photo: Callable[[], Mesh] | None,
 ) -> list[_Drawing]:
-    """Return what is drawn: each mesh from each viewpoint, the simplified one with its triangles beside it.
+    """List the pictures to draw: each mesh from each viewpoint, and two extra pictures.
 
-    The files are `<mesh>-<viewpoint>.png`, `simplified-triangles.png`, and `textured-photos.png`, with the
-    photo that counts most where.
+    Files are `<mesh>-<viewpoint>.png`, `simplified-triangles.png` with the edges of the simplified mesh, and
+    `textured-photos.png` with the photo of the largest weight per texel.
     """
     drawings: list[_Drawing] = []
     for name, model in models.items():
@@ -268,8 +283,9 @@ def _showing(model: Callable[[], Model], colors: Callable[[], Mesh]) -> Model:
 def choose_viewpoints(
     mesh: Mesh | Piecewise, frames: Sequence[Frame], params: ReportParams
 ) -> tuple[Viewpoint, ...]:
-    """Return where the meshes of a run are drawn from; `mesh` is the fused one."""
-    # A viewpoint is named after its frame; numbers, because the names of files decide nothing here.
+    """Choose the viewpoints of the pictures from the fused mesh and the frames."""
+    # Viewpoints are named after frames. File names are not part of the cache key, so use frame indices
+    # instead.
     numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
     if isinstance(mesh, Piecewise):
         points = mesh.some_vertices(ENOUGH)
@@ -286,18 +302,20 @@ def report_levels(
 ) -> tuple[dict[str, Any], list[str]]:
     """Measure and draw the levels of a normal mesh.
 
-    Each level is drawn with its triangles. The original is painted by its distance from the last level.
+    Each level is drawn with its triangles. The original mesh is coloured by its distance from the last level.
 
     Parameters
     ----------
-    folder : for the pictures; None to draw none.
-    original : the mesh that was remeshed.
-    compared : as for the whole mesh; each level gets a quarter of the samples.
+    folder : folder for the pictures; None to draw none.
+    original : mesh that was remeshed.
+    levels : meshes of all levels, coarse to fine.
+    viewpoint : viewpoint of the pictures.
+    compared : parameters of the comparison; each level gets a quarter of the samples.
 
     Returns
     -------
-    Figures, and the names of the pictures: `remeshed-level_<k>.png` and `remeshed-distance.png`. In the
-    latter, the last colour stands for `full_scale_m` of the figures, or more.
+    Metrics, and the file names of the pictures: `remeshed-level_<k>.png` and `remeshed-distance.png`. The
+    last colour of the latter means `full_scale_m` of the metrics, or more.
     """
     fewer = replace(compared, samples=math.ceil(compared.samples / 4))
     box = bounding_box(original, *levels)

@@ -13,18 +13,18 @@ class ReportParams:
 
     enabled: bool = param(
         True,
-        "Measure the result against the meshes it came from, and draw them; without it there is no page.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Measure the result against the meshes of earlier stages, and draw them; required for the page.",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
-    pictures: bool = param(True, "Draw each stage's mesh, as PNG files.")
+    pictures: bool = param(True, "Draw the mesh of each stage as PNG files.")
 
     viewpoints: int = param(3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100)
     width: int = param(800, "Width of a picture.", unit="px", low=64, high=4096)
     photos: int = param(
         24,
-        "How many small photos, spread evenly over the scan, the page can lay over the result.",
+        "Number of small photos, spread evenly over the scan, that the page can overlay on the result.",
         low=0,
         high=1000,
     )
@@ -36,7 +36,7 @@ class ReportParams:
     )
     page_size: float = param(
         5.0,
-        "What the page may take; its models are made lighter for that.",
+        "Maximum size of the page; its models are simplified to fit.",
         unit="MB",
         low=1.2,
         invalidates=False,

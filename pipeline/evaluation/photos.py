@@ -1,4 +1,4 @@
-"""Where the cameras of a scan were, and small photos of some, for those who look at its results."""
+"""Camera poses and small photos of a scan, for the report page."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from scanloom.stages.scans.model.threads import threads_to_use
 FILE, PHOTOS = "cameras.json", "photos"
 
 _WIDTH = 480
-# A recording has tens of thousands of frames; a picture of its way needs no more.
+# Maximum number of cameras: recordings have tens of thousands of frames, and the camera path needs fewer.
 _MOST_CAMERAS = 2_000
 _QUALITY = 75
 
 
 def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Sequence[Frame] = ()) -> int:
-    """Write cameras.json, and `count` photos spread evenly over the scan; return how many there are.
+    """Write cameras.json and photos spread evenly over the scan.
 
-    Frames that were held out follow the others.
+    Up to `count` photos are written; the number of written photos is returned.
 
-    cameras.json holds how many frames have a pose, `posed`, and a list, `cameras`, of up to 2,000 of these,
-    spread evenly: `frame`, `world_from_camera` (of the colour
-    camera: 16 numbers, row by row, metres, OpenCV axes), `size` and `fx`, `fy`, `cx`, `cy` in pixels of the
-    pinhole camera, `held_out`, and `photo`, a JPEG file's name or null.
+    cameras.json has the number of frames with a pose, `posed`, and a list `cameras` of up to 2,000 of them,
+    spread evenly, held-out frames last. A camera has `frame` (name), `world_from_camera` (pose of the colour
+    camera: 16 numbers, row-major, metres, OpenCV axes), `size`, `fx`, `fy`, `cx`, `cy` of the pinhole camera
+    in pixels, `held_out`, and `photo` (name of a JPEG file or null).
     """
     require_opencv()
     import cv2

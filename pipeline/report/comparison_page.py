@@ -1,4 +1,4 @@
-"""The page of a comparison: both models, how far one is off the other, and what has changed."""
+"""Page of a comparison: both models, the deviation between them, and the changes."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from scanloom.stages.surface.cloud import is_cloud
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.vertex_normals import vertex_normals
 
-# Of a cloud, so many points are shown.
+# Maximum number of points shown of a point cloud.
 _MOST_SPOTS = 40_000
-# How far from a place the camera flies to, as a share of the model's size.
+# Camera distance after flying to a location, as a ratio of the model size.
 _NEAR = 0.25
-# How dark it is where no light falls, and where that comes from.
+# Ambient light intensity, and direction of the light.
 _AMBIENT, _LIGHT = 0.5, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 # Steps of the colour scale.
 _STEPS = 40
-# Colours of deviations over, under and near zero, by palette.
+# Colour names for positive, negative and near-zero deviations, by palette.
 _COLORS = {"metrology": ("red", "blue", "green"), "safe": ("orange", "blue", "white")}
 
 
@@ -42,15 +42,17 @@ def page_of_comparison(
     most_bytes: int,
     palette: str = "metrology",
 ) -> bytes:
-    """Return the page of two meshes or clouds A and B, of so many bytes at most, if it can be.
+    """Make the page of a comparison of two models A and B.
 
     Parameters
     ----------
-    names : of A and B.
-    meshes : A and B; clouds are shown as small triangles.
-    found : how B deviates from A, in the colours of `palette`.
-    moved : what is new in B and gone of A, if that was asked.
-    figures : of the command `compare`.
+    names : names of A and B.
+    meshes : A and B; point clouds are shown as small triangles.
+    found : deviation of B from A, coloured with `palette`.
+    moved : parts added in B and missing from A, if requested.
+    figures : metrics of the command `compare`.
+    most_bytes : target size of the page; a warning is emitted if the page remains larger.
+    palette : "metrology" or "safe".
     """
     up = meshes[0].up or meshes[1].up
     about = _range_in_words(found.is_signed, palette)
@@ -60,12 +62,12 @@ def page_of_comparison(
     for letter, name, mesh in zip("AB", names, meshes, strict=True):
         models[f"{letter}: {name}"] = _shown(mesh, up)
     if moved is not None:
-        about = "what is new in B is green, what is gone of A red"
+        about = "green: added in B; red: missing from A"
         models["change"] = _shown(_shaded(moved.painted), up, about)
     turn = turn_of_page(next(iter(models.values())).mesh)
     away = _NEAR * float(np.linalg.norm(np.ptp(found.painted.vertices, axis=0)))
     told = {"tables": list(_tables(figures, turn, away))}
-    return packed_page(f"{names[1]} beside {names[0]}", models, most_bytes, told)
+    return packed_page(f"{names[1]} compared with {names[0]}", models, most_bytes, told)
 
 
 def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") -> Shown:
@@ -77,13 +79,16 @@ def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") ->
 
 
 def _range_in_words(is_signed: bool, palette: str) -> str:
-    """Return what the colours of a palette stand for, in words."""
+    """Describe the colours of a palette."""
     over, under, near = _COLORS[palette]
     return f"{over} outside, {under} inside; {near} is near" if is_signed else f"{over} far, {near} near"
 
 
 def _scale_of(found: Deviations, palette: str) -> PageScale:
-    """Return the colour scale of deviations in millimetres, with the share of the surface of each colour."""
+    """Make the colour scale of deviations in millimetres.
+
+    The scale includes the surface ratio of each colour.
+    """
     most = found.color_range
     low = -most if found.is_signed else 0.0
     edges = np.linspace(low, most, _STEPS + 1)
@@ -95,7 +100,7 @@ def _scale_of(found: Deviations, palette: str) -> PageScale:
 
 
 def _shaded(mesh: Mesh) -> Mesh:
-    """Return a mesh of few colours as a light from aside shows it: pages have none, and it would be flat."""
+    """Shade vertex colours with a directional light, because pages draw them unlit."""
     assert mesh.colors is not None
     light = _AMBIENT + (1 - _AMBIENT) * np.abs(vertex_normals(mesh) @ _LIGHT)
     return mesh.with_(colors=np.rint(mesh.colors * light[:, None]).astype(np.uint8))
@@ -107,14 +112,14 @@ def _tables(figures: Mapping[str, Any], turn: NDArray[np.float64], away: float) 
 
     told = figures["deviation"]
     tables = [
-        *deviation_tables(told, None, places(told["worst"]), "Deviation of B from A, by samples"),
+        *deviation_tables(told, None, places(told["worst"]), "Deviation of B from A, sampled"),
         _distances(figures["distance"]),
     ]
     change = figures["change"]
     if change is not None and change["largest"]:
         tables.append({
-            "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other, largest first",
-            "head": ["", "area", "in the middle, in the axes of the scan, m", ""],
+            "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other model, largest first",
+            "head": ["", "area", "centre in scan coordinates, m", ""],
             "rows": [
                 [one["kind"], f"{one['area_m2']:.4g} m²", place_in_words(one["point_m"])]
                 for one in change["largest"]
@@ -144,6 +149,6 @@ def _views(told: Mapping[str, Any]) -> dict[str, Any]:
         ]
         for one in [*told["each"], {**told, "viewpoint": "all"}]
     ]
-    compared = {"colors": "by their colours", "shape": "by shading alone"}[told["compared"]]
-    title = f"Drawn from around, {compared}"
-    return {"title": title, "head": ["", "PSNR", "SSIM", "silhouettes shared"], "rows": rows}
+    compared = {"colors": "in colour", "shape": "shaded without colour"}[told["compared"]]
+    title = f"Pictures from all around, {compared}"
+    return {"title": title, "head": ["", "PSNR", "SSIM", "silhouette overlap (IoU)"], "rows": rows}

@@ -1,3 +1,3 @@
-"""Names of the documents in the output folder."""
+"""File names of the report and the page in the output folder."""
 
 REPORT, PAGE = "report.json", "report.html"

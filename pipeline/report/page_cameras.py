@@ -1,4 +1,4 @@
-"""The cameras of a run's output folder, as its page shows them: only what a run writes gets into it."""
+"""Cameras in the output folder of a run, validated for its page."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ _JPEG = b"\xff\xd8\xff"
 
 @contextmanager
 def as_runs_write(path: Path) -> Iterator[None]:
-    """Say it in one sentence where a file does not hold what a run writes into it."""
+    """Convert parsing errors of a run file to InputError."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
             REPORT_INCOMPLETE,
-            "this is not as a run writes it",
+            "this file was not written by a run, or is damaged",
             path,
-            remedy="run once more, or move it away.",
+            remedy="run again, or move the file away.",
         ) from error
 
 
 def cameras_of(folder: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]) -> list[PageCamera]:
-    """Return the cameras of the scan that a run has told of.
+    """Read the cameras of a scan from the output folder of a run.
 
     Parameters
     ----------
-    folder : of the report's pictures.
-    turn : (3, 3) rotation that the models stand by.
-    skipped : why frames were skipped, by their names.
+    folder : folder of the report's pictures.
+    turn : (3, 3) rotation to the upright frame of the page.
+    skipped : reasons of skipped frames by frame name.
     """
     path = folder / CAMERAS
     if not path.is_file():
@@ -66,14 +66,17 @@ def _camera(
 
 
 def _photo(name: str, path: Path) -> bytes:
-    """Return a photo that cameras.json names; the page is passed on, so nothing else may get into it."""
+    """Read a photo named in cameras.json.
+
+    Files outside the folder are rejected, because pages are shared.
+    """
     photo = path.parent / require_inside(name, path, "photo")
     if not photo.resolve().is_relative_to(path.parent.resolve()):
         raise InputError(
-            REPORT_INCOMPLETE, "the photo {name!r} leads out of the folder.", path, name=name[:100]
+            REPORT_INCOMPLETE, "the photo {name!r} is outside the folder.", path, name=name[:100]
         )
     if not photo.is_file():
-        raise InputError(REPORT_INCOMPLETE, "this photo is missing", photo, remedy="run once more.")
+        raise InputError(REPORT_INCOMPLETE, "this photo is missing", photo, remedy="run again.")
     content = content_of(photo)
     if not content.startswith(_JPEG):
         raise InputError(REPORT_INCOMPLETE, "this is not a JPEG file.", photo)

@@ -1,4 +1,4 @@
-"""A mesh too large for memory, as a page shows it: what lies in a cell of a grid as one."""
+"""Coarse page model of a mesh that exceeds the memory, by vertex clustering."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from scanloom.pipeline.artifacts.up_direction import Up
 from scanloom.pipeline.report.page.packing import Shown
 from scanloom.stages.surface.vertex_clustering import clustered
 
-# A page has room for a tenth of that, which are chosen with care.
+# Target vertex count of clustering: ten times more than fits in a page, for the later simplification.
 _VERTICES = 1_000_000
 
 
 def coarsely(path: Path, up: Up | None, note: str, *, is_metric: bool) -> Shown:
-    """Return what a page shows of a mesh in pieces.
+    """Coarsen a chunked mesh for a page.
 
     Parameters
     ----------
-    note : a few words of what it is, before those of how it is shown.
-    is_metric : lengths are metres, else units of the scan.
+    path : chunked PLY file.
+    up : up direction of the scan.
+    note : short description of the mesh, shown before the cell size.
+    is_metric : True if lengths are in metres; False if in units of the scan.
 
     Raises
     ------
@@ -28,5 +30,7 @@ def coarsely(path: Path, up: Up | None, note: str, *, is_metric: bool) -> Shown:
     found = clustered(path, _VERTICES)
     words = f"{found.cell:.3g} {'m' if is_metric else 'units'}"
     return Shown(
-        found.mesh.with_(up=up), f"{note}; each cell of {words} as one", complete=found.triangle_count
+        found.mesh.with_(up=up),
+        f"{note}; clustered in cells of {words}",
+        complete=found.triangle_count,
     )

@@ -1,4 +1,4 @@
-"""What is missing in a scan, as the page of its run shows it: a model in its colours, and a table."""
+"""Gaps of a scan for the page: a coloured model and a table."""
 
 from __future__ import annotations
 
@@ -26,20 +26,22 @@ _NEAREST = 2
 
 
 class Missing(NamedTuple):
-    """What the page shows of it: the model, and the table as `one_file` takes it."""
+    """Gaps as shown on the page: a model, and a table for `one_file`."""
 
     shown: Shown
     table: Mapping[str, Any]
 
 
 def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_metric: bool) -> Missing | None:
-    """Return what the stage `coverage` has left in the output folder of a run; None if it has not run.
+    """Read the results of the stage `coverage` from an output folder.
+
+    Returns None if it did not run.
 
     Parameters
     ----------
-    up : what is up in the scan.
-    turn : (3, 3) rotation that the models stand by.
-    is_metric : lengths are metres, else units of the scan.
+    up : up direction of the scan.
+    turn : (3, 3) rotation to the upright frame of the page.
+    is_metric : True if lengths are in metres; False if in units of the scan.
     """
     if not ((folder / COVERAGE_MESH).is_file() and (folder / COVERAGE).is_file()):
         return None
@@ -62,14 +64,14 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
             away = float(np.linalg.norm(eye - target))
             places.append({"target": target.tolist(), "away": away, "eye": eye.tolist()})
     head = [
-        "what is missing",
+        "gap",
         "area",
-        f"at, in the axes of the scan, {m}",
-        f"look from, {m}",
-        "frames that came nearest",
+        f"location in scan coordinates, {m}",
+        f"suggested viewpoint, {m}",
+        "nearest frames",
         "",
     ]
-    table = {"title": "Where to go again", "head": head, "rows": rows, "places": places}
+    table = {"title": "Gaps to capture again", "head": head, "rows": rows, "places": places}
     if is_many(promised(folder / COVERAGE_MESH, "face")):
         return Missing(
             coarsely(folder / COVERAGE_MESH, up, _in_words(told["places"]), is_metric=is_metric), table
@@ -83,7 +85,7 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
 
 
 def _in_words(places: Any) -> str:
-    """Return which colours there are, and what they stand for."""
+    """Describe the colours that occur."""
     names = {one["kind"] for one in places}
     told = [f"{kind.word} {kind.text}" for name, kind in KINDS.items() if name in names]
-    return "; ".join(["grey is well seen", *told])
+    return "; ".join(["grey is well observed", *told])

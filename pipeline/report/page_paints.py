@@ -1,4 +1,4 @@
-"""Looks of a run's result beside its own on the page: how far it is off, and how well it was seen."""
+"""Colormaps of the result: deviation, photo count and depth spread."""
 
 from __future__ import annotations
 
@@ -15,38 +15,37 @@ from scanloom.stages.files.images import read_stored
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats
 
-# Of the scale of deviations.
+# Steps of the deviation scale.
 _STEPS = 40
-# Of the range of colours, what is well where no bound was asked for; and the share of the surface that is
-# nearer than the last colour.
+# Default tolerance as a ratio of the colour range, and the percentile of deviations that the range covers.
 _WELL = 0.1
 _IN_RANGE = "99"
-# Of numbers of photos, from few to many: dark to light, told apart by all eyes; and of none.
+# Colours from few to many photos (viridis, readable for the colour-blind), and the colour for none.
 _FEW_TO_MANY = np.array(((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37.0)))
 _UNSEEN = (128, 128, 128)
-# Of the scale of spreads, and the share of vertices whose spread is within it.
+# Steps of the spread scale, and the quantile of vertices that it covers.
 _SPREAD_STEPS, _SPREAD_IN_RANGE = 20, 0.98
-# Numbers written beside their scale, about.
+# Approximate number of labels of the photo scale.
 _MARKS = 4
 _TINY = float(np.finfo(np.float64).tiny)
-# In a triangle, near its corners.
+# Barycentric coordinates of sample points near the three corners of a triangle.
 _NEAR_CORNERS = np.full((3, 3), 1 / 6) + 0.5 * np.eye(3)
 
 
 def deviation_paint(kept: Kept, bound: float | None, *, is_metric: bool) -> Paint:
-    """Return deviations as a look.
+    """Make the colormap of deviations.
 
     Parameters
     ----------
-    bound : metres that were asked for; within it is well.
-    is_metric : lengths are metres, else units of the scan.
+    bound : requested maximum deviation in metres; smaller deviations are shown as in tolerance.
+    is_metric : True if lengths are in metres; False if in units of the scan.
     """
     most = max(float(kept.figures["absolute_percentiles_m"][_IN_RANGE]), 2 * (bound or 0.0), _TINY)
     within = bound if bound is not None else _WELL * most
     is_signed = bool(kept.figures["is_signed"])
     edges = np.linspace(-most if is_signed else 0.0, most, _STEPS + 1)
     middles = (edges[1:] + edges[:-1]) / 2
-    # What lies beyond the scale has its last colours.
+    # Deviations beyond the scale count for its last steps.
     ends = [-np.inf, *edges[1:-1], np.inf]
     shares = [round(kept.share_within(*pair), 5) for pair in pairwise(ends)]
     unit, per = ("mm", 1000) if is_metric else ("units", 1)
@@ -59,16 +58,18 @@ def deviation_paint(kept: Kept, bound: float | None, *, is_metric: bool) -> Pain
         shares=shares,
         safe=_as_css(colors_of(middles, within, most, "safe")),
     )
-    return Paint(per * kept.at_vertices, scale, "of the result from the clean mesh")
+    return Paint(per * kept.at_vertices, scale, "deviation of the result from the clean mesh")
 
 
 def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
-    """Return as a look how many photos show each place; None where the maps of a texture do not tell it.
+    """Make the colormap of the photo count per surface point.
+
+    Returns None without valid maps.
 
     Parameters
     ----------
-    mesh : with the texture.
-    maps : folder of its maps; see `scanloom.stages.texturing.maps`.
+    mesh : textured mesh.
+    maps : folder of the per-texel maps; see `scanloom.stages.texturing.maps`.
     """
     texture = mesh.texture
     if texture is None or not texture.has_uvs().all():
@@ -88,23 +89,23 @@ def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
         rows = np.floor((1 - at[..., 1]) * height).clip(0, height - 1).astype(np.int64)
         counts[chosen] = image[rows, columns]
     most = max(int(counts.max(initial=0)), 1)
-    note = f"photos that show a place, of which {most} count at most"
+    note = f"number of photos per surface point, at most {most}"
     return Paint(_at_vertices(mesh, counts), _photo_scale(mesh, counts, most), note)
 
 
 def spread_paint(mesh: Mesh, spread: Floats, *, is_metric: bool) -> Paint:
-    """Return as a look how much frames disagree about where each place is.
+    """Make the colormap of the disagreement of frames about the position of the surface.
 
     Parameters
     ----------
-    spread : (n,) of the vertices, metres; NaN for those that no frame measured.
-    is_metric : lengths are metres, else units of the scan.
+    spread : (n,) RMS distance of the measurements at each vertex, in metres; NaN if not measured.
+    is_metric : True if lengths are in metres; False if in units of the scan.
     """
     unit, per = ("mm", 1000) if is_metric else ("units", 1)
     known = np.isfinite(spread)
     most = per * float(np.quantile(spread[known], _SPREAD_IN_RANGE)) if known.any() else 0.0
     step = max(most, _TINY) / _SPREAD_STEPS
-    # Before the scale begins stands what nobody measured.
+    # Vertices that no frame measured get the grey step below zero.
     values = np.where(known, per * spread, -step / 2)
     a, b, c = (mesh.vertices[corner] for corner in mesh.triangles.T)
     area = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
@@ -121,11 +122,11 @@ def spread_paint(mesh: Mesh, spread: Floats, *, is_metric: bool) -> Paint:
         shares=(shares / max(shares.sum(), _TINY)).round(5).tolist(),
         marks=[0.0, most / 2, most],
     )
-    return Paint(values, scale, "how far off the surface frames measured it, RMS; grey where none did")
+    return Paint(values, scale, "RMS distance of depth measurements from the surface; grey if not measured")
 
 
 def _at_vertices(mesh: Mesh, counts: Floats) -> Floats:
-    """Return the mean at each vertex of what there is at its corners (m, 3)."""
+    """Average corner values (m, 3) at the vertices (n,)."""
     corners, used = mesh.triangles.reshape(-1), len(mesh.vertices)
     total = np.bincount(corners, counts.reshape(-1), minlength=used)
     return np.asarray(total / np.maximum(np.bincount(corners, minlength=used), 1))
@@ -142,7 +143,7 @@ def _photo_scale(mesh: Mesh, counts: Floats, most: int) -> PageScale:
     step = max(round(most / _MARKS), 1)
     return PageScale(
         unit="photos",
-        # Numbers stand in the middle of their step.
+        # Centre each step on an integer.
         low=-0.5,
         high=most + 0.5,
         within=None,

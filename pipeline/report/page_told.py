@@ -1,4 +1,4 @@
-"""What the page of a run tells in words and tables, from its report.json."""
+"""Text and tables of a run's page, from report.json."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scanloom.stages.printing import at_most, place_in_words
 
 
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what report.json says, warnings first, as `one_file` takes it."""
+    """Convert report.json to the report data of `one_file`, warnings first."""
     scan, ran = report.get("scan", {}), report.get("stages", {})
     figures = [
         *scan.get("diagnostics", []),
@@ -30,12 +30,12 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
             ]
             for stage, about in ran.items()
         ]
-        head = ["stage", "this run", "when it was made", "memory", "why it ran"]
+        head = ["stage", "this run", "computed in", "memory", "reason"]
         tables.append({"title": "Stages", "head": head, "rows": rows})
     skipped = skipped_in(report)
     if skipped:
         rows = [[frame, reason] for frame, reason in skipped.items()]
-        tables.append({"title": "Frames that were skipped", "head": ["frame", "why"], "rows": rows})
+        tables.append({"title": "Skipped frames", "head": ["frame", "reason"], "rows": rows})
     texts = []
     if ran:
         texts = [
@@ -48,7 +48,10 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def skipped_in(report: Mapping[str, Any]) -> dict[str, str]:
-    """Return why frames were skipped, by their names: when the scan was read, or by the first stage."""
+    """Return the reasons of skipped frames by frame name.
+
+    A frame may be skipped while reading or by a stage; the first reason counts.
+    """
     of_scan = at(report, "scan", "frames_skipped", otherwise=[])
     found = {str(one["frame"]): str(one["reason"]) for one in of_scan}
     for stage, about in report.get("stages", {}).items():
@@ -61,38 +64,38 @@ def deviation_tables(
     told: Mapping[str, Any],
     proven: float | None,
     places: Sequence[Mapping[str, Any]],
-    title: str = "Deviation of the result from the clean mesh, by samples",
+    title: str = "Deviation of the result from the clean mesh, sampled",
     *,
     is_metric: bool = True,
 ) -> list[dict[str, Any]]:
-    """Return tables of a deviation: how large it is, and its worst places, which the page can fly to.
+    """Make the tables of a deviation: its size, and its worst locations.
 
     Parameters
     ----------
-    told : the figures of `scanloom.Deviations`.
-    proven : metres that no point is farther off than; None where nothing is proven.
-    places : of the worst, as `one_file` takes them.
-    title : of the first table.
-    is_metric : lengths are metres, else units of the scan.
+    told : metrics of `scanloom.Deviations`.
+    proven : proven bound in metres; None if there is none.
+    places : camera targets of the worst locations, as for `one_file`.
+    title : title of the first table.
+    is_metric : True if lengths are in metres; False if in units of the scan.
     """
     per, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
     percentiles = told["absolute_percentiles_m"]
     rows = [[f"{p} % are within", f"{per * d:.4g} {small}"] for p, d in percentiles.items()]
     farthest = max((abs(one["distance_m"]) for one in told["worst"]), default=0.0)
-    rows.append(["at most, of samples and vertices", f"{per * farthest:.4g} {small}"])
+    rows.append(["maximum of samples and vertices", f"{per * farthest:.4g} {small}"])
     rows.append(["RMS", f"{per * told['rms_m']:.4g} {small}"])
     if proven is not None:
-        rows.append(["proven: no point is farther off than", f"{at_most(per * proven)} {small}"])
+        rows.append(["proven bound for all points", f"{at_most(per * proven)} {small}"])
     if told["share_within"] is not None:
         bound = f"within the bound of {per * told['tolerance_m']:g} {small}"
         rows.append([bound, f"{told['share_within']:.2%}"])
     if told["delta_e_2000"] is not None:
-        rows.append(["ΔE2000 of colours, on average", f"{told['delta_e_2000']['mean']:.3g}"])
+        rows.append(["mean colour difference ΔE2000", f"{told['delta_e_2000']['mean']:.3g}"])
     return [
         {"title": title, "head": ["", ""], "rows": rows},
         {
-            "title": "Where it is farthest off",
-            "head": ["deviation", f"at, in the axes of the scan, {large}", ""],
+            "title": "Largest deviations",
+            "head": ["deviation", f"location in scan coordinates, {large}", ""],
             "rows": [
                 [f"{per * one['distance_m']:+.3g} {small}", place_in_words(one["point_m"])]
                 for one in told["worst"]
@@ -103,7 +106,7 @@ def deviation_tables(
 
 
 def at(document: Mapping[str, Any], *names: str, otherwise: Any = None) -> Any:
-    """Return what stands in a document under names in names; else `otherwise`."""
+    """Look up a nested key; `otherwise` if missing or None."""
     found: Any = document
     for name in names:
         found = found.get(name) if isinstance(found, Mapping) else None
@@ -111,17 +114,17 @@ def at(document: Mapping[str, Any], *names: str, otherwise: Any = None) -> Any:
 
 
 def _frames_in_words(report: Mapping[str, Any]) -> str:
-    """Say how many frames there are, and what became of them."""
+    """Summarise how many frames were read, held out and skipped."""
     read, held_out = at(report, "scan", "frames"), at(report, "held_out", "photos", otherwise=0)
     if read is None:
         return ""
-    told = [f"{read:,} frames were read", f"{held_out:,} were held out, and compared" if held_out else ""]
+    told = [f"{read:,} frames were read", f"{held_out:,} were held out for evaluation" if held_out else ""]
     skipped = len(skipped_in(report))
     return "; ".join(filter(None, [*told, f"{skipped:,} were skipped" if skipped else ""])) + "."
 
 
 def _made_of(report: Mapping[str, Any]) -> str:
-    """Return the versions that made a result, and the SHA-256 of its files."""
+    """List the versions that made a result, and the SHA-256 of its files."""
     versions = {"scanloom": report.get("scanloom"), **at(report, "libraries", otherwise={})}
     lines = [
         f"made {report.get('created')}",
@@ -130,7 +133,7 @@ def _made_of(report: Mapping[str, Any]) -> str:
     ]
     for files in at(report, "placed", otherwise={}).values():
         lines += (f"{content}  {name}" for name, content in files.items())
-    return "\n".join([*lines, f"{report.get('digest')}  report.json, but for this line", ""])
+    return "\n".join([*lines, f"{report.get('digest')}  report.json without this line", ""])
 
 
 def _toml(ran: Mapping[str, Any]) -> str:

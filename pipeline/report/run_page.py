@@ -1,4 +1,4 @@
-"""What the page of a mesh file, or of a run's output folder, shows and tells."""
+"""Pages of a mesh file, and of the output folder of a run."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ from scanloom.stages.surface.mesh_files import standing
 from scanloom.stages.surface.pieces import is_many
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
-# How far from a place the camera flies to, as a share of the model's size.
+# Camera distance after flying to a location, as a ratio of the model size.
 _NEAR = 0.25
-# Vertices of two files are those of one mesh if they are as near as this share of its size.
+# Maximum distance between corresponding vertices of two files of the same mesh, as a ratio of its size.
 _SAME = 1e-5
 
 
 def page_of_mesh(name: str, mesh: Mesh, most_bytes: int) -> bytes:
-    """Return the page of a mesh, of so many bytes at most, if it can be."""
+    """Make the page of a mesh, of at most `most_bytes` if possible."""
     return packed_page(name, {name: Shown(mesh)}, most_bytes)
 
 
 def page_of_run(folder: Path, most_bytes: int) -> bytes:
-    """Return the page of the output folder of a run, of so many bytes at most, if it can be.
+    """Make the page of an output folder, of at most `most_bytes` if possible.
 
-    What the report has measured is not measured again; where there is no report, it is.
+    Measurements of the report are used; without a report, deviations are computed.
 
     Raises
     ------
     InputError
-        If it holds no result, or files that are not as runs write them.
+        If the folder has no result, or files that were not written by a run.
     """
     name = next((name for name in _RESULTS if (folder / name).is_file()), None)
     if name is None:
         known = ", ".join(_RESULTS)
         raise InputError(
             REPORT_INCOMPLETE,
-            "holds none of {known}, nor tiles",
+            "the folder has none of {known}, nor tiles",
             folder,
-            remedy="give a mesh file, or the OUT of a run.",
+            remedy="give a mesh file, or the output folder of a run.",
             known=known,
         )
     result = standing(folder / name, stages.read_mesh(folder / name))
@@ -94,7 +94,7 @@ def page_of_run(folder: Path, most_bytes: int) -> bytes:
             ]
     missing = missing_of(folder, result.up, turn, is_metric=is_metric)
     if missing is not None:
-        models["what is missing"] = missing.shown
+        models["coverage"] = missing.shown
         told["tables"] = [missing.table, *told.get("tables", ())]
     confidence = confidence_paint(result, folder / TEXTURE_MAPS)
     if confidence is not None:
@@ -105,7 +105,7 @@ def page_of_run(folder: Path, most_bytes: int) -> bytes:
 
 
 def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:
-    """Return how far the result is from the clean mesh, as the report has it if it is of this result."""
+    """Return the deviations of the result, stored or computed."""
     with as_runs_write(pictures):
         kept = read_deviations(pictures)
     if kept is not None and _is_same(kept.vertices, result):
@@ -116,7 +116,10 @@ def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None
 
 
 def _of_other_file(kept: Kept, result: Mesh) -> Kept | None:
-    """Return deviations of the same mesh in another file, whose vertices may come in another order."""
+    """Transfer deviations to the same mesh with reordered vertices.
+
+    Returns None if the mesh differs.
+    """
     from scipy.spatial import cKDTree
 
     away, rows = cKDTree(kept.vertices).query(result.vertices, workers=-1)
@@ -126,7 +129,7 @@ def _of_other_file(kept: Kept, result: Mesh) -> Kept | None:
 
 
 def _bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float | None]:
-    """Return the bound on the shape that was asked for, and the one that is proven; metres, or None."""
+    """Return the requested and the proven shape bound in metres, each or None."""
     asked = at(report, "stages", "simplify", "params", "simplify", "max_shape")
     proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
     with as_runs_write(path):
@@ -134,7 +137,7 @@ def _bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float 
 
 
 def _with_vertex_colors(folder: Path, result: Mesh) -> Mesh:
-    """Return a textured result with the colours of the mesh that was textured."""
+    """Add the vertex colours of simplified.ply to a textured result."""
     light = folder / "simplified.ply"
     if result.texture is None or result.colors is not None or not light.is_file():
         return result
@@ -153,7 +156,7 @@ def _size(mesh: Mesh) -> float:
 
 
 def _reported(path: Path) -> tuple[Mapping[str, Any], dict[str, Any]]:
-    """Return report.json, and what the page tells of it."""
+    """Read report.json and convert it to report data of the page; empty if missing."""
     if not path.is_file():
         return {}, {}
     with as_runs_write(path):

@@ -1,1 +1,1 @@
-"""Running the stages of a scan: engine, limits, output folder, documents."""
+"""Execution of a run: engine, limits, output folder, report."""

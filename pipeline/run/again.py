@@ -1,4 +1,4 @@
-"""Go on with a run: its OUT says what it was made from and how, and one more stage is switched on."""
+"""Continuation of a run with one more stage enabled."""
 
 from __future__ import annotations
 
@@ -26,20 +26,22 @@ def run_again(
     cache_dir: Path | None = None,
     events: Events = unwatched,
 ) -> RunResult:
-    """Run an optional stage on what a run has left; all else is as that run was asked for, and mostly cached.
+    """Enable an optional stage of a finished run and run it.
+
+    Other stages come from the cache.
 
     Parameters
     ----------
-    out : the output folder of a run that came as far as clean.ply.
-    stage : whose section has `enabled`.
-    changes : other parameters of it.
-    scan : where the scan is now, if it was moved.
-    cache_dir : the cache of that run, as `run` takes it.
+    out : output folder of a run that has written clean.ply.
+    stage : stage whose section has the parameter `enabled`.
+    changes : other parameters of the stage.
+    scan : new location of the scan, if it was moved.
+    cache_dir : cache of the run, as for `run`.
 
     Raises
     ------
     InputError
-        If no run has left its results there, or the scan is not where it was.
+        If the folder has no results of a run, or the scan was moved.
     UsageError
         If a parameter is out of range.
     """
@@ -48,11 +50,9 @@ def run_again(
     if not folder.exists():
         raise InputError(
             REPORT_NO_RUN,
-            (
-                "the scan that these results were made from is not there any more; say with "
-                "--scan where it is."
-            ),
+            "the scan of these results does not exist any more",
             folder,
+            remedy="give its new location with --scan.",
         )
     section = replace(getattr(asked.config, stage), enabled=True, **changes)
     config = replace(asked.config, **{stage: section})
@@ -63,31 +63,34 @@ def run_again(
 
 def _asked(out: Path, cache_dir: Path | None) -> Asked:
     if not out.exists():
-        raise InputError(REPORT_NO_RUN, "there is no such folder", out, remedy="give the OUT of a run.")
+        raise InputError(
+            REPORT_NO_RUN, "there is no such folder", out, remedy="give the output folder of a run."
+        )
     if not out.is_dir():
-        raise InputError(REPORT_NO_RUN, "this is a file", out, remedy="give the OUT of a run, a folder.")
+        raise InputError(REPORT_NO_RUN, "this is a file", out, remedy="give the output folder of a run.")
     cache = cache_folder(out.resolve(), cache_dir)
     record = Cache(cache).latest_run(out.resolve()) if cache.is_dir() else {}
     asked = Asked.of(record.get("asked"))
     if asked is None and not (out / REPORT).is_file():
         raise InputError(
             REPORT_NO_RUN,
-            "no run has left its results here",
+            "this folder has no results of a run",
             out,
-            remedy="give the OUT of `scanloom run`.",
+            remedy="give the output folder of `scanloom run`.",
         )
     if asked is None:
         raise InputError(
             REPORT_NO_RUN,
-            "the cache {cache} does not tell how this was made",
+            "the cache {cache} has no record of this run",
             out,
-            remedy="name that of the run with --cache, or run `scanloom run` once more.",
+            remedy="give the cache of the run with --cache, or run `scanloom run` again.",
             cache=cache,
         )
     if not (out / "clean.ply").is_file():
         raise InputError(
             REPORT_NO_RUN,
-            "there is no clean.ply: the run has not come so far; finish it with `scanloom run`.",
+            "clean.ply is missing, because the run ended before it",
             out,
+            remedy="complete the run with `scanloom run`.",
         )
     return asked

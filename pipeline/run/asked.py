@@ -1,7 +1,9 @@
-"""What a run was asked for, as the record in its cache keeps it: so that its OUT alone is enough to go on.
+"""Arguments of a run, recorded in the cache.
 
-It stands in the cache and not among the results: these are passed on, and where a scan lies on a machine is
-nobody else's matter.
+The record allows the run to be continued from its OUT alone.
+
+The record is not among the results: results are shared with others, and paths of the local machine are
+private.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ from scanloom.stages.params import described
 
 @dataclass(frozen=True)
 class Asked:
-    """What a run was asked for.
+    """Recorded arguments of a run.
 
     Attributes
     ----------
-    scan : the folder or file of the scan, absolute.
-    config : files in it are absolute, too.
-    until : the last stage that was wanted.
+    scan : absolute path of the scan folder or file.
+    config : configuration with absolute paths.
+    until : last requested stage.
     """
 
     scan: Path
@@ -31,12 +33,12 @@ class Asked:
     until: str
 
     def record(self) -> dict[str, str]:
-        """Return it for JSON."""
+        """Return the arguments as JSON values."""
         return {"scan": str(self.scan), "config": self.config.dumps(), "until": self.until}
 
     @classmethod
     def of(cls, record: object) -> Asked | None:
-        """Return what a record says; None if it is none, or of a version that had other parameters."""
+        """Parse recorded arguments; None if invalid or from a version with other parameters."""
         if not isinstance(record, Mapping):
             return None
         scan, config, until = (record.get(name) for name in ("scan", "config", "until"))
@@ -49,7 +51,10 @@ class Asked:
 
 
 def from_anywhere(config: Config) -> Config:
-    """Return a configuration whose files are named in full, so that it holds in another folder, too."""
+    """Make the paths in a configuration absolute.
+
+    The configuration is then valid in any working directory.
+    """
     for section, kind in config.types().items():
         params = getattr(config, section)
         named = {name: getattr(params, name) for name, about in described(kind).items() if about.is_path}

@@ -26,14 +26,14 @@ def compose(
     final: Mapping[str, Any],
     out: Path,
 ) -> dict[str, Any]:
-    """Put together the content of report.json.
+    """Compose the content of report.json.
 
     Parameters
     ----------
-    diagnostics : of the scan and of the parameters.
-    outcomes : what became of each stage of this run.
-    final : figures of the report stage; empty if the run ended before it.
-    out : the output folder, which results are named from.
+    diagnostics : diagnostics of the scan and of the parameters.
+    outcomes : outcomes of the stages of this run.
+    final : metrics of the report stage; empty if the run ended before it.
+    out : output folder that result paths are relative to.
     """
     return {
         "schema": SCHEMA,
@@ -45,7 +45,7 @@ def compose(
             "frames": len(scan.frames),
             "frames_skipped": [one.figures() for one in scan.skipped],
             "diagnostics": [one.figures() for one in diagnostics],
-            # Where it is false, metres in all figures are units of the scan's world.
+            # If false, lengths in all metrics are in units of the scan instead of metres.
             "metric": scan.is_metric,
             "scale": scan.scale and scan.scale.figures(),
         },
@@ -55,7 +55,7 @@ def compose(
         "normal_mesh": final.get("normal_mesh"),
         # None unless frames were held out.
         "held_out": final.get("held_out"),
-        # None unless the run reached the report; with signs, of the result from the clean mesh.
+        # Signed deviation of the result from the clean mesh; None unless the run reached the report.
         "deviation": final.get("deviation"),
         "pictures": final.get("pictures", []),
     }
@@ -67,7 +67,7 @@ def _stage(outcome: Outcome, out: Path) -> dict[str, Any]:
         "cached": outcome.cached,
         "reason": outcome.reason,
         "seconds": round(outcome.seconds, 3),
-        # Of the run that made the result, which is this one unless it was cached.
+        # Time and memory of the run that computed the result: an earlier run if the result was cached.
         "made_in_s": outcome.made["seconds"],
         "peak_memory_mb": round(outcome.made["peak_memory_bytes"] / 1e6, 1),
         "params": outcome.params,

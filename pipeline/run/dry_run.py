@@ -1,4 +1,4 @@
-"""What a run would do, found out without doing any of it: nothing is written, not even a lock."""
+"""Dry run: predicts a run without writing, not even a lock."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What would become of a stage.
+    """Prediction for a stage.
 
     Attributes
     ----------
-    reason : why it would run; empty if its result is cached.
-    expected : what it would take; None if it is cached.
+    reason : why the stage would run; empty if its result is cached.
+    expected : expected cost; None if the result is cached.
     """
 
     stage: str
@@ -40,7 +40,7 @@ class Foreseen:
     expected: Expectation | None
 
     def figures(self) -> dict[str, Any]:
-        """Return it ready for JSON."""
+        """Return the prediction as JSON values."""
         take = self.expected
         return {
             "cached": self.cached,
@@ -53,11 +53,12 @@ class Foreseen:
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a run would do.
+    """Predictions for a run.
 
     Attributes
     ----------
-    refused : why it would not begin, a file in the output folder that it may not replace; or None.
+    refused : reason why the run would not start: a file in the output folder that it must not replace. None
+        otherwise.
     """
 
     out: Path
@@ -70,16 +71,16 @@ class DryRun:
 
     @property
     def seconds(self) -> float:
-        """What all stages would take together."""
+        """Expected seconds of all stages."""
         return sum(one.expected.seconds for one in self.stages if one.expected is not None)
 
     @property
     def memory_bytes(self) -> int:
-        """What the stage that needs most memory would take."""
+        """Expected peak memory in bytes over all stages."""
         return max((one.expected.memory_bytes for one in self.stages if one.expected is not None), default=0)
 
     def figures(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
+        """Return the predictions as JSON values."""
         return {
             "dry_run": True,
             "out": str(self.out),
@@ -102,15 +103,16 @@ def foresee(
     cache_dir: Path | str | None = None,
     overwrite: bool = False,
 ) -> DryRun:
-    """Say what `scanloom.pipeline.run.run.run` would do with the same arguments, without writing anything.
+    """Predict what `scanloom.pipeline.run.run.run` would do with the same arguments, without writing.
 
-    A stage after one that has to run is taken to run, too; it may prove to be cached all the same, where the
-    new result is equal to one before.
+    All stages after a stage that runs are predicted to run. They may turn out to be cached, if the new result
+    equals an earlier one.
 
     Raises
     ------
     InputError, UsageError
-        As `scanloom.pipeline.run.run.run`, but that a file it may not replace is only told.
+        As `scanloom.pipeline.run.run.run`, except that a file which must not be replaced only causes a
+        warning.
     """
     cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
     wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
@@ -122,7 +124,7 @@ def foresee(
         refused = str(error)
     with collecting() as diagnostics:
         if refused is not None:
-            emit(FILE_OUTPUT_REFUSED.warning("the run would not begin: {reason}", reason=refused))
+            emit(FILE_OUTPUT_REFUSED.warning("the run would not start: {reason}", reason=refused))
     return DryRun(
         out=wanted.out,
         cache=cache.folder,
@@ -167,18 +169,21 @@ def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen,
 def _looked_up(
     cache: Cache, recipe: Recipe, now: Mapping[str, Any], last: Mapping[str, Any] | None
 ) -> tuple[Mapping[str, Any] | None, str]:
-    """Return the manifest of a result that is in the cache and sound, or why there is none."""
+    """Look up a valid cached result.
+
+    Returns its manifest and "", or None and the reason to run the stage.
+    """
     place = cache.folder / recipe.stage / recipe.key
     if not place.is_dir():
         return None, reason(now, last)
     try:
         return verified(place), ""
     except DamagedError as error:
-        return None, f"its cached result is damaged: {error}"
+        return None, f"cached result damaged: {error}"
 
 
 def _awaiting(before: Sequence[str], recipe: Recipe, last: Mapping[str, Any] | None) -> str:
-    """Say why a stage would run whose inputs are not known yet, as stages before it run."""
+    """Explain why a stage would run after stages that run."""
     if last is None:
         return "first run"
     unchanged = {"recipe": {**recipe.as_json(), "inputs": last["recipe"]["inputs"]}, "parts": last["parts"]}

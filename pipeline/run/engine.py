@@ -1,6 +1,6 @@
-"""Run stages in order, each from the cache if it can be, and say why when it cannot.
+"""Engine that runs stages in order, uses cached results, and explains every cache miss.
 
-The engine knows no stage by name; `scanloom.pipeline.graph` declares them.
+The engine has no knowledge of specific stages; `scanloom.pipeline.graph` declares them.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from scanloom.stages.surface.memory import give_back
 
 @dataclass(frozen=True)
 class Source:
-    """Something a stage reads.
+    """Input of a stage.
 
     Attributes
     ----------
-    digest : of its content.
-    value : what the stage is given.
-    parts : digests of its parts, to say which of them changed.
-    require_unchanged : raises StageError if the content is not any more what the digest was taken of.
+    digest : content digest.
+    value : value passed to the stage.
+    parts : digests of the parts, to report which of them changed.
+    require_unchanged : raises StageError if the content no longer matches the digest.
     """
 
     digest: str
@@ -48,14 +48,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one stage.
+    """Outcome of a stage in a run.
 
     Attributes
     ----------
-    seconds : spent in this run.
-    made : when the result was made: `seconds`, and the peak memory of the process in `peak_memory_bytes`.
-    folder : the cache entry.
-    diagnostics : what the stage emitted when the result was made.
+    reason : why the stage ran; empty if cached.
+    seconds : time spent in this run.
+    made : cost when the result was computed: `seconds`, and `peak_memory_bytes` of the process.
+    folder : folder of the cache entry.
+    results : files in the output folder.
+    diagnostics : diagnostics emitted when the result was computed.
     """
 
     stage: str
@@ -71,23 +73,26 @@ class Outcome:
 
 
 class Guard(Protocol):
-    """Ends a run that takes more than it may, by raising StageError."""
+    """Callbacks that raise StageError when a run exceeds its limits."""
 
     def before(self, stage: str) -> None:
-        """Look before a stage works."""
+        """Check the limits before a stage is computed."""
 
     def during(self, stage: str, folder: Path, share: float) -> None:
-        """Look while it works, at the files it has written so far too; `share` of its work is done."""
+        """Check the limits during a stage.
+
+        `folder` has the files written so far; `share` is the completed ratio of the stage.
+        """
 
     def kept(self, stage: str, entry: Entry) -> None:
-        """Look at what it left."""
+        """Check the limits after the result of a stage was stored."""
 
 
 class Engine:
-    """One run: the stages of a plan, over the sources, into an output folder.
+    """Execution of the stages of a plan for one output folder.
 
-    Use it in a `with` block: until its end, no other run works into the folder, and nobody removes the cache
-    entries this one has met.
+    Use as a context manager: inside the block, no other run can use the output folder, and the cache entries
+    used by this run cannot be removed.
     """
 
     def __init__(
@@ -117,7 +122,7 @@ class Engine:
         self._entries: list[Entry] = []
 
     def __enter__(self) -> Engine:
-        said = f"another run is working into {self._out}; this one waits for it"
+        said = f"waiting for another run into {self._out}"
         self._lock = self._cache.sole_run(self._out, lambda: self._events(Waiting(said)))
         self.results = Results(self._cache, self._out, overwrite=self._overwrite)
         return self
@@ -128,15 +133,15 @@ class Engine:
         self._lock.release()
 
     def run(self, until: str, force: Collection[str]) -> Iterator[Outcome]:
-        """Run the stages up to and with `until`, one a step; those in `force` without asking the cache."""
+        """Run the stages up to `until`, yielding their outcomes; recompute the stages in `force`."""
         last = next(i for i, stage in enumerate(self._plan) if stage.name == until)
         for i, stage in enumerate(self._plan[: last + 1]):
             yield self._run_stage(stage, self._plan[i:], stage.name in force)
 
     def withdraw_outdated(self, after: str) -> Entry | None:
-        """Remove results of later stages that do not follow from what is there now.
+        """Remove results of stages after `after` that are no longer valid.
 
-        Returns the entry of the plan's last stage if everything up to it is still valid.
+        Returns the entry of the plan's last stage if all results are valid, else None.
         """
         at = next(i for i, stage in enumerate(self._plan) if stage.name == after)
         entry = self._entries[-1] if at + 1 == len(self._plan) else None
@@ -161,7 +166,7 @@ class Engine:
             if self._guard is not None:
                 self._guard.before(stage.name)
             self._events(StageStarted(stage.name, why))
-            # Files of this stage and the later ones belong to another run from here on.
+            # Remove the files of this and all later stages: they would not match the new result.
             self.results.withdraw(stage.name for stage in following)
             entry = self._cache.store(
                 recipe, lambda folder: self._make(stage, folder, forced), replace=forced
@@ -197,11 +202,11 @@ class Engine:
             self._events(StageProgress(stage.name, done, total))
 
         inputs = _values(stage, self._sources)
-        # What other stages have left would count as this one's.
+        # Otherwise memory left over from earlier stages would count as memory of this one.
         give_back()
         reset_peak()
         started = time.perf_counter()
-        # They are emitted when the stage has ended, as they are where its result is cached.
+        # Diagnostics are emitted after the stage, as for a cached result.
         with explained(f"{stage.name} failed"), collecting(forward=False) as diagnostics:
             figures = stage.run(
                 stage.inputs(**{name: value for name, value in inputs.items() if name not in stage.labels}),
@@ -217,7 +222,7 @@ class Engine:
         made = {
             "seconds": round(time.perf_counter() - started, 3),
             "peak_memory_bytes": peak_bytes(),
-            # It decides nothing; a later run on another scan takes as much longer as that is larger.
+            # Only used to scale time and memory estimates to other scans.
             "megapixels": self._megapixels,
         }
         for name in inputs:
@@ -246,7 +251,7 @@ class Engine:
 
 
 def recipe_of(stage: AnyStage, config: Sections, sources: Mapping[str, Source]) -> Recipe:
-    """Return all that decides a stage's result; sources that are not known are left out of it."""
+    """Compose the recipe of a stage from its known inputs."""
     values = _values(stage, sources)
     return Recipe(
         stage.name,
@@ -258,7 +263,7 @@ def recipe_of(stage: AnyStage, config: Sections, sources: Mapping[str, Source]) 
 
 
 def read_by(stage: AnyStage, sources: Mapping[str, Source]) -> list[str]:
-    """Return the names of what a stage reads of these sources, whether they are known already or not."""
+    """Return the names of the inputs a stage reads, known or not yet computed."""
     known = {name: sources[name].value for name in stage.reads if name in sources}
     return [name for name in stage.reads if name not in stage.when or stage.when[name](known)]
 
@@ -268,7 +273,7 @@ def _values(stage: AnyStage, sources: Mapping[str, Source]) -> dict[str, Any]:
 
 
 def as_json(value: Any) -> Any:
-    """Return figures as plain JSON values: Python's own numbers, null for what is not finite."""
+    """Convert metrics to plain JSON values: NumPy to Python types, non-finite numbers to null."""
     if isinstance(value, Mapping):
         return {str(key): as_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""Progress of a run, for a function that watches it. Diagnostics are emitted, not told as events."""
+"""Progress events of a run. Diagnostics are emitted separately."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True)
 class RunStarted:
-    """The scan is read, and the stages to come are known.
+    """The scan was read and the stages were planned.
 
     Attributes
     ----------
-    is_metric : metres in figures are metres, else units of the scan's world.
+    is_metric : True if lengths in metrics are in metres; False if in units of the scan.
     """
 
     layout: str
@@ -25,7 +25,7 @@ class RunStarted:
 
 @dataclass(frozen=True)
 class StageStarted:
-    """A stage begins to work; `reason` says why the cache could not answer for it."""
+    """A stage started to compute, because of a cache miss explained by `reason`."""
 
     stage: str
     reason: str
@@ -33,7 +33,10 @@ class StageStarted:
 
 @dataclass(frozen=True)
 class StageProgress:
-    """A working stage has finished `done` of `total` units; stage "scan" is the hashing of its files."""
+    """Progress of a stage in its own units.
+
+    The stage "scan" is the hashing of the scan files.
+    """
 
     stage: str
     done: int
@@ -42,15 +45,15 @@ class StageProgress:
 
 @dataclass(frozen=True)
 class StageFinished:
-    """A stage's result is there, from the cache or made now.
+    """The result of a stage is available.
 
     Attributes
     ----------
-    cached : the cache had it.
-    seconds : spent in this run.
-    reason : why it was made; empty when cached.
-    figures : what came out, JSON-able, units in the names.
-    results : the files it placed in the output folder.
+    cached : True if the result was in the cache.
+    seconds : time spent in this run.
+    reason : why the result was computed; empty if cached.
+    figures : JSON-ready metrics, with units in the keys.
+    results : files placed in the output folder.
     """
 
     stage: str
@@ -63,7 +66,7 @@ class StageFinished:
 
 @dataclass(frozen=True)
 class Waiting:
-    """Nothing goes on for a while, and `text` says why: another run works into the same folder."""
+    """The run is blocked by another run, as stated in `text`."""
 
     text: str
 
@@ -72,11 +75,11 @@ Event = RunStarted | StageStarted | StageProgress | StageFinished | Waiting
 
 
 class Events(Protocol):
-    """Called from the working thread; raising from it stops the run."""
+    """Event callback, called from the working thread; exceptions raised from it stop the run."""
 
     def __call__(self, event: Event) -> None:
-        """Take note of one event."""
+        """Handle an event."""
 
 
 def unwatched(event: Event) -> None:
-    """Events that nobody watches."""
+    """Ignore an event."""

@@ -1,9 +1,9 @@
-"""What a run may take of memory and disk, kept to without changing what it makes.
+"""Memory and disk limits of a run, enforced without affecting its results.
 
-Before the first stage that has to work, what it and those after it are expected to take is held against the
-limits; while a stage works, what it has taken. A limit that does not hold ends the run in one sentence, which
-says what would fit. What nothing but the size of the scan tells is too rough to end a run for: that is a
-warning, and the stage is stopped if it comes to that. Stages that are finished stay in the cache.
+Before the first computed stage, the expected cost of the remaining stages is checked. During a stage, the
+actual use is checked. Exceeding a limit ends the run with a message that names a fitting voxel size.
+Estimates based on the scan size alone are too rough for that: they only cause a warning. Finished stages stay
+in the cache.
 """
 
 from __future__ import annotations
@@ -23,23 +23,27 @@ from scanloom.pipeline.run.codes import BATCH_LIMIT_EXCEEDED
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import StageError
 
-# Seconds between two looks at what a stage has taken.
+# Seconds between two checks of memory and of disk use during a stage.
 _MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0
-# Of a limit, a volume of voxels takes one part of so many.
+# The voxel volume may use one third of the memory limit.
 _OF_VOLUME = 3
-# What a stage takes at its begin says little of its end; it is taken for so much of its work at least.
+# Minimum completed ratio for extrapolation: early use of a stage is a poor predictor of its total.
 _LEAST_SHARE = 0.25
-_BASES = {"measured": "as it took before", "scaled": "by other work", "estimated": "by the scan's size"}
+_BASES = {
+    "measured": "measured in an earlier run",
+    "scaled": "scaled from other scans",
+    "estimated": "estimated from the scan size",
+}
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a run may take, bytes; None for no limit.
+    """Limits of a run in bytes; None for no limit.
 
     Attributes
     ----------
-    memory : of the process, at any moment.
-    disk : of all that the run writes, into the cache and the output folder.
+    memory : peak resident memory of the process.
+    disk : bytes written to the cache and the output folder.
     """
 
     memory: int | None = None
@@ -53,9 +57,9 @@ NO_LIMITS = Limits()
 
 
 def within(config: Config, limits: Limits) -> Config:
-    """Return the configuration whose volume of voxels keeps to the limit; no result depends on it.
+    """Reduce fuse.memory to a third of the memory limit; no result depends on it.
 
-    The rest is for meshes that are taken out of it, and for what is known of all frames.
+    The remainder is needed for mesh extraction and per-frame data.
     """
     if limits.memory is None:
         return config
@@ -64,12 +68,13 @@ def within(config: Config, limits: Limits) -> Config:
 
 
 class LimitGuard:
-    """Holds one run to its limits.
+    """Guard that enforces the limits of one run.
 
     Parameters
     ----------
-    expected : of each stage of the run, in order.
-    by_voxels : the stages whose memory and disk follow from how fine the voxels are.
+    expected : expected cost of each stage, in order.
+    by_voxels : stages whose memory and disk depend on the voxel size.
+    peak : function that returns the peak memory in bytes.
     """
 
     def __init__(
@@ -92,16 +97,16 @@ class LimitGuard:
 
     @property
     def written(self) -> int:
-        """Bytes that the run has written so far."""
+        """Bytes written by the run so far."""
         return self._written
 
     def before(self, stage: str) -> None:
-        """Refuse a run that is expected not to fit, once its first stage has to work.
+        """Check the expected cost of the remaining stages, once, before the first computed stage.
 
         Raises
         ------
         StageError
-            It says which stage, how much, and what would fit.
+            If a limit will be exceeded; the message names the stage, the amount, and a fitting voxel size.
         """
         if self._has_begun:
             return
@@ -119,8 +124,8 @@ class LimitGuard:
             if total > self._limits.disk - self._written:
                 bases = {self._expected[name].basis for name in to_come}
                 self._end_or_warn(
-                    "the run is expected to write {total}, and the limit leaves {left} of {limit}; raise it, "
-                    "or make less: {lighter}.",
+                    "the run is expected to write {total}, but only {left} of the disk limit of {limit} "
+                    "remain; increase the limit, or use larger voxels: {lighter}.",
                     "estimated" if "estimated" in bases else "scaled",
                     total=_size(total),
                     left=_size(self._limits.disk - self._written),
@@ -131,21 +136,21 @@ class LimitGuard:
     def _end_or_warn(self, message: str, basis: str, **values: str) -> None:
         if basis != "estimated" or (self._limits.memory or math.inf) <= BASE_BYTES:
             raise StageError(BATCH_LIMIT_EXCEEDED, message, **values)
-        estimate = "This is an estimate; the stage is stopped if it comes to that."
+        estimate = "This is an estimate; the stage is only stopped if it exceeds the limit."
         emit(BATCH_LIMIT_EXCEEDED.warning(f"{message} {estimate}", **values))
 
     def during(self, stage: str, folder: Path, share: float) -> None:
-        """Stop a stage that has taken more than it may.
+        """Stop a stage that has exceeded a limit.
 
         Parameters
         ----------
-        folder : where it writes.
-        share : of its work that is done.
+        folder : folder the stage writes to.
+        share : completed ratio of the stage.
 
         Raises
         ------
         StageError
-            It says how much, and what would fit.
+            If a limit is exceeded; the message names the amount and a fitting voxel size.
         """
         if self._limits.memory is not None and self._is_time("memory", _MEMORY_PAUSE):
             taken = self._peak()
@@ -155,20 +160,23 @@ class LimitGuard:
             self._require_disk(stage, 2 * _bytes_in(folder), share)
 
     def kept(self, stage: str, entry: Entry) -> None:
-        """Count what a stage that worked has written: its entry, and the copies of it among the results."""
+        """Add the bytes written by a stage.
+
+        The cache entry and its copies in the output folder count.
+        """
         self.ended(stage)
         size = 2 * sum(about["size"] for about in entry.manifest["files"].values())
         self._require_disk(stage, size)
         self._written += size
 
     def ended(self, what: str) -> None:
-        """Tell what was taken of memory after the last word of progress: stopped it cannot be any more."""
+        """Warn if a finished step exceeded the memory limit after its last progress report."""
         limit, taken = self._limits.memory, self._peak()
         if limit is not None and taken > max(limit, self._told):
             self._told = taken
             emit(
                 BATCH_LIMIT_EXCEEDED.warning(
-                    "{work} has taken {taken} of memory as it ended, more than the limit of {limit}.",
+                    "{work} used {taken} of memory at its end, more than the limit of {limit}.",
                     work=what,
                     taken=_size(taken),
                     limit=_size(limit),
@@ -181,11 +189,11 @@ class LimitGuard:
             total = self._written + more
             raise StageError(
                 BATCH_LIMIT_EXCEEDED,
-                "{stage} brings what the run has written to {size}, more than the limit of {size_2}",
-                remedy="raise it, or make less: {lighter}.",
+                "with {stage}, the run has written {size}, more than the disk limit of {limit}",
+                remedy="increase the limit, or use larger voxels: {lighter}.",
                 stage=stage,
                 size=_size(total),
-                size_2=_size(limit),
+                limit=_size(limit),
                 lighter=self._lighter(self._at_end(total, share), limit),
             )
 
@@ -198,27 +206,30 @@ class LimitGuard:
 
     def _memory_trouble(self, stage: str, needed: int, basis: str | None, share: float = 1.0) -> str:
         limit = self._limits.memory or 0
-        takes = "has taken" if basis is None else f"is expected to take ({basis})"
+        takes = "has used" if basis is None else f"is expected to use ({basis})"
         what = f"{stage} {takes} {_size(needed)} of memory, more than the limit of {_size(limit)}; "
         if limit <= BASE_BYTES:
-            return f"{what}no voxel size fits, {_size(BASE_BYTES)} are there before any frame is read."
+            return f"{what}no voxel size fits, because the libraries alone use {_size(BASE_BYTES)}."
         if stage not in self._by_voxels:
-            return f"{what}that does not follow from the voxel size: raise the limit, or leave the stage out."
+            return f"{what}the voxel size has no influence: increase the limit, or disable the stage."
         return (
             f"{what}{self._voxels(self._at_end(needed - BASE_BYTES, share), limit - BASE_BYTES)} would fit."
         )
 
     def _at_end(self, taken: float, share: float) -> float:
-        """Return what a stage would have taken at its end, by what it took for a share of its work."""
+        """Extrapolate the use at the end of a stage from its completed ratio."""
         return taken / max(share, _LEAST_SHARE)
 
     def _lighter(self, needed: float, limit: int) -> str:
         if limit <= 0:
-            return "nothing is left"
+            return "no voxel size fits"
         return f"{self._voxels(needed, limit)} would fit"
 
     def _voxels(self, needed: float, limit: float) -> str:
-        """Return the parameter by which what is needed falls to the limit: it goes by the square of it."""
+        """Suggest a voxel size that meets a limit.
+
+        Memory and disk use are proportional to the inverse square of the voxel size.
+        """
         times = math.sqrt(max(needed / limit, 1.0))
         fuse = self._config.fuse
         if fuse.voxel_size is not None:
@@ -229,16 +240,16 @@ class LimitGuard:
 def _bytes_in(folder: Path) -> int:
     sizes = 0
     for path in folder.rglob("*"):
-        # A file may be gone by now.
+        # Files may disappear during the walk.
         with suppress(OSError):
             sizes += path.lstat().st_size
     return sizes
 
 
 def _rounded_up(value: float) -> float:
-    """Return a number of two digits that is no smaller."""
+    """Round up to two significant digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
-    # What is of two digits already stays, though no power of ten below 1 is exact.
+    # The tolerance keeps values that have two digits already, despite floating-point error.
     return math.ceil(value / step - 1e-9) * step
 
 

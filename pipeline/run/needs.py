@@ -1,4 +1,4 @@
-"""What a scan will take, told from its size and from earlier results, without reading its images."""
+"""Resource estimates for a scan, from its size and cached results, without reading images."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from scanloom.pipeline.graph import plan_for
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.scans.model.scan import Scan
 
-# Results of each stage that are looked at: a large cache has thousands.
+# Maximum number of cached results read per stage: a large cache has thousands.
 _MOST = 32
 
 Manifest = Mapping[str, Any]
 
 
 def expected_of(scan: Scan, config: Config, planned: Sequence[str], cache: Path) -> dict[str, Expectation]:
-    """Return what the stages of a scan are expected to take.
+    """Estimate the cost of the stages of a scan.
 
-    Some earlier results in the cache tell, those of scans of the nearest size first; where voxels were of
-    another size than they will be, what follows from that is counted with its square.
+    Cached results of scans of similar size are preferred. For another voxel size, memory and disk are scaled
+    by the number of voxels on the surface (inverse square of the voxel size).
 
     Parameters
     ----------
-    planned : names of stages.
-    cache : the folder; it need not be there.
+    planned : names of the stages to run.
+    cache : cache folder, which need not exist.
     """
     size = megapixels(scan)
     found = {}
@@ -74,7 +74,7 @@ def _alike(manifests: list[Manifest], size: float) -> list[Manifest]:
 
 
 def _note_voxels(one: Manifest, voxels: dict[str, tuple[float, FuseParams]]) -> None:
-    """Note of a result how large the voxels were that it comes from."""
+    """Record the voxel size behind a result, by the content digest of the result."""
     recipe = one["recipe"]
     at = next((voxels[content] for content in recipe["inputs"].values() if content in voxels), None)
     if one["figures"].get("voxel_size_m"):
@@ -90,7 +90,10 @@ def _content(one: Manifest) -> str:
 
 
 def _finer(one: Manifest, voxels: Mapping[str, tuple[float, FuseParams]], now: FuseParams) -> float | None:
-    """Return how many times as many voxels there will be on a surface; None if that cannot be told."""
+    """Return the ratio of new to old voxel count on a surface.
+
+    Returns None if unknown.
+    """
     if _content(one) not in voxels:
         return None
     size, then = voxels[_content(one)]

@@ -1,4 +1,4 @@
-"""Why a stage runs, from what decided its result now and in the latest run."""
+"""Explanation of cache misses by comparing recipes of this and the latest run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _NONE = object()
 
 
 def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
-    """Say in a few words what changed since the latest run.
+    """Explain in a few words what changed since the latest run.
 
     Parameters
     ----------
-    now, last : `recipe` (see scanloom.pipeline.cache.entry.Recipe) and `parts`, digests of the parts of every
-        input by the input's name; `last` is None if the latest run did not get to this stage.
+    now, last : `recipe` (see scanloom.pipeline.cache.entry.Recipe) and `parts`, the digests of the parts of
+        each input by input name. `last` is None if the latest run did not reach this stage.
     """
     if last is None:
         return "first run"
@@ -41,9 +41,10 @@ def _changed(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> It
 def _changed_versions(
     before: Mapping[str, Any], now: Mapping[str, Any], *, only_common: bool
 ) -> Iterator[str]:
-    # A run of an earlier program recorded none.
+    # Records of earlier program versions have no code versions.
     old, new = before.get("versions", {}), now["versions"]
-    # Other parameters may run other code: that its version came in is then no reason of its own.
+    # Changed parameters may add or remove modules; only a changed version of a common module is a separate
+    # reason.
     names = [name for name in (*new, *old) if name in old.keys() & new.keys() or not only_common]
     yield from _changed(
         "stage changed:",
@@ -52,7 +53,7 @@ def _changed_versions(
 
 
 def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    # Two sections may share a parameter's name; the section is only said where there are several.
+    # Sections may share parameter names, so prefix the section if there are several.
     several = len(params) > 1
     return {
         f"{section}.{name}" if several else name: value
@@ -62,7 +63,7 @@ def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _shown(values: Mapping[str, Any], name: str) -> str:
-    # An earlier version of the program may not have had the parameter.
+    # An older version of the program may not have had the parameter.
     value = values.get(name, "unknown")
     return "not set" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 

@@ -1,9 +1,9 @@
-"""The files a person finds in the output folder, under plain names, and the record of what put them there.
+"""Result files in the output folder, and the record of which run placed them.
 
-The folder never shows files of different runs side by side: before a stage works anew, its files and those
-of all later stages leave the folder. Only what a run placed there, and nobody changed since, is removed or
-replaced: a digest of each file's content is recorded, so that a mesh somebody edited is told from ours. The
-record is in the cache, and in report.json, for folders that outlive their cache.
+The folder never mixes files of different runs: before a stage is recomputed, its files and those after it are
+removed. Only files that a run placed and nobody edited are removed or replaced; recorded digests distinguish
+them from edited files. The record is in the cache, and also in report.json for folders that outlive their
+cache.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _FORMAT_VERSION = 1
 
 
 class Results:
-    """An output folder.
+    """Output folder of a run.
 
     Parameters
     ----------
-    cache : keeps the record: what decided each stage's result, and which files were placed.
-    overwrite : replace also what is not ours.
+    cache : stores the record: recipe and placed files of each stage.
+    overwrite : also replace files that no run placed.
     """
 
     def __init__(self, cache: Cache, out: Path, *, overwrite: bool = False) -> None:
@@ -47,33 +47,39 @@ class Results:
         self._keys: list[str] = []
         self._asked: Mapping[str, Any] | None = None
         self._contents: dict[tuple[Path, int, int, int, int], str] = {}
-        # What a run with another cache placed, or one whose cache is gone.
+        # Files placed by a run with another cache, or with a cache that was deleted.
         self._reported = _reported(out / REPORT)
 
     def decided(self, stage: str) -> Mapping[str, Any] | None:
-        """Return what was recorded as deciding a stage's latest result; None if it never got here."""
+        """Return the recorded inputs of the latest result of a stage.
+
+        These are the recipe and the digests of input parts; None if not recorded.
+        """
         decided: Mapping[str, Any] | None = self._stages.get(stage, {}).get("decided")
         return decided
 
     def keep(self, entry: Entry) -> None:
-        """Record that this run uses an entry."""
+        """Record that this run uses a cache entry."""
         self._keys.append(entry.key)
 
     def note(self, asked: Mapping[str, Any]) -> None:
-        """Have the record say what the run was asked for; see `scanloom.pipeline.run.asked`."""
+        """Record the arguments of the run; see `scanloom.pipeline.run.asked`."""
         self._asked = asked
 
     def require_replaceable(self, names: Iterable[str]) -> None:
-        """Refuse, before any work, files that a run is going to replace and that none has placed.
+        """Raise InputError if the run would replace a foreign file.
+
+        A file is foreign if no run placed it.
 
         Parameters
         ----------
-        names : of files in the folder; of one that ends in / it is only known later what it will hold.
+        names : file names in the folder; names of folders end in /, and their content is only
+            checked when placed.
 
         Raises
         ------
         InputError
-            For a file that the record does not name, or that was changed since.
+            For a file that is not in the record, or was edited since.
         """
         for name in names:
             path = self._out / name
@@ -86,12 +92,18 @@ class Results:
     def place(
         self, stage: str, entry: Entry, wanted: Iterable[str], decided: Mapping[str, Any]
     ) -> tuple[Path, ...]:
-        """Copy a stage's files into the folder, unless they are there with the same content.
+        """Copy the files of a stage to the folder.
+
+        Files with equal content are left untouched.
 
         Parameters
         ----------
-        wanted : names of the entry's files; one that ends in / is a folder of them.
-        decided : what decided the result, for the record.
+        wanted : names of the entry's files to copy; names of folders end in /.
+        decided : recipe and input parts, for the record.
+
+        Returns
+        -------
+        Paths of the files in the output folder.
 
         Raises
         ------
@@ -107,10 +119,11 @@ class Results:
                 path = self._out / name
                 if os.path.lexists(path) and not self._is_own(name):
                     self._refuse(path)
-                # Before the record changes: a run that is killed now leaves nothing that no record names.
+                # Delete before the record is updated: if the run is killed here, every remaining file is
+                # still recorded.
                 if not path.is_dir():
                     path.unlink(missing_ok=True)
-            # Recorded first: whatever a killed run leaves in the folder is known to be ours.
+            # Record before copying: if the run is killed, its files are known to be replaceable.
             self._stages[stage] = {"decided": decided, "placed": files}
             self._remember()
             for name in files:
@@ -122,14 +135,14 @@ class Results:
         return tuple(self._out / name for name in files)
 
     def withdraw(self, stages: Iterable[str]) -> None:
-        """Remove the files of these stages, and the report that tells of them, from the folder."""
+        """Remove the files of stages, the report and the page."""
         with explained(f"outdated results cannot be removed from {self._out}"):
             for stage in (*stages, REPORT):
                 self._remove(stage)
             self._remove_page()
 
     def withdraw_others(self, stages: Collection[str]) -> None:
-        """Remove the files of stages that a run has no more, if there are any."""
+        """Remove the files of stages that are no longer part of the run."""
         known = {**(self._reported or {}), **self._stages}
         others = [name for name in known if name not in (*stages, REPORT, PAGE)]
         if any(self._placed(name) for name in others):
@@ -139,7 +152,10 @@ class Results:
             self._reported = {name: at for name, at in (self._reported or {}).items() if name in stages}
 
     def write_report(self, report: Mapping[str, Any]) -> dict[str, Any]:
-        """Write report.json, and return it: with digests of what stages have placed, and of itself."""
+        """Write report.json and return its content.
+
+        Digests of all placed files and of the report itself are added.
+        """
         recorded = {
             stage: about.get("placed", {})
             for stage, about in self._stages.items()
@@ -149,7 +165,7 @@ class Results:
             stage: {name: content for name, content in files.items() if (self._out / name).exists()}
             for stage, files in {**(self._reported or {}), **recorded}.items()
         }
-        # Numbers as a reader finds them: the digest is of what the text says.
+        # Round-trip through JSON, so that the digest matches the numbers a reader parses.
         document: dict[str, Any] = json.loads(_to_json({**report, "placed": placed}))
         document["digest"] = digest(document)
         with explained(f"results cannot be written to {self._out}"):
@@ -159,11 +175,11 @@ class Results:
         return document
 
     def holds_page(self, of: str) -> bool:
-        """Return whether the page is there that was made of this; another page of a run is removed.
+        """Return True if the page is up to date; remove an outdated page.
 
         Parameters
         ----------
-        of : a digest of what decides it, beside the results of the stages that this run uses.
+        of : digest of the page parameters; results used by this run are added to it.
         """
         known = self._stages.get(PAGE, {})
         content = known.get("placed", {}).get(PAGE)
@@ -207,7 +223,7 @@ class Results:
         return {*self._stages.get(stage, {}).get("placed", {}), *(self._reported or {}).get(stage, {})}
 
     def _known_contents(self, name: str) -> set[str]:
-        """Return the digests a file of this name can have that a run placed."""
+        """Return the digests of all recorded versions of a file."""
         recorded = [stage.get("placed", {}) for stage in self._stages.values()]
         return {at[name] for at in (*recorded, *(self._reported or {}).values()) if name in at}
 
@@ -216,7 +232,7 @@ class Results:
         return path.is_file() and self._content(path) == content
 
     def _content(self, path: Path) -> str:
-        """Return the digest of a file; read once as long as nothing says that it has changed."""
+        """Return the digest of a file, cached until its inode, size or times change."""
         found = path.stat()
         seen = (path, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
         if seen not in self._contents:
@@ -227,9 +243,9 @@ class Results:
         if not self._overwrite:
             raise InputError(
                 FILE_OUTPUT_REFUSED,
-                "no run has placed this, or it was changed since",
+                "this file was not written by a run, or was edited since",
                 path,
-                remedy="move it, name another output folder, or give --overwrite.",
+                remedy="move it, choose another output folder, or use --overwrite.",
             )
 
     def _remember(self) -> None:
@@ -248,7 +264,10 @@ class Results:
 
 
 def _reported(path: Path) -> dict[str, dict[str, str]] | None:
-    """Return the digests that a report holds, by stage and name; None if it is not as a run wrote it."""
+    """Read the digests in report.json, by stage and file name.
+
+    Returns None if the report was edited.
+    """
     try:
         document = json.loads(text_in(path, "utf-8"))
         sealed = document.pop("digest")
@@ -256,7 +275,7 @@ def _reported(path: Path) -> dict[str, dict[str, str]] | None:
         is_whole = digest(document) == sealed
     except (InputError, OSError, RecursionError, ValueError, LookupError, TypeError, AttributeError):
         return None
-    # It stands where anybody may write: nothing beside the folder is touched for what it says.
+    # The report is untrusted: only accept names inside the output folder.
     return placed if is_whole and all(map(_is_record, placed.values())) else None
 
 
@@ -268,7 +287,7 @@ def _is_record(files: Mapping[Any, Any]) -> bool:
 
 
 def _sound(stages: object) -> dict[str, Any]:
-    """Return what a record says of stages, without what no run has written."""
+    """Return the stages of a record, without invalid ones."""
     found = stages if isinstance(stages, dict) else {}
     return {name: stage for name, stage in found.items() if _is_placed(stage) and _is_decided(stage)}
 
@@ -279,7 +298,10 @@ def _is_placed(stage: object) -> bool:
 
 
 def _is_decided(stage: Mapping[str, Any]) -> bool:
-    """Return whether a record can be compared with what decides the result now; a report's has none."""
+    """Return True if a recorded recipe has a valid structure.
+
+    The record of a report has no recipe, which is valid.
+    """
     if "decided" not in stage:
         return True
     decided = stage["decided"]
@@ -303,5 +325,5 @@ def _is_wanted(name: str, wanted: tuple[str, ...]) -> bool:
 
 
 def _to_json(report: Mapping[str, Any]) -> str:
-    """Return a report as JSON text that people can read, too."""
+    """Format a report as indented JSON."""
     return json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False) + "\n"

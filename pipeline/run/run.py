@@ -1,4 +1,4 @@
-"""Run the whole pipeline: a scan folder in, results under plain names in an output folder."""
+"""Run of the whole pipeline, from scan to output folder."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ CACHE_VARIABLE = "SCANLOOM_CACHE"
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run came to.
+    """Result of a run.
 
     Attributes
     ----------
-    out : the output folder.
-    cache : the cache folder.
-    stages : what became of each stage that was asked for, in order.
-    report : the content of report.json.
-    page : report.html; None where there is none.
-    diagnostics : of the scan, the stages (of cached results, too), the cache and the page.
+    out : output folder.
+    cache : cache folder.
+    stages : outcomes of the requested stages, in order.
+    report : content of report.json.
+    page : path of report.html; None if not written.
+    diagnostics : diagnostics of the scan, the stages (cached or not), the cache and the page.
     """
 
     out: Path
@@ -79,7 +79,7 @@ class RunResult:
             for one in self.stages
         ]
         told = ", ".join(fact for fact in self._facts() if fact)
-        of_stages = rows_table([["stage", "this run", "when it was made"], *rows])
+        of_stages = rows_table([["stage", "this run", "computed in"], *rows])
         return f"<div><b>{escape(str(self.out))}</b>: {escape(told)}{of_stages}</div>"
 
     def _facts(self) -> tuple[str, ...]:
@@ -87,31 +87,36 @@ class RunResult:
             counted(len(self.stages), "stage"),
             f"{sum(one.cached for one in self.stages)} cached",
             counted((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
-            counted(len(self.unmet), "requirement not reached", "requirements not reached"),
+            counted(len(self.unmet), "requirement not met", "requirements not met"),
         )
 
     def show(self, *, width: str = "100%", height: int = 640) -> Page:
-        """Return the page of the run, which a notebook shows in a frame of this size, CSS and pixels.
+        """Return the page of the run for a notebook.
+
+        Parameters
+        ----------
+        width : CSS width of the frame.
+        height : height of the frame in pixels.
 
         Raises
         ------
         UsageError
-            If the run left none.
+            If the run has no page.
         """
         if self.page is None:
             raise UsageError(
-                REPORT_INCOMPLETE, "this run left no page; report.page=true and report.enabled=true make one."
+                REPORT_INCOMPLETE, "this run has no page; report.page=true and report.enabled=true write one."
             )
         html = content_of(self.page)
         return Page(title=self.out.name, html=html, width=width, height=height)
 
     @property
     def unmet(self) -> tuple[Diagnostic, ...]:
-        """Return the requirements that are not reached."""
+        """Requirements that were not met."""
         return tuple(one for one in self.diagnostics if one.severity is Severity.UNMET)
 
     def figures(self) -> dict[str, Any]:
-        """Return the report, and where the results are."""
+        """Return the report with the paths of output folder, cache and page."""
         page = None if self.page is None else str(self.page)
         return {"out": str(self.out), "cache": str(self.cache), **self.report, "page": page}
 
@@ -128,32 +133,31 @@ def run(
     limits: Limits = NO_LIMITS,
     events: Events = unwatched,
 ) -> RunResult:
-    """Take a scan from its folder to a light mesh and a report; stages that need not run are not run.
+    """Process a scan folder to a simplified mesh and a report, using cached results.
 
     Parameters
     ----------
-    scan_folder : read only.
-    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, report.html, pictures/,
-        where frames have colour textured.glb and texture_maps/, where poses were made better adjusted/,
-        for stereo points.ply, where there is no texture simplified.glb, with `export.web` web.glb, with
-        `bake.enabled` baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and levels/, and with
-        `lod.enabled` lod.slod and tiles/. Files there that a run placed and that belong to no current
-        result are removed.
-    until : the last stage to run.
-    force : stages to run even though their results are cached.
+    scan_folder : scan folder, never written to.
+    out : output folder, created if needed. Files: fused.ply, clean.ply, simplified.ply, report.json,
+        report.html, pictures/; textured.glb and texture_maps/ if frames have colour, else simplified.glb;
+        adjusted/ if the adjustment was accepted; points.ply for stereo; web.glb with `export.web`; baked.glb
+        with `bake.enabled`; remeshed.ply, remeshed.snm and levels/ with `remesh.enabled`; lod.slod and tiles/
+        with `lod.enabled`. Outdated files that a run placed there are removed.
+    until : last stage to run.
+    force : stages to recompute even if their results are cached.
     cache_dir : see `cache_folder`.
-    overwrite : also replace files in `out` that no run has placed there, or that were changed since.
-    limits : what it may take of memory and disk.
-    events : told what happens, from this thread.
+    overwrite : also replace files in `out` that no run placed there, or that were edited since.
+    limits : memory and disk limits.
+    events : callback for progress events, called from this thread.
 
     Raises
     ------
     InputError
-        If the scan cannot be used, or a file in `out` is in the way that is not from a run.
+        If the scan cannot be used, or `out` has a file in the way that no run placed.
     UsageError
-        For an unknown stage, a wrong parameter, or an output folder that is the scan itself.
+        For an unknown stage, an invalid parameter, or an output folder that is the scan itself.
     StageError
-        If a stage fails, or the machine runs out of disk or memory, or the run of what it may take.
+        If a stage fails, the disk or memory is exhausted, or a limit is exceeded.
     """
     cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
     wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
@@ -162,14 +166,14 @@ def run(
 
 @dataclass(frozen=True)
 class Wanted:
-    """A run that is asked for, and can be begun: its scan is read, and what is said of it goes together.
+    """Validated arguments of a run, with the scan read and the stages planned.
 
     Attributes
     ----------
-    photos : other ones that the texture is made from.
-    plan : the stages of the scan.
-    planned : the names of those up to the last that is wanted.
-    diagnostics : of the scan and of the parameters.
+    photos : scan of `texture.images`, or None.
+    plan : all stages that apply to the scan.
+    planned : names of the stages up to the last requested one.
+    diagnostics : diagnostics of the scan and of the parameters.
     """
 
     scan: Scan
@@ -190,14 +194,17 @@ def wanted_of(
     force: Collection[str],
     cache: Cache,
 ) -> Wanted:
-    """Read a scan, check what is asked for, and return it; see `run`. Nothing is written."""
+    """Read the scan, validate the arguments, and plan the stages.
+
+    See `run`. Nothing is written.
+    """
     scan_folder, out = Path(scan_folder).resolve(), Path(out).resolve()
     for folder, what in ((out, "output"), (cache.folder, "cache")):
         if folder == scan_folder:
             raise UsageError(
                 FILE_OUTPUT_REFUSED,
-                "the {what} folder is the scan itself, which is only read",
-                remedy="name another.",
+                "the {what} folder is the scan itself, which is never written to",
+                remedy="choose another folder.",
                 where=folder,
                 what=what,
             )
@@ -215,7 +222,7 @@ def wanted_of(
         if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
             emit(
                 USAGE_STAGE_SKIPPED.warning(
-                    "register.refine has no effect: adjust refines poses where frames have colour"
+                    "register.refine has no effect, because adjust refines the poses of frames with colour"
                 )
             )
         emit_skipped([one.figures() for one in scan.skipped])
@@ -225,13 +232,13 @@ def wanted_of(
 
 
 def _photos(config: Config, scan: Scan) -> Scan | None:
-    """Return the photos that the texture is made from in place of the frames', in the world of the scan."""
+    """Read the photos of `texture.images`, which replace the frames as source of the texture."""
     if config.texture.images is None:
         return None
     with collecting(forward=False) as diagnostics:
         photos = read_scan(config.texture.images, config.photos, complete=False)
     if not photos.is_metric and scan.scale is not None:
-        # Their world is the scan's, whose unit is known.
+        # The photos share the world frame of the scan, so the unit of the scan applies.
         known = replace(config.photos, scale=scan.scale.metres_per_unit)
         photos = read_scan(config.texture.images, known, complete=False)
     else:
@@ -241,7 +248,7 @@ def _photos(config: Config, scan: Scan) -> Scan | None:
 
 
 def cache_folder(out: Path, given: Path | str | None = None) -> Path:
-    """Return where results are kept: what is given, else $SCANLOOM_CACHE, else `out/cache`."""
+    """Return the cache folder: `given`, else $SCANLOOM_CACHE, else `out/cache`."""
     chosen = given or os.environ.get(CACHE_VARIABLE)
     return Path(chosen).resolve() if chosen else out / "cache"
 
@@ -254,7 +261,7 @@ def run_wanted(
     limits: Limits = NO_LIMITS,
     events: Events = unwatched,
 ) -> RunResult:
-    """Run what `wanted_of` returned; see `run`."""
+    """Run a validated plan of `wanted_of`; see `run`."""
     with collecting() as diagnostics:
         result = _run_stages(wanted, cache, overwrite, limits, events)
     return replace(result, diagnostics=(*wanted.diagnostics, *diagnostics))
@@ -313,20 +320,23 @@ def _page(
     events: Events,
     guard: LimitGuard | None,
 ) -> Path | None:
-    """Write the page of what is in the output folder, unless it is there; return where it is."""
+    """Write report.html unless it is up to date.
+
+    Returns its path, or None if there is no page.
+    """
     if not params.page or report["mesh"] is None:
-        # One of other results must not stay beside these.
+        # Remove an outdated page: it would not match the results.
         results.holds_page(_decides_page(params))
         return None
     if results.holds_page(_decides_page(params)):
         return out / PAGE
     events(StageProgress("page", 0, 1))
-    # What the last stage has left free in holes.
+    # Release memory freed by the last stage.
     give_back()
     try:
         page = page_of_run(out, int(1e6 * params.page_size))
     except InputError as error:
-        emit(REPORT_INCOMPLETE.warning("there is no {page}: {reason}", page=PAGE, reason=str(error)))
+        emit(REPORT_INCOMPLETE.warning("{page} is not written: {reason}", page=PAGE, reason=str(error)))
         return None
     events(StageProgress("page", 1, 1))
     if guard is not None:
@@ -339,7 +349,7 @@ def _decides_page(params: ReportParams) -> str:
 
 
 def placed_by(wanted: Wanted) -> list[str]:
-    """Return the names in the output folder that a run will place files under."""
+    """Return the names that a run will write in the output folder."""
     has_summary = any(stage.is_summary and stage.name in wanted.planned for stage in wanted.plan)
     return [
         *(name for stage in wanted.plan if stage.name in wanted.planned for name in stage.results),
@@ -349,7 +359,7 @@ def placed_by(wanted: Wanted) -> list[str]:
 
 
 def require_stages(names: Sequence[str]) -> None:
-    """Raise UsageError for a name that is not of a stage."""
+    """Raise UsageError for an unknown stage name."""
     known = [stage.name for stage in STAGES]
     for name in names:
         if name not in known:

@@ -1,7 +1,7 @@
-"""What programs may rely on in JSON: one number for report.json and all that `--json` prints, errors too.
+"""Schema version of report.json and of all `--json` output, including errors.
 
-Every such object begins with `"schema": N`. N is raised when a name changes its meaning or disappears; names
-may be added at any time. 1 were the reports before every thing had one word.
+Every such object begins with `"schema": N`. N increases when a key is removed or changes its meaning; keys
+may be added at any time. Version 1 predates the consistent naming of keys.
 """
 
 SCHEMA = 2

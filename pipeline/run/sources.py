@@ -1,4 +1,7 @@
-"""What the first stages of a run read: the scan, what is said of its frames, those kept apart, a network."""
+"""Sources of a run: inputs that no stage writes.
+
+These are the scan, labels of its frames, held-out frames, photos and a network.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,12 @@ from scanloom.stages.stereo.networks.sidecar import sidecar_of
 def sources_of(
     scan: Scan, config: Config, photos: Scan | None = None, progress: Progress = silent
 ) -> dict[str, Source]:
-    """Return the sources of a run by the names under which stages read them.
+    """Compute the sources of a run by input name, with digests.
 
     Parameters
     ----------
-    photos : of `texture.images`.
-    progress : told of files that are read.
+    photos : scan of `texture.images`.
+    progress : callback for digested files.
     """
     labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
     found = {source_name(scan, config): _source(scan, progress), **labels}
@@ -39,7 +42,7 @@ def sources_of(
 
 
 def _network(file: Path) -> Source:
-    """Return what decides what a network says: its file, the sidecar, and what runs it."""
+    """Compute the source of a network: file, sidecar and runtime version determine its output."""
     files = {"network": file, "sidecar": sidecar_of(file)}
     parts = {what: content(path) for what, path in files.items()}
 
@@ -49,7 +52,7 @@ def _network(file: Path) -> Source:
                 raise StageError(
                     MACHINE_BUSY,
                     "{path} changed while it was being read",
-                    remedy="run again when it is complete.",
+                    remedy="run again when the file is complete.",
                     path=path,
                 )
 

@@ -1,1 +1,1 @@
-"""Stages of the pipeline, one file each: parameters, inputs, result, code and texts of a stage."""
+"""Stages of the pipeline, one per file: parameters, inputs, artifact and code."""

@@ -1,4 +1,4 @@
-"""The stage `adjust`: poses and colour camera, refined by photos and depth together."""
+"""Stage `adjust`: refines poses and colour camera with photos and depth."""
 
 from __future__ import annotations
 
@@ -23,14 +23,17 @@ from scanloom.stages.scans.params import ScanParams
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `adjust`."""
 
     frames: Scan | DepthMaps
     poses: Poses | None = None
 
 
 def is_adjusted(scan: Scan, config: Sections) -> bool:
-    """Return whether poses and colour camera are adjusted: frames need colour and measured depth."""
+    """Return True if `adjust` applies.
+
+    It requires frames with colour and measured depth.
+    """
     if config.get(AdjustParams).enabled is False or scan.is_views:
         return False
     return any(frame.color is not None for frame in scan.frames)
@@ -42,14 +45,16 @@ def _run(inputs: Inputs, params: AdjustParams, context: Context) -> Mapping[str,
         scan = inputs.poses.apply_to(scan)
     checks_poses = context.config.get(ScanParams).check_poses
     if checks_poses:
-        # Poses of a wrong convention, which fuse would refuse too. Fuse warns of poses that are suspicious.
+        # Reject a wrong pose convention here, as fuse does. Suspicious poses only produce a warning, see
+        # below.
         require_poses(scan)
     found = adjust(scan, params, progress=context.progress)
     if found.accepted:
         (context.folder / FOLDER).mkdir()
         write_adjusted(context.folder / FOLDER, found)
     figures = found.figures()
-    # Only the depth of a sensor is evidence: depth from pairs or views has errors in patches.
+    # Only check sensor depth: depth from stereo pairs or views has correlated errors that look like pose
+    # errors.
     are_given = inputs.poses is None and isinstance(inputs.frames, Scan)
     if checks_poses and are_given and not found.accepted:
         pose_doubts(scan.frames)
@@ -67,8 +72,8 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if config.get(AdjustParams).enabled is False:
         return "is switched off"
     if scan.is_views:
-        return "is not a stage of this scan: its depth is found with the poses that it has"
-    return "is not a stage of this scan: its frames have no colour"
+        return "does not apply to this scan: its depth is computed from its poses"
+    return "does not apply to this scan: its frames have no colour"
 
 
 STAGE = Stage(
@@ -88,7 +93,7 @@ STAGE = Stage(
         bytes=200e6,
         bytes_per_megapixel=6e6,
         by_voxels=False,
-        # There are at most 200 key frames.
+        # The number of key frames is limited to 200.
         most_bytes=900e6,
     ),
     headline="{why}",

@@ -1,4 +1,7 @@
-"""The optional stage `bake`: the simplified mesh with the colours of the clean one as its texture."""
+"""Optional stage `bake`: bakes vertex colours into a texture.
+
+The colours are taken from the clean mesh; the texture is for the simplified mesh.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +33,8 @@ class BakeSection(BakeParams):
 
     enabled: bool = param(
         False,
-        "Bake the colours of the clean mesh into a texture of the simplified one, which shows them in full.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Bake the colours of the clean mesh into a texture of the simplified mesh, at full resolution.",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
@@ -49,7 +52,7 @@ class BakedMesh(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `bake`."""
 
     clean_mesh: CleanMesh
     simplified_mesh: SimplifiedMesh
@@ -74,9 +77,9 @@ def write_baked(
     params: BakeSection,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write baked.glb, rotated upright, and return figures."""
+    """Bake and write baked.glb, rotated upright, and return metrics."""
     baked = bake(light, original, params, progress=progress)
-    # Colours of a scan have their light.
+    # Scanned colours already include the lighting of the scene.
     write_gltf(folder / FILE, baked.mesh.with_(up=up), shading="unlit")
     return baked.figures()
 

@@ -1,4 +1,4 @@
-"""The stage `clean`: the fused mesh without islands and defects."""
+"""Stage `clean`: removes islands and defects from the fused mesh."""
 
 from __future__ import annotations
 
@@ -27,13 +27,16 @@ class CleanMesh(MeshFile):
 
 
 def is_clean_mesh_large(known: Mapping[str, Any]) -> bool:
-    """Return whether the clean mesh is among known inputs and above the in-memory limit."""
+    """Return True if the clean mesh exceeds the in-memory limit.
+
+    Returns False if the clean mesh is not known yet.
+    """
     return "clean_mesh" in known and known["clean_mesh"].is_large
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `clean`."""
 
     fused_mesh: FusedMesh
 
@@ -48,7 +51,7 @@ def _run(inputs: Inputs, params: CleanParams, context: Context) -> Mapping[str, 
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    # Repairs are only accepted with a certificate.
+    # Repairs are validated by a certificate, so its code version matters.
     return result_versions(clean, certify) if config.get(CleanParams).repair else result_versions(clean)
 
 

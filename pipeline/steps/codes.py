@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of the steps of the pipeline, with explanations."""
+"""Diagnostic codes of pipeline stages, with explanations."""
 
 from __future__ import annotations
 
@@ -6,36 +6,37 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 LEVELS_NOISE_UNKNOWN = Code(
     "levels.noise-unknown",
-    "How exact the depth is cannot be told",
+    "Unknown depth noise",
     """
-A warning: no two frames show the same, or there are none. `lod.base_error` states it.
+A warning: the noise is estimated from overlapping frames, and there are none. Set `lod.base_error`
+explicitly.
 """,
     (
-        "the noise of the frames' depth cannot be estimated; the finest level is the clean mesh "
-        "itself; lod.base_error gives another."
+        "the depth noise cannot be estimated, so the finest level is the unsimplified clean mesh; set "
+        "lod.base_error to simplify it."
     ),
 )
 LEVELS_MESH_LARGE = Code(
     "levels.mesh-large",
-    "Levels of a large mesh",
+    "Levels of detail of a large mesh",
     """
-Warnings: the clean mesh has more than 5 million triangles. What is proven of levels and tiles is from the
-clean mesh in the first case, from
-the simplified one in the second; how far that is off as measured stands in report.json, under `mesh`,
+Warnings: the clean mesh has more than 5 million triangles, so levels of detail are built from the
+simplified mesh. With a proven simplification, the bounds of levels and tiles are relative to the clean
+mesh, else to the simplified mesh. report.json has the measured distance between the two under `mesh`,
 `to_clean`.
 """,
     (
-        "the clean mesh is too large for levels of its own: they begin with the simplified mesh, "
-        "proven to be within 0.002 m of it, which is part of the bound of each level."
+        "the clean mesh is too large: levels are built from the simplified mesh, which is proven to be "
+        "within 0.002 m of the clean mesh. The bound of each level includes this distance."
     ),
 )
 USAGE_STAGE_SKIPPED = Code(
     "usage.stage-skipped",
-    "A stage that this scan does not go through",
+    "Stage that does not apply to the scan",
     """
-`--until` and `run.force` name a stage that the scan has no use for, or that is switched off. The sentence
-says why, and
-with which parameter it would run. [The stages](../stages.md) say when each is there.
+`--until` or `run.force` names a stage that does not apply to the scan, or is switched off. The message
+gives the reason, and the parameter that enables the stage. [The stages](../stages.md) lists when each
+stage runs.
 """,
-    "is not a stage of this scan: it is RGB-D, its depth is measured already",
+    "depth does not apply to this scan: it is RGB-D and has measured depth.",
 )

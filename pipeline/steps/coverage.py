@@ -1,9 +1,8 @@
-"""The optional stage `coverage`: what is missing in a scan.
+"""Optional stage `coverage`: finds gaps of the scan.
 
-coverage.ply    the clean mesh in colours of what is missing, and what would close its holes behind it; of
-                each vertex how well it was seen there: VALUES
-coverage.glb    the same, upright; not of a large mesh
-coverage.json   the places where one should go again, and the figures
+coverage.ply    clean mesh coloured by coverage, with faces that close its holes; vertex properties: VALUES
+coverage.glb    the same, rotated upright; not written for a mesh above the in-memory limit
+coverage.json   list of gaps and metrics
 """
 
 from __future__ import annotations
@@ -43,8 +42,9 @@ from scanloom.stages.surface.pieces import Written, write_by_pieces
 from scanloom.stages.surface.piecewise import Piecewise
 
 MODEL = "coverage.glb"
-# Of each vertex: how many frames measured it, the angle of the straightest look and of the mean one, degrees;
-# the width of a pixel, and how far off it frames have measured it, RMS, metres. 0 frames, 90° and 0 for none.
+# Vertex properties: number of frames that measured the vertex; minimum and mean viewing angle to the normal,
+# degrees; pixel width, metres; RMS distance of the measurements from the surface, metres. Vertices seen by no
+# frame have 0 frames, 90°, 90°, 0 and 0.
 VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
 
 
@@ -54,9 +54,9 @@ class CoverageSection(CoverageParams):
 
     enabled: bool = param(
         False,
-        "Tell what is missing in the scan: holes, what no frame saw, and surface that was hardly seen. "
-        "`scanloom coverage OUT` does it afterwards.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Find the gaps of the scan: holes, regions that no frame saw, and surface with few observations. "
+        "`scanloom coverage OUT` does it for a finished run.",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
@@ -71,7 +71,7 @@ class CoverageMap(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs(PosedFrames):
-    """Inputs of the stage."""
+    """Inputs of the stage `coverage`."""
 
     clean_mesh: CleanMesh
     up_direction: UpDirection
@@ -97,7 +97,7 @@ def write_coverage(
     up: Up | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write coverage.ply, coverage.glb and coverage.json, and return the figures."""
+    """Analyse the coverage, write coverage.ply, coverage.glb and coverage.json, and return metrics."""
     found = coverage(mesh, frames, params, progress=progress)
     figures = found.figures()
     (folder / COVERAGE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
@@ -113,7 +113,7 @@ def write_coverage(
 
 
 def _write_in_pieces(path: Path, covered: Covered) -> None:
-    """Write a large mesh in its colours, and warn that there is no model for viewers."""
+    """Write coverage.ply of a large mesh in chunks, and warn that coverage.glb is missing."""
     pieces = (
         Written(part.vertices, part.colors, part.triangles, values_of(covered.evidence.at(part.probes)))
         for part in covered.painted()
@@ -122,7 +122,7 @@ def _write_in_pieces(path: Path, covered: Covered) -> None:
     write_by_pieces(path, covered.vertex_count, count, pieces, has_colors=True, values=VALUES)
     emit(
         COVERAGE_LIMITED.warning(
-            "{model} is left out: {triangles:,} triangles are too many for it; {file} has them.",
+            "{model} is not written: {triangles:,} triangles are too many for viewers; {file} has the mesh.",
             model=MODEL,
             triangles=count,
             file=path.name,
@@ -131,7 +131,7 @@ def _write_in_pieces(path: Path, covered: Covered) -> None:
 
 
 def values_of(evidence: Evidence) -> NDArray[np.float32]:
-    """Return what is known of vertices (n, v), as VALUES names it; of what no frame saw, that it did not."""
+    """Return the vertex properties VALUES as an array (n, 5)."""
     is_seen = evidence.frames > 0
     angles = (np.degrees(np.arccos(cosine.clip(0, 1))) for cosine in (evidence.cosine, evidence.mean_cosine))
     pixel = np.where(is_seen, evidence.pixel, 0.0)
@@ -150,6 +150,6 @@ STAGE = Stage(
     results=(COVERAGE_MESH, MODEL, COVERAGE),
     skip_reason=_skip_reason,
     cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
-    headline="{places} places to go again",
+    headline="{places} gaps",
     progress_unit="frames",
 )

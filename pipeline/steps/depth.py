@@ -1,4 +1,7 @@
-"""The stage `depth`: depth maps of stereo pairs, of posed views, or completed by a network."""
+"""Stage `depth`: computes or completes depth maps.
+
+Depth comes from stereo pairs, from posed views, or from a network that completes measured depth.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +27,11 @@ from scanloom.stages.stereo.networks.network import Network
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage.
+    """Inputs of the stage `depth`.
 
     Attributes
     ----------
-    scan : without depth, or with depth that the network completes.
+    scan : scan without depth, or with depth that the network completes.
     network : file of `depth.model`.
     """
 
@@ -37,7 +40,7 @@ class Inputs:
 
 
 def needs_depth(scan: Scan, config: Sections) -> bool:
-    """Return whether the depth of a scan is computed, by matching or by a network."""
+    """Return True if depth is computed, by matching or a network."""
     return scan.is_stereo or scan.is_views or config.get(DepthParams).model is not None
 
 
@@ -59,14 +62,14 @@ def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     scan: Scan = known["scan"]
     network = () if config.get(DepthParams).model is None else (network_of, Network)
     checks = (require_view_poses,) if _checks_poses(scan, config) else ()
-    # Views are matched in pairs, each pair by depth_scan.
+    # depth_scan is always included, because views are matched in pairs by depth_scan.
     return result_versions(depth_scan, choose_matcher(scan), *network, *checks)
 
 
 def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if needs_depth(scan, config):
         return None
-    return "is not a stage of this scan: it is RGB-D, its depth is measured already"
+    return "does not apply to this scan: it is RGB-D and has measured depth"
 
 
 STAGE = Stage(

@@ -1,4 +1,7 @@
-"""The stage `export`: the result as glTF where there is no textured.glb, and in few bytes for the web."""
+"""Stage `export`: writes models for other programs.
+
+A glTF file is written if there is no textured.glb, and a compressed model for the web on request.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ class ExportSection:
 
     web: bool = param(
         False,
-        "Write web.glb: the result in few bytes, unlit, packed by meshopt, which viewers have to understand.",
+        "Write web.glb: a small, unlit model for the web. Viewers must support EXT_meshopt_compression.",
         common=True,
     )
 
@@ -49,7 +52,7 @@ class ExportedModels(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `export`."""
 
     simplified_mesh: SimplifiedMesh
     up_direction: UpDirection
@@ -66,17 +69,17 @@ def _run(inputs: Inputs, params: ExportSection, context: Context) -> Mapping[str
 
 def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if reason_for_no_texture(scan, config) is None and not config.get(ExportSection).web:
-        return "has nothing to write: textured.glb is there; export.web=true makes a small one"
+        return "has nothing to write: there is a textured.glb; export.web=true writes a small web.glb"
     return None
 
 
 def write_models(folder: Path, mesh: Mesh, name: str | None, params: ExportSection) -> dict[str, Any]:
-    """Write what is asked for, and return the figures.
+    """Export the requested models and return metrics.
 
     Parameters
     ----------
-    mesh : which says what is up.
-    name : of a plain file; None where there is one already.
+    mesh : mesh with its up direction.
+    name : file name of the uncompressed model; None to write none.
     """
     figures: dict[str, Any] = {}
     if name is not None:

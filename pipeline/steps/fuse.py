@@ -1,9 +1,9 @@
-"""The stage `fuse`: one mesh of all frames.
+"""Stage `fuse`: fuses all frames into one mesh.
 
 fused.ply
-fused.pieces.json      table of parts, if the mesh is large
-plane.json             normal of the supporting plane, if it was found and removed
-pieces/fused-N.ply     frames that registration could not join to the others
+fused.pieces.json      chunk table, if the mesh exceeds the in-memory limit
+plane.json             normal of the supporting plane, if it was detected and removed
+pieces/fused-N.ply     meshes of connected components that registration could not join to the main one
 """
 
 from __future__ import annotations
@@ -49,7 +49,10 @@ class FusedMesh(MeshFile):
     FILE = "fused.ply"
 
     def load_plane_normal(self) -> Up | None:
-        """Load the up direction of the supporting plane that was removed; None if there was none."""
+        """Load the normal of the removed supporting plane, pointing up.
+
+        Returns None if no plane was removed.
+        """
         if not (self.folder / _PLANE).exists():
             return None
         x, y, z = read_document(self.folder / _PLANE)["up"]
@@ -72,7 +75,7 @@ def _run(inputs: PosedFrames, params: FuseParams, context: Context) -> Mapping[s
 def write_fused(
     folder: Path, scan: Scan, params: FuseParams, kept: Kept | None, progress: Progress = silent
 ) -> Fused | FusedInBricks:
-    """Fuse a scan and write the mesh; `kept` holds bricks of earlier runs."""
+    """Fuse a scan and write the mesh; `kept` is the store of fused bricks."""
     fused = fuse_to_file(scan, params, folder / FusedMesh.FILE, kept=kept, progress=progress)
     if fused.support is not None:
         (folder / _PLANE).write_text(
@@ -82,15 +85,16 @@ def write_fused(
 
 
 def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) -> None:
-    """Fuse each group of frames that registration could not join to the others into a mesh of its own.
+    """Fuse each separate connected component of the registration into its own mesh.
 
-    Each group has a world of its own, in which a box or centre has no meaning: it is not fused then.
+    Each component has its own world frame. Components are not fused if fuse.box or fuse.center is set,
+    because these coordinates only apply to the main component.
     """
     for number, piece in poses.load_separate(scan).items():
         if params.box is not None or params.center is not None:
             emit(
                 REGISTER_NOT_CONNECTED.warning(
-                    "piece {number} is not fused: where the box or the center is in it is not known",
+                    "component {number} is not fused: fuse.box and fuse.center apply to the main one",
                     number=number,
                 )
             )
@@ -101,7 +105,7 @@ def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) ->
         except (InputError, UsageError) as error:
             emit(
                 REGISTER_NOT_CONNECTED.warning(
-                    "piece {number} is not fused: {reason}", number=number, reason=str(error)
+                    "component {number} is not fused: {reason}", number=number, reason=str(error)
                 )
             )
             continue
@@ -110,28 +114,28 @@ def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) ->
         write_ply(pieces / f"fused-{number}.ply", fused.mesh)
         emit(
             REGISTER_NOT_CONNECTED.warning(
-                "piece {number}, of {frames} frames, is fused apart: pieces/fused-{number}.ply",
+                "component {number} with {frames} frames is fused separately: pieces/fused-{number}.ply",
                 number=number,
                 frames=len(piece.frames),
             ),
-            *(one.at(f"piece {number}") for one in diagnostics),
+            *(one.at(f"component {number}") for one in diagnostics),
         )
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    # Without the check, poses are neither refused nor warned of.
+    # Poses are only checked on request, so the version of the check only matters then.
     return result_versions(fuse, *((require_poses,) if config.get(ScanParams).check_poses else ()))
 
 
 def _memory_bound(config: Sections) -> float:
-    # Space is cut into bricks where the volume would outgrow its memory; the rest takes about as much.
+    # The volume keeps to fuse.memory by fusing in bricks; everything else takes about as much again.
     return BASE_BYTES + 2e6 * config.get(FuseParams).memory
 
 
 def _headline(figures: Mapping[str, Any]) -> str:
     if figures.get("truncation_m") == 0:
         # A single frame is triangulated directly, without a volume.
-        return "{triangles:,} triangles, the pixels of a frame alone joined; depth up to {max_depth_m:.3g} m"
+        return "{triangles:,} triangles from a single frame; depth up to {max_depth_m:.3g} m"
     return (
         "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, truncation "
         "{truncation_m:.3g} m, depth up to {max_depth_m:.3g} m"

@@ -1,4 +1,7 @@
-"""The optional stage `lod`: levels of detail of the clean mesh, or of the simplified one of a large mesh."""
+"""Optional stage `lod`: builds levels of detail.
+
+The input is the clean mesh, or the simplified mesh if the clean mesh exceeds the in-memory limit.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.surface.mesh import Mesh
 
 FILE = "lod.slod"
-# A place of the surface that four frames saw is off by half of what one of them is.
+# Standard error of the mean of four observations, relative to a single observation.
 _SHARE_OF_NOISE = 0.5
 
 
@@ -39,16 +42,16 @@ class LodSection(LevelsParams):
 
     enabled: bool = param(
         False,
-        "Build levels of detail of the clean mesh, each proven.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Build levels of detail of the clean mesh, each with a proven error bound.",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
     base_error: float | None = param(
         None,
-        "The finest level is the clean mesh simplified within this proven distance; 0 for the clean mesh "
-        "itself. By default from the scan's noise: half of the standard deviation of a frame's depth at the "
-        "median depth, which neighbouring frames show.",
+        "Proven distance of the finest level from the clean mesh; 0 for the clean mesh itself. By default "
+        "half of the depth noise: the standard deviation of a frame's depth at the median depth, estimated "
+        "from neighbouring frames.",
         unit="m",
         low=0,
     )
@@ -67,11 +70,11 @@ class Levels(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs(PosedFrames):
-    """Inputs of the stage.
+    """Inputs of the stage `lod`.
 
     Attributes
     ----------
-    simplified_mesh : if the clean mesh is too large.
+    simplified_mesh : used instead of the clean mesh if that exceeds the in-memory limit.
     """
 
     clean_mesh: CleanMesh
@@ -99,10 +102,10 @@ def _run(inputs: Inputs, params: LodSection, context: Context) -> Mapping[str, A
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
     noise = (depth_noise,) if config.get(LodSection).base_error is None else ()
     return {
-        # Raised by hand when the same clean mesh and frames give another base error.
+        # Increase if the base error changes for the same clean mesh and frames.
         "lod": 1,
         **result_versions(build, *SIMPLIFICATION, *noise),
-        # The finest level is simplified by a method.
+        # The finest level is made by a simplification method.
         **method_versions(),
     }
 
@@ -114,12 +117,12 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
 def write_levels(
     folder: Path, mesh: Mesh, frames: Sequence[Frame], params: LodSection, progress: Progress
 ) -> dict[str, Any]:
-    """Write lod.slod, and return the figures.
+    """Build levels of detail, write lod.slod and return metrics.
 
     Parameters
     ----------
-    mesh : the clean one.
-    frames : with poses and depth, which tell the noise.
+    mesh : clean mesh.
+    frames : frames with poses and depth, to estimate the depth noise.
     """
     error, noise = params.base_error, None
     if error is None:
@@ -128,9 +131,8 @@ def write_levels(
         if noise == 0:
             emit(
                 LEVELS_NOISE_UNKNOWN.warning(
-                    "the noise of the frames' depth cannot be estimated; the finest level is the clean mesh "
-                    "itself.",
-                    remedy="lod.base_error gives another.",
+                    "the depth noise cannot be estimated, so the finest level is the unsimplified clean mesh",
+                    remedy="set lod.base_error to simplify it.",
                 )
             )
     hierarchy = _built(mesh, error, params, progress)
@@ -146,32 +148,34 @@ def write_levels_of_simplified(
     params: LodSection,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write lod.slod of a simplified mesh, where the clean one is too large, and return the figures.
+    """Build levels of detail of a simplified mesh, write lod.slod and return metrics.
 
     Parameters
     ----------
-    proof : how far it is from the clean mesh, which then counts in all bounds; None if that is not proven,
-        and bounds are from the simplified mesh alone.
-    triangles : of the clean mesh.
+    mesh : simplified mesh, used because the clean mesh exceeds the in-memory limit.
+    proof : proven distance from the clean mesh, which is added to all bounds. None if not proven; bounds are
+        then relative to the simplified mesh.
+    triangles : triangle count of the clean mesh.
     """
     off = 0.0 if proof is None else proof.shape_bound_m
     error = max((params.base_error or 0.0) - off, 0.0)
     hierarchy = _built(mesh, error, params, progress)
     if proof is None:
         said = LEVELS_MESH_LARGE.warning(
-            "the clean mesh is too large for levels of its own: they are those of the simplified mesh, and "
-            "its distance from the clean one is not proven; with a bound, simplify.max_shape, it is."
+            "the clean mesh is too large: levels are built from the simplified mesh, whose distance from the "
+            "clean mesh is not proven",
+            remedy="set simplify.max_shape for a proven distance.",
         )
     else:
         said = LEVELS_MESH_LARGE.warning(
-            "the clean mesh is too large for levels of its own: they begin with the simplified mesh, proven "
-            "to be within {distance} m of it, which is part of the bound of each level.",
+            "the clean mesh is too large: levels are built from the simplified mesh, which is proven to be "
+            "within {distance} m of the clean mesh. The bound of each level includes this distance.",
             distance=at_most(off),
         )
         hierarchy = further_off(hierarchy, off, proof.color_bound_levels or 0.0)
         hierarchy = replace(hierarchy, input_triangles=triangles)
     emit(said)
-    # The file is opened without the run.
+    # Store the warning in the file, too: viewers open it without the run.
     hierarchy = replace(hierarchy, diagnostics=(*hierarchy.diagnostics, said))
     return _written(folder, hierarchy, off + error, "simplified", None)
 
@@ -209,7 +213,7 @@ STAGE = Stage(
     when={"simplified_mesh": is_clean_mesh_large},
     skip_reason=_skip_reason,
     cost=Cost(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
-    headline="{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
+    headline="{levels} levels from {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
     "{file_bytes:,} bytes",
     progress_unit="triangles",
 )

@@ -1,4 +1,4 @@
-"""The stage `register`: camera poses from the images and depth of a scan."""
+"""Stage `register`: estimates camera poses from images and depth."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from scanloom.stages.scans.model.scan import Scan
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `register`."""
 
     frames: Scan | DepthMaps
 
 
 def is_registered(scan: Scan, config: Sections) -> bool:
-    """Return whether poses are estimated: missing poses, or all poses if requested."""
+    """Return True if poses are estimated: if poses are missing, or on request."""
     params = config.get(RegisterParams)
     if params.enabled is None:
         return not scan.has_poses or (params.refine and not is_adjusted(scan, config))
@@ -50,8 +50,8 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
     if config.get(RegisterParams).enabled is False:
         return "is switched off"
     return (
-        "is not a stage of this scan: its frames have poses; adjust makes them better, and "
-        "register.enabled=true finds others"
+        "does not apply to this scan: its frames have poses; adjust refines them, and "
+        "register.enabled=true estimates new ones"
     )
 
 
@@ -67,5 +67,5 @@ STAGE = Stage(
     results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
     skip_reason=_skip_reason,
     cost=Cost(seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, by_voxels=False),
-    headline="{frames} frames of the {subject} placed; pieces: {pieces}",
+    headline="poses of {frames} frames of the {subject}; connected components: {pieces}",
 )

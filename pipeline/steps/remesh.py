@@ -1,4 +1,4 @@
-"""The optional stage `remesh`: a normal mesh of the simplified mesh."""
+"""Optional stage `remesh`: converts the simplified mesh to a normal mesh."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class RemeshSection(RemeshParams):
 
     enabled: bool = param(
         False,
-        "Make a normal mesh of the simplified one: even triangles at several levels of detail, and a small "
-        "file of them.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Convert the simplified mesh to a normal mesh: regular triangles at several levels of detail, in a "
+        "small file.",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
@@ -50,7 +50,7 @@ class NormalMeshFiles(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `remesh`."""
 
     simplified_mesh: SimplifiedMesh
     up_direction: UpDirection
@@ -62,7 +62,7 @@ def _run(inputs: Inputs, params: RemeshSection, context: Context) -> Mapping[str
 
 
 def write_normal_mesh(folder: Path, mesh: Mesh, params: RemeshSection, progress: Progress) -> dict[str, Any]:
-    """Write remeshed.ply, remeshed.snm and all levels in levels/, and return figures."""
+    """Remesh, write remeshed.ply, remeshed.snm and the folder levels/, and return metrics."""
     found = remesh(mesh, params, progress=progress)
     found.write(folder / "remeshed.ply")
     found.write_levels(folder / "levels")
@@ -71,7 +71,7 @@ def write_normal_mesh(folder: Path, mesh: Mesh, params: RemeshSection, progress:
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    # The base mesh is a simplified mesh.
+    # The base mesh is made by a simplification method.
     return {**result_versions(remesh, *SIMPLIFICATION), **method_versions()}
 
 

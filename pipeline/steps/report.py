@@ -1,4 +1,4 @@
-"""The stage `report`: measurements and pictures of the results."""
+"""Stage `report`: measures and draws the results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ReportFiles(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs(PosedFrames):
-    """Inputs of the stage.
+    """Inputs of the stage `report`.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Inputs(PosedFrames):
 
 
 def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
-    # Declaring the stage must not import the renderer.
+    # Imported late: declaring the stage must not import the renderer.
     from scanloom.pipeline.evaluation import held_out, measures
 
     compared = context.config.get(CompareParams)
@@ -87,7 +87,7 @@ def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str,
 
 
 def _load_held_out(inputs: Inputs, config: Sections) -> list[Frame]:
-    """Load the held-out frames with poses like those of their neighbours."""
+    """Load the held-out frames with poses transferred from their neighbours."""
     from scanloom.pipeline.evaluation.held_out import like_neighbours
 
     if inputs.held_out is None:

@@ -1,4 +1,4 @@
-"""The stage `simplify`: the clean mesh with fewer triangles."""
+"""Stage `simplify`: reduces the triangles of the clean mesh."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from scanloom.stages.texturing.bake import bake
 
 _PROOF = "proven.json"
 
-# Functions whose versions decide a simplified mesh that may have baked images.
+# Functions whose versions determine a simplified mesh with baked images.
 SIMPLIFICATION = (simplify, bake, compare_surfaces)
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Proven distance of a simplified mesh from the large mesh it was made from, in both directions.
+    """Proven two-sided distance of a simplified mesh from its large input mesh.
 
     Attributes
     ----------
-    shape_bound_m : metres.
-    color_bound_levels : None without colours.
+    shape_bound_m : bound on the distance in metres.
+    color_bound_levels : bound on the colour error in grey levels; None without colours.
     """
 
     shape_bound_m: float
@@ -55,7 +55,10 @@ class SimplifiedMesh(MeshFile):
     FILE = "simplified.ply"
 
     def load_proof(self) -> Proof | None:
-        """Load the proof of a mesh that was simplified in parts; None if there is none."""
+        """Load the proof of a mesh that was simplified in chunks.
+
+        Returns None if not available.
+        """
         if not (self.folder / _PROOF).is_file():
             return None
         proven: Any = read_json(self.folder / _PROOF)
@@ -64,7 +67,7 @@ class SimplifiedMesh(MeshFile):
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage."""
+    """Inputs of the stage `simplify`."""
 
     clean_mesh: CleanMesh
 
@@ -96,11 +99,11 @@ def method_versions() -> dict[str, int]:
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     params = config.get(SimplifyParams)
     try:
-        method = chosen(params)  # A clean mesh has neither texture nor parts.
+        method = chosen(params)  # The clean mesh has no texture that could require another method.
     except UsageError:
-        return result_versions(simplify)  # No method runs: the stage reports the error.
+        return result_versions(simplify)  # No method applies; the stage itself reports the error.
     return {
-        # A clean mesh has no images: it is baked on request only.
+        # The clean mesh has no images, so baking only happens on request.
         **result_versions(*(SIMPLIFICATION if params.bake else (simplify,))),
         **(result_versions(simplify_in_pieces) if is_clean_mesh_large(known) else {}),
         method.name: method.result_version,

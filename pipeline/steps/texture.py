@@ -1,4 +1,4 @@
-"""The stage `texture`: the simplified mesh with a texture from the photos."""
+"""Stage `texture`: textures the simplified mesh with the photos."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from scanloom.stages.texturing.texture import TextureParams, texture
 
 FILE = "textured.glb"
 
-# The golden angle, in half degrees as OpenCV counts hues.
+# Golden angle in units of 2°, the hue unit of OpenCV.
 _GOLDEN = 68.754
 
 
@@ -42,16 +42,16 @@ class TextureSection(TextureParams):
 
     enabled: bool = param(
         True,
-        "Give the simplified mesh what the photos show, wherever frames have colour.",
-        # It decides whether the stage is there, not what comes out of it.
+        "Texture the simplified mesh with the photos, if frames have colour.",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
     images: str | None = param(
         None,
-        "Folder of other photos with poses in the scan's world, in metres (COLMAP, nerfstudio, or any scan): "
-        "their colours are taken, and none of the frames'.",
-        # The content of the folder decides the result, not its name.
+        "Folder of other photos, with poses in the world frame of the scan in metres (COLMAP, nerfstudio, or "
+        "any scan). These photos replace the photos of the frames.",
+        # The cache key contains the content of the folder instead of its path.
         invalidates=False,
         is_path=True,
         common=True,
@@ -60,7 +60,7 @@ class TextureSection(TextureParams):
 
 @dataclass(frozen=True)
 class TexturedMesh(Artifact):
-    """Simplified mesh with texture, and one map for each image: the photo that has the most weight."""
+    """Textured mesh, with per-texel maps of the photo with the largest weight."""
 
     NAME = "textured_mesh"
 
@@ -69,17 +69,20 @@ class TexturedMesh(Artifact):
         return read_mesh(self.folder / FILE)
 
     def color_by_photo(self, mesh: Mesh) -> Mesh:
-        """Colour the loaded mesh by the photo that has the most weight; grey where no photo sees it."""
+        """Colour the mesh by the photo with the largest weight per texel.
+
+        Texels without a photo are grey.
+        """
         return color_by_photo(mesh, self.folder / TEXTURE_MAPS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs(PosedFrames):
-    """Inputs of the stage.
+    """Inputs of the stage `texture`.
 
     Attributes
     ----------
-    photos : scan of `texture.images`, in place of the frames.
+    photos : scan read from `texture.images`, used instead of the frames.
     """
 
     simplified_mesh: SimplifiedMesh
@@ -101,14 +104,12 @@ def _unread(config: Sections) -> Collection[str]:
 
 
 def skip_reason(scan: Scan, config: Sections) -> str | None:
-    """Return why a scan gets no texture; None if it gets one."""
+    """Return why the scan gets no texture; None if it gets one."""
     params = config.get(TextureSection)
     if not params.enabled:
         return "is switched off; set texture.enabled=true"
     if params.images is None and not any(frame.color is not None for frame in scan.frames):
-        return (
-            "is not a stage of this scan: its frames have no colour; texture.images=FOLDER takes other photos"
-        )
+        return "does not apply to this scan: its frames have no colour; set texture.images=FOLDER"
     return None
 
 
@@ -120,7 +121,7 @@ def write_textured(
     up: Up | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write textured.glb, which stands by what is up, and the maps of its images, and return the figures."""
+    """Texture the mesh, write textured.glb (upright) and the per-texel maps, and return metrics."""
     textured = texture(mesh, frames, params, progress=progress)
     write_mesh(folder / FILE, textured.mesh.with_(up=up))
     (folder / TEXTURE_MAPS).mkdir()
@@ -129,7 +130,15 @@ def write_textured(
 
 
 def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
-    """Colour a mesh by the photo that has the most weight; grey where no photo sees it."""
+    """Colour a mesh by the photo with the largest weight per texel.
+
+    Texels without a photo are grey.
+
+    Parameters
+    ----------
+    mesh : textured mesh.
+    maps : folder of the per-texel maps.
+    """
     assert mesh.texture is not None
     palette = _palette()
     materials = tuple(
@@ -140,11 +149,11 @@ def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
 
 
 def _palette() -> NDArray[np.uint8]:
-    """Return a colour for each number that 16 bits hold; grey for 0."""
+    """Return a colour for each 16-bit photo index, (65536, 3); index 0 is grey."""
     import cv2
 
     wheel = np.full((1, 1 << 16, 3), (0, 190, 230), np.uint8)
-    # Hues, of 180, apart by the golden angle: neighbours in time are far apart in colour.
+    # Hues in golden angle steps: photos that are close in time get very different colours.
     wheel[0, :, 0] = np.arange(1 << 16) * _GOLDEN % 180
     colors = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
     colors[0] = 128
@@ -171,6 +180,6 @@ STAGE = Stage(
         by_voxels=False,
         most_bytes=MAX_BYTES_IN_PARTS,
     ),
-    headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface seen, texels of "
-    "{texel_size_m:.2g} m",
+    headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface covered, "
+    "texel size {texel_size_m:.2g} m",
 )

@@ -1,4 +1,7 @@
-"""The stage `tiles`: levels of detail as 3D Tiles, upright, and with the photos' colours."""
+"""Stage `tiles`: writes levels of detail as 3D Tiles.
+
+Tiles are upright and have the colours of the photos.
+"""
 
 from __future__ import annotations
 
@@ -33,39 +36,39 @@ class TilesSection(TileImageParams):
 
     enabled: bool = param(
         True,
-        "Write 3D Tiles of the levels of detail, where there are any (lod.enabled=true).",
-        # It decides whether the stage is there, not what comes out of it.
+        "Write the levels of detail as 3D Tiles, if there are any (lod.enabled=true).",
+        # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
     images: bool = param(
         True,
-        "Give each tile an image with the colours of textured.glb, where the run makes one; else tiles have "
-        "colours of vertices.",
+        "Texture each tile with the colours of textured.glb, if the run writes one; otherwise tiles have "
+        "vertex colours.",
     )
-    page: bool = param(False, "Write a page beside the tiles that draws them in a browser.", common=True)
+    page: bool = param(False, "Write a page next to the tiles that shows them in a browser.", common=True)
     compress: str = param(
         "none",
-        "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
-        "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
+        "Lossless compression of the geometry of tiles. `meshopt` requires viewers that support "
+        "EXT_meshopt_compression; tiles that it would not reduce are left uncompressed.",
         choices=COMPRESSIONS,
     )
 
 
 @dataclass(frozen=True)
 class Tileset(Artifact):
-    """3D Tiles."""
+    """Tileset in the format 3D Tiles."""
 
     NAME = "tileset"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Inputs of the stage.
+    """Inputs of the stage `tiles`.
 
     Attributes
     ----------
-    textured_mesh : gives tiles their images.
+    textured_mesh : source of the tile images.
     """
 
     up_direction: UpDirection
@@ -87,7 +90,7 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     if not config.get(TilesSection).enabled:
         return "is switched off; set tiles.enabled=true"
     if not config.get(LodSection).enabled:
-        return "is made of levels of detail, which are not enabled; set lod.enabled=true"
+        return "needs levels of detail, which are not enabled; set lod.enabled=true"
     return None
 
 
@@ -99,13 +102,13 @@ def write_tileset(
     up: Up | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write the folder tiles/, and return the figures.
+    """Write the folder tiles/ and return metrics.
 
     Parameters
     ----------
-    hierarchy : the levels.
-    up : what is up in the scan; None to leave it as it is.
-    model : the textured mesh, whose colours tiles get; None for those of the levels.
+    hierarchy : levels of detail.
+    model : textured mesh that colours the tiles; None to use the vertex colours of the levels.
+    up : up direction of the scan; None to write tiles without rotation.
     """
     images = TileImageParams(**{field.name: getattr(params, field.name) for field in fields(TileImageParams)})
     written = write_tiles(

@@ -1,4 +1,4 @@
-"""The stage `upright`: the up direction of a scan, for all results that are rotated upright."""
+"""Stage `upright`: estimates the up direction, for all results that are rotated upright."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from scanloom.stages.scans.transforms.up import known_up
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.upright import PlaceUp, direction_of, up_of_place
 
-# It is known to a degree; files need not say more.
+# Decimal places: the direction is only accurate to about one degree.
 _DIGITS = 7
 
 
@@ -32,10 +32,10 @@ class UprightSection:
 
     up: str | None = param(
         None,
-        "What is up in the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `as-is`, "
-        "which turns nothing. By default as the scan's layout defines it (a phone's worlds have y up) or an "
-        "accelerometer measured it; else where most of the surface looks that is within 60° of up in the "
-        "frames: floors and tops of tables, also if they are left out by fuse.remove_plane.",
+        "Up direction of the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or "
+        "`as-is` for no rotation. By default as defined by the scan layout (phones use y up) or measured by "
+        "an accelerometer; otherwise the dominant surface normal within 60° of up in the frames, usually the "
+        "normal of floors and table tops, even if fuse.remove_plane removes them.",
         common=True,
     )
 
@@ -47,7 +47,7 @@ class UprightSection:
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs(PosedFrames):
-    """Inputs of the stage."""
+    """Inputs of the stage `upright`."""
 
     fused_mesh: FusedMesh
     clean_mesh: CleanMesh
@@ -61,13 +61,13 @@ def _run(inputs: Inputs, params: UprightSection, context: Context) -> Mapping[st
 def estimate_up(
     folder: Path, mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection
 ) -> dict[str, Any]:
-    """Estimate the up direction, write it, and return figures.
+    """Estimate and write the up direction, and return metrics.
 
     Parameters
     ----------
-    mesh : the clean one.
-    scan : in its world; frames without a pose tell nothing.
-    plane : what is up from the table or floor that was left out of it; None if none was.
+    mesh : clean mesh.
+    scan : scan in the world frame of the mesh; frames without a pose are ignored.
+    plane : normal of the removed supporting plane, pointing up; None if no plane was removed.
     """
     up, source = _find_up(mesh, scan, plane, params)
     write_up(folder, up)
@@ -75,7 +75,7 @@ def estimate_up(
 
 
 def _find_up(mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection) -> tuple[Up | None, str]:
-    """Return the up direction and its source."""
+    """Return the up direction, or None, and its source."""
     if params.up is not None:
         given = direction_of(_words_of(params.up))
         return None if given is None else _rounded(given), "given"
@@ -86,7 +86,10 @@ def _find_up(mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection) -
 
 
 def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
-    """Return what is up in a mesh by the scan whose world it is in; None where no frame has a pose."""
+    """Estimate the up direction of a mesh from its scan.
+
+    Returns None if no frame has a pose.
+    """
     poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if not poses:
         return None
@@ -96,7 +99,7 @@ def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
 
 
 def _words_of(up: str) -> str:
-    # In a configuration `none` gives a parameter back to being derived.
+    # `none` resets a parameter in a configuration, hence another word for no rotation.
     return "none" if up == "as-is" else up
 
 
@@ -113,8 +116,8 @@ STAGE = Stage(
     labels=("world",),
     writes=UpDirection,
     run=_run,
-    # Raised by hand when the same clean mesh and frames give another direction.
+    # Increase if the direction changes for the same clean mesh and frames.
     versions=lambda known, config: {"upright": 3},  # noqa: ARG005
     cost=Cost(seconds=0.5, most_bytes=MAX_BYTES_IN_PARTS),
-    headline="what is up is told by: {up_source}",
+    headline="up direction from {up_source}",
 )

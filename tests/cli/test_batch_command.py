@@ -44,7 +44,7 @@ def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans
     out = tmp_path / "out"
     ran = scanloom("batch", scans, "-o", out, *QUICK)
     assert ran.exit_code == 1
-    assert f"no scan: {scans / 'notes'}: it is of no known layout" in ran.stderr
+    assert f"no scan: {scans / 'notes'}: its layout is unknown" in ran.stderr
     assert re.search(r"^scan-0001  done, [\d.]+ s", ran.stderr, re.MULTILINE)
     assert "scanloom: 1 of 3 scans are not done: 1 unusable; the table has the reasons." in ran.stderr
     assert re.search(r"^more/broken +unusable", ran.stdout, re.MULTILINE)
@@ -73,7 +73,7 @@ def test_warnings_are_told_with_the_scan_they_are_of(scanloom: Run, scans: Path,
     strict = scanloom(*words, "--strict", "--json")
     assert strict.exit_code == 1
     (warning,) = strict.warnings
-    assert warning.startswith("scan-0001: fuse: left out 1 frame; the first is 1: ")
+    assert warning.startswith("scan-0001: fuse: 1 frame skipped; the first is 1: ")
     assert [len(one["diagnostics"]) for one in strict.json["scans"]] == [0, 1]
 
 
@@ -131,7 +131,7 @@ def test_an_unfinished_batch_goes_on_where_it_was(scanloom: Run, scans: Path, tm
     assert scanloom(*words).exit_code == 0
     first = standing_queue(tmp_path / "out")
     again = scanloom(*words)
-    assert "a batch of the same scans was begun here; this goes on with it" in again.stderr
+    assert "an unfinished batch of the same scans is resumed" in again.stderr
     assert standing_queue(tmp_path / "out") == first
     # Nobody is at it, and other words are another batch.
     assert scanloom(*words[:-1], "fuse").exit_code == 0
@@ -147,7 +147,7 @@ def test_an_unfinished_batch_tries_again_what_failed(scanloom: Run, scans: Path,
     for number, state in ((0, UNUSABLE), (1, FAILED)):
         assert claims.take(Claim(number, 0))
         records.write(Record(number, "x", state, "the disk was full"))
-    assert "1 scan that failed: tried again" in scanloom(*words).stderr
+    assert "1 scan that failed: run again" in scanloom(*words).stderr
     assert standing_queue(tmp_path / "out") == queue
     # Whoever comes takes it, though nobody knows what became of the worker.
     assert list(records.ended()) == [0]
@@ -183,7 +183,7 @@ def test_two_batches_in_one_folder_do_not_meet(
     stop.set()
     other.join()
     assert refused.exit_code == 3
-    assert "another batch is at work in it (worker other); wait for its end" in refused.stderr
+    assert "another batch is running in this folder (worker other); wait for its end" in refused.stderr
     assert standing_queue(tmp_path / "out") == queue
 
 
@@ -240,9 +240,9 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             "--set worker.worker_timeout is inf",
         ),
         (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
-        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only processes nothing"),
+        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
         (("batch", "scans", "-o", "out", "--set", "batch.dusk=slurm"), 2, "did you mean batch.dask?"),
-        (("batch", "scans", "-o", "taken"), 3, "index.html: no batch has written this"),
+        (("batch", "scans", "-o", "taken"), 3, "index.html: this file was not written by a batch"),
         (("batch", "scans", "-o", "taken/index.html"), 3, "this is a file; results need a folder"),
         (("worker", "empty"), 3, "no batch was begun here"),
         (("worker", "none"), 3, "no batch was begun here"),
@@ -286,7 +286,7 @@ def test_files_that_stand_here_are_named_for_workers_elsewhere(
 def test_a_limit_of_a_run_says_what_would_fit(scanloom: Run, scans: Path, tmp_path: Path):
     ran = scanloom("run", scans / "scan-0000", "-o", tmp_path / "out", "--memory", "200 MB", "--json")
     assert ran.exit_code == 1
-    assert "more than the limit of 200 MB; no voxel size fits, 300 MB are there" in ran.json["error"]
+    assert "more than the limit of 200 MB; no voxel size fits, because" in ran.json["error"]
     assert not (tmp_path / "out" / "fused.ply").exists()
 
 

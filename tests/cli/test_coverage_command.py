@@ -68,9 +68,9 @@ def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "why"),
     [
-        (["missing"], 3, "there is no such folder; give the OUT of a run"),
+        (["missing"], 3, "there is no such folder; give the output folder of a run"),
         ([".", "--scan", "nowhere"], 3, "there is no such folder or file; give that of a scan"),
-        (["."], 3, "no run has left its results here"),
+        (["."], 3, "this folder has no results of a run"),
         ([".", "--set", "coverage.few_frames=0"], 2, "--set coverage.few_frames is 0"),
         ([], 2, "OUT"),
     ],

@@ -119,7 +119,7 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
     ran = scanloom(*words)
     assert ran.exit_code == 0, ran.stderr
     assert re.search(
-        r"^warning: fuse: left out 1 frame; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
+        r"^warning: fuse: 1 frame skipped; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
     )
     # Said once.
     assert ran.stderr.count("depth-3.png") == 1
@@ -438,12 +438,12 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
     (tmp_path / "out" / "simplified.ply").write_text("mine")
     blocked = scanloom(*words)
     assert blocked.exit_code == 0
-    assert "warning: the run would not begin: " in blocked.stderr
+    assert "warning: the run would not start: " in blocked.stderr
     real = scanloom(*words[:-1])
     assert real.exit_code == 3
     assert real.stderr.splitlines()[-1].endswith(
-        "simplified.ply: no run has placed this, or it was changed since; move it, name another output "
-        "folder, or give --overwrite."
+        "simplified.ply: this file was not written by a run, or was edited since; move it, choose another "
+        "output folder, or use --overwrite."
     )
 
 
@@ -485,7 +485,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.stat().st_size <= 1_300_000
     page.write_text("mine")
     refused = scanloom(*words, "--set", "simplify.ratio=0.4")
-    assert (refused.exit_code, "no run has placed this" in refused.stderr) == (3, True)
+    assert (refused.exit_code, "this file was not written by a run" in refused.stderr) == (3, True)
     assert page.read_text() == "mine"
     assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     assert page.read_text() == "mine"

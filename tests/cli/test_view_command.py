@@ -64,7 +64,11 @@ def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
     ("words", "code", "said"),
     [
         (("absent",), 3, "absent: there is no such file or folder."),
-        (("empty",), 3, "empty: holds none of textured.glb, simplified.glb, simplified.ply, nor tiles; "),
+        (
+            ("empty",),
+            3,
+            "empty: the folder has none of textured.glb, simplified.glb, simplified.ply, nor tiles; ",
+        ),
         (("empty", "--port", "70000"), 2, "less than or equal to 65535"),
     ],
 )
@@ -99,7 +103,7 @@ def test_a_page_of_a_mesh_is_one_file(scanloom: Run, clean_ball: Path, tmp_path:
     ("words", "code", "message"),
     [
         (("none.ply",), 3, "no such file or folder"),
-        ((".",), 3, "holds none of textured.glb"),
+        ((".",), 3, "the folder has none of textured.glb"),
         (("none.ply", "-o", "page.txt"), 2, "stands for no format"),
         (("notes.txt",), 3, "unknown format"),
         (("tiles", "-o", "page.html"), 2, "tiles are many files"),

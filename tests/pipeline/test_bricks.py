@@ -180,7 +180,7 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
             in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")
             assert ("bricks" in in_pieces["fuse"]) == (way != "one")
             assert in_pieces["simplify"]["parts"] > 5
-        with pytest.raises(StageError, match=r"bake reads all of clean\.ply at once"):
+        with pytest.raises(StageError, match=r"bake cannot process chunks, and clean\.ply has"):
             figures(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
     assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
     for name in ("fused.ply", "clean.ply", "simplified.ply"):

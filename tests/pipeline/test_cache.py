@@ -175,7 +175,7 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, 
     # 3 files are flushed to the disk, then 2 folders, which Windows does not flush.
     monkeypatch.setattr("os.fsync", refuse)
     with pytest.raises(
-        StageError, match=r"^the result of fuse cannot be written to the cache .*: the disk .*free some"
+        StageError, match=r"^the result of fuse cannot be written to the cache .*: the disk .*free disk space"
     ):
         cache.store(RECIPE, make)
     monkeypatch.undo()
@@ -191,7 +191,7 @@ def test_disk_that_fills_while_a_stage_writes(cache):
             errno.ENOSPC, "No space left on device"
         )
 
-    with pytest.raises(StageError, match="the disk is full; free some space"):
+    with pytest.raises(StageError, match="the disk is full; free disk space"):
         cache.store(RECIPE, write)
     assert drafts(cache) == []
 

@@ -129,7 +129,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
     run_again(out, "coverage", {})
     content = shown((out / "report.html").read_bytes())
 
-    model = next(one for one in content["models"] if one["name"] == "what is missing")
+    model = next(one for one in content["models"] if one["name"] == "coverage")
     assert "red hole in the surface" in model["note"]
     (look,) = (one for one in content["models"] if one["name"] == "spread")
     scale = look["scale"]
@@ -139,7 +139,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
     assert scale["shares"][0] > 0
     assert scale["marks"][0] == 0 > scale["low"]
     table = content["tables"][0]
-    assert table["title"] == "Where to go again"
+    assert table["title"] == "Gaps to capture again"
     told = json.loads((out / "coverage.json").read_text())["places"]
     assert len(table["rows"]) == len(table["places"]) == len(told)
     place = table["places"][0]
@@ -157,7 +157,7 @@ def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> Non
     run_again(out, "coverage", {})
     for wrong in ('{"places": 3}', '{"places": [{"why": "x"}]}', "[]"):
         (out / "coverage.json").write_text(wrong)
-        with pytest.raises(InputError, match="not as a run writes it"):
+        with pytest.raises(InputError, match="not written by a run, or is damaged"):
             page_of_run(out, 5_000_000)
 
 
@@ -173,14 +173,14 @@ def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here:
     plain = run(ran / "scan", out, Config().set(QUICK))
     assert worked(plain) == []
     assert not {*OWN} & {*names(out)}
-    assert b"Where to go again" not in (out / "report.html").read_bytes()
+    assert b"Gaps to capture again" not in (out / "report.html").read_bytes()
 
 
 def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, tmp_path: Path) -> None:
     made = make_scan(tmp_path / "first")
     run(made, here / "other", Config().set(QUICK), until="clean")
     made.rename(tmp_path / "second")
-    with pytest.raises(InputError, match="is not there any more; say with --scan where it is"):
+    with pytest.raises(InputError, match="does not exist any more; give its new location with --scan"):
         run_again(here / "other", "coverage", {})
     found = run_again(here / "other", "coverage", {}, scan=tmp_path / "second")
 
@@ -193,21 +193,19 @@ def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=why):
             run_again(path, "coverage", {})
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no run has left its results here"):
+    with pytest.raises(InputError, match="this folder has no results of a run"):
         run_again(tmp_path / "empty", "coverage", {})
     (here / "out" / "clean.ply").unlink()
-    with pytest.raises(InputError, match=r"there is no clean.ply"):
+    with pytest.raises(InputError, match=r"clean\.ply is missing"):
         run_again(here / "out", "coverage", {})
     shutil.rmtree(here / "out" / "cache")
-    with pytest.raises(
-        InputError, match="does not tell how this was made; name that of the run with --cache"
-    ):
+    with pytest.raises(InputError, match="has no record of this run; give the cache of the run with --cache"):
         run_again(here / "out", "coverage", {})
 
 
 def test_a_run_that_was_not_finished_has_no_mesh(here: Path, ran: Path) -> None:
     run(ran / "scan", here / "short", Config().set(QUICK), until="fuse")
-    with pytest.raises(InputError, match=r"there is no clean.ply: the run has not come so far"):
+    with pytest.raises(InputError, match=r"clean\.ply is missing, because the run ended before it"):
         run_again(here / "short", "coverage", {})
 
 

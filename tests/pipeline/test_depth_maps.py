@@ -10,11 +10,11 @@ FRAME = Frame("a", Camera(8, 6, 5.0, 5.0, 3.5, 2.5), world_from_camera=np.eye(4)
 
 def test_a_scan_of_which_every_pair_was_skipped_is_refused_and_the_first_reason_told(tmp_path):
     measured = [(FRAME, SkippedFrame(name, f"right/{name}.png is no image")) for name in ("a", "b")]
-    with pytest.raises(InputError, match=r"none of the 2 pairs.*The first, a: right/a.png is no image"):
+    with pytest.raises(InputError, match=r"for any of 2 frames.*The first, a: right/a.png is no image"):
         write_depth_maps(tmp_path, measured, Scan("made", [FRAME] * 2))
     assert not (tmp_path / "scan.json").exists()
 
 
 def test_no_pairs_at_all_is_refused(tmp_path):
-    with pytest.raises(InputError, match="none of the 0 pairs"):
+    with pytest.raises(InputError, match="for any of 0 frames"):
         write_depth_maps(tmp_path, [], Scan("made", []))

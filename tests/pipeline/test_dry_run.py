@@ -107,7 +107,7 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False]
     assert found.stages[2].reason.startswith("its cached result is damaged: clean.ply")
     assert found.refused is not None
-    assert found.refused.startswith(f"{out / 'simplified.ply'}: no run has placed this")
+    assert found.refused.startswith(f"{out / 'simplified.ply'}: this file was not written by a run")
     assert foresee(SCAN, out, config(), overwrite=True).refused is None
     assert foresee(SCAN, out, config(), until="clean").refused is None
 

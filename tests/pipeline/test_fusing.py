@@ -107,8 +107,8 @@ def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: P
     (tmp_path / "registration.json").write_text(json.dumps({"poses": {}, "apart": {"2": poses}}))
     given = FuseParams(box=(0, 0, 0, 1, 1, 1))
     for params, said in (
-        (given, "piece 2 is not fused: where the box or the center is in it is not known"),
-        (FuseParams(radius=0.01), "piece 2 is not fused: "),
+        (given, "component 2 is not fused: fuse.box and fuse.center apply to the main one"),
+        (FuseParams(radius=0.01), "component 2 is not fused: "),
     ):
         with collecting() as diagnostics:
             fuse_separate(tmp_path, scan, Poses(tmp_path), params)
@@ -116,4 +116,6 @@ def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: P
     assert not (tmp_path / "pieces").exists()
     with collecting() as diagnostics:
         fuse_separate(tmp_path, scan, Poses(tmp_path), FuseParams(voxel_size=0.03, radius=0.3, center=None))
-    assert [str(one) for one in diagnostics] == ["piece 2, of 16 frames, is fused apart: pieces/fused-2.ply"]
+    assert [str(one) for one in diagnostics] == [
+        "component 2 with 16 frames is fused separately: pieces/fused-2.ply"
+    ]

@@ -72,12 +72,12 @@ def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None
     _, out, _, said = made
     page = shown((out / "report.html").read_bytes())
     models = {one["name"]: one for one in page["models"]}
-    assert list(models) == ["result", "clean mesh", "what is missing", "deviation"]
-    for name, file in (("clean mesh", "clean"), ("what is missing", "coverage")):
+    assert list(models) == ["result", "clean mesh", "coverage", "deviation"]
+    for name, file in (("clean mesh", "clean"), ("coverage", "coverage")):
         count = len(read_ply(out / f"{file}.ply").triangles)
         assert models[name]["triangles"] < count
-        assert "each cell of" in models[name]["note"]
-        assert f"of {count:,}, for this page" in models[name]["note"]
+        assert "clustered in cells of" in models[name]["note"]
+        assert f"reduced from {count:,} for this page" in models[name]["note"]
     assert not any("page" in text for text in (*said, *page["warnings"]))
 
 
@@ -100,9 +100,9 @@ def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) ->
         np.testing.assert_allclose(values[:count], value, rtol=1e-4, atol=1e-7)
         assert not values[count:].any()
     assert not (out / "coverage.glb").exists()
-    assert sum("coverage.glb is left out:" in text for text in said) == 1
+    assert sum("coverage.glb is not written:" in text for text in said) == 1
     table = shown((out / "report.html").read_bytes())["tables"][0]
-    assert table["title"] == "Where to go again"
+    assert table["title"] == "Gaps to capture again"
     assert len(table["rows"]) == len(told["places"])
 
 
@@ -114,7 +114,7 @@ def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one
     assert hierarchy.base_color_bound == proven["color_bound_levels"]
     assert told["base_triangles"] == figures_of(result, "simplify")["triangles"]
     assert told["input_triangles"] == len(clean.triangles)
-    assert sum("they begin with the simplified mesh, proven to be within" in text for text in said) == 1
+    assert sum("built from the simplified mesh, which is proven to be within" in text for text in said) == 1
     # By a proof of its own: what the coarsest level promises is true of the mesh it has never seen.
     cut = hierarchy.cut(triangles=1)
     assert certify(cut.mesh, clean, max_shape=cut.shape_bound_m).within_limits
@@ -135,7 +135,7 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
         told = figures_of(result, "lod")
         assert told["base_shape_bound_m"] == 0
         assert told["input_triangles"] == figures_of(result, "simplify")["triangles"]
-        assert sum("its distance from the clean one is not proven" in text for text in said) == 1
+        assert sum("whose distance from the clean mesh is not proven" in text for text in said) == 1
         assert "is not proven" in str(lod.read_slod(out / "lod.slod").diagnostics[-1])
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
         foreseen = foresee(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages

@@ -47,7 +47,7 @@ def test_the_voxel_size_that_would_fit_is_named():
     needs = (0, BASE_BYTES + 400 * MB, 0)
     limits = Limits(memory=BASE_BYTES + 100 * MB)
     with pytest.raises(
-        StageError, match=r"fuse is expected to take .*700 MB .* 400 MB; fuse\.voxel_size=0\.02 would"
+        StageError, match=r"fuse is expected to use .*700 MB .* 400 MB; fuse\.voxel_size=0\.02 would"
     ):
         guard(limits, *needs, assignments=("fuse.voxel_size=0.01",)).before("adjust")
     with pytest.raises(StageError, match=r"fuse\.voxel_factor=2 would fit"):
@@ -62,27 +62,27 @@ def test_only_what_is_still_to_come_counts():
 
 def test_a_stage_that_voxels_do_not_change_says_so():
     with pytest.raises(
-        StageError, match=r"adjust is expected .*does not follow from the voxel size: raise the"
+        StageError, match=r"adjust is expected .*the voxel size has no influence: increase the"
     ):
         guard(Limits(memory=400 * MB), 900 * MB, 0, 0).before("adjust")
 
 
 def test_below_what_is_there_anyway_nothing_fits():
-    with pytest.raises(StageError, match="no voxel size fits, 300 MB are there before any frame is read"):
+    with pytest.raises(StageError, match="no voxel size fits, because the libraries alone use 300 MB"):
         guard(Limits(memory=200 * MB), 0, 900 * MB, 0).before("fuse")
 
 
 def test_a_stage_that_takes_more_is_stopped(tmp_path: Path):
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
     taken.before("fuse")
-    with pytest.raises(StageError, match=r"fuse has taken 500 MB of memory, .*voxel_factor=1\.5 would fit"):
+    with pytest.raises(StageError, match=r"fuse has used 500 MB of memory, .*voxel_factor=1\.5 would fit"):
         taken.during("fuse", tmp_path, 1.0)
 
 
 @pytest.mark.parametrize(("peak", "is_told"), [(400 * MB, False), (500 * MB, True)])
 def test_a_stage_that_took_more_as_it_ended_is_told(peak: int, is_told: bool, warnings: list[str]):
     guard(Limits(memory=400 * MB), 0, 0, 0, peak=peak).kept("fuse", entry(1))
-    expected = "fuse has taken 500 MB of memory as it ended, more than the limit of 400 MB."
+    expected = "fuse used 500 MB of memory at its end, more than the limit of 400 MB."
     assert warnings == ([expected] if is_told else [])
 
 
@@ -90,7 +90,7 @@ def test_what_the_page_took_is_told_once(warnings: list[str]) -> None:
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
     taken.ended("the page")
     taken.ended("the page")
-    assert warnings == ["the page has taken 500 MB of memory as it ended, more than the limit of 400 MB."]
+    assert warnings == ["the page used 500 MB of memory at its end, more than the limit of 400 MB."]
 
 
 @pytest.mark.parametrize(("share", "times"), [(1.0, "1.5"), (0.5, "2"), (0.25, "2.9"), (0.01, "2.9")])
@@ -105,17 +105,20 @@ def test_what_only_the_size_of_the_scan_tells_is_a_warning(warnings: list[str]):
     guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated").before("adjust")
     assert len(warnings) == 2
     assert warnings[0].startswith(
-        "fuse is expected to take (by the scan's size) 900 MB of memory, more than the"
+        "fuse is expected to use (estimated from the scan size) 900 MB of memory, more than the"
     )
-    assert "fuse.voxel_factor=1.5 would fit. This is an estimate; the stage is stopped" in warnings[0]
-    assert warnings[1].startswith("the run is expected to write 3 MB, and the limit leaves 1 MB of 1 MB")
+    assert "fuse.voxel_factor=1.5 would fit. This is an estimate; the stage is only stopped" in warnings[0]
+    assert warnings[1].startswith(
+        "the run is expected to write 3 MB, but only 1 MB of the disk limit of 1 MB"
+    )
     with pytest.raises(StageError, match="no voxel size fits"):
         guard(Limits(memory=200 * MB), *needs, basis="estimated").before("adjust")
 
 
 def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
     with pytest.raises(
-        StageError, match=r"expected to write 300 MB, and the limit leaves 100 MB of 100 MB; .*=1\.8"
+        StageError,
+        match=r"expected to write 300 MB, but only 100 MB of the disk limit of 100 MB remain; .*=1\.8",
     ):
         guard(Limits(disk=100 * MB), 0, 0, 0, disk=100 * MB).before("adjust")
     counted = guard(Limits(disk=100), 0, 0, 0)
@@ -123,13 +126,13 @@ def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
     assert counted.written == 60
     (tmp_path / "draft.bin").write_bytes(bytes(19))
     counted.during("fuse", tmp_path, 1.0)
-    with pytest.raises(StageError, match=r"fuse brings what the run has written to .*more than the limit"):
+    with pytest.raises(StageError, match=r"with fuse, the run has written .*more than the disk limit"):
         counted.kept("fuse", entry(21))
 
 
 def test_a_draft_that_grows_too_large_is_stopped(tmp_path: Path):
     (tmp_path / "draft.bin").write_bytes(bytes(60))
-    with pytest.raises(StageError, match="fuse brings"):
+    with pytest.raises(StageError, match="with fuse, the run"):
         guard(Limits(disk=100), 0, 0, 0).during("fuse", tmp_path, 1.0)
 
 

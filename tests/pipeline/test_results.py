@@ -77,7 +77,9 @@ def test_editing_a_result_does_not_reach_into_the_cache(toy, scan, out):
 def test_what_somebody_edited_is_not_replaced_unless_that_is_asked_for(toy, scan, out):
     edited = out / "tables" / "counts.txt"
     edited.write_bytes(b"edited")
-    with pytest.raises(InputError, match=r"counts\.txt: no run has placed this, or it was changed since"):
+    with pytest.raises(
+        InputError, match=r"counts\.txt: this file was not written by a run, or was edited since"
+    ):
         toy.run(scan, out)
     with pytest.raises(InputError, match=r"counts\.txt"):
         toy.run(scan, out, "cut.far=3")
@@ -170,7 +172,7 @@ def test_failures_of_the_machine_in_a_stage_are_one_sentence(toy, scan, tmp_path
         (context.folder / "none").read_bytes()
 
     for work, message in (
-        (starve, "cut failed: the memory is used up"),
+        (starve, "cut failed: out of memory"),
         (lose, r"cut failed: No such file.*none"),
     ):
         with pytest.raises(StageError, match=message):

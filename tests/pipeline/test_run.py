@@ -330,7 +330,7 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
         [skipped] = result.stages[1].figures["frames_skipped"]
         assert "0003" in skipped["reason"]
         [warned] = result.diagnostics
-        assert str(warned).startswith("fuse: left out 1 frame; the first is ")
+        assert str(warned).startswith("fuse: 1 frame skipped; the first is ")
         assert warned.code == "scan.frames-skipped"
 
 
@@ -431,8 +431,8 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
             {"force": ["all"]},
             "there is no stage 'all'; known are depth, register, adjust, fuse, clean, upright, simplify, ",
         ),
-        ({"until": "depth"}, "depth is not a stage of this scan"),
-        ({"force": ["depth"]}, "depth is not a stage of this scan"),
+        ({"until": "depth"}, "depth does not apply to this scan"),
+        ({"force": ["depth"]}, "depth does not apply to this scan"),
         ({"until": "remesh"}, "remesh is not enabled; set remesh.enabled=true"),
         ({"until": "lod"}, "lod is not enabled; set lod.enabled=true"),
     ],
@@ -466,7 +466,9 @@ def test_a_file_that_no_run_has_placed_is_not_replaced(rgbd, tmp_path):
     (out / "simplified.ply").write_bytes(b"mine")
     for name in ("fused.ply", "notes.txt"):
         (out / name).write_bytes(b"mine")
-    with pytest.raises(InputError, match=r"fused\.ply: no run has placed this, .* --overwrite") as refused:
+    with pytest.raises(
+        InputError, match=r"fused\.ply: this file was not written by a run, .* --overwrite"
+    ) as refused:
         run(rgbd, out, quick(), until="fuse")
     assert "\n" not in str(refused.value)
     # Said before any work.
@@ -523,7 +525,7 @@ def test_a_report_leads_to_nothing_outside_its_folder(rgbd, tmp_path):
     report["placed"]["remesh"] = {"../other.ply": file_digest(other)}
     (out / "report.json").write_text(json.dumps({**report, "digest": digest(report)}))
     shutil.rmtree(out / "cache")
-    with pytest.raises(InputError, match="no run has placed this"):
+    with pytest.raises(InputError, match="not written by a run"):
         run(rgbd, out, quick(), until="fuse")
     assert other.read_bytes() == b"mine"
 

@@ -26,8 +26,7 @@ def result(tmp_path: Path) -> RunResult:
 
 def test_it_prints_as_a_line(result):
     assert (
-        repr(result)
-        == f"RunResult({result.out}, 2 stages, 1 cached, 1,234 triangles, 1 requirement not reached)"
+        repr(result) == f"RunResult({result.out}, 2 stages, 1 cached, 1,234 triangles, 1 requirement not met)"
     )
     early = RunResult(result.out, result.cache, result.stages[:1], {"mesh": None})
     assert repr(early) == f"RunResult({result.out}, 1 stage, 1 cached)"
@@ -43,7 +42,7 @@ def test_a_notebook_shows_the_stages(result):
 
 
 def test_its_page_is_shown_if_there_is_one(result, tmp_path):
-    with pytest.raises(UsageError, match=r"this run left no page; report\.page=true"):
+    with pytest.raises(UsageError, match=r"this run has no page; report\.page=true"):
         result.show()
     page = tmp_path / "report.html"
     page.write_bytes(b"<!doctype html>page")

@@ -40,7 +40,7 @@ def test_a_page_has_its_lengths_in_that_unit(tmp_path: Path) -> None:
     told |= {"delta_e_2000": None, "worst": [{"distance_m": 0.75, "point_m": [1, 2, 3]}]}
     words = json.dumps(deviation_tables(told, 0.5, [], is_metric=False))
     assert "0.25 units" in words
-    assert "axes of the scan, units" in words
+    assert "location in scan coordinates, units" in words
     assert "mm" not in words
     assert "250 mm" in json.dumps(deviation_tables(told, 0.5, []))
 

@@ -56,7 +56,7 @@ def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) 
         figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
     assert (figures["up"], figures["up_source"]) == (up, source)
     assert UpDirection(tmp_path).load() == up
-    assert ["upright.up=AXIS states it" in str(one) for one in diagnostics] == [True] * doubts
+    assert ["set upright.up=AXIS if it is wrong" in str(one) for one in diagnostics] == [True] * doubts
 
 
 def test_what_is_given_counts_more_than_what_is_known(tmp_path: Path) -> None:

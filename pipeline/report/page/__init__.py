@@ -1,1 +1,1 @@
-"""Pages that draw results in a browser: their sources, and the libraries they share as one file."""
+"""Browser pages that draw results: sources, and bundled libraries."""

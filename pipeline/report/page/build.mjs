@@ -1,5 +1,5 @@
-// Makes library.js, the libraries of pages as one file, and LICENSES.txt, what their authors ask to stand beside it.
-// Started by `make page`, after `npm ci` in this folder.
+// Bundle the libraries of the pages as library.js, and collect their licences in LICENSES.txt.
+// Run by `make page`, after `npm ci` in this folder.
 import { build } from "esbuild";
 import { readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -21,7 +21,7 @@ const { metafile } = await build({
   metafile: true,
 });
 
-/** The package of each file that went in: the folder after the last node_modules. */
+/** Return the package folder of a bundled file: the folder after the last node_modules. */
 function packageOf(path) {
   const found = /^(.*node_modules\/(?:@[^/]+\/)?[^/]+)\//.exec(path);
   return found && found[1];

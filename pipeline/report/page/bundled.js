@@ -1,5 +1,5 @@
-// What pages of scanloom use of other people's libraries; `make page` makes library.js of it.
-// three is named piece by piece, so that what no page uses stays out: a fifth of the file.
+// Third-party exports used by the pages; `make page` bundles them as library.js.
+// three is listed by export, so that unused code is dropped: a fifth of the file.
 export {
   AmbientLight,
   AxesHelper,

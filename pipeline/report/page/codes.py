@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of pages, with explanations."""
+"""Diagnostic codes of pages, with explanations."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 REPORT_REDUCED = Code(
     "report.reduced",
-    "A page that is larger than asked, or without some photos",
+    "Reduced or oversized page",
     """
-A warning. Photos and triangles are left out until the page fits `report.page_size`. A larger size keeps
-more; the complete result is a file of its own.
+A warning. Photos are omitted and models are simplified until the page fits `report.page_size`. Increase
+it to keep more; the full result is in separate files.
 """,
-    "40 of the photos are left out of the page, which may take 20,000,000 bytes.",
+    "40 photos are omitted to keep the page below 20,000,000 bytes.",
 )
 MACHINE_PORT_TAKEN = Code(
     "machine.port-taken",
-    "A port that is taken",
+    "Port in use",
     """
-`scanloom view` listens on 127.0.0.1; without `--port` it takes any that is free.
+`scanloom view` listens on 127.0.0.1. Without `--port` it chooses a free port.
 """,
-    "port 8080 cannot be listened on: Address already in use.",
+    "cannot listen on port 8080: Address already in use.",
 )

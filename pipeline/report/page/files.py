@@ -1,4 +1,4 @@
-"""The page of a tileset: files in the folder of the tiles."""
+"""Page of a tileset, as files in the tileset folder."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _LIBRARY = ("library.js", "LICENSES.txt")
 
 
 def tiles_page() -> dict[str, bytes]:
-    """Return the page that draws the tileset in its folder: contents by their paths in that folder.
+    """Return the files of the tileset page by relative path.
 
-    All but `index.html` is below `page/`: the libraries, as one file with their licences, and the page's own
-    modules. It asks for nothing from anywhere else.
+    All files except `index.html` are in `page/`: bundled libraries, their licences, and the modules of the
+    page. The page loads nothing from other servers.
     """
     own = sorted(path.name for path in (_HERE / "tiles").glob("*.js"))
     below = [*_LIBRARY, *(f"tiles/{name}" for name in own)]
@@ -28,19 +28,19 @@ def tiles_page() -> dict[str, bytes]:
 
 
 def write_tiles_page(folder: Path | str) -> None:
-    """Write the page that draws a tileset into the folder of the tileset.
+    """Write the tileset page into the folder of a tileset.
 
-    The page is `index.html` and the folder `page/`. A web server has to serve the folder, since browsers load
-    no other files for a page that was opened from a disk.
+    The page is `index.html` and the folder `page/`. The folder must be served by a web server, because
+    browsers load no further files for a page opened from disk.
 
     Raises
     ------
     StageError
-        If the system refuses to write.
+        If a file cannot be written.
     """
     index, *others = tiles_page().items()
     try:
-        # The index goes last: it must find all other files.
+        # Write the index last, so that it never refers to missing files.
         for name, content in (*others, index):
             path = Path(folder) / name
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Pages in one file, which open from a disk without a network: of models, and of the results of scans."""
+"""Single-file pages that open from disk without a network."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from typing import Any
 from scanloom.stages.files.opening import content_of, opened
 
 _HERE = Path(__file__).parent
-# What each page has in its first kilobyte.
+# Marker in the first kilobyte of every page.
 _MARK = b'<meta name="generator" content="scanloom">'
 _MODULES = (
     "library.js",
     "tiles/camera.js",
     *(f"model/{path.stem}.js" for path in sorted((_HERE / "model").glob("*.js"))),
 )
-# Modules out of addresses have no folder: what they import gets a name of its own.
+# Modules in data URLs cannot use relative imports, so imports are rewritten to names of an import map.
 _IMPORT = re.compile(r'(from\s+|import\s+)"(\.[^"]+)"')
 
 
 @dataclass(frozen=True)
 class PageScale:
-    """What the colours of a model stand for, in steps of one width.
+    """Colour scale of a model, in equal steps.
 
     Attributes
     ----------
-    unit : of the values.
-    low, high : where the first step begins, and where the last ends.
-    within : what is nearer to 0 is well; None where nothing is better than other.
-    colors : of the steps, as CSS has them.
-    shares : of the surface, that have a step's values.
-    safe : colours for eyes that mix up red and green; None where all tell them apart.
-    marks : the values that are written beside it; None for its ends and what is well.
+    unit : unit of the values.
+    low, high : start of the first step and end of the last step.
+    within : tolerance; smaller absolute values are in tolerance. None without a tolerance.
+    colors : CSS colour of each step.
+    shares : ratio of the surface in each step.
+    safe : colours for colour-blind readers; None if `colors` are suitable.
+    marks : labelled values; None for the ends and the tolerance.
     """
 
     unit: str
@@ -51,15 +51,15 @@ class PageScale:
 
 @dataclass(frozen=True)
 class PageLook:
-    """Another look of a model, in colours that its vertices have beside its own.
+    """Alternative colouring of a model.
 
     Attributes
     ----------
-    name : what it is chosen by.
-    channel : which of the numbers of `_VALUES` it shows, 0 to 255 from the low end of its scale to the high
-        one; None for the vertex colours that are beside a texture.
-    note : a few words beside the number of triangles.
-    scale : what the numbers stand for; None for vertex colours.
+    name : name in the menu.
+    channel : component of the vertex attribute `_VALUES` to show, 0 to 255 from `scale.low` to `scale.high`;
+        None for the vertex colours of a textured model.
+    note : short text shown with the triangle count.
+    scale : colour scale of the values; None for vertex colours.
     """
 
     name: str
@@ -70,17 +70,17 @@ class PageLook:
 
 @dataclass(frozen=True)
 class PageModel:
-    """A model of a page.
+    """Model of a page.
 
     Attributes
     ----------
-    name : what it is chosen by.
-    glb : a GLB file that stands; EXT_meshopt_compression is understood.
-    triangles : of it.
-    note : a few words beside their number.
-    facing : (3,) where its surface looks if it was seen from one side, z up; None if all around.
-    scale : what its colours stand for; None if they are the thing's own.
-    looks : others that it has.
+    name : name in the menu.
+    glb : content of an upright GLB file, which may use EXT_meshopt_compression.
+    triangles : triangle count.
+    note : short text shown with the triangle count.
+    facing : (3,) mean normal of a surface seen from one side, z up; None if seen from all around.
+    scale : colour scale; None if the model has the natural colours of the object.
+    looks : alternative colourings.
     """
 
     name: str
@@ -94,17 +94,17 @@ class PageModel:
 
 @dataclass(frozen=True)
 class PageCamera:
-    """A camera of the scan that a page's models come from.
+    """Camera of the scan.
 
     Attributes
     ----------
-    frame : its name.
-    pose : 12 numbers, row by row: takes points of the camera (OpenCV axes) to the upright frame, z up,
-        metres.
-    size : width and height of its image, pixels.
-    focal, center : fx, fy, and cx, cy, pixels.
-    photo : a JPEG file without lens distortion, of any size; None without one.
-    mark : what is special about it: that it was held out, or why it was skipped.
+    frame : frame name.
+    pose : 12 numbers, row-major (3, 4) matrix from camera coordinates (OpenCV axes) to the upright frame, z
+        up, metres.
+    size : image width and height in pixels.
+    focal, center : (fx, fy) and (cx, cy) in pixels.
+    photo : JPEG file without lens distortion, of any size; None without a photo.
+    mark : label of a special frame: held out, or why it was skipped.
     """
 
     frame: str
@@ -122,16 +122,19 @@ def one_file(
     told: Mapping[str, Any] | None = None,
     cameras: Sequence[PageCamera] = (),
 ) -> bytes:
-    """Return a page that shows models in one place, one or two at a time, and tells what belongs to them.
+    """Make a single-file page of models with report data.
+
+    The page shows one or two models at a time.
 
     Parameters
     ----------
-    title : of the page.
-    models : one or more.
-    told : for JSON: `warnings`, sentences; `tables`, each with `title`, `head`, `rows` of words, and `places`
-        to fly to, `target` (3,) in the upright frame, z up, and how far `away`, or from where, `eye` (3,);
-        `texts`, each with `title` and `text`; `unit`, what lengths are in if it is not metres.
-    cameras : of the scan, in order.
+    title : page title.
+    models : one or more models in the same upright frame.
+    told : JSON-ready report data. `warnings`: list of sentences. `tables`: each with `title`, `head`, `rows`
+        of text, and `places` to fly to, with `target` (3,) in the upright frame, z up, and the distance
+        `away` or the viewpoint `eye` (3,). `texts`: each with `title` and `text`. `unit`: unit of lengths, if
+        not metres.
+    cameras : cameras of the scan, in order.
     """
     content = {
         "title": title,
@@ -172,27 +175,31 @@ def _described(file: int, model: PageModel, look: PageModel | PageLook) -> dict[
 
 
 def scans_page(title: str, rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return a page that lists the results of many scans, which lie in folders beside the page.
+    """Make a single-file page that lists the results of many scans.
 
-    Pictures are loaded from these folders, and nothing else is loaded.
+    The page loads pictures from the result folders, and nothing else.
 
     Parameters
     ----------
-    rows : for JSON, one for each scan: `scan` (name), `state`, `reason`, `warnings` (sentences), `out`
-        (folder of the results, relative to the page), files in that folder (`picture`, `page`, `result`), and
-        the scan's statistics by name; None for a missing value.
+    title : page title.
+    rows : JSON-ready rows, one per scan: `scan` (name), `state`, `reason`, `warnings` (sentences), `out`
+        (result folder relative to the page), files in that folder (`picture`, `page`, `result`), and metrics
+        of the scan by name; None for a missing value.
     """
     page = content_of(_HERE / "scans" / "index.html").decode()
     return page.replace("CONTENT", _script_json({"title": title, "rows": rows}), 1).encode()
 
 
 def _script_json(content: Mapping[str, Any]) -> str:
-    """Return JSON text for a script element, where HTML would read the end tag or a comment in a string."""
+    """Format JSON for a script element.
+
+    Every `<` is escaped, so that no HTML end tag can occur.
+    """
     return json.dumps(content).replace("<", "\\u003c")
 
 
 def is_page(path: Path) -> bool:
-    """Return whether a file is a page that `one_file` or `scans_page` made."""
+    """Return True if a file was made by `one_file` or `scans_page`."""
     with opened(path) as file:
         return _MARK in file.read(1024)
 

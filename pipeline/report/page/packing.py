@@ -1,4 +1,7 @@
-"""Pack models into a page of at most so many bytes: photos are left out and models made lighter for it."""
+"""Packing of models into a page of limited size.
+
+Photos are dropped and models are simplified to fit.
+"""
 
 from __future__ import annotations
 
@@ -25,41 +28,40 @@ from scanloom.stages.surface.mean_normal import estimate_mean_normal
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.upright import turn_along_z
 
-# How often models are made lighter, until the page is small enough.
+# Maximum number of rounds of simplification.
 _ATTEMPTS = 8
 _LEAST_TRIANGLES = 2_000
 _LEAST_IMAGE = 512
-# The first model is what a page is for: the others begin with so many triangles, and are made lighter so
-# often before it is.
+# The first model is the most important: the others start with at most this many triangles, and the first is
+# kept unchanged for this many rounds.
 _MOST_BESIDE = 100_000
 _LAST = 2
-# A model is made no lighter than this share of itself at once.
+# Minimum ratio of a model that one round keeps.
 _AT_ONCE = 0.5
-# A triangle of a scan takes about eight bytes of a page, one of a smooth surface about three. A model that
-# has room for fewer than these begins lighter: to write millions that do not fit takes more memory than
-# all else.
+# Bytes per triangle, to estimate the initial triangle count: about 8 for a scan, 3 for a smooth surface.
+# Encoding millions of triangles that cannot fit would dominate the memory use.
 _BYTES_EACH = 5
-# Of more triangles, one model is made lighter after the other: that takes about 500 bytes for each.
+# Above this triangle count models are simplified one at a time, which takes about 500 bytes per triangle.
 _MANY = 1_000_000
-# More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
+# Safety factor on the bytes to save: bytes per triangle increase as a model is simplified.
 _SPARE = 1.4
-# Of the page, photos may take one part of so many.
+# Photos may use one fourth of the page.
 _PHOTOS_SHARE = 4
-# Bytes in a page for one of a file in it, by base64.
+# Size factor of base64.
 _GROWN = 4 / 3
-# So many looks a model can have, beside its own and its vertex colours.
+# Maximum number of colormaps per model: the vertex attribute has four components.
 MOST_PAINTS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Paint:
-    """A look of a model: what is known of its vertices, in the colours of a scale.
+    """Scalar values at the vertices of a model, with a colour scale.
 
     Attributes
     ----------
-    values : (n,) in the unit of the scale.
-    scale : what is beyond it has its last colours.
-    note : a few words.
+    values : (n,) values in the unit of the scale.
+    scale : colour scale; values beyond it get its last colours.
+    note : short description.
     """
 
     values: NDArray[np.float64]
@@ -68,10 +70,10 @@ class Paint:
 
 
 class Shown(NamedTuple):
-    """A model of a page before it is packed; see `PageModel`.
+    """Source of a page model before packing; see `PageModel`.
 
-    Looks are the paints, by their names, up to MOST_PAINTS of them, and the vertex colours of a mesh that has
-    a texture, too. `complete` are the triangles that it had before it was made coarser, if it was.
+    The alternative colourings are up to MOST_PAINTS `paints`, by name, and the vertex colours of a textured
+    mesh. `complete` is the triangle count before coarsening; 0 if not coarsened.
     """
 
     mesh: Mesh
@@ -81,7 +83,7 @@ class Shown(NamedTuple):
     complete: int = 0
 
 
-# By their names, the most important first.
+# Models by name, most important first.
 Models = Mapping[str, Shown]
 
 
@@ -92,18 +94,18 @@ def packed_page(
     told: Mapping[str, Any] | None = None,
     cameras: Sequence[PageCamera] = (),
 ) -> bytes:
-    """Return a page of at most `most_bytes`, if it can be; parts that are left out are reported.
+    """Make a page of at most `most_bytes`, if possible; warn about omitted photos.
 
     Parameters
     ----------
     title, told, cameras : see `one_file`.
-    models : in one place and one stand.
+    models : models in a common frame, with a common up direction.
     """
     cameras, photos = _with_photos_within(cameras, most_bytes // _PHOTOS_SHARE)
     if photos:
         emit(
             REPORT_REDUCED.warning(
-                "{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.",
+                "{photos} photos are omitted to keep the page below {most_bytes:,} bytes.",
                 photos=photos,
                 most_bytes=most_bytes,
             )
@@ -123,20 +125,20 @@ def packed_page(
         page = one_file(title, packed, told, cameras)
         if len(page) <= most_bytes:
             return page
-        # Of what cannot be made lighter, nothing can be left out.
+        # Models at their minimum size cannot contribute.
         sizes = [
             0.0 if plan.is_least(one.triangles) else _GROWN * len(one.glb)
             for plan, one in zip(plans, packed, strict=True)
         ]
         shares = _shares(sizes, _SPARE * (len(page) - most_bytes), is_first_kept=attempt < _LAST)
-        # From what is light already: that takes less time than from all of it.
+        # Simplify the simplified model further, which is faster than starting from the full model.
         plans = [
             plan if share == 1 else replace(plan, shown=done[plan][0]).lighter(share)
             for plan, share in zip(plans, shares, strict=True)
         ]
     emit(
         REPORT_REDUCED.warning(
-            "the page takes {size:,} bytes, more than {most_bytes:,}, as small as it gets.",
+            "the page has {size:,} bytes, more than {most_bytes:,}, and cannot be reduced further.",
             size=len(page),
             most_bytes=most_bytes,
         )
@@ -145,16 +147,21 @@ def packed_page(
 
 
 def turn_of_page(mesh: Mesh) -> NDArray[np.float64]:
-    """Return what turns a mesh z up, as the page's camera has it; unknown, it stands as glTF has it, y up."""
+    """Return the (3, 3) rotation of a mesh to z up.
+
+    z up is the frame of the page. An unknown up direction is y up, as in glTF.
+    """
     return turn_along_z(np.array((0.0, 1.0, 0.0) if mesh.up is None else mesh.up))
 
 
 def _shares(sizes: Sequence[float], excess: float, *, is_first_kept: bool) -> list[float]:
-    """Return the share of each model that is kept, so that together they take so much less, if they can.
+    """Distribute the bytes to save over the models, as ratios to keep.
 
     Parameters
     ----------
-    sizes : bytes that each takes, the first first; 0 for what stays as it is.
+    sizes : size of each model in bytes, first model first; 0 for a model that cannot be reduced.
+    excess : bytes to save in total.
+    is_first_kept : keep the first model unchanged if the others can be reduced.
     """
     beside = sum(sizes[1:])
     share = min(max(1 - excess / beside, _AT_ONCE), 1.0) if beside else 1.0
@@ -165,7 +172,10 @@ def _shares(sizes: Sequence[float], excess: float, *, is_first_kept: bool) -> li
 
 
 def _with_photos_within(cameras: Sequence[PageCamera], most: int) -> tuple[list[PageCamera], int]:
-    """Return cameras without every other photo, as often as it takes, and how many photos that leaves out."""
+    """Drop every other photo until the rest fits in `most` bytes.
+
+    Returns the cameras and the number of dropped photos.
+    """
     sizes = [0 if camera.photo is None else len(camera.photo) for camera in cameras]
     kept = [number for number, size in enumerate(sizes) if size]
     count = len(kept)
@@ -180,13 +190,13 @@ def _with_photos_within(cameras: Sequence[PageCamera], most: int) -> tuple[list[
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """How a model gets into a page.
+    """Target size of a model in a page.
 
     Attributes
     ----------
-    name, shown : as given, or lighter already.
-    complete : triangles it had at first.
-    triangles, image_size : what it may have at most: the longer side of an image, pixels.
+    name, shown : model, possibly simplified already.
+    complete : triangle count of the original.
+    triangles, image_size : maximum triangle count, and maximum image side in pixels.
     """
 
     name: str
@@ -201,15 +211,15 @@ class _Plan:
         return cls(name, shown, shown.complete or count, count, preset("web").image_size)
 
     def is_least(self, made: int) -> bool:
-        """Whether it is made no lighter than with so many triangles, which may be more than it may have.
+        """Return True if a model with `made` triangles cannot be reduced further.
 
-        Each hole and each loose piece keeps a few.
+        `made` may exceed the target, because each hole and each component keeps a few triangles.
         """
         has_image = self.shown.mesh.texture is not None and self.image_size > _LEAST_IMAGE
         return (self.triangles <= _LEAST_TRIANGLES or made > self.triangles) and not has_image
 
     def lighter(self, share: float) -> _Plan:
-        """Return the plan with this share of the triangles and of the texels, if it is one."""
+        """Scale the triangle and texel counts by a ratio below 1."""
         if share >= 1:
             return self
         triangles = max(round(share * self.triangles), min(_LEAST_TRIANGLES, self.triangles))
@@ -228,8 +238,8 @@ def _simplified(shown: Shown, triangles: int) -> Shown:
 
 
 def _packed(plan: _Plan) -> tuple[Shown, PageModel]:
-    """Return the model as light as it may be, and as a file."""
-    # The complete model is a file of its own: nobody asked for this number of triangles or these images.
+    """Simplify a model to its target and encode it as GLB."""
+    # Drop diagnostics about the reduced model: the full model is a separate file.
     with collecting(forward=False):
         return _as_file(plan)
 
@@ -240,14 +250,14 @@ def _as_file(plan: _Plan) -> tuple[Shown, PageModel]:
         shown = _simplified(shown, plan.triangles)
     mesh, note, scale, paints, _ = shown
     count = len(mesh.triangles)
-    words = f"of {plan.complete:,}, for this page" if count < plan.complete else ""
+    words = f"reduced from {plan.complete:,} for this page" if count < plan.complete else ""
     looks = [
         PageLook(name, channel, ", ".join(filter(None, (paint.note, words))), paint.scale)
         for channel, (name, paint) in enumerate(paints.items())
     ]
     if mesh.texture is not None and mesh.colors is not None:
         looks.append(PageLook("vertex colours", None, words))
-    # A page is looked at closely, and has room for it.
+    # Higher quality than for the web: users zoom into the page, and its size limit is larger.
     web = replace(preset("web"), position_bits=16, texel_steps=0, quality=85)
     written = with_images(mesh, web.images, web.quality, plan.image_size)
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
@@ -260,7 +270,10 @@ def _as_file(plan: _Plan) -> tuple[Shown, PageModel]:
 
 
 def _values(paints: Mapping[str, Paint]) -> NDArray[np.uint8] | None:
-    """Return the values of paints as a GLB file holds them, (n, 4); None without any."""
+    """Encode colormap values as a GLB vertex attribute, (n, 4) uint8.
+
+    Returns None without colormaps.
+    """
     if not paints:
         return None
     columns = [_as_share(paint) for paint in paints.values()]

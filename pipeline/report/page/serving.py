@@ -1,8 +1,8 @@
-"""Serve a folder with a page to a browser on this machine, and to nobody else.
+"""HTTP server for a folder with a page, restricted to browsers on this machine.
 
-Any program and any web page on this machine can ask; so only GET and HEAD of regular files of known kinds
-inside the folder are answered, and only under the names this machine has for itself: a page from elsewhere
-whose name was turned to 127.0.0.1 asks under its own (DNS rebinding).
+Any local program or web page can send requests. Only GET and HEAD of regular files of known types inside the
+folder are answered, and only for host names of this machine. The host check prevents DNS rebinding, where a
+foreign page resolves its own name to 127.0.0.1.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scanloom.stages.files.opening import content_of
 from scanloom.stages.lod.tiles import PAGE_INDEX
 
 HOST = "127.0.0.1"
-# What is given, and as what; anything else is not found.
+# Content types of served files; files of other types are not found.
 _KINDS = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -30,27 +30,27 @@ _KINDS = {
     ".json": "application/json",
     ".glb": "model/gltf-binary",
 }
-# What becomes much smaller; tiles hardly do.
+# Types sent with gzip; tiles hardly compress.
 _PACKED = (".html", ".js", ".txt", ".json")
-# A connection that is silent for so long is closed, seconds.
+# Seconds after which an idle connection is closed.
 _SILENCE = 30.0
 
 
 class FolderServer(ThreadingHTTPServer):
-    """Gives the files of one folder, and some that are not in it, on 127.0.0.1; see the module.
+    """HTTP server on 127.0.0.1 for the files of one folder and some in-memory files.
 
     Parameters
     ----------
-    folder : whose files are given; nothing is written there.
-    port : to listen on; 0 for one that is free.
-    more : contents by their paths, given where the folder has none of that name.
+    folder : served folder, never written to.
+    port : port to listen on; 0 for any free port.
+    more : contents by path, served if the folder has no such file.
 
     Raises
     ------
     InputError
-        If there is no such folder.
+        If the folder does not exist.
     StageError
-        If the port is taken, or the system refuses it.
+        If the port is in use or refused by the system.
     """
 
     daemon_threads = True
@@ -65,16 +65,19 @@ class FolderServer(ThreadingHTTPServer):
         except (OSError, OverflowError) as error:
             said = getattr(error, "strerror", None) or str(error)
             raise StageError(
-                MACHINE_PORT_TAKEN, "port {port} cannot be listened on: {said}.", port=port, said=said
+                MACHINE_PORT_TAKEN, "cannot listen on port {port}: {said}.", port=port, said=said
             ) from error
 
     @property
     def address(self) -> str:
-        """Where a browser finds the page."""
+        """URL of the page."""
         return f"http://{HOST}:{self.server_port}/"
 
     def content(self, path: str) -> bytes | None:
-        """Return what is at a path below the folder, or None; a link is not followed."""
+        """Return the content at a path below the folder, or None.
+
+        Links are not followed.
+        """
         parts = path.split("/")
         if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
             return None
@@ -87,7 +90,7 @@ class FolderServer(ThreadingHTTPServer):
         return self.more.get(path)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Let go of a connection that the browser has closed, or that sends what is no request."""
+        """Ignore closed connections and malformed requests."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -103,12 +106,12 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(with_body=False)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Keep quiet: what a browser asks for is no news."""
+        """Suppress the request log."""
 
     def _answer(self, *, with_body: bool) -> None:
         hosts = self.headers.get_all("Host") or []
         if "Content-Length" in self.headers or "Transfer-Encoding" in self.headers:
-            # What follows would be taken for the next request.
+            # The unread body would be parsed as the next request.
             self.close_connection = True
         if len(hosts) != 1 or hosts[0].strip().lower() not in self._own_names():
             self._refuse(HTTPStatus.MISDIRECTED_REQUEST)

@@ -1,4 +1,4 @@
-"""A mesh as a page that a notebook shows in place, and that can be kept as a file."""
+"""Page of a mesh for notebooks, which can be saved as a file."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.upright import direction_of
 
-# What a page takes without any model, and a little for one.
+# Minimum megabytes of a page: size without models, plus a small model.
 _LEAST_MB = 1.2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Page:
-    """A page of one file, which asks for nothing from anywhere; a notebook shows it as it is.
+    """Self-contained HTML page that notebooks display inline.
 
     Attributes
     ----------
-    title : of the page.
-    html : the file.
-    width, height : of its frame in a notebook: in CSS, and pixels.
-    diagnostics : what was left out to keep it small.
+    title : page title.
+    html : HTML file.
+    width, height : size of the frame in a notebook: CSS length, and pixels.
+    diagnostics : warnings, such as parts omitted to limit the size.
     """
 
     title: str
@@ -44,10 +44,10 @@ class Page:
 
     def __repr__(self) -> str:
         size = f"{len(self.html) / 1e6:.1f} MB"
-        return line(self, (self.title, size, "shows itself in a notebook", 'else save("FILE.html")'))
+        return line(self, (self.title, size, "displayed in a notebook", 'or save("FILE.html")'))
 
     def _repr_html_(self) -> str:
-        # A page of its own inside of the notebook's, which cannot get at anything there.
+        # A sandboxed iframe: the page cannot access the notebook.
         return (
             f'<iframe title="{escape(self.title)}" sandbox="allow-scripts" '
             f'style="width:{escape(self.width)};height:{self.height}px;border:0" '
@@ -55,12 +55,12 @@ class Page:
         )
 
     def save(self, path: Path | str) -> None:
-        """Write the page to a file, `.html` by custom, which opens in any browser without a network.
+        """Write the page to a file, which opens in any browser without a network.
 
         Raises
         ------
         StageError
-            If the system refuses to write.
+            If the file cannot be written.
         """
         with replacing(Path(path)) as draft:
             draft.write_bytes(self.html)
@@ -76,25 +76,25 @@ def show(
     height: int = 480,
     page_size: float = 3.0,
 ) -> Page:
-    """Return a page that turns a mesh, measures it and cuts it open, for a notebook or as a file.
+    """Make an interactive page of a mesh, with rotation, measuring and cutting planes.
 
-    A function, not a method of meshes: to make the page takes rooms that know what a mesh is.
+    This is a function instead of a method of `Mesh`, because the page depends on higher-level packages.
 
     Parameters
     ----------
-    thing : Mesh, Open3D or trimesh mesh, (vertices, triangles), or a result that has a `mesh`.
-    beside : others by their names, in the same place, to look at left of a line that is dragged.
-    title : what the page calls it.
-    up : what is up, an axis (+x, -x, +y, -y, +z, -z) or three numbers; that of the mesh if not given.
-    width, height : of the frame, in CSS and pixels.
-    page_size : megabytes that the page may take in the notebook's file; models are made lighter for it.
+    thing : Mesh, Open3D or trimesh mesh, (vertices, triangles), or a result with the attribute `mesh`.
+    beside : further meshes by name, in the same frame, to compare with a movable divider.
+    title : page title.
+    up : up direction: an axis (+x, -x, +y, -y, +z, -z) or three numbers; None uses `mesh.up`.
+    width, height : size of the frame in a notebook: CSS length, and pixels.
+    page_size : maximum size of the page in megabytes; models are simplified to fit.
 
     Raises
     ------
     MeshError
-        For what is no mesh, or has no triangles.
+        If the input is not a mesh, or has no triangles.
     UsageError
-        If `up` is no direction, or a size is too small.
+        If `up` is not a direction, or a size is too small.
     """
     if page_size < _LEAST_MB:
         raise UsageError(
@@ -120,7 +120,7 @@ def _mesh_of(thing: Any, name: str) -> Mesh:
     own = getattr(thing, "mesh", None)
     mesh = as_mesh(own if isinstance(own, Mesh) else thing, name)
     if not len(mesh.triangles):
-        raise MeshError(RENDER_NOTHING_TO_DRAW, "there are no triangles to show.", name)
+        raise MeshError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles.", name)
     return mesh
 
 

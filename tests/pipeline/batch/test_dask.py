@@ -101,7 +101,7 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 1, said
     assert "2 of 5 scans are not done: 1 failed, 1 unusable" in said
-    assert "scan-0004: it got no further in adjust for 20 s and was ended" in said
+    assert "scan-0004: ended after 20 s without progress in adjust" in said
     assert hung.exists()
     assert not hang(hung)
 
@@ -137,7 +137,9 @@ def test_a_scheduler_that_is_gone_is_told(tmp_path: Path):
     scheduler.communicate()
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 1, said
-    assert said.splitlines()[-1].startswith(f"scanloom: the scheduler at tcp://127.0.0.1:{port} is gone; ")
+    assert said.splitlines()[-1].startswith(
+        f"scanloom: the connection to the scheduler at tcp://127.0.0.1:{port} is lost; "
+    )
 
 
 def _answers(port: int) -> bool:
@@ -238,7 +240,7 @@ def test_scans_that_wait_for_a_worker_are_told(slurm: dict[str, str], tmp_path: 
     child = subprocess.run(words, capture_output=True, text=True, timeout=120, env=os.environ | slurm)
     told = child.stdout.splitlines()
     assert len(told) == 2, child.stderr
-    assert re.match(r"no worker is at the scheduler tcp://\S+; scans that wait for one: 1\. ", told[1])
+    assert re.match(r"the scheduler at tcp://\S+ has no workers; 1 scans are waiting\. ", told[1])
 
 
 CTRL_C = """
@@ -272,5 +274,5 @@ def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path):
     assert queue is not None
     with pytest.raises(UsageError, match=r"batch\.dask=slurm needs --jobs N"):
         work_by_dask(queue, "slurm")
-    with pytest.raises(InputError, match=r"no scheduler of Dask answers at nowhere://x: "):
+    with pytest.raises(InputError, match=r"no Dask scheduler answers at nowhere://x: "):
         work_by_dask(queue, "nowhere://x")

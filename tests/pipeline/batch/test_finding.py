@@ -47,7 +47,7 @@ def test_folders_without_a_scan_are_told_once(scans: Path):
     (scans / ".hidden").mkdir()
     told = {one.place.relative_to(scans).as_posix(): one.reason for one in find_scans(scans)[1]}
     assert told.keys() == {"notes", "floor-1/empty", "zed"}
-    assert told["notes"] == "it is of no known layout"
+    assert told["notes"] == "its layout is unknown"
     assert told["floor-1/empty"] == "it is empty"
     assert told["zed"].startswith("this looks like a ZED recording (.svo)")
 

@@ -118,7 +118,7 @@ def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
     records = {one.name: one for one in summary_of(queue).records}
     states = {name: one.state for name, one in records.items()}
     assert states == {"broken": UNUSABLE, "scan-0": DONE, "scan-1": FAILED, "scan-2": DONE, "scan-3": DONE}
-    assert records["scan-1"].reason.startswith(f"it got no further in fuse for {LONG:g} s and was ended; see")
+    assert records["scan-1"].reason.startswith(f"ended after {LONG:g} s without progress in fuse; check")
     assert hung.exists()
     assert not hang(hung)
     assert not list((queue.cache / "drafts").iterdir())
@@ -184,13 +184,13 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
             os.kill(number, signal.SIGSTOP)
 
         def tell(told: Told) -> None:
-            if isinstance(told, Noted) and "another run is working into" in told.text:
+            if isinstance(told, Noted) and "waiting for another run into" in told.text:
                 os.kill(first.pid, signal.SIGCONT)
 
         Worker(queue, slots=1, threads=1, tell=tell).work()
         os.kill(first.pid, signal.SIGCONT)
         said = first.communicate(timeout=60)[1]
-    assert "scan-0: another worker has taken it over while this one gave no sign of life" in said
+    assert "scan-0: another worker has taken it over while this worker was unresponsive" in said
     ends = [one for one in Records(queue.folder / "done").all() if one.number == 1]
     assert [one.attempt for one in ends] == [1]
     states = {one.name: one.state for one in summary_of(queue).records}
@@ -209,7 +209,9 @@ def test_a_worker_whose_batch_is_gone_says_so(small_scans: Path, queue_of: Begin
             # As the next batch does, which was begun while no sign of this one came.
             shutil.rmtree(queue.folder)
 
-    with pytest.raises(StageError, match=r"another batch was begun in .*out while this worker gave no sign"):
+    with pytest.raises(
+        StageError, match=r"another batch was started in .*out while this worker was unresponsive"
+    ):
         Worker(queue, slots=1, threads=1, tell=tell).work()
 
 
@@ -224,5 +226,7 @@ def test_a_worker_whose_batch_goes_between_two_looks_says_so(
         (queue.folder / "claims" / "000001.0").write_text("")
 
     monkeypatch.setattr(Worker, "_hear", hear)
-    with pytest.raises(StageError, match=r"another batch was begun in .*out while this worker gave no sign"):
+    with pytest.raises(
+        StageError, match=r"another batch was started in .*out while this worker was unresponsive"
+    ):
         Worker(queue, slots=1, threads=1).work()

@@ -104,9 +104,9 @@ def test_what_a_batch_wrote_is_replaced_and_withdrawn(summary: Summary):
 @pytest.mark.parametrize("name", ["index.html", "batch.csv", "batch.parquet"])
 def test_what_no_batch_wrote_is_not_replaced(tmp_path: Path, name: str):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(InputError, match=f"{name}: no batch has written this"):
+    with pytest.raises(InputError, match=f"{name}: this file was not written by a batch"):
         require_replaceable(tmp_path)
     (tmp_path / name).unlink()
     (tmp_path / name).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="no batch has written this"):
+    with pytest.raises(InputError, match="this file was not written by a batch"):
         require_replaceable(tmp_path)

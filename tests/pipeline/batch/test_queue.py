@@ -77,7 +77,7 @@ def test_a_queue_that_is_cut_short_says_how_many_are_gone(written: Queue):
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b'{"check": 1}\n', b"[" * 100_000])
 def test_a_damaged_head_is_refused_in_one_sentence(written: Queue, content: bytes):
     (written.folder / "jobs.jsonl").write_bytes(content)
-    with pytest.raises(InputError, match=r"jobs\.jsonl: the queue is damaged.*run scanloom batch again"):
+    with pytest.raises(InputError, match=r"jobs\.jsonl: the queue is damaged.*run `scanloom batch` again"):
         standing_queue(written.out)
 
 

@@ -71,7 +71,7 @@ def test_a_scan_that_vanishes_meanwhile_is_told(small_scans: Path, queue_of: Beg
     shutil.rmtree(tmp_path / "scans" / "scan-1")
     ended = worked(queue)
     assert ended["scan-1"].state == UNUSABLE
-    assert ended["scan-1"].reason == f"{tmp_path / 'scans' / 'scan-1'}: the scan is not there any more."
+    assert ended["scan-1"].reason == f"{tmp_path / 'scans' / 'scan-1'}: the scan does not exist any more."
     assert [ended[f"scan-{k}"].state for k in (0, 2, 3)] == [DONE] * 3
 
 
@@ -127,7 +127,7 @@ def test_a_job_that_crashes_its_process_is_given_up_and_no_other(small_scans: Pa
     states = {one.name: one.state for one in summary_of(queue).records}
     assert states == {"broken": UNUSABLE, "scan-0": DONE, "scan-1": DONE, "scan-2": FAILED, "scan-3": DONE}
     reason = next(one.reason for one in summary_of(queue).records if one.name == "scan-2")
-    assert reason.startswith("the process that ran it crashed 2 times")
+    assert reason.startswith("the process of this scan crashed 2 times")
 
 
 def test_a_worker_that_is_interrupted_gives_its_job_back(small_scans: Path, queue_of: Begin, tmp_path: Path):
@@ -156,7 +156,7 @@ def test_a_full_disk_ends_the_worker_in_one_sentence_and_loses_nothing(
     with monkeypatch.context() as patched:
         patched.setattr(Records, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
         with pytest.raises(
-            StageError, match=r"the queue .* cannot be worked on: the disk is full; free some"
+            StageError, match=r"the queue .* cannot be worked on: the disk is full; free disk space"
         ):
             Worker(queue, slots=1, threads=1).work()
     assert worked(queue)["scan-3"].state == DONE

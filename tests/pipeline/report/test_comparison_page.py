@@ -148,7 +148,7 @@ def test_models_have_their_colours_and_the_deviation_its_scale(page: Any) -> Non
 
 def test_what_is_told_and_flown_to(page: Any) -> None:
     text = page.inner_text("#told")
-    assert "Deviation of B from A, by samples" in text
+    assert "Deviation of B from A, sampled" in text
     assert "before.ply" in page.title()
     assert ("Farther than 200 mm" in text) == page.is_of_meshes
     assert ("Drawn from around, by their colours" in text) == page.is_of_meshes

@@ -185,8 +185,8 @@ def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
     content = shown(page_of_run(out, 5_000_000))
     marks = {one["frame"]: one["mark"] for one in content["cameras"]}
     assert marks == {"f0": "", "f1": "fuse: its depth is damaged", "f2": "", "f3": "held out"}
-    assert content["frames"] == "3 frames were read; 1 were held out, and compared; 2 were skipped."
-    table = next(one for one in content["tables"] if one["title"] == "Frames that were skipped")
+    assert content["frames"] == "3 frames were read; 1 were held out for evaluation; 2 were skipped."
+    table = next(one for one in content["tables"] if one["title"] == "Skipped frames")
     assert table["rows"] == [["lost", "no pose"], ["f1", "fuse: its depth is damaged"]]
     digests = next(one["text"] for one in content["texts"] if one["title"] == "Versions and digests")
     assert {"scanloom 9.9", "numpy 2", "c0ffee  fused.ply"} <= set(digests.splitlines())

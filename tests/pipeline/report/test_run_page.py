@@ -60,7 +60,7 @@ def test_photos_leave_room_for_the_model(out: Path) -> None:
     with collecting() as diagnostics:
         cameras = shown(page_of_run(out, 4 * (sum(sizes) - 1)))["cameras"]
     assert sum(one["photo"] is not None for one in cameras) == 2
-    assert str(diagnostics[0]).startswith("2 of the photos are left out of the page")
+    assert str(diagnostics[0]).startswith("2 photos are omitted to keep the page below")
     with collecting():
         assert shown(page_of_run(out, 8))["cameras"][0]["photo"] is None
 
@@ -70,11 +70,11 @@ def test_photos_leave_room_for_the_model(out: Path) -> None:
     [
         ("../../secret.jpg", "is not a path inside the folder"),
         ("/etc/hostname", "is not a path inside the folder"),
-        ("photos/link.jpg", "leads out of the folder"),
+        ("photos/link.jpg", "is outside the folder"),
         ("photos/none.jpg", "is missing"),
         ("cameras.json", "not a JPEG"),
         ("photos", "is missing"),
-        (7, "not as a run writes it"),
+        (7, "not written by a run, or is damaged"),
     ],
 )
 def test_nothing_else_gets_into_a_page_that_is_passed_on(out: Path, name: object, said: str) -> None:

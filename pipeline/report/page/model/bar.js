@@ -1,8 +1,8 @@
-// The controls below the picture.
+// Controls below the picture.
 const WHOLE = new Intl.NumberFormat("en");
 const NONE = "none";
 
-/** Tie the controls of a form to a picture of several models, and of cameras. */
+/** Connect the controls of a form to the picture of the models and cameras. */
 export function bar(form, drawn, models, cameras, unit) {
   const { model, beside, mode, cut, at, cameras: shown, photo, opacity, safe, measure, all } = form.elements;
   const figures = form.querySelector("#figures");

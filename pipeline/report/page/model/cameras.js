@@ -1,11 +1,11 @@
-// The cameras of a scan as pyramids in the scene, and the photo of one over what is seen from its place.
+// Cameras of a scan, drawn as pyramids, and the photo of one camera as an overlay seen from its position.
 import { BufferGeometry, DoubleSide, Float32BufferAttribute, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, SRGBColorSpace, Texture, Vector3 } from "../library.js";
 
-const SIZE = 0.035; // of the model's size, a pyramid's height
+const SIZE = 0.035; // height of a pyramid, as a ratio of the model size
 const LINE = "#2f7dd1";
 const CHOSEN = "#e6009e";
 
-/** A camera as the page has it: `eye`, and `corners` of what it sees at a depth of 1 m, in the scene. */
+/** Convert a camera of the page to the scene: position `eye`, and image `corners` at 1 m depth. */
 function placed({ pose, size, focal, center }) {
   const at = (x, y, z) => {
     const world = [0, 1, 2].map((row) => pose[4 * row] * x + pose[4 * row + 1] * y + pose[4 * row + 2] * z + pose[4 * row + 3]);
@@ -16,7 +16,7 @@ function placed({ pose, size, focal, center }) {
   return { eye: at(0, 0, 0), ahead: at(0, 0, 1), corners };
 }
 
-/** Make what is drawn of cameras; `change` is called when a photo has been read. */
+/** Create the scene objects of the cameras; `change` is called after a photo has loaded. */
 export function camerasOf(cameras, scene, change) {
   const all = cameras.map(placed);
   const lines = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ vertexColors: true }));
@@ -86,7 +86,7 @@ export function camerasOf(cameras, scene, change) {
     set opacity(value) {
       slide.material.opacity = value;
     },
-    /** The camera whose pyramid is under a ray, nearest first; null if there is none. */
+    /** Return the index of the nearest camera whose pyramid a ray hits; null if none. */
     under(ray) {
       let [found, least] = [null, Infinity];
       all.forEach(({ eye, corners }, number) => {

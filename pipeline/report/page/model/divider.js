@@ -1,7 +1,7 @@
-// The line between two models, left and right of it, moved by pointer and by keys.
-const STEP = 0.02; // of a key
+// Divider between two models, moved by pointer or keys.
+const STEP = 0.02; // ratio of the width per key press
 
-/** Tie an element to a share of the picture's width; `moved` is told it. */
+/** Make an element a divider; `moved` is called with its position as a ratio of the width. */
 export function divider(element, moved) {
   let share = 0.5;
 

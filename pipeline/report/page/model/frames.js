@@ -1,6 +1,6 @@
-// The photos of the page in a row, with what became of their frames; each brings the camera to where it was taken.
+// Row of photos with the status of their frames; a click moves the view to the photo's camera.
 
-/** Return a list of photos as buttons; `chosen` is told the number of the camera. */
+/** Create a list of photo buttons; `chosen` is called with the camera index. */
 export function frames(cameras, chosen) {
   const list = made("ul", "frames");
   list.tabIndex = 0;

@@ -1,8 +1,8 @@
-// What the colours of a model stand for, and how much of its surface has each.
+// Colour scale of a model, with a histogram of its surface.
 
-const CLOSE = 0.06; // of the scale, two numbers
+const CLOSE = 0.06; // minimum distance of two labels, as a ratio of the scale
 
-/** Fill an element with a scale, highest first, in colours that all eyes tell apart if wanted; hide it without one. */
+/** Show a scale in an element, highest value first, with colour-blind safe colours if `safe`; hide it without a scale. */
 export function legend(place, scale, safe = false) {
   place.replaceChildren();
   place.hidden = !scale;
@@ -13,7 +13,7 @@ export function legend(place, scale, safe = false) {
   const most = Math.max(...shares);
   const bars = element("div", "bars");
   bars.setAttribute("role", "img");
-  bars.setAttribute("aria-label", `Share of the surface for ${unit} from ${number(given ? given[0] : low)} to ${number(given ? given.at(-1) : high)}: ${summary(scale)}`);
+  bars.setAttribute("aria-label", `Histogram of the surface in ${unit} from ${number(given ? given[0] : low)} to ${number(given ? given.at(-1) : high)}: ${summary(scale)}`);
   for (let at = colors.length - 1; at >= 0; at--) {
     const row = element("div", "bin");
     row.title = `${(100 * shares[at]).toPrecision(2)} % of the surface`;
@@ -30,7 +30,7 @@ export function legend(place, scale, safe = false) {
   const wanted = given ?? (low < 0 ? [high, low, within, -within, 0] : [high, low, within]).filter((value) => value !== null);
   const told = [];
   for (const value of wanted) {
-    // What would be written over another is left out.
+    // Skip labels that would overlap.
     if (told.some((other) => Math.abs(other - value) < CLOSE * (high - low))) continue;
     told.push(value);
     const mark = element("span", "mark");
@@ -46,11 +46,11 @@ export function legend(place, scale, safe = false) {
 const plain = (value) => `${Number(value.toPrecision(3))}`;
 const signed = (value) => (value > 0 ? "+" : "") + plain(value);
 
-/** Say in words what the bars show: where most of the surface is. */
+/** Describe the histogram in words, for screen readers. */
 function summary({ low, high, shares, unit }) {
   const step = (high - low) / shares.length;
   const most = shares.indexOf(Math.max(...shares));
-  return `most of it, ${(100 * shares[most]).toPrecision(2)} %, near ${plain(low + (most + 0.5) * step)} ${unit}`;
+  return `most common, ${(100 * shares[most]).toPrecision(2)} % of the surface, near ${plain(low + (most + 0.5) * step)} ${unit}`;
 }
 
 function element(kind, name) {

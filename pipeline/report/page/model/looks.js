@@ -1,14 +1,14 @@
-// The looks of models: as they are, in their vertex colours, or in the colours of a scale for a number of each vertex.
+// Alternative colourings of a model: vertex colours, or a scalar per vertex with a colour scale.
 import { BufferGeometry, DataTexture, DoubleSide, Float32BufferAttribute, Group, Mesh, MeshBasicMaterial, SRGBColorSpace, Color, Vector3 } from "../library.js";
 
-// What GLTFLoader makes of _VALUES and _COLOR_DISPLAYED.
+// Names that GLTFLoader gives to the attributes _VALUES and _COLOR_DISPLAYED.
 const VALUES = "_values";
 const COLORS = "_color_displayed";
-// A little shade, by which the shape is seen; more would change what colours say.
+// Weak shading that shows the shape; stronger shading would distort the colour scale.
 const LIGHT = new Vector3(0.35, 0.8, 0.45).normalize();
 const SHADE = 0.24;
 
-/** Return a scene that shows `loaded` in another look; its shape is shared with it. */
+/** Create a recoloured copy of a loaded scene, sharing its geometry. */
 export function inLook(loaded, look, scale) {
   const made = new Group();
   loaded.updateMatrixWorld(true);
@@ -22,7 +22,7 @@ export function inLook(loaded, look, scale) {
   return made;
 }
 
-/** Give a scene in the colours of a scale other ones, of its `colors` or its `safe`. */
+/** Replace the colours of a scene with a colour scale. */
 export function recolor(made, colors) {
   made.traverse((one) => {
     if (!one.isMesh || !one.userData.palette) return;
@@ -48,7 +48,7 @@ function inVertexColors(geometry) {
   return new Mesh(made, new MeshBasicMaterial({ vertexColors: true, side: DoubleSide }));
 }
 
-// The number is looked up where it is drawn, not where the vertices are: steps stay sharp.
+// The colour is looked up per fragment instead of per vertex, so that steps stay sharp.
 function inValues(geometry, matrix, channel, { colors }) {
   const found = geometry.attributes[VALUES];
   const places = new Float32Array(2 * found.count).fill(0.5);

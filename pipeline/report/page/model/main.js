@@ -1,5 +1,4 @@
-// The page of one or more models in one file: a picture, a bar of controls, what is told below, and
-// `window.scanloom` for scripts.
+// Single-file page of models: picture, controls, report data below, and `window.scanloom` for scripts.
 import { bar } from "./bar.js";
 import { divider } from "./divider.js";
 import { legend } from "./legend.js";

@@ -1,4 +1,4 @@
-// The picture of one of several models, which share a camera; drawn again when something has changed, and only then.
+// Picture of one or two models with a shared camera, redrawn only after changes.
 import {
   Box3,
   BufferGeometry,
@@ -26,13 +26,13 @@ import { orbitingCamera, outOfScene } from "../tiles/camera.js";
 import { camerasOf } from "./cameras.js";
 import { inLook, recolor } from "./looks.js";
 
-const MOST_PIXELS = 2; // of the screen to one of the page: more are not seen
-const STILL = 5; // pixels that a click may move
-const BAR = 0.22; // of the picture's width, the longest scale bar
+const MOST_PIXELS = 2; // maximum device pixels per CSS pixel: more make no visible difference
+const STILL = 5; // maximum pointer movement of a click, pixels
+const BAR = 0.22; // maximum length of the scale bar, as a ratio of the width
 const MARK = "#e6009e";
-const ENOUGH = 5000; // points of a part, to frame it
-const FRAMED = 1.08; // of a photo's size, what is seen from its place
-// Which way a cut looks, in the scene; what is beyond it is left out.
+const ENOUGH = 5000; // maximum points sampled of a mesh to frame it
+const FRAMED = 1.08; // size of the view from a photo's camera, relative to the photo
+// Normals of the cutting planes in the scene; the side they point to is kept.
 const CUTS = { x: [-1, 0, 0], y: [0, 0, 1], z: [0, -1, 0] };
 
 const clay = new MeshLambertMaterial({ color: "#cfccc6", side: DoubleSide, flatShading: true });
@@ -50,14 +50,14 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
   const loaded = new Map();
   const view = orbitingCamera(canvas, change);
   const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
-  // `beside`: a model left of `split`, a share of the width; `cut`: an axis, at a share of the model's box.
+  // `beside`: model shown left of `split`, a ratio of the width; `cut`: axis of the cutting plane, `at` a ratio of the box.
   const state = { model: 0, mode: "colors", measuring: false, beside: null, split: 0.5, cut: "none", at: 0.5, cameras: false, photo: null, opacity: 0.6, safe: false };
   const box = new Box3();
   const frustums = camerasOf(cameras, scene, change);
   let shown = null;
   let points = [];
   let waiting = false;
-  let usual; // field of view, without a photo
+  let usual; // field of view before a photo was shown
 
   function change() {
     if (waiting) return;
@@ -94,7 +94,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     drawScale(width, height);
   }
 
-  /** A bar of a round length where the camera looks at. */
+  /** Draw a scale bar of a round length, measured at the camera target. */
   function drawScale(width, height) {
     const { eye, target, fov } = view.view();
     const away = Math.hypot(...eye.map((value, axis) => value - target[axis]));
@@ -115,7 +115,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
 
   const read = new Map();
 
-  /** Read a file once, however many looks want it. */
+  /** Load a file once for all its colourings. */
   function readFile(number) {
     if (!read.has(number)) {
       const bytes = Uint8Array.from(atob(files[number]), (letter) => letter.charCodeAt(0));
@@ -140,7 +140,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     return loaded.get(number);
   }
 
-  /** Some points of a model, in the scene. */
+  /** Sample points of a model, in scene coordinates. */
   function pointsOf(found) {
     const points = [];
     found.traverse((one) => {
@@ -152,7 +152,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     return points;
   }
 
-  /** The model that is seen left of the divider, if there are two. */
+  /** Return the model left of the divider; null if only one model is shown. */
   function otherModel() {
     const other = state.beside === null || state.beside === state.model ? null : loaded.get(state.beside);
     return shown && other ? other : null;
@@ -171,7 +171,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     if (otherModel()) scene.add(otherModel());
     const normal = CUTS[state.cut];
     const along = normal && new Vector3(...normal);
-    // The share goes from the side that is kept to the other.
+    // 0 removes everything, 1 keeps everything.
     const ends = along && [box.min, box.max].map((corner) => -along.dot(corner)).sort((a, b) => a - b);
     renderer.clippingPlanes = along ? [new Plane(along, ends[0] + (ends[1] - ends[0]) * state.at)] : [];
     frustums.visible = state.cameras && state.photo === null;
@@ -197,7 +197,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     return hits.find(({ point }) => renderer.clippingPlanes.every((plane) => plane.distanceToPoint(point) >= 0));
   }
 
-  /** Look from the camera of a frame, its photo over the model; null goes on without. */
+  /** View the model from the camera of a photo, with the photo as overlay; null removes it. */
   async function showPhoto(number) {
     if (state.photo === null) usual = view.view().fov;
     state.photo = number;
@@ -210,7 +210,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     const forward = ahead.clone().sub(eye);
     const caster = new Raycaster(eye, forward);
     const depth = (hitOf(caster, shown) ?? { distance: 0.5 * box.getSize(new Vector3()).length() }).distance;
-    // Upright, and so much that all of the photo is seen.
+    // Keep the view upright, and wide enough for the whole photo.
     const right = forward.clone().cross(new Vector3(0, 1, 0)).normalize();
     const up = right.clone().cross(forward).normalize();
     const most = (axis) => Math.max(...corners.map((corner) => Math.abs(corner.clone().sub(eye).dot(axis))));
@@ -230,7 +230,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     return found;
   }
 
-  /** Take the point of the surface at a place of the canvas, in pixels of the page; whether there is one. */
+  /** Pick the surface point at a canvas position in CSS pixels; return false if there is none. */
   function pick(x, y) {
     const { clientWidth: width, clientHeight: height } = canvas;
     const caster = new Raycaster();
@@ -262,7 +262,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     changed();
   }
 
-  /** Show another model left of the divider; null shows one alone. */
+  /** Show a second model left of the divider; null shows one model only. */
   async function showBeside(number) {
     if (number !== null) await load(number);
     set({ beside: number });
@@ -281,7 +281,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
     showAll: () => view.showAll(),
     look: (settings) => view.set(settings),
     view: () => view.view(),
-    /** Draw at once, and return after it is on the screen. */
+    /** Draw now, and resolve after the frame is on the screen. */
     drawn: () => new Promise((done) => requestAnimationFrame(() => (draw(), requestAnimationFrame(done)))),
     async show(number) {
       const found = await load(number);
@@ -302,7 +302,7 @@ export function picture(canvas, scale, files, models, cameras = [], unit = "m") 
       state.model = number;
       changed();
     },
-    /** Fly to a place of the scan, given in the model's upright frame, metres, z up. */
+    /** Move the view to a location in the upright frame (metres, z up), at a distance `away`. */
     flyTo(target, away) {
       const { eye, target: before } = view.view();
       const from = new Vector3(...eye).sub(new Vector3(...before)).setLength(away);

@@ -1,9 +1,9 @@
-// Where the cameras were, from above.
+// Map of the camera positions, seen from above.
 const SVG = "http://www.w3.org/2000/svg";
 const SIZE = 360;
 const ROOM = 14;
 
-/** Return a drawing of the cameras' way, from above; those with a photo are buttons. */
+/** Create an SVG map of the camera path; cameras with a photo are buttons. */
 export function plan(cameras, chosen, unit) {
   const places = cameras.map(({ pose }) => [pose[3], -pose[7]]);
   const [low, high] = [Math.min, Math.max].map((least) => [0, 1].map((axis) => least(...places.map((place) => place[axis]))));
@@ -12,8 +12,8 @@ export function plan(cameras, chosen, unit) {
   const points = places.map((place) => place.map((value, axis) => ROOM + (value - low[axis]) * scale));
   const size = [0, 1].map((axis) => 2 * ROOM + (high[axis] - low[axis]) * scale);
   const drawing = made("svg", { viewBox: `0 0 ${size[0]} ${size[1]}`, class: "plan" });
-  drawing.setAttribute("aria-label", `The way of ${cameras.length} cameras from above, ${span.toPrecision(2)} ${unit} across`);
-  // What was held out stands after all others, wherever it was taken.
+  drawing.setAttribute("aria-label", `Path of ${cameras.length} cameras from above, ${span.toPrecision(2)} ${unit} across`);
+  // Held-out frames are last in the list instead of in order of time, so the path excludes them.
   const way = points.filter((_, number) => cameras[number].mark !== "held out");
   drawing.append(made("polyline", { points: way.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ") }));
   cameras.forEach(({ frame, photo, mark = "" }, number) => {

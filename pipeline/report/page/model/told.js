@@ -1,9 +1,9 @@
 import { frames } from "./frames.js";
 import { plan } from "./plan.js";
 
-// What is told of a run below its picture: warnings first, then stages, then all else.
+// Report data below the picture: warnings, tables, frames, texts.
 
-/** Fill an element with what the content holds; nothing of it is read as HTML. */
+/** Show the report data in an element; no text is interpreted as HTML. */
 export function tell(place, { warnings = [], tables = [], texts = [], cameras = [], frames: sentence = "", unit = "m" }) {
   if (!warnings.length && !tables.length && !texts.length && !cameras.length) return;
   document.body.classList.add("told");
@@ -29,7 +29,7 @@ export function tell(place, { warnings = [], tables = [], texts = [], cameras = 
   }
 }
 
-/** A text that unfolds, and can be copied. */
+/** Create a collapsible text with a button that copies it. */
 function folded(title, text) {
   const made = document.createElement("details");
   const written = element("pre", text);
@@ -42,7 +42,7 @@ function folded(title, text) {
       await navigator.clipboard.writeText(text);
       copy.textContent = "copied";
     } catch {
-      // Where pages may not, a person can: it is all chosen.
+      // Without clipboard access, select the text for manual copying.
       getSelection().selectAllChildren(written);
       written.focus();
     }
@@ -57,7 +57,7 @@ function table(head, rows, places) {
     const top = made.createTHead().insertRow();
     for (const [column, name] of head.entries()) {
       const cell = element(name ? "th" : "td", name);
-      // A heading stands over what is below it.
+      // Align headings with their column.
       if (rows.length && rows.every((row) => isNumber(row[column]))) cell.className = "number";
       if (name) cell.scope = "col";
       top.append(cell);
@@ -67,7 +67,7 @@ function table(head, rows, places) {
   rows.forEach((row, number) => {
     const line = body.insertRow();
     for (const [column, value] of row.entries()) {
-      // What has no heading above it is named by what stands before it.
+      // Without a column heading, the first column contains row headings.
       const cell = column === 0 && !head[0] ? document.createElement("th") : line.insertCell();
       if (cell.tagName === "TH") {
         cell.scope = "row";
@@ -83,7 +83,7 @@ function table(head, rows, places) {
   return wide;
 }
 
-/** A button that brings the camera to a place, or to where one should look at it from. */
+/** Create a button that moves the view to a location, or to a suggested viewpoint of it. */
 function flight({ target, away, eye }) {
   const button = element("button", "fly there");
   button.type = "button";

@@ -1,7 +1,7 @@
-// Settings in the page's address, so that a view can be kept as a link:
+// Settings in the URL fragment, so that a view can be saved as a link:
 // #eye=1,2,3&target=0,0,0&fov=50&error=4&mode=levels&wireframe=1
 
-/** The settings that are named after the #; what makes no sense is left out. */
+/** Parse the settings of a URL fragment, ignoring invalid ones. */
 export function settingsOf(hash) {
   const words = new URLSearchParams(hash.replace(/^#/, ""));
   const settings = {};

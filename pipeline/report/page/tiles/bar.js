@@ -1,8 +1,8 @@
-// The controls below the picture, and the figures of what is drawn.
+// Controls below the picture, and statistics of the drawn tiles.
 
 const WHOLE = new Intl.NumberFormat("en");
 
-/** Tie the controls of a form to a picture; `show` puts them where the picture's settings are. */
+/** Connect the controls of a form to the picture; `show` updates them from its settings. */
 export function bar(form, picture) {
   const { target, mode, wireframe, all } = form.elements;
   const pixels = form.querySelector("#target-px");
@@ -34,7 +34,7 @@ function sentence({ triangles, tilesDrawn, tilesLoaded, errorM }) {
   return `${WHOLE.format(triangles)} triangles · ${tilesDrawn} of ${tilesLoaded} loaded tiles drawn${proven}`;
 }
 
-/** A length with three digits, rounded up: it is a bound. */
+/** Format a length with three digits, rounded up because it is a bound. */
 function length(metres) {
   const [value, unit] = metres < 1e-3 ? [metres * 1e6, "µm"] : metres < 1 ? [metres * 1e3, "mm"] : [metres, "m"];
   if (!(value > 0)) return `0 ${unit}`;

@@ -1,15 +1,15 @@
-// Where the picture is taken from. Positions outside this file are in the tileset's frame, metres, z up;
-// three.js has y up.
+// Orbit camera. Positions outside this file are in the frame of the tileset or model (metres, z up);
+// three.js uses y up.
 import { OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } from "../library.js";
 
-const FIELD_OF_VIEW = 50; // degrees, of the picture's height
-// From the front and somewhat above, as z-up models are turned.
+const FIELD_OF_VIEW = 50; // vertical, degrees
+// Initial direction from model to camera: from the front and slightly above, y up.
 const FIRST_LOOK = new Vector3(0.45, 0.4, 1).normalize();
-const LEVEL = 0.2; // of where a surface looks: less says nothing of a side
-const ROOM = 1.15; // around the model when all of it is seen
-const TURN = Math.PI / 36; // of an arrow key
-const STEP = 0.85; // of + and -, a share of the distance
-// Nothing nearer than this share of the model's radius is drawn: depth has few bits.
+const LEVEL = 0.2; // minimum horizontal component of the mean normal to choose a front side
+const ROOM = 1.15; // margin around the model in the overview
+const TURN = Math.PI / 36; // rotation per arrow key
+const STEP = 0.85; // factor on the distance per + or - key
+// Minimum near plane as a ratio of the model radius: a smaller one would waste depth buffer precision.
 const NEAREST = 1e-3;
 
 const intoScene = ([x, y, z]) => new Vector3(x, z, -y);
@@ -17,17 +17,17 @@ export const outOfScene = ({ x, y, z }) => [x, -z, y];
 const cornersOf = ({ min, max }) =>
   [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z))));
 
-/** A camera that orbits a model, moved by pointer, wheel and keys on a canvas; `onMove` is called when it has moved. */
+/** Create a camera that orbits a model, controlled by pointer, wheel and keys; `onMove` is called after movements. */
 export function orbitingCamera(canvas, onMove) {
   const camera = new PerspectiveCamera(FIELD_OF_VIEW, 1);
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
   controls.addEventListener("change", onMove);
   const whole = new Sphere(new Vector3(), 1);
-  let points = [new Vector3()]; // that are to be seen when all of it is shown
-  const look = FIRST_LOOK.clone(); // from the model to the eye, when all of it is shown
+  let points = [new Vector3()]; // points that the overview must include
+  const look = FIRST_LOOK.clone(); // direction from the model to the camera in the overview
 
-  /** Fit the depth that is drawn to the model. */
+  /** Fit the near and far planes to the model. */
   function fitDepth() {
     const away = camera.position.distanceTo(whole.center);
     camera.near = Math.max(away - 1.05 * whole.radius, NEAREST * whole.radius);
@@ -44,13 +44,13 @@ export function orbitingCamera(canvas, onMove) {
     onMove();
   }
 
-  /** Go as near as all of the model's points are seen, whatever the picture's shape. */
+  /** Move as close as all points of the model remain visible, for any aspect ratio. */
   function showAll() {
     const tall = Math.tan((camera.fov * Math.PI) / 360) / ROOM;
     const right = new Vector3(0, 1, 0).cross(look).normalize();
     const up = look.clone().cross(right);
     const [across, high] = [[right, tall * camera.aspect], [up, tall]].map(([axis, slope]) => {
-      // |x - eye| <= slope (away - z) for all points: both sides bound where the eye is.
+      // |x - eye| <= slope (away - z) for all points bounds the camera position from both sides.
       const [lower, upper] = [-1, 1].map((side) =>
         points.reduce((most, point) => Math.max(most, (side * point.dot(axis)) / slope + point.dot(look)), -Infinity),
       );
@@ -86,14 +86,14 @@ export function orbitingCamera(canvas, onMove) {
     fitDepth,
     showAll,
     /**
-     * Tell what there is to be seen: a box in the scene, where its surface looks, if it was seen from one side, and
-     * points of it, if it is known better than by its corners.
+     * Set the model: its box in the scene, its mean normal `facing` if it was seen from one side, and sample points
+     * `known` of its surface, which replace the corners of the box.
      */
     setModel(box, facing, known) {
       points = known?.length ? known : cornersOf(box);
       const toward = facing ? intoScene(facing) : new Vector3();
       const front = new Vector3(toward.x, 0, toward.z);
-      // What looks up or down is seen as all else is.
+      // A surface that faces up or down has no front side: keep the initial direction.
       if (front.length() > LEVEL) look.copy(front.normalize()).setY(FIRST_LOOK.y / FIRST_LOOK.z).normalize();
       box.getBoundingSphere(whole);
       controls.minDistance = NEAREST * whole.radius;

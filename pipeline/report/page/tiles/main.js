@@ -1,11 +1,11 @@
-// The page of a tileset: a picture, a bar of controls, and `window.scanloom` for scripts.
+// Page of a tileset: picture, controls, and `window.scanloom` for scripts.
 import { bar } from "./bar.js";
 import { settingsOf } from "./address.js";
 import { picture } from "./picture.js";
 
 const message = document.getElementById("message");
 
-/** Say instead of the picture what went wrong; a page that stays empty would say nothing. */
+/** Show an error message instead of the picture. */
 function fail(text) {
   message.textContent = text;
   message.hidden = false;
@@ -23,7 +23,7 @@ function start() {
   };
   addEventListener("hashchange", apply);
   apply();
-  // What scripts and tests drive the picture with; see picture.js.
+  // Interface for scripts and tests; see picture.js.
   window.scanloom = drawn;
 }
 

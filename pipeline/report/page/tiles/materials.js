@@ -1,16 +1,16 @@
-// How tiles look: as they are, or a colour for each level, which shows where one ends.
+// Materials of tiles: their own, or one colour per level of detail.
 import { Color, DoubleSide, MeshBasicMaterial, MeshLambertMaterial } from "../library.js";
 
-// From the root on: apart from each other for eyes that tell no red from green, too.
+// Colours by level, root first; distinguishable for the colour-blind.
 const LEVELS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999"];
-const BARE = "#7f8894"; // lines of a mesh without colours, on light and dark paper
+const BARE = "#7f8894"; // wireframe of a mesh without colours, visible on light and dark backgrounds
 
-/** The looks of all tiles; `dress` gives a mesh of some level the one that is chosen. */
+/** Create the materials of all tiles; `dress` assigns the chosen material to a mesh of a level. */
 export function looks() {
   const ofLevel = LEVELS.map(
     (color) => new MeshLambertMaterial({ color: new Color(color), side: DoubleSide, flatShading: true }),
   );
-  // Lines have no side that light could fall on.
+  // Wireframes are unlit, because lines have no normals.
   const lines = [...LEVELS, BARE].map((color) => new MeshBasicMaterial({ color: new Color(color), wireframe: true }));
   const own = new WeakMap();
 
@@ -26,7 +26,7 @@ export function looks() {
       if (!own.has(mesh)) own.set(mesh, mesh.material);
       mesh.material = chosen(own.get(mesh), level % LEVELS.length, settings);
     },
-    /** Give back what the tile came with, which its renderer puts away. */
+    /** Restore the original material, so that the tile renderer can dispose of it. */
     undress(mesh) {
       if (own.has(mesh)) mesh.material = own.get(mesh);
     },

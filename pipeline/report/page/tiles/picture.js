@@ -1,4 +1,4 @@
-// The picture of a tileset: what is loaded, drawn again whenever something has changed, and only then.
+// Picture of the loaded tiles of a tileset, redrawn only after changes.
 import {
   Box3,
   DirectionalLight,
@@ -13,9 +13,9 @@ import { orbitingCamera } from "./camera.js";
 import { looks } from "./materials.js";
 
 const DEFAULTS = { error: 2, mode: "colors", wireframe: false };
-const MOST_PIXELS = 2; // of the screen to one of the page: more are not seen
+const MOST_PIXELS = 2; // maximum device pixels per CSS pixel: more make no visible difference
 
-/** Of a tileset at the top of a server the library asks for //tiles/…, which not every server takes for /tiles/… */
+/** Normalise URLs: for a tileset at the root of a server, the library requests //tiles/…, which some servers reject. */
 const singleSlash = {
   preprocessURL(address) {
     const url = new URL(address);
@@ -28,13 +28,13 @@ const singleSlash = {
  * Draw the tileset at an address on a canvas.
  *
  * Returns
- *   set({eye, target, fov, error, mode, wireframe}): any of them; positions in the tileset's frame, metres, z up;
- *     fov in degrees of the height; error in pixels; mode "colors" or "levels".
- *   settings(), view(): what is set, and from where it is seen.
- *   showAll(): see all of the model.
- *   settled(): a promise kept when all tiles that the view asks for are loaded and drawn.
- *   figures(): triangles, tilesDrawn, tilesLoaded, levels (drawn, by number), errorM (largest proven one, or null).
- *   onChange(call): called after each drawing.
+ *   set({eye, target, fov, error, mode, wireframe}): change any of these; positions in the frame of the tileset
+ *     (metres, z up), vertical fov in degrees, error in pixels, mode "colors" or "levels".
+ *   settings(), view(): return the current settings, and the current view.
+ *   showAll(): view the whole model.
+ *   settled(): return a promise that resolves after all tiles of the view are loaded and drawn.
+ *   figures(): return triangles, tilesDrawn, tilesLoaded, levels (drawn), errorM (largest proven error, or null).
+ *   onChange(call): call a function after each drawing.
  */
 export function picture(canvas, address, { onReady, onError }) {
   const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
@@ -42,7 +42,7 @@ export function picture(canvas, address, { onReady, onError }) {
   const settings = { ...DEFAULTS };
   const dressing = looks();
   const listeners = [];
-  let wanted = {}; // a view that was asked for before there was anything to see
+  let wanted = {}; // view requested before the tileset was loaded
   let isPlaced = false;
   let hasShown = false;
   let scheduled = 0;
@@ -51,9 +51,9 @@ export function picture(canvas, address, { onReady, onError }) {
   const tiles = new TilesRenderer(address);
   tiles.registerPlugin(new GLTFExtensionsPlugin({ meshoptDecoder: MeshoptDecoder, metadata: false, rtc: false }));
   tiles.registerPlugin(singleSlash);
-  // The root alone at first: something is seen after its few bytes.
+  // Load only the root at first, because it is small and shows the model quickly.
   tiles.errorTarget = Infinity;
-  tiles.group.rotation.x = -Math.PI / 2; // z up as y up
+  tiles.group.rotation.x = -Math.PI / 2; // z up to y up
   const scene = new Scene();
   scene.add(tiles.group);
   const orbit = orbitingCamera(canvas, request);
@@ -68,7 +68,7 @@ export function picture(canvas, address, { onReady, onError }) {
 
   function draw() {
     scheduled = 0;
-    // Before the camera stands somewhere, tiles would be chosen for nowhere: this only asks for the tileset.
+    // Without a camera position no tiles can be selected: only request the tileset.
     if (!isPlaced) return tiles.update();
     orbit.fitDepth();
     tiles.update();
@@ -138,11 +138,11 @@ export function picture(canvas, address, { onReady, onError }) {
     settings: () => ({ ...settings }),
     view: orbit.view,
     showAll() {
-      resize(); // the observer tells of a new size later
+      resize(); // the observer reports a new size later
       orbit.showAll();
     },
     async settled() {
-      // Quiet for some drawings: what is loaded in one is shown, or asks for more, in the next.
+      // Require several idle drawings: tiles loaded in one drawing may request more in the next.
       for (let quiet = 0; quiet < 4; ) {
         const before = drawings;
         request();

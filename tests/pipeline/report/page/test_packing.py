@@ -45,8 +45,8 @@ def test_models_are_made_lighter_until_it_fits_the_first_last() -> None:
     assert len(smaller) <= complete - 40_000
     assert triangles(smaller)["main"] == triangles(smaller)["look"] < 7200
     told = {one["name"]: one for one in shown(smaller)["models"]}
-    assert told["main"]["note"] == "first, of 7,200, for this page"
-    assert told["look"]["note"] == "of it, of 7,200, for this page"
+    assert told["main"]["note"] == "first, reduced from 7,200 for this page"
+    assert told["look"]["note"] == "of it, reduced from 7,200 for this page"
     assert smaller == packed_page("t", models(), complete - 40_000)
 
 
@@ -69,7 +69,7 @@ def test_a_page_that_cannot_be_small_enough_says_so() -> None:
         page = packed_page("t", models(), 1000)
     assert len(page) > 1000
     assert [str(one) for one in diagnostics] == [
-        f"the page takes {len(page):,} bytes, more than 1,000, as small as it gets."
+        f"the page has {len(page):,} bytes, more than 1,000, and cannot be reduced further."
     ]
 
 

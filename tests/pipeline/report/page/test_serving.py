@@ -204,5 +204,5 @@ def test_only_this_machine_is_answered(server: FolderServer) -> None:
 def test_what_cannot_be_served_is_told(server: FolderServer, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such folder"):
         FolderServer(tmp_path / "absent")
-    with pytest.raises(StageError, match=f"port {server.server_port} cannot be listened on: "):
+    with pytest.raises(StageError, match=f"cannot listen on port {server.server_port}: "):
         FolderServer(tmp_path, server.server_port)

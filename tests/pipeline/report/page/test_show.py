@@ -90,13 +90,18 @@ def test_other_libraries_meshes_and_results_are_taken(tmp_path: Path) -> None:
 def test_a_page_keeps_to_its_size() -> None:
     large = show(sheet(250, noise=0.01), page_size=1.5)
     assert len(large.html) <= 1_500_000
-    assert b"of 125,000, for this page" in large.html
+    assert b"reduced from 125,000 for this page" in large.html
 
 
 @pytest.mark.parametrize(
     ("thing", "how", "error", "told"),
     [
-        (Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), {}, MeshError, "mesh: there are no triangles"),
+        (
+            Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)),
+            {},
+            MeshError,
+            "mesh: the mesh has no triangles",
+        ),
         (5, {"title": "five"}, MeshError, "five: is a int"),
         (sheet(2), {"beside": {"other": 5}}, MeshError, "other: is a int"),
         (sheet(2), {"up": "z"}, UsageError, "up is 'z'"),
