@@ -25,7 +25,8 @@ def test_every_parameter_it_names_exists():
         known[one.name] = known.get(one.name, set()) | one.names
     sections = "|".join(known)
     named = re.findall(
-        rf"`({sections})\.(?!(?:\w+\.)?(?:json|ply|txt|slod|glb|html|md|csv|parquet)\b)([\w.]+)(?:=[^`]*)?`", MANUAL
+        rf"`({sections})\.(?!(?:\w+\.)?(?:json|ply|txt|slod|glb|html|md|csv|parquet)\b)([\w.]+)(?:=[^`]*)?`",
+        MANUAL,
     )
     assert len(named) > 60
     for section, name in named:

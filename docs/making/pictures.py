@@ -18,7 +18,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 TO = ROOT / "docs" / "tutorial"
 _WIDTH = 480
-# The picture of the README, next to the tutorial's folder: the photo, and twice its mesh from the photo's camera.
+# The picture of the README: a photo, and the mesh from its camera without and with texture.
 _README = "../scan-to-mesh.jpg"
 _PHOTO = 5
 _QUALITY = 85
