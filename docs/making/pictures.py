@@ -1,4 +1,4 @@
-"""Make the pictures of docs/tutorial.md again, by its own commands.
+"""Make the picture of README.md and the pictures of docs/tutorial.md again, by their own commands.
 
     PYTHONPATH=.:docs python -m making.pictures
 
@@ -7,6 +7,7 @@ The page is drawn by headless Chromium (playwright, of the extra `dev`).
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,9 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 TO = ROOT / "docs" / "tutorial"
 _WIDTH = 480
+# The picture of the README: a photo, and the mesh from its camera without and with texture.
+_README = "../scan-to-mesh.jpg"
+_PHOTO = 5
 _QUALITY = 85
 _PAGE = (900, 640)
 
@@ -27,6 +31,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         here = Path(folder)
         (here / "samples").symlink_to(ROOT / "samples")
+        _draw_readme(here)
         _scanloom(here, "inspect samples/rgbd --picture scan.png")
         _keep([here / "scan.png"], "scan.jpg", 900)
         _scanloom(here, "run samples/rgbd -o my_mesh")
@@ -45,6 +50,17 @@ def _scanloom(here: Path, words: str) -> None:
     )
 
 
+def _draw_readme(here: Path) -> None:
+    """Draw a photo, the mesh without texture and the mesh with texture side by side."""
+    _scanloom(here, "run samples/rgbd -o best --quality best --set report.enabled=false")
+    # Viewpoint 1 is an overview, and viewpoint 2 a camera of the middle of the path.
+    common = "--scan samples/rgbd --viewpoint 2 --width 960"
+    _scanloom(here, f"render best/textured.glb shape.png --shading plain {common}")
+    _scanloom(here, f"render best/textured.glb texture.png --shading unlit {common}")
+    photo = here / "samples" / "rgbd" / "color" / f"{_PHOTO - 1:04}.jpg"
+    _keep([photo, here / "shape.png", here / "texture.png"], _README, 620, gap=8)
+
+
 def _drawn(here: Path, name: str) -> None:
     """Draw the textured mesh and its triangles, from where the scan looked."""
     common = f"--scan samples/rgbd --width {_WIDTH}"
@@ -58,7 +74,8 @@ def _page(page: Path, picture: Path) -> None:
 
     switches = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=switches)
+        program = shutil.which("chromium-headless-shell") or shutil.which("chromium")
+        browser = playwright.chromium.launch(executable_path=program, args=switches)
         opened = browser.new_page(viewport={"width": _PAGE[0], "height": _PAGE[1]})
         opened.goto(page.as_uri())
         opened.wait_for_timeout(8000)
@@ -66,15 +83,16 @@ def _page(page: Path, picture: Path) -> None:
         browser.close()
 
 
-def _keep(parts: list[Path], name: str, width: int) -> None:
-    """Put pictures side by side, each at most so wide, and write them small."""
+def _keep(parts: list[Path], name: str, width: int, gap: int = 0) -> None:
+    """Put pictures of one width side by side, and write them as a JPEG file."""
     images = [Image.open(part).convert("RGB") for part in parts]
     images = [
         one.resize((width, round(one.height * width / one.width)), Image.Resampling.LANCZOS) for one in images
     ]
-    whole = Image.new("RGB", (sum(one.width for one in images), images[0].height))
+    size = (len(images) * (width + gap) - gap, images[0].height)
+    whole = Image.new("RGB", size, "white")
     for number, one in enumerate(images):
-        whole.paste(one, (number * width, 0))
+        whole.paste(one, (number * (width + gap), 0))
     whole.save(TO / name, quality=_QUALITY, optimize=True)
 
 

@@ -240,7 +240,7 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             "--set worker.worker_timeout is inf",
         ),
         (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
-        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
+        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only processes nothing"),
         (("batch", "scans", "-o", "out", "--set", "batch.dusk=slurm"), 2, "did you mean batch.dask?"),
         (("batch", "scans", "-o", "taken"), 3, "index.html: this file was not written by a batch"),
         (("batch", "scans", "-o", "taken/index.html"), 3, "this is a file; results need a folder"),
