@@ -1,9 +1,9 @@
-"""Deform a marked part of a mesh at the detail that it needs: the whole way of docs/recipes/deform.md.
+"""Deform a marked part of a mesh, refined where it bends; explained in docs/recipes/deform.md.
 
     python docs/recipes/deform.py OUT [--mesh FILE --center X Y Z --radius M --reach M --move X Y Z ...]
 
-Without a mesh it makes a grooved bar. OUT gets front.ply, deformed.ply, adjusted.ply, repaired.ply and
-deform.png, a picture of the four.
+Without a mesh, a bar with grooves is generated. OUT gets front.ply, deformed.ply, adjusted.ply,
+repaired.ply and deform.png, a picture of the four.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from scanloom.stages.picturing.render import write_png
 
 Floats = NDArray[np.float64]
 
-# Where neighbouring triangles turn by more than this, degrees, the front is too coarse for the bend.
+# Degrees. The front is too coarse if neighbouring triangles turn by more than this.
 MOST_BEND = 6.0
-# A triangle with a smaller angle, degrees, is repaired.
+# Degrees. Triangles with a smaller angle are repaired.
 LEAST_ANGLE = 3.0
-# Triangles that a front may have.
+# Maximum number of triangles of a front.
 LIMIT = 20_000
 ITERATIONS = 40
 
 
 @dataclass(frozen=True)
 class Handle:
-    """What is moved: all within a sphere, as one; what is farther than `reach` from its middle stays.
+    """Handle of a deformation: a sphere that moves rigidly; vertices beyond `reach` stay.
 
     Attributes
     ----------
@@ -60,45 +60,45 @@ class Handle:
 
     @property
     def region(self) -> Sphere:
-        """The part that is marked: all that moves by itself."""
+        """Marked region, which moves rigidly."""
         return Sphere(center=self.center, radius=self.radius, lock=True)
 
     def held(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (n, 3) stay."""
+        """Select the points (n, 3) that stay."""
         return np.asarray(np.linalg.norm(points - self.center, axis=1) > self.reach)
 
     def moved(self, points: Floats) -> Floats:
-        """Return points (n, 3) as the handle moves them."""
+        """Move points (n, 3) with the handle."""
         turn = Rotation.from_rotvec(np.radians(self.turn) * np.array(self.axis))
         return np.asarray(turn.apply(points - self.center) + self.center + self.move)
 
 
 @dataclass(frozen=True)
 class Bent:
-    """Where a deformed front bends: a region of the mesh as it was."""
+    """Region of the undeformed mesh that bends."""
 
     tree: cKDTree
     is_bent: NDArray[np.bool_]
 
     def holds(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (n, 3) have a bent vertex of the front nearest to them."""
+        """Select the points (n, 3) whose nearest vertex of the front is bent."""
         _, nearest = self.tree.query(points)
         return np.asarray(self.is_bent[nearest])
 
 
 @dataclass(frozen=True)
 class Deformed:
-    """What comes out, step by step.
+    """Meshes and metrics of each step.
 
     Attributes
     ----------
-    front : the mesh that was refined where it is marked.
-    deformed : it, deformed.
-    adjusted : what is adjusted to the bend, deformed in the same way.
-    repaired : it without irregular triangles, as far as that goes.
-    bends : the largest turn between neighbours that deforming made, degrees, of deformed and adjusted.
-    irregular : caps, needles, folds and spikes of adjusted and of repaired.
-    moved_m : how far repairs moved the surface at most, proven.
+    front : undeformed mesh, refined in the marked region.
+    deformed : deformed front.
+    adjusted : deformed mesh, refined where it bends.
+    repaired : the adjusted mesh after repairs.
+    bends : maximum change of the angle between neighbouring triangles, degrees, of deformed and adjusted.
+    irregular : number of caps, needles, folds and spikes, of adjusted and repaired.
+    moved_m : proven bound on the motion of the surface by repairs.
     """
 
     front: Mesh
@@ -140,12 +140,11 @@ def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deforme
 def urgency(
     hierarchy: lod.Hierarchy, view: lod.View, region: Region, *, in_full: bool = False
 ) -> measures.Weights:
-    """Return the paper's measures for a region; of the view its error counts, and not the outline.
+    """Compute the paper's measures for a region, without the outline measure.
 
     Parameters
     ----------
-    in_full : a cell of which only a little is in the region is as urgent as one that is all of it, so that
-        nothing of the region stays coarse.
+    in_full : cells that touch the region count as fully inside, so that no part of the region stays coarse.
     """
     found = lod.evaluate(hierarchy, view, region)
     nothing = np.zeros(hierarchy.nodes)
@@ -157,14 +156,14 @@ def urgency(
 
 
 def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
-    """Return a mesh whose handle has moved.
+    """Deform a mesh by moving its handle.
 
     After Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
 
     Raises
     ------
     UsageError
-        If nothing of the mesh is in the handle, or nothing is held.
+        If no vertex is in the handle, or no vertex stays.
     """
     points = mesh.vertices
     inside, held = handle.region.holds(points), handle.held(points)
@@ -183,7 +182,7 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
 
 
 def bends(before: Mesh, after: Mesh) -> Floats:
-    """Return how much deforming turned triangles at each vertex (n,) against their neighbours, degrees."""
+    """Compute the maximum change of the angle between triangles at each vertex (n,), degrees."""
     sides = np.concatenate([before.triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     triangle = np.tile(np.arange(len(before.triangles)), 3)
     order = np.lexsort(np.sort(sides, axis=1).T)
@@ -208,13 +207,13 @@ def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> F
 
 
 def irregular(mesh: Mesh) -> int:
-    """Return how much there is that repairs are for: caps, needles, folds, spikes and the like."""
+    """Count the defects that repairs can remove: caps, needles, folds, spikes and the like."""
     found = check(mesh, corner_angle=LEAST_ANGLE).figures()["classes"]
     return sum(one["count"] for one in found.values() if one["treatment"] == "marking")
 
 
 def view_of(mesh: Mesh) -> lod.View:
-    """Return a view of all of a mesh from the front, small: where nothing is marked, little is wanted."""
+    """Return a small view of the whole mesh from the front, for low detail outside the region."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     eye = middle - np.array((0.0, 1.4 * size, 0.0))
@@ -241,7 +240,7 @@ def bar(around: int = 48, along: int = 90) -> Mesh:
 
 
 def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
-    """Return the four meshes side by side, with their triangles, as seen along x or y, z up."""
+    """Render the four meshes side by side, with their triangles, along x or y, z up."""
     steps = (found.front, found.deformed, found.adjusted, found.repaired)
     points = np.concatenate([mesh.vertices for mesh in steps])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -259,16 +258,16 @@ def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
 
 
 def main(words: Sequence[str] | None = None) -> Deformed:
-    """Do it, write what comes out, and say what happened."""
+    """Deform, write meshes and picture, print a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--mesh", type=Path)
     parser.add_argument("--center", type=float, nargs=3, default=(0.0, 0.0, 2.0))
     parser.add_argument("--radius", type=float, default=0.35)
-    parser.add_argument("--reach", type=float, help="by default 4 radii")
+    parser.add_argument("--reach", type=float, help="default: 4 radii")
     parser.add_argument("--move", type=float, nargs=3, default=(0.75, 0.0, -0.3))
     parser.add_argument("--turn", type=float, default=70.0)
-    parser.add_argument("--along", choices=("x", "y"), default="y", help="where the picture looks")
+    parser.add_argument("--along", choices=("x", "y"), default="y", help="viewing direction of the picture")
     parser.add_argument("--cell-triangles", type=int, default=800)
     given = parser.parse_args(words)
     handle = Handle(

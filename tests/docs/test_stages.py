@@ -1,4 +1,4 @@
-"""Each stage has its page, which names what the stage has: figures, files, parameters."""
+"""Each stage has its page, which names what the stage has: metrics, files, parameters."""
 
 import re
 from pathlib import Path
@@ -29,10 +29,10 @@ def test_a_page_has_what_the_stage_has(stage):
     assert set(stage.sections) == set(re.findall(r"^```\{made\} parameters (\w+)$", text, flags=re.MULTILINE))
     for result in stage.results:
         assert result.rstrip("/") in text
-    (figures,) = re.findall(
-        r"^## Figures\n(.*?)^(?:Rules|More|Warnings)", text, flags=re.MULTILINE | re.DOTALL
+    (metrics,) = re.findall(
+        r"^## Metrics\n(.*?)^(?:Rules|More|Warnings)", text, flags=re.MULTILINE | re.DOTALL
     )
-    named = set(re.findall(r"`(\w+)`", figures))
+    named = set(re.findall(r"`(\w+)`", metrics))
     unknown = {name for name in named if not re.search(rf"[\"']{name}[\"']|\b{name}\b *[:=]", SOURCES)}
     assert named
     assert unknown == set()
