@@ -1,10 +1,10 @@
-"""What `--quality draft`, `standard` and `best` take, and what they come to.
+"""Cost and results of `--quality draft`, `standard` and `best`.
 
     python benches/quality.py SCAN [SCAN ...] [--truth MESH] [--quality draft ...]
 
-Every tenth frame is kept from all stages, and its photo compared with the result; a draft of many frames uses
-fewer, and so compares fewer. Seconds are of the processor, all threads together, report and page included.
-With `--truth`, also how far the result is off a mesh in the scans' world.
+Every tenth frame is held out, and its photo is compared with the result. A draft of a long scan uses fewer
+frames, so fewer are compared. Seconds are CPU time of all threads, including report and page. With `--truth`,
+the distance from a mesh in the scans' coordinates is reported as well.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ COLUMNS = (
 
 
 def row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
-    """Run a scan in a quality, from nothing, and return the cells of its row."""
+    """Run a scan without a cache; return the cells of its row."""
     with tempfile.TemporaryDirectory() as folder:
         out, begun = Path(folder) / "out", time.process_time()
         report = run(scan, out, Config.of(quality).set([f"scan.hold_out={HOLD_OUT}"])).report
