@@ -1,8 +1,9 @@
-"""A made building fused in bricks: what a frame costs and how much memory it takes, from few frames to many.
+"""Out-of-core fusion of a synthetic building: time and memory by frames.
 
-Makes the building (or takes one that `benches/building.py` has made: --building FOLDER), and fuses its first
-frames at 1 cm, each number of them in a process of its own. Then the same by runs that are killed (`kill -9`)
-at random until one ends: how many bricks it took over, and whether the mesh is that of the quiet run.
+Makes the building (or uses --building FOLDER, written by `benches/building.py`) and fuses its first frames at
+1 cm, in a separate process for each number of frames. The fusion is then repeated by runs that are killed
+(`kill -9`) at random until one completes. The table shows the bricks reused from killed runs, and if the mesh
+has the same bytes as the undisturbed one.
 """
 
 from __future__ import annotations
@@ -71,13 +72,13 @@ def bricks(
 
 
 def remove(out: Path) -> None:
-    """Remove results and their cache: of a building they take gigabytes."""
+    """Remove results and their cache, which take gigabytes."""
     for folder in (out, Path(f"{out}-cache")):
         shutil.rmtree(folder)
 
 
 def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
-    """Draw what a frame costs, ms of CPU, and peak memory, MB, over the number of frames."""
+    """Plot CPU time per frame (ms) and peak memory (MB)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 2.8), layout="constrained")
@@ -92,7 +93,7 @@ def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
 
 
 def first_frames(building: Path, folder: Path, count: int) -> Path:
-    """Write a scan of the first frames of a building, whose images are links."""
+    """Write a scan of a building's first frames, with linked images."""
     folder.mkdir()
     for kind in ("color", "depth"):
         (folder / kind).symlink_to(building / kind)
@@ -107,7 +108,10 @@ def first_frames(building: Path, folder: Path, count: int) -> Path:
 
 
 def command(scan: Path, out: Path, memory: float) -> list[str]:
-    """Return the command that fuses a scan in bricks, with a cache of its own."""
+    """Make the command that fuses a scan in bricks.
+
+    Each output folder gets a separate cache.
+    """
     settings = (
         f"fuse.voxel_size={VOXEL_SIZE}",
         "fuse.brick_size=4",
@@ -131,7 +135,10 @@ def command(scan: Path, out: Path, memory: float) -> list[str]:
 
 
 def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
-    """Fuse a scan in peace; return the folder, the stage's part of the report, and processor seconds."""
+    """Fuse a scan without disturbance.
+
+    Returns the output folder, the stage's part of the report, and CPU seconds.
+    """
     before = os.times()
     subprocess.run(command(scan, out, memory), check=True)
     after = os.times()
@@ -140,7 +147,10 @@ def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
 
 
 def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, int]:
-    """Fuse a scan by runs that are killed at random, until one ends; return kills, bricks taken over."""
+    """Fuse a scan by randomly killed runs, until one completes.
+
+    Returns the number of kills and of bricks that the last run reused.
+    """
     draw, kills, longest = random.Random(seed), 0, 4.0
     while True:
         run = subprocess.Popen(command(scan, out, memory))
@@ -153,14 +163,14 @@ def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[
         os.kill(run.pid, signal.SIGKILL)
         run.wait()
         kills += 1
-        # It has to end some time, however large it is.
+        # A growing limit makes sure that some run completes.
         longest *= 1.5
     figures = json.loads((out / "report.json").read_text())["stages"]["fuse"]["figures"]
     return kills, figures["bricks"] - figures["bricks_fused"]
 
 
 def add_to(commands: Any) -> None:
-    """Add the command `bricks` to those of a parser."""
+    """Add the command `bricks` to a parser."""
     parser = commands.add_parser("bricks", description=__doc__)
     parser.add_argument("--building", type=Path, help="made by benches/building.py")
     parser.add_argument("--frames", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000])
