@@ -1,10 +1,10 @@
 """Near-planar patches at ten bounds.
 
-A looser bound should not leave more triangles than a tighter one.
     python benches/planar_ladder.py DATA
 
-DATA holds `meshes/`. Bounds are relative to the diagonal of the bounding box. Each cell has the triangle
-count, and CPU seconds over all threads in parentheses.
+DATA holds `meshes/`. Bounds are relative to the diagonal of the bounding box. A looser bound should not leave
+more triangles than a tighter one. Each cell has the triangle count, and CPU seconds over all threads in
+parentheses.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def revolved(profile: NDArray[np.float64], around: int, *, ends: tuple[bool, bool] = (True, True)) -> Mesh:
-    """Revolve a profile about the z axis. The outside is on the right of the profile.
+    """Revolve a profile about the z axis.
 
     Parameters
     ----------
-    profile : (k, 2) radius and height.
+    profile : (k, 2) radius and height; the outside is on its right.
     around : number of steps about the axis.
     ends : the first and the last point are on the axis and become one vertex each.
     """

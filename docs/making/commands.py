@@ -1,4 +1,4 @@
-"""All commands with their arguments and options, from the typer app itself."""
+"""Reference of all commands with arguments and options, from the typer app."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from scanloom.cli.app import app
 
 
 def reference() -> str:
-    """Return a section for each command, in the order of the help."""
+    """Write a section for each command, in the order of the help."""
     return "\n\n".join(_section(name, command) for name, command in named())
 
 
 def named() -> Iterator[tuple[str, Any]]:
-    """Return every command that does something, with the words that call it: `lod tiles`."""
+    """Yield every command with the words that call it: `lod tiles`."""
     for name, command in get_command(app()).commands.items():  # type: ignore[attr-defined]
         if hasattr(command, "commands"):
             for own, below in command.commands.items():
@@ -40,7 +40,7 @@ def _section(name: str, command: Any) -> str:
     context = command.context_class(command)
     for panel, group in groupby(sorted(options, key=_is_common), key=_panel):
         written.append(f"**{escaped(panel)}**")
-        # What the help of typer shows of an option: its names, and what it takes.
+        # As typer's help shows an option: its names and its value type.
         entries = ((code(option.get_help_record(context)[0]), _help(option), "") for option in group)
         written.append(definitions(entries))
     return "\n\n".join(written)
@@ -51,7 +51,10 @@ def _panel(option: Any) -> str:
 
 
 def _is_common(option: Any) -> bool:
-    """Sort what is of all commands behind what is of this one; the rest stays in the order of the help."""
+    """Check if an option is common to all commands.
+
+    As sort key, it moves common options to the end and keeps the order of the help otherwise.
+    """
     return _panel(option) == "Output"
 
 
@@ -65,12 +68,12 @@ def _help(parameter: Any) -> str:
 
 
 def _plain(text: str) -> str:
-    # Texts of options are protected against rich's markup.
+    # Option texts are escaped for rich markup.
     return text.replace(r"\[", "[").strip()
 
 
 def _text(text: str | None) -> str:
-    """Return a command's help, its examples as code."""
+    """Convert a command's help to Markdown, with examples as code."""
     written = []
     for paragraph in re.split(r"\n\s*\n", (text or "").strip()):
         example = re.fullmatch(r"Example:\s*(scanloom .*)", paragraph.strip(), flags=re.DOTALL)

@@ -1,8 +1,8 @@
-"""Make the pictures of docs/tutorial.md again, by its own commands.
+"""Generator of the pictures in docs/tutorial.md, with the commands of the tutorial.
 
     PYTHONPATH=.:docs python -m making.pictures
 
-The page is drawn by headless Chromium (playwright, of the extra `dev`).
+Headless Chromium draws the page (playwright, in the extra `dev`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _PAGE = (900, 640)
 
 
 def main() -> None:
-    """Run the tutorial's commands in a folder that goes away, and keep the pictures."""
+    """Run the tutorial's commands in a temporary folder and keep the pictures."""
     TO.mkdir(exist_ok=True)
     with TemporaryDirectory() as folder:
         here = Path(folder)
@@ -46,14 +46,14 @@ def _scanloom(here: Path, words: str) -> None:
 
 
 def _drawn(here: Path, name: str) -> None:
-    """Draw the textured mesh and its triangles, from where the scan looked."""
+    """Render the textured mesh and its triangles from the scan's viewpoint."""
     common = f"--scan samples/rgbd --width {_WIDTH}"
     _scanloom(here, f"render my_mesh/textured.glb {name}.png {common}")
     _scanloom(here, f"render my_mesh/textured.glb {name}-triangles.png --shading edges {common}")
 
 
 def _page(page: Path, picture: Path) -> None:
-    """Draw the page as a browser without a GPU shows it."""
+    """Take a screenshot of the page in a browser without a GPU."""
     from playwright.sync_api import sync_playwright
 
     switches = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
@@ -67,7 +67,12 @@ def _page(page: Path, picture: Path) -> None:
 
 
 def _keep(parts: list[Path], name: str, width: int) -> None:
-    """Put pictures side by side, each at most so wide, and write them small."""
+    """Join pictures side by side and save them as JPEG.
+
+    Parameters
+    ----------
+    width : of each picture, pixels.
+    """
     images = [Image.open(part).convert("RGB") for part in parts]
     images = [
         one.resize((width, round(one.height * width / one.width)), Image.Resampling.LANCZOS) for one in images

@@ -1,9 +1,9 @@
-"""Deform a marked part of a mesh at the detail that it needs: the whole way of docs/recipes/deform.md.
+"""Deformation of a marked part of a mesh, with detail where it bends.
 
     python docs/recipes/deform.py OUT [--mesh FILE --center X Y Z --radius M --reach M --move X Y Z ...]
 
-Without a mesh it makes a grooved bar. OUT gets front.ply, deformed.ply, adjusted.ply, repaired.ply and
-deform.png, a picture of the four.
+Without a mesh it makes a grooved bar. Writes front.ply, deformed.ply, adjusted.ply, repaired.ply and
+deform.png, a picture of the four, into OUT. See docs/recipes/deform.md.
 """
 
 from __future__ import annotations
@@ -30,23 +30,24 @@ from scanloom.stages.picturing.render import write_png
 
 Floats = NDArray[np.float64]
 
-# Where neighbouring triangles turn by more than this, degrees, the front is too coarse for the bend.
+# Degrees. If neighbouring triangles bend by more, the front is too coarse there.
 MOST_BEND = 6.0
-# A triangle with a smaller angle, degrees, is repaired.
+# Degrees. Triangles with a smaller angle are repaired.
 LEAST_ANGLE = 3.0
-# Triangles that a front may have.
+# Maximum number of triangles of a front.
 LIMIT = 20_000
 ITERATIONS = 40
 
 
 @dataclass(frozen=True)
 class Handle:
-    """What is moved: all within a sphere, as one; what is farther than `reach` from its middle stays.
+    """Handle of the deformation: a sphere that moves rigidly.
 
     Attributes
     ----------
     center : (x, y, z), metres.
-    radius, reach : metres.
+    radius : of the sphere, metres.
+    reach : points farther than this from the centre stay, metres.
     move : (x, y, z), metres.
     turn : degrees about `axis` through the centre.
     """
@@ -60,45 +61,45 @@ class Handle:
 
     @property
     def region(self) -> Sphere:
-        """The part that is marked: all that moves by itself."""
+        """Marked region, which moves rigidly."""
         return Sphere(center=self.center, radius=self.radius, lock=True)
 
     def held(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (n, 3) stay."""
+        """Mark the points (n, 3) that stay fixed."""
         return np.asarray(np.linalg.norm(points - self.center, axis=1) > self.reach)
 
     def moved(self, points: Floats) -> Floats:
-        """Return points (n, 3) as the handle moves them."""
+        """Move points (n, 3) with the handle."""
         turn = Rotation.from_rotvec(np.radians(self.turn) * np.array(self.axis))
         return np.asarray(turn.apply(points - self.center) + self.center + self.move)
 
 
 @dataclass(frozen=True)
 class Bent:
-    """Where a deformed front bends: a region of the mesh as it was."""
+    """Region of the undeformed mesh where the deformed front bends."""
 
     tree: cKDTree
     is_bent: NDArray[np.bool_]
 
     def holds(self, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (n, 3) have a bent vertex of the front nearest to them."""
+        """Mark the points (n, 3) whose nearest front vertex is bent."""
         _, nearest = self.tree.query(points)
         return np.asarray(self.is_bent[nearest])
 
 
 @dataclass(frozen=True)
 class Deformed:
-    """What comes out, step by step.
+    """Meshes and metrics of all steps.
 
     Attributes
     ----------
-    front : the mesh that was refined where it is marked.
-    deformed : it, deformed.
-    adjusted : what is adjusted to the bend, deformed in the same way.
-    repaired : it without irregular triangles, as far as that goes.
-    bends : the largest turn between neighbours that deforming made, degrees, of deformed and adjusted.
-    irregular : caps, needles, folds and spikes of adjusted and of repaired.
-    moved_m : how far repairs moved the surface at most, proven.
+    front : mesh refined in the marked region.
+    deformed : front after deformation.
+    adjusted : front refined where it bends, after deformation.
+    repaired : adjusted mesh without irregular triangles, as far as possible.
+    bends : largest bend between neighbouring triangles, degrees: deformed, adjusted.
+    irregular : number of caps, needles, folds and spikes: adjusted, repaired.
+    moved_m : proven maximum distance by which repairs moved the surface, metres.
     """
 
     front: Mesh
@@ -111,7 +112,7 @@ class Deformed:
 
 
 def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deformed:
-    """Mark, refine, deform, evaluate, adjust, deform and repair."""
+    """Refine the marked part, deform, refine the bends, deform again, and repair."""
     hierarchy = lod.build(mesh, cell_triangles=cell_triangles, root_triangles=cell_triangles // 4)
     view = view_of(mesh)
     front = lod.adjust(hierarchy.front(), urgency(hierarchy, view, handle.region, in_full=True), LIMIT)
@@ -140,12 +141,14 @@ def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deforme
 def urgency(
     hierarchy: lod.Hierarchy, view: lod.View, region: Region, *, in_full: bool = False
 ) -> measures.Weights:
-    """Return the paper's measures for a region; of the view its error counts, and not the outline.
+    """Compute the paper's measures for a region.
+
+    Of the view, only its error counts and not the outline.
 
     Parameters
     ----------
-    in_full : a cell of which only a little is in the region is as urgent as one that is all of it, so that
-        nothing of the region stays coarse.
+    in_full : a cell that is partly in the region is as urgent as a cell inside the region, so that no part of
+        the region stays coarse.
     """
     found = lod.evaluate(hierarchy, view, region)
     nothing = np.zeros(hierarchy.nodes)
@@ -157,14 +160,14 @@ def urgency(
 
 
 def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
-    """Return a mesh whose handle has moved.
+    """Deform a mesh as rigidly as possible, following its handle.
 
-    After Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
+    Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
 
     Raises
     ------
     UsageError
-        If nothing of the mesh is in the handle, or nothing is held.
+        If no vertex is in the handle, or no vertex is fixed.
     """
     points = mesh.vertices
     inside, held = handle.region.holds(points), handle.held(points)
@@ -183,7 +186,10 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
 
 
 def bends(before: Mesh, after: Mesh) -> Floats:
-    """Return how much deforming turned triangles at each vertex (n,) against their neighbours, degrees."""
+    """Compute the largest bend at each vertex (n,) by the deformation, degrees.
+
+    It is the change of the angle between neighbouring triangles.
+    """
     sides = np.concatenate([before.triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     triangle = np.tile(np.arange(len(before.triangles)), 3)
     order = np.lexsort(np.sort(sides, axis=1).T)
@@ -199,7 +205,7 @@ def bends(before: Mesh, after: Mesh) -> Floats:
 
 
 def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> Floats:
-    """Return the angles (k,) between the normals of pairs of triangles, degrees."""
+    """Compute angles (k,) between the normals of triangle pairs, degrees."""
     corners = mesh.vertices[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
@@ -208,13 +214,16 @@ def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> F
 
 
 def irregular(mesh: Mesh) -> int:
-    """Return how much there is that repairs are for: caps, needles, folds, spikes and the like."""
+    """Count defects that repairs can treat: caps, needles, folds, spikes."""
     found = check(mesh, corner_angle=LEAST_ANGLE).figures()["classes"]
     return sum(one["count"] for one in found.values() if one["treatment"] == "marking")
 
 
 def view_of(mesh: Mesh) -> lod.View:
-    """Return a view of all of a mesh from the front, small: where nothing is marked, little is wanted."""
+    """Make a small frontal view of a whole mesh.
+
+    It needs little detail, so unmarked parts stay coarse.
+    """
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     eye = middle - np.array((0.0, 1.4 * size, 0.0))
@@ -222,7 +231,7 @@ def view_of(mesh: Mesh) -> lod.View:
 
 
 def bar(around: int = 48, along: int = 90) -> Mesh:
-    """Return a bar along z, 2 m long, with grooves."""
+    """Make a grooved bar along z, 2 m long."""
     angle, height = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.linspace(0, 2, along))
     radius = 0.25 * (1 + 0.06 * np.sin(8 * angle + 3 * height) + 0.02 * np.sin(20 * height))
     rings = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=2).reshape(-1, 3)
@@ -241,7 +250,12 @@ def bar(around: int = 48, along: int = 90) -> Mesh:
 
 
 def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
-    """Return the four meshes side by side, with their triangles, as seen along x or y, z up."""
+    """Render the four meshes side by side with their triangles.
+
+    Parameters
+    ----------
+    along : viewing direction, "x" or "y"; z is up.
+    """
     steps = (found.front, found.deformed, found.adjusted, found.repaired)
     points = np.concatenate([mesh.vertices for mesh in steps])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -259,7 +273,7 @@ def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
 
 
 def main(words: Sequence[str] | None = None) -> Deformed:
-    """Do it, write what comes out, and say what happened."""
+    """Deform a mesh, write the results, and print their metrics."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--mesh", type=Path)
