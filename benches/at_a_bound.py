@@ -36,8 +36,9 @@ from scanloom.stages.surface.mesh import Mesh
 
 MESHES = ("horse.ply", "fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply")
 HEAD = (
-    "| mesh | to | tool | its triangles | its maximum / diagonal | levels | ours: triangles | ours / its "
-    "| proven / asked | measured / proven |\n|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"
+    "| mesh | ratio | peer | triangles | max distance / diagonal | colour levels | scanloom: triangles "
+    "| scanloom / peer | proven / requested | measured / proven |\n"
+    "|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"
 )
 
 
@@ -89,8 +90,8 @@ def measured_over_proven(mesh: Mesh, ours: Simplified[CertifiedDetails], samples
         ratio = max(ratio, levels / proven.color_bound_levels)
     if ratio > 1:
         raise SystemExit(
-            f"The proof is wrong: {distance:g} m and {levels:g} levels were found, proven were "
-            f"{proven.shape_bound_m:g} m and {proven.color_bound_levels or 0:g} levels."
+            f"The proof is wrong: {distance:g} m and {levels:g} levels were measured, but the proven bounds "
+            f"are {proven.shape_bound_m:g} m and {proven.color_bound_levels or 0:g} levels."
         )
     return ratio
 
@@ -102,7 +103,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
     parser.add_argument("--mesh", nargs="+", default=MESHES, help="files in DATA/meshes")
-    parser.add_argument("--only", nargs="+", metavar="TOOL", help="peers whose names start so")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="peers whose names start with TOOL")
     parser.add_argument("--samples", type=int, default=1_000_000)
     options = parser.parse_args()
     tools = [tool for tool in installed(options.only) if tool.name != OURS]
@@ -115,7 +116,7 @@ def main() -> None:
                 ratios.append(ratio)
                 print(row, flush=True)
     if ratios:
-        print(f"\nOurs / its: {min(ratios):.2f} to {max(ratios):.2f}")
+        print(f"\nscanloom / peer: {min(ratios):.2f} to {max(ratios):.2f}")
 
 
 if __name__ == "__main__":

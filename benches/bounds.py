@@ -47,8 +47,8 @@ SUMS = ((2e-4, 20.0), (1e-3, 60.0), (5e-3, 400.0), (2e-2, 2000.0))
 LEVELS = ((2e-4, 8.0), (1e-3, 20.0), (5e-3, 60.0))
 HEADS = {
     "jia01": "| mesh | bound / diagonal | removed | measured / bound |\n|---|---:|---:|---:|",
-    "certified": "| mesh | bound / diagonal | levels | removed | measured / proven | proven / bound "
-    "| colour: measured / proven | proven / bound |\n|---|---:|---:|---:|---:|---:|---:|---:|",
+    "certified": "| mesh | bound / diagonal | colour levels | removed | measured / proven | proven / bound "
+    "| colour: measured / proven | colour: proven / bound |\n|---|---:|---:|---:|---:|---:|---:|---:|",
 }
 # Barycentric coordinates checked in every triangle: the centroid, and 1/4, 1/2 and 3/4 of each edge.
 PLACES = np.array(
@@ -163,7 +163,7 @@ def main() -> None:
             for row, ratio in METHODS[method](mesh, name, options.samples):
                 largest = max(largest, ratio)
                 print(row, flush=True)
-        print(f"\nLargest: {largest:.4f}")
+        print(f"\nLargest ratio: {largest:.4f}")
 
 
 if __name__ == "__main__":

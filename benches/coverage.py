@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     words = parser.parse_args()
     if words.one:
-        print(json.dumps(taken(words.scan, Path(words.one[0]), in_pieces=words.one[1] == "pieces")))
+        print(json.dumps(taken(words.scan, Path(words.one[0]), in_pieces=words.one[1] == "chunks")))
     elif words.held_out:
         by_others(words.scan)
     elif words.again:
@@ -78,12 +78,12 @@ def print_taken(scan: Path, voxel_size: float | None) -> None:
 
     Only large meshes are also processed in chunks.
     """
-    ways = "triangles", "frames", "before, s", "a frame, ms", "after, s", "memory, MB"
-    print_head(["mesh", *ways, "spread, mm", "95 %, mm", "apart"])
+    ways = "triangles", "frames", "start, s", "per frame, ms", "end, s", "peak memory, MB"
+    print_head(["mesh", *ways, "spread median, mm", "spread 95 %, mm", "difference"])
     with tempfile.TemporaryDirectory() as folder:
         path = made(scan, Path(folder), voxel_size)
         found = []
-        for way in ("whole", "pieces") if table_of(path).exists() else ("whole",):
+        for way in ("memory", "chunks") if table_of(path).exists() else ("memory",):
             words = [sys.executable, __file__, str(scan), "--one", str(path), way]
             told = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
             found.append(numbers_of(told["figures"]))
@@ -144,8 +144,8 @@ def by_others(folder: Path) -> None:
         height[measured.rows] += measured.heights
     (asked,) = np.nonzero((count >= LEAST) & (known.evidence.frames[:-1] > 0))
     off, kinds = 1000 * np.abs(height[asked] / count[asked]), known.kinds[asked]
-    print_head(["evidence", "share of places", "off, median, mm", "off, 95 %, mm"])
-    for number, name in enumerate(("well seen", *THIN), -1):
+    print_head(["evidence", "ratio of points", "distance median, mm", "distance 95 %, mm"])
+    for number, name in enumerate(("well observed", *THIN), -1):
         if (kinds == number).any():
             some = off[kinds == number]
             median, most = np.percentile(some, (50, 95))
@@ -160,7 +160,7 @@ def look_again() -> None:
 
     scan, scene, rng = read_scan(SAMPLES / "rgbd"), Scene(), np.random.default_rng(1)
     frames = [replace(one, color=None, depth=read_depth(one)) for one in scan.frames[:FIRST]]
-    print_head(["frames", "hole, m²", "hidden, m²", "both, m²"], words=0)
+    print_head(["frames", "hole, m²", "hidden, m²", "total, m²"], words=0)
     for time_ in range(TIMES + 1):
         found = coverage(clean(fuse(frames).mesh).mesh, Scan("again", tuple(frames)))
         hole, hidden = (found.missing_areas[kind] for kind in ("hole", "hidden"))

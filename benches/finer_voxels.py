@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=200, help="of the made room")
+    parser.add_argument("--frames", type=int, default=200, help="frames of the synthetic room")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         room = Path(scratch) / "room"
@@ -52,7 +52,7 @@ def main() -> None:
             asked = open3d().core.Tensor(points.astype(np.float32))
             return np.asarray(scene.compute_distance(asked).numpy(), np.float64)
 
-        table("made room", read_scan(room), (0.02, 0.01, 0.005), off_room)
+        table("synthetic room", read_scan(room), (0.02, 0.01, 0.005), off_room)
     truth = Surface(read_ply(SAMPLES / "truth.ply"))
     sizes = (0.0062, 0.0031, 0.0021)
     table("samples/rgbd", read_scan(SAMPLES / "rgbd"), sizes, lambda points: truth.closest(points).distances)

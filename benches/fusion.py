@@ -162,14 +162,14 @@ def main() -> None:
     parser.add_argument("scan", type=Path)
     parser.add_argument("--voxels", type=float, nargs="+", default=[0.02, 0.01, 0.006], help="metres")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--samples", type=Path, help="folder of scans beside their truth.ply")
+    parser.add_argument("--samples", type=Path, help="folder of sample scans with truth.ply")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(run_one(options.scan, options.one, options.voxels[0])))
         return
     print(f"Open3D {open3d().__version__}, {len(read_scan(options.scan).frames)} frames\n")
-    print("| voxel | | frames/s | processor s | mesh s | peak MB | triangles | pieces | non-manifold edges |")
+    print("| voxel | tool | frames/s | CPU s | mesh s | MB | triangles | components | non-manifold edges |")
     print("|---|---|---|---|---|---|---|---|---|")
     for voxel in options.voxels:
         rounds: dict[str, list[dict[str, Any]]] = {name: [] for name in RIVALS}
@@ -196,7 +196,7 @@ def print_thin() -> None:
     Three frames see one side, twelve frames the other.
     """
     voxel = 0.01
-    print("\n| sheet, voxels thick | | few frames' side | many frames' side |")
+    print("\n| sheet thickness, voxels | volume | side of 3 frames, voxels | side of 12 frames, voxels |")
     print("|---|---|---|---|")
     for thickness in (1.5, 2.0, 3.0, 4.0, 6.0):
         frames = [thin_sheet(-1, 0.02 * k, thickness * voxel, (200, 40, 30)) for k in range(3)]
@@ -207,14 +207,14 @@ def print_thin() -> None:
             off = []
             for side in (-1, 1):
                 z = side * mesh.vertices[inner & (side * mesh.vertices[:, 2] > 0), 2]
-                off.append(f"{np.median(z) / voxel - thickness / 2:+.2f}" if len(z) else "gone")
+                off.append(f"{np.median(z) / voxel - thickness / 2:+.2f}" if len(z) else "missing")
             print(f"| {thickness:g} | {backend} | {off[0]} | {off[1]} |", flush=True)
 
 
 def print_truth(samples: Path) -> None:
     """Print two-sided distances between fused samples and their true surface."""
     truth = read_ply(samples / "truth.ply")
-    print("\n| sample | | mean mm | RMS mm | truth to mesh, mean mm | colour RMS | triangles |")
+    print("\n| sample | volume | mean mm | RMS mm | truth to mesh, mean mm | colour RMS | triangles |")
     print("|---|---|---|---|---|---|---|")
     for name in ("rgbd", "stereo"):
         scan = read_scan(samples / name)

@@ -17,7 +17,7 @@ not exceed 1, and the ratio of nodes at 0.8 or more. Each node is compared with 
 directions. The last two columns are the same for colours at nearest points.
 
 clusterlod: cuts of the whole mesh within an error, by meshoptimizer's clusterlod and by ours: triangles,
-sampled distance over the claimed one, and our triangles over those of clusterlod. The environment variable
+sampled distance over the claimed one, and our triangle count over clusterlod's. The environment variable
 MESHOPTIMIZER names a folder with meshoptimizer's sources; without it the table is skipped. clusterlod bounds
 shape alone, while colours bound our levels, too.
 
@@ -66,31 +66,31 @@ MESHES = {
     "kitchen": "redkitchen_fused_vertexcolor.ply",
 }
 BUILT = [
-    *("mesh", "triangles", "build CPU s", "Mtri/s", "cells", "nodes", "kept / input", "MB"),
-    *("at 20,000 ms", "evaluate + adjust ms"),
+    *("mesh", "triangles", "build CPU s", "Mtri/s", "cells", "nodes", "stored / input", "MB"),
+    *("cut to 20,000 ms", "evaluate + adjust ms"),
 ]
 LEVELS = [
-    *("mesh", "level", "proven m", "levels of colour", "triangles", "one piece", "ratio"),
-    *("attack, largest", "0.8 or more", "on colour, largest", "0.8 or more"),
+    *("mesh", "level", "proven m", "proven colour levels", "triangles", "whole mesh", "ratio"),
+    *("sampled / proven, max", "0.8 or more", "colour: max", "0.8 or more"),
 ]
 CLUSTERS = [
     *(
         "mesh",
-        "at m",
-        "clusterlod, triangles",
-        "its true error / m",
-        "levels, triangles",
-        "true error / m",
+        "error m",
+        "clusterlod: triangles",
+        "sampled / claimed",
+        "scanloom: triangles",
+        "sampled / proven",
         "ratio",
     ),
 ]
 # Field parameters and triangle counts of figure 4.
 FIELDS = ((10.6017, 8632), (22.4261, 6553), (37.1169, 4060), (78.9082, 762))
 FIELD = [
-    *("parameter", "paper", "letter, 6 eyes", "global", "error, angle", "off"),
-    *("error, distance", "off", "proven / diagonal", "sampled / diagonal"),
+    *("parameter", "paper", "full rule, 6 views", "global", "error, angle", "difference"),
+    *("error, distance", "difference", "proven / diagonal", "sampled / diagonal"),
 ]
-FRONTS = ["mesh", "fronts", "edges of three triangles", "other borders"]
+FRONTS = ["mesh", "fronts", "with non-manifold edges", "with other borders"]
 
 
 def main() -> None:
@@ -258,13 +258,13 @@ def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy],
     try:
         library = native.clusterlod()
     except native.Missing as lacking:
-        print(f"clusterlod is left out: {lacking}.")
+        print(f"clusterlod is skipped: {lacking}.")
         return
     print_head(CLUSTERS)
     for name, mesh in meshes.items():
         hierarchy = hierarchies[name]
         clusters = Clusters(library, mesh)
-        print(f"{name}: clusterlod is built in {clusters.seconds:.2f} s of CPU.", file=sys.stderr)
+        print(f"{name}: clusterlod takes {clusters.seconds:.2f} CPU s to build.", file=sys.stderr)
         for level in range(int(hierarchy.level.max()) + 1):
             at = hierarchy.shape_bound[hierarchy.level == level].max(initial=0.0)
             if at == 0.0:

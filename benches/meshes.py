@@ -85,7 +85,7 @@ def earth(data: Path) -> Colors:
     path = data / "images/2k_earth_daymap.jpg"
     image = cv2.imread(str(path))
     if image is None:
-        raise InputError(MACHINE_BUG, "it is missing or no image.", path)
+        raise InputError(MACHINE_BUG, "the image is missing or cannot be decoded.", path)
     return np.ascontiguousarray(image[:, :, ::-1])
 
 

@@ -65,17 +65,17 @@ from scanloom.stages.surface.topology import topology
 
 PARTS = ("models", "folds", "rates", "colors", "growth")
 SIZES = (10_000, 100_000, 1_000_000)
-SHAPE = ["least °", "5 % °", "mean °", "spread", "turned", "flat"]
+SHAPE = ["min °", "5 % °", "mean °", "edge spread", "flipped", "degenerate"]
 SIZE = ["bytes", "bits"]
 MODEL_COLUMNS = [
-    *("model", "triangles", "exceptions", "share", "paper", "boundary"),
-    *("RMS there ×1e-5", "back", "max", "check: RMS there", "back", "max"),
+    *("model", "triangles", "exceptions", "ratio", "paper", "boundary"),
+    *("RMS forward ×1e-5", "backward", "max", "check: RMS forward", "backward", "max"),
     *(*SHAPE, *SIZE, "CPU s"),
 ]
-LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "off", *SHAPE, *SIZE]
-FOLD_COLUMNS = ["mesh", "triangles", "base", "finest", "turned", "folded", "bytes", "CPU s"]
+LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "distance", *SHAPE, *SIZE]
+FOLD_COLUMNS = ["mesh", "triangles", "base", "finest", "flipped", "folded", "bytes", "CPU s"]
 COLOR_COLUMNS = [
-    *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS there ×1e-5", "back"),
+    *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS forward ×1e-5", "backward"),
     *SIZE,
 ]
 
@@ -175,7 +175,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
     parser.add_argument("--mesh", nargs="+", choices=[*MODELS, "kitchen"], default=[*MODELS, "kitchen"])
     parser.add_argument("--samples", type=int, default=200_000)
-    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="where to draw")
+    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="folder for the pictures")
     options = parser.parse_args()
     if "models" in options.only:
         # Warm up: load libraries before anything is timed.
@@ -361,7 +361,7 @@ def print_colors(model: Model, data: Path, samples: int) -> None:
 def print_growth() -> None:
     """Print time by size of a height field, with default parameters."""
     print("\n### Growth\n")
-    print_head(["triangles", "of the result", "exceptions", "CPU s", "µs a triangle"], words=0)
+    print_head(["triangles", "result triangles", "exceptions", "CPU s", "µs per triangle"], words=0)
     for size in SIZES:
         mesh = hills(size)
         start = time.process_time()

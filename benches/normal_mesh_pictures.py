@@ -48,7 +48,7 @@ def distances(mesh: Mesh, light: Mesh, viewpoint: Viewpoint) -> ColorImage:
     """Draw a mesh coloured by distance to another, with a colour bar."""
     box = bounding_box(mesh, light)
     painted, full_scale = distance_map(mesh, Surface(light, box))
-    image = titled(Model(Surface(painted)).draw(viewpoint), "original: off by 0 to")
+    image = titled(Model(Surface(painted)).draw(viewpoint), "original: distance 0 to")
     ramp = np.linspace(0, 255, SCALE_PX).astype(np.uint8)[:, None]
     end = image.shape[1] - SCALE_END_PX
     image[10:22, end - SCALE_PX : end] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]

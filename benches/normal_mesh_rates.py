@@ -113,7 +113,7 @@ def print_rates(name: str, mesh: Mesh, samples: int) -> None:
     ours = frontier([*refined, *without_levels(name, original)])
     for files, kind in ((refined, "with levels"), (ours, "with levels or without")):
         print(f"\n### {name}, {len(mesh.vertices):,} vertices: files {kind}\n")
-        print_head(["made of", "bytes", "bits for each original vertex", "RMS ×1e-5", "dB"])
+        print_head(["parameters", "bytes", "bits per original vertex", "RMS ×1e-5", "dB"])
         for file in files:
             bits = 8 * file.size / len(mesh.vertices)
             rms = f"{1e5 * file.rms:.2f}"
@@ -121,7 +121,7 @@ def print_rates(name: str, mesh: Mesh, samples: int) -> None:
     try:
         package("DracoPy")()
     except Missing as reason:
-        print(f"\nDraco is left out: {reason}")
+        print(f"\nDraco is skipped: {reason}")
         return
     print_all_kept(original, ours, refined)
     print_simplified(original, ours, refined)
@@ -157,22 +157,22 @@ def without_levels(name: str, original: Original) -> Iterator[File]:
 
 def print_all_kept(original: Original, ours: list[File], refined: list[File]) -> None:
     """Print a row for each of Draco's bit depths, all vertices kept."""
-    print("\nDraco, all vertices kept, and ours at its RMS:\n")
-    mine = ["ours", "bytes", "RMS ×1e-5", "of Draco's", "wanted", "of wanted"]
-    print_head(["Draco, bits", "bytes", "RMS ×1e-5", "dB", *mine, "with levels: bytes", "of wanted"])
+    print("\nDraco with all vertices, and our smallest file within its RMS:\n")
+    mine = ["ours", "bytes", "RMS ×1e-5", "/ Draco", "target", "/ target"]
+    print_head(["Draco, bits", "bytes", "RMS ×1e-5", "dB", *mine, "with levels: bytes", "/ target"])
     for bits, wanted in ALL_KEPT.items():
         data = encoded(original.mesh, bits)
         peer = original.file(len(data), decoded(data), f"{bits}")
         file = smallest(ours, peer.rms)
         cells = [peer.made, f"{peer.size:,}", f"{1e5 * peer.rms:.2f}", f"{peer.decibels:.1f}"]
         if file is None:
-            cells += ["none as near", "", "", ""]
+            cells += ["no file", "", "", ""]
         else:
             cells += [file.made, f"{file.size:,}", f"{1e5 * file.rms:.2f}", f"{file.size / peer.size:.3f}"]
         target = None if wanted is None else wanted * peer.size
         cells += ["" if wanted is None else f"{wanted:.3f}", over(file, target)]
         file = smallest(refined, peer.rms)
-        print_row([*cells, "none as near" if file is None else f"{file.size:,}", over(file, target)])
+        print_row([*cells, "no file" if file is None else f"{file.size:,}", over(file, target)])
 
 
 def over(file: File | None, size: float | None) -> str:
@@ -190,20 +190,20 @@ def print_simplified(original: Original, ours: list[File], refined: list[File]) 
             tool.version()
             rivals[tool.name] = frontier(simplified(tool, original))
         except Missing as reason:
-            print(f"\n{tool.name} is left out: {reason}")
-    print(f"\nSimplify + Draco: bytes, and ours over what is wanted, which is {HALF:g} of them:\n")
-    both = [[f"{name}: bytes", "of wanted"] for name in rivals]
+            print(f"\n{tool.name} is skipped: {reason}")
+    print(f"\nSimplify + Draco: bytes, and our size over the target of {HALF:g} times these bytes:\n")
+    both = [[f"{name}: bytes", "/ target"] for name in rivals]
     print_head(["RMS ×1e-5", "dB", "ours", "bytes", "with levels: bytes", *itertools.chain(*both)])
     for rms in DISTANCES:
         file, levels = (smallest(files, rms) for files in (ours, refined))
         cells = [f"{1e5 * rms:.1f}", f"{-20 * math.log10(rms):.1f}"]
-        cells += ["none as near", ""] if file is None else [file.made, f"{file.size:,}"]
-        cells.append("none as near" if levels is None else f"{levels.size:,}")
+        cells += ["no file", ""] if file is None else [file.made, f"{file.size:,}"]
+        cells.append("no file" if levels is None else f"{levels.size:,}")
         for files in rivals.values():
             size = size_at(files, rms)
             cells += ["", ""] if size is None else [f"{size:,.0f}", over(file, HALF * size)]
         print_row(cells)
-    print(f"\nUnder {OURS} is our own `simplify` in Draco.")
+    print(f"\n{OURS}: our own `simplify`, encoded by Draco.")
 
 
 def simplified(tool: Tool, original: Original) -> Iterator[File]:

@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("vertices", nargs="*", type=int, default=SIZES)
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
-    columns = ("vertices", "with", "MB", "write s", "× trimesh", "read s", "× trimesh", "read back equal")
+    columns = ("vertices", "data", "MB", "write s", "× trimesh", "read s", "× trimesh", "equal when read")
     print_head(columns, words=2)
     with tempfile.TemporaryDirectory() as folder:
         for count in arguments.vertices:

@@ -120,7 +120,7 @@ def _fragment(frames: Sequence[Frame]) -> _Fragment:
         edges.append(_Edge(source, target, motion, information))
     # Open3D reports success even if no pixel of one frame overlaps the other.
     if edges and not any(edge.information.any() for edge in edges):
-        raise RuntimeError(f"no frame meets the next within {_MAX_DEPTH:g} m")
+        raise RuntimeError(f"no frame overlaps the next within {_MAX_DEPTH:g} m")
     for source, target in itertools.combinations(keys, 2):
         start = _recognised_motion(points[source], points[target], camera)
         if start is not None:

@@ -162,13 +162,13 @@ def main() -> None:
     )
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
-    print_head(["scan", "way", "found", "wrong", "right", "of three", "CPU s"], words=2)
+    print_head(["scan", "method", "coverage", "wrong", "correct", "coverage, 3 views", "CPU s / MP"], words=2)
     for name, (path, step) in SCANS.items():
         frames = adjust(read_scan(data / path)).frames[::step]
         views, truths = zip(*(view_and_truth(frame) for frame in frames), strict=True)
         measured(name, Scan("views", list(views)), truths)
     print()
-    print_head(["folder", "views", "s", "CPU s", "with depth", "silhouettes"], words=1)
+    print_head(["folder", "views", "s", "CPU s", "coverage", "mask IoU"], words=1)
     for name in FOLDERS:
         folder(name, read_scan(data / name))
 

@@ -25,7 +25,7 @@ HOLD_OUT = 10
 COLUMNS = (
     "scan",
     "quality",
-    "processor s",
+    "CPU s",
     "voxel mm",
     "triangles",
     "GLB bytes",
@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--quality", nargs="+", choices=tuple(QUALITIES), default=list(QUALITIES))
     options = parser.parse_args()
     truth = None if options.truth is None else stages.read_mesh(options.truth)
-    print_head([*COLUMNS, *([] if truth is None else ["off truth, RMS mm", "95 % mm"])], words=2)
+    print_head([*COLUMNS, *([] if truth is None else ["truth, RMS mm", "truth, 95 % mm"])], words=2)
     for scan in options.scans:
         for quality in options.quality:
             print_row(row(scan, quality, truth))

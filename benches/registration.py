@@ -3,7 +3,7 @@
 python benches/registration.py SCAN [SCAN ...] [--poses FILE] [--every N] [--again N] [--depth-only]
     [--only NAME ...] [--meshes] [--frames N ...]
 
-Prints a Markdown table. Each SCAN has true poses, which are hidden from all tools. Errors are those of the
+Prints a Markdown table. Each SCAN has true poses, which are hidden from all tools. Errors refer to the
 largest connected component; the peers have one component only.
 
 - "ATE": RMS distance of camera centres after the best rigid alignment (Umeyama 1991). "scaled ATE" is after
@@ -154,12 +154,12 @@ def main() -> None:
     parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="true poses, in the order of the frames")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
-    parser.add_argument("--again", type=int, default=1, metavar="N", help="go to and fro N times in all")
+    parser.add_argument("--again", type=int, default=1, metavar="N", help="traverse the frames N times")
     parser.add_argument("--depth-only", action="store_true", help="hide the colours")
     parser.add_argument("--only", nargs="+", choices=RIVALS, default=list(RIVALS), metavar="NAME")
     parser.add_argument("--meshes", action="store_true", help="fuse and compare meshes too")
     parser.add_argument(
-        "--frames", type=int, nargs="+", metavar="N", help="tell speed and memory of N frames"
+        "--frames", type=int, nargs="+", metavar="N", help="print speed and memory for N frames"
     )
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -167,12 +167,13 @@ def main() -> None:
         _tell_speed(options.scans[0], options.frames[0])
         return
     if min(options.every, options.again) < 1:
-        parser.error("--every and --again want 1 or more")
+        parser.error("--every and --again have to be at least 1")
     if options.frames:
         _print_speed(options.scans, options.frames)
         return
-    columns = ["scan", "poses", "frames", "pieces", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °"]
-    columns += ["RMS mm", "RMS °", "transfer px", "of the truth px"]
+    columns = ["scan", "tool", "frames", "components", "ATE mm", "ATE / path", "scaled ATE mm"]
+    columns += ["RPE mm", "RPE °", "RPE RMS mm", "RPE RMS °"]
+    columns += ["reprojection px", "true poses: reprojection px"]
     print_head([*columns, "frames/s", *["mesh RMS mm"] * options.meshes], words=2)
     for folder in options.scans:
         there = frames_of(folder, options.poses)[:: options.every]
@@ -234,7 +235,7 @@ def _tell_speed(folder: Path, count: int) -> None:
 
 
 def _print_speed(folders: Sequence[Path], counts: Sequence[int]) -> None:
-    print_head(["scan", "frames", "key frames", "edges", "frames/s", "CPU ms a frame", "memory MiB"], words=1)
+    print_head(["scan", "frames", "key frames", "edges", "frames/s", "CPU ms / frame", "peak MiB"], words=1)
     for folder, count in itertools.product(folders, counts):
         words = [sys.executable, __file__, str(folder), "--frames", str(count), "--child"]
         subprocess.run(words, check=True)
@@ -253,7 +254,8 @@ def frames_of(folder: Path, poses: Path | None = None) -> list[Frame]:
         scan = read_scan(folder, complete=False)
         known = read_tum(poses).poses
         if len(known) != len(scan.frames):
-            raise InputError(MACHINE_BUG, f"{len(known)} poses for {len(scan.frames)} frames.", poses)
+            message = f"it has {len(known)} poses, but the scan has {len(scan.frames)} frames."
+            raise InputError(MACHINE_BUG, message, poses)
         pairs = zip(scan.frames, known, strict=True)
         return [replace(frame, world_from_camera=pose) for frame, pose in pairs]
     scan = read_scan(folder)

@@ -53,12 +53,12 @@ def main() -> None:
         results = {name: Path(folder) / f"{name}-out" for name in scans}
         for name, scan in scans.items():
             run(scan, results[name], Config().set([f"simplify.ratio={ratio}"]))
-        print_head(["scan", "what", "of", "share"], words=2)
+        print_head(["check", "result", "of", "ratio"], words=2)
         wanted, *others = tags(scans["tags"], results["tags"])
-        for name, count in zip(("", ", all in pictures", ", photos moved"), others, strict=True):
+        for name, count in zip(("", ", all in renderings", ", shifted photos"), others, strict=True):
             print_row([f"tags{name}", f"{count} decoded", f"{wanted} in photos", f"{count / wanted:.1%}"])
         differing, places = painted_over(scans, results["plain"])
-        print_row(["visitor", f"{differing} differ", f"{places} places", f"{differing / places:.2%}"])
+        print_row(["visitor", f"{differing} differ", f"{places} points", f"{differing / places:.2%}"])
         differing, pixels = seen_over(scans["plain"], results["plain"], results["visitor"])
         print_row(
             ["visitor, whole run", f"{differing} differ", f"{pixels} pixels", f"{differing / pixels:.2%}"]

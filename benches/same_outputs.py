@@ -42,39 +42,39 @@ from outputs.leaves import Leaves
 # Expected differences: pattern of jobs, pattern of differences as printed ("changed 1 simplify:triangles",
 # "moved 1 simplify:proven -> 1 simplify:details.proven", ...; `*` is any text), and the reason.
 EXPECTED: tuple[Expected, ...] = (
-    Expected("*", "moved * -> *details.*", "what one method alone has to tell stands under details"),
-    Expected("*", "gone *attribute_scale_m_per_level*", "planar has no use for a weight of colour"),
-    Expected("*", "moved *.pinned -> *.locked", "a vertex that stays is locked"),
+    Expected("*", "moved * -> *details.*", "results of a single method are under details"),
+    Expected("*", "gone *attribute_scale_m_per_level*", "planar has no colour weight"),
+    Expected("*", "moved *.pinned -> *.locked", "vertices that stay are called locked"),
     Expected("*", "moved *texture* -> *color*", "a bound on colour is max_color"),
-    Expected("*", "new *schema*", "JSON says by which names it goes"),
-    Expected("*", "changed *schema*", "JSON says by which names it goes"),
-    Expected("*", "moved *view -> *viewpoint", "where a picture is drawn from is a viewpoint"),
-    Expected("*", "moved *views -> *viewpoints", "where a picture is drawn from is a viewpoint"),
+    Expected("*", "new *schema*", "JSON states the version of its names"),
+    Expected("*", "changed *schema*", "JSON states the version of its names"),
+    Expected("*", "moved *view -> *viewpoint", "views of pictures are called viewpoints"),
+    Expected("*", "moved *views -> *viewpoints", "views of pictures are called viewpoints"),
     Expected("*", "new *largest_color_change_levels*", "a bound on colour is max_color"),
     Expected("*", "new *max_color*", "a bound on colour is max_color"),
     Expected("*", "gone *texture*_levels*", "a bound on colour is max_color"),
-    Expected("*", "new *is called*", "a former name says the new one"),
-    Expected("*", "new *details.largest_patches*", "of two alike it is not told which one moved"),
-    Expected("*", "gone *largest_patches*", "of two alike it is not told which one moved"),
-    Expected("*", "*no meaning for method*", "the table of methods says what each takes"),
-    Expected("*", "*collapses no edges*", "the table of methods says what each takes"),
-    Expected("*", "changed *:error", "the table of methods says what each takes"),
+    Expected("*", "new *is called*", "a former name is answered with the new one"),
+    Expected("*", "new *details.largest_patches*", "of two equal values, the moved one is unknown"),
+    Expected("*", "gone *largest_patches*", "of two equal values, the moved one is unknown"),
+    Expected("*", "*no meaning for method*", "the table of methods lists their parameters"),
+    Expected("*", "*collapses no edges*", "the table of methods lists their parameters"),
+    Expected("*", "changed *:error", "the table of methods lists their parameters"),
     Expected(
         "run/*",
         "*simplify.params.simplify.*",
-        "each method has a default of its own",
+        "each method has a separate default",
     ),
-    Expected("run/*", "changed *reason", "each method has a default of its own"),
-    Expected("run/*", "* cache: *", "keys follow from the versions of results"),
-    Expected("words/*", "*", "helps, configs and refusals name what is named anew"),
-    Expected("records/*", "*cut.npz*", "records have one format"),
-    Expected("records/*", "*record.npz*", "records have one format"),
-    Expected("broken/*", "*light.glb*", "the third command is seams, which runs on the one driver"),
-    Expected("broken/*", "* 2 simplify:*", "the third command is seams, which runs on the one driver"),
-    Expected("kitchen/*", "* seams.ply*", "seams runs on the one driver, region by region"),
-    Expected("kitchen/methods", "* 4 simplify:*", "seams runs on the one driver, region by region"),
-    Expected("kitchen/as_it_is", "* 1 simplify:*", "seams runs on the one driver, region by region"),
-    Expected("*/seams", "*", "seams runs on the one driver, region by region"),
+    Expected("run/*", "changed *reason", "each method has a separate default"),
+    Expected("run/*", "* cache: *", "cache keys depend on the versions of results"),
+    Expected("words/*", "*", "help, configuration and errors use the new names"),
+    Expected("records/*", "*cut.npz*", "all records have one format"),
+    Expected("records/*", "*record.npz*", "all records have one format"),
+    Expected("broken/*", "*light.glb*", "the third command is seams, which uses the common driver"),
+    Expected("broken/*", "* 2 simplify:*", "the third command is seams, which uses the common driver"),
+    Expected("kitchen/*", "* seams.ply*", "seams uses the common driver, region by region"),
+    Expected("kitchen/methods", "* 4 simplify:*", "seams uses the common driver, region by region"),
+    Expected("kitchen/as_it_is", "* 1 simplify:*", "seams uses the common driver, region by region"),
+    Expected("*/seams", "*", "seams uses the common driver, region by region"),
     Expected("methods/*/auto", "*", "auto takes seams for textured models"),
     Expected("textures/*", "*", "textured models are simplified by seams"),
 )
@@ -129,7 +129,7 @@ def main() -> int:
     options = arguments()
     jobs = [job for job in all_jobs(options.data) if is_wanted(job, options.only, options.quick)]
     if not jobs:
-        sys.exit(f"no job is called like {' or '.join(options.only)}")
+        sys.exit(f"no job matches {' or '.join(options.only)}")
     with tempfile.TemporaryDirectory() as scratch:
         kept = options.keep or Path(scratch)
         first = side(options.first, kept / "first")
@@ -149,14 +149,14 @@ def main() -> int:
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("first", type=Path, help="checkout as it was")
-    parser.add_argument("second", type=Path, help="checkout as it is")
+    parser.add_argument("first", type=Path, help="checkout before the change")
+    parser.add_argument("second", type=Path, help="checkout after the change")
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser.add_argument("--data", type=Path, default=beside, help="folder of real scans and meshes")
-    parser.add_argument("--keep", type=Path, help="folder where outputs stay")
+    parser.add_argument("--keep", type=Path, help="folder that keeps outputs")
     parser.add_argument("--only", nargs="+", metavar="PATTERN", default=["*"], help="jobs, such as 'run/*'")
-    parser.add_argument("--quick", action="store_true", help="a little of everything")
-    parser.add_argument("--jobs", type=int, default=1, help="jobs at the same time")
+    parser.add_argument("--quick", action="store_true", help="run a few jobs of each kind")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel jobs")
     options = parser.parse_args()
     for name in ("first", "second", "data", "keep"):
         if getattr(options, name) is not None:
@@ -185,7 +185,7 @@ def side(checkout: Path, work: Path) -> Side:
         sys.exit(f"{checkout} does not start:\n{found.stderr}")
     for path in found.stdout.split():
         if not Path(path).is_relative_to(checkout):
-            sys.exit(f"{checkout} is not what runs, but {path}")
+            sys.exit(f"Python imports {path} instead of {checkout}")
     return Side(checkout, work, identity(checkout))
 
 
@@ -243,7 +243,7 @@ def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) ->
 def kept(job: Job, one: Side, work: str) -> Made | None:
     """Load outputs of an earlier run of the same code and job.
 
-    Returns None if there are none.
+    Returns None without such a run.
     """
     record = one.work / job.name / "made.json"
     if one.identity is None or not record.is_file():
@@ -298,7 +298,7 @@ def step_leaves(
             timeout=_LIMIT_S,
         )
     except subprocess.TimeoutExpired:
-        return {f"{name} exit code": f"none in {_LIMIT_S} s"}
+        return {f"{name} exit code": f"timed out after {_LIMIT_S} s"}
     return {
         f"{name} exit code": str(done.returncode),
         **leaves.of_output(done.stdout, name, named),
@@ -360,7 +360,7 @@ def print_kinds(rows: Iterable[Row]) -> None:
     The list helps to write EXPECTED.
     """
     kinds = Counter(kind for row in rows for kind in {_NUMBER.sub("*", str(one)) for one in row.unexpected})
-    print("\nin how many jobs:")
+    print("\nNumber of jobs by kind of difference:")
     for kind, count in kinds.most_common(_SHOWN):
         print(f"- {count}: {kind}")
 

@@ -48,7 +48,7 @@ def batch(scans: int, jobs: int, seed: int) -> None:
     """Print the table of `batch` and the time per claim."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_small_scans(Path(folder) / "scans", scans)
-        print_head(("scans", "workers", "kills", "wall", "CPU", "faster", "same bytes", "twice"), 0)
+        print_head(("scans", "workers", "kills", "wall", "CPU", "speedup", "same bytes", "finished twice"), 0)
         told = f"{scans:,}"
         wall, cpu, one = worked(made, Path(folder) / "one", 1)
         print_row((told, "1", "0", f"{wall:.0f} s", f"{cpu:.0f} s", "", "", f"{twice(one)}"))
@@ -60,7 +60,7 @@ def batch(scans: int, jobs: int, seed: int) -> None:
         longer, kills, killed = killed_workers(made, Path(folder) / "killed", seed)
         compared = same(results, killed)
         print_row((told, "2", f"{kills}", f"{longer:.0f} s", "", "", compared, f"{twice(killed)}"))
-        print(f"\n{jobs:,} jobs in a queue: {claimed(Path(folder) / 'queue', jobs):.3f} ms for each claim")
+        print(f"\n{jobs:,} jobs in a queue: {claimed(Path(folder) / 'queue', jobs):.3f} ms per claim")
 
 
 def queued(scans: Path, out: Path) -> Path:

@@ -46,7 +46,7 @@ def bricks(
         if building is None:
             building = Path(scratch) / "building"
             make_building(building, rooms, max(frames), os.cpu_count() or 1)
-        print_head(("frames", "CPU", "a frame", "peak memory", "bricks", "triangles"), 0)
+        print_head(("frames", "CPU", "CPU per frame", "peak memory", "bricks", "triangles"), 0)
         drawn, contents = [], {}
         for count in frames:
             scan = first_frames(building, Path(scratch) / f"scan-{count}", count)
@@ -60,7 +60,7 @@ def bricks(
             )
             remove(out)
         print()
-        print_head(("frames", "kills", "bricks taken over", "same bytes"), 0)
+        print_head(("frames", "kills", "reused bricks", "same bytes"), 0)
         for count in killed:
             scan, out = Path(scratch) / f"scan-{count}", Path(scratch) / f"killed-{count}"
             kills, taken = fused_under_kills(scan, out, memory, seed)
@@ -84,7 +84,7 @@ def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
     figure = Figure(figsize=(7, 2.8), layout="constrained")
     frames, costs, peaks = zip(*measured, strict=True)
     for axes, values, label in zip(
-        figure.subplots(1, 2), (costs, peaks), ("CPU a frame, ms", "peak memory, MB"), strict=True
+        figure.subplots(1, 2), (costs, peaks), ("CPU per frame, ms", "peak memory, MB"), strict=True
     ):
         axes.plot(frames, values, "o-", color="#0072b2")
         axes.set(xscale="log", xlabel="frames", ylabel=label, ylim=(0, 1.2 * max(values)))
@@ -175,10 +175,10 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--building", type=Path, help="made by benches/building.py")
     parser.add_argument("--frames", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000])
     parser.add_argument(
-        "--killed", type=int, nargs="*", default=[1000], help="of these numbers, those killed"
+        "--killed", type=int, nargs="*", default=[1000], help="numbers of frames to repeat with kills"
     )
-    parser.add_argument("--plot", type=Path, help="picture to draw (extra plot)")
-    parser.add_argument("--memory", type=float, default=500, help="MB of voxels at a time")
+    parser.add_argument("--plot", type=Path, help="picture of the first table (requires the extra plot)")
+    parser.add_argument("--memory", type=float, default=500, help="memory for voxels, MB")
     parser.add_argument("--rooms", type=int, default=50)
     parser.add_argument("--seed", type=int, default=3)
     parser.set_defaults(bench=bricks)

@@ -15,7 +15,7 @@ settings is better in both shape and colour.
 Each call is a separate process on one core. "CPU s" is its CPU time, "MB" the growth of peak memory during
 the call; a call on a small mesh precedes both. Lengths are relative to the bounding box's diagonal. Shape is
 two-sided. "check" is the RMS by PyMeshLab's own sampling. Colour is sampled on the original and compared with
-the nearest point of the result, in 8-bit levels. "pinched" vertices have more than one fan. "flipped"
+the nearest point of the result, in 8-bit levels. "non-manifold vertices" have more than one fan. "flipped"
 triangles face more than 120° away from the nearest triangle of the original. "edge spread" is the standard
 deviation of edge lengths over their mean.
 """
@@ -57,13 +57,13 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
     parser.add_argument("--mesh", nargs="*", choices=meshes.MESHES, default=list(meshes.MESHES))
-    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so, and ours")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools that start with TOOL, and ours")
     parser.add_argument("--scan", type=Path, help="another coloured mesh")
     parser.add_argument(
-        "--paint", type=Path, nargs="+", metavar="FILE", help="other models, to paint with a map"
+        "--paint", type=Path, nargs="+", metavar="FILE", help="further models, painted with the earth's map"
     )
     parser.add_argument("--picture", type=Path, help="draw shape error against colour error")
-    parser.add_argument("--summary", action="store_true", help="print a row a tool; the rest to stderr")
+    parser.add_argument("--summary", action="store_true", help="print one row per tool, all else to stderr")
     parser.add_argument("--samples", type=int, default=200_000)
     options = parser.parse_args()
 
@@ -107,7 +107,7 @@ def installed(only: list[str] | None) -> Iterator[Tool]:
             print(f"- {tool.name}: {tool.version()}", flush=True)
             yield tool
         except Missing as reason:
-            print(f"- {tool.name} is left out: {reason}", flush=True)
+            print(f"- {tool.name} is skipped: {reason}", flush=True)
 
 
 def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: int) -> Iterator[Row]:
@@ -305,15 +305,15 @@ COLUMNS = {
     "colour RMSE": "---:",
     "PSNR dB": "---:",
     "non-manifold edges": "---:",
-    "pinched": "---:",
-    "turned": "---:",
+    "non-manifold vertices": "---:",
+    "flipped": "---:",
     "degenerate": "---:",
     "border edges": "---:",
     "Euler ±": "---:",
     "edge ×1e-5": "---:",
-    "spread": "---:",
+    "edge spread": "---:",
     "5 % angle °": "---:",
-    "least °": "---:",
+    "min °": "---:",
     "CPU s": "---:",
     "× ours": "---:",
     "MB": "---:",

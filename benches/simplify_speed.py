@@ -169,7 +169,7 @@ def main() -> None:
     parser.add_argument("--mesh", nargs="+", choices=MESHES, default=list(MESHES))
     parser.add_argument("--repeats", type=int, default=2)
     options = parser.parse_args()
-    print("| mode | mesh | triangles | removed | removed/s | memory, bytes | 1 thread | 2 threads | faster |")
+    print("| mode | mesh | triangles | removed | removed/s | B/triangle | 1 thread | 2 threads | speedup |")
     print("|---|---|---:|---:|---:|---:|---:|---:|---:|")
     growth: dict[tuple[str, str], dict[int, float]] = {}
     for mode in options.mode:
@@ -184,7 +184,7 @@ def main() -> None:
                     f"| {one['elapsed'] / two['elapsed']:.2f} |",
                     flush=True,
                 )
-    print("\n| mode | mesh | triangles | ns for each removed | n log n |\n|---|---|---:|---:|---:|")
+    print("\n| mode | mesh | triangles | ns per removed triangle | n log n |\n|---|---|---:|---:|---:|")
     for (mode, mesh), times in growth.items():
         for triangles, ratio in over_n_log_n(times).items():
             print(f"| {mode} | {mesh} | {triangles:,} | {times[triangles]:,.0f} | {ratio:.2f} |")
@@ -208,7 +208,7 @@ def both(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, An
     """
     runs = [[in_own_process(mode, mesh, size, threads) for threads in (1, 2)] for _ in range(repeats)]
     if len({run["digest"] for pair in runs for run in pair}) > 1:
-        raise SystemExit(f"{mode}, {mesh}, {size}: results differ from run to run or from one thread to two")
+        raise SystemExit(f"{mode}, {mesh}, {size}: results differ between runs or numbers of threads")
     for some in zip(*runs, strict=True):
         yield some[0] | {key: min(run[key] for run in some) for key in ("seconds", "elapsed")}
 

@@ -35,11 +35,11 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--model", help="a network of pairs, with its sidecar, as one more row")
+    parser.add_argument("--model", help="also measure a stereo network, with its sidecar file")
     words = parser.parse_args()
     stereo = words.data / "stereo"
     print(f"OpenCV {cv2.__version__}, {os.cpu_count()} cores\n")
-    print("| pair | setting | covered % | off > 1 px % | > 2 px % | seen > 2 px % | median px | s |")
+    print("| pair | setting | coverage % | error > 1 px % | > 2 px % | visible > 2 px % | median px | s |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     for name, pair in (("Motorcycle", motorcycle(stereo)), ("Cones", cones(stereo))):
         for setting, run in settings(*pair[:3], words.model).items():
@@ -65,7 +65,7 @@ def settings(
 
     count = -(-(rig.disparities or 64) // 16) * 16
     return {
-        "OpenCV SGBM, as it is": lambda: opencv(left, right, count, "sgbm"),
+        "OpenCV SGBM": lambda: opencv(left, right, count, "sgbm"),
         "OpenCV HH4 + WLS, padded": lambda: opencv(left, right, count, "hh4"),
         "stereo_disparity": lambda: disparity_of(left, right, count, 0.8),
         "stereo_disparity, min_confidence=0": lambda: disparity_of(left, right, count, 0),
@@ -181,7 +181,7 @@ def reliability(stereo: Path) -> None:
 
     Compares confidence with the ratio of errors of at most 2 px.
     """
-    print("\n| called sure, % | pixels % | said % | right % |\n|---|---:|---:|---:|")
+    print("\n| confidence % | pixels % | mean confidence % | correct % |\n|---|---:|---:|---:|")
     said, right = [], []
     for left, other, rig, truth in (motorcycle(stereo), cones(stereo)):
         found = stereo_disparity(left, other, (rig.disparities or 64) - 1, min_confidence=0)
@@ -203,7 +203,7 @@ def sequence(folder: Path) -> None:
     used = [np.mean(result.depth > 0) for _, result in depth_scan(scan)]
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
     print(f"\n{len(used)} pairs of {folder.name}: {wall:.2f} s on {os.cpu_count()} cores, {cpu:.2f} s of "
-          f"processor time, {100 * np.mean(used):.1f} % of the pixels given out")  # fmt: skip
+          f"CPU time, {100 * np.mean(used):.1f} % coverage")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -113,7 +113,7 @@ def main() -> None:
     parser.add_argument("scan", type=Path)
     parser.add_argument("--voxel", type=float, default=0.1, help="metres")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--pictures", type=Path, help="folder for the pictures")
+    parser.add_argument("--pictures", type=Path, help="folder for renderings of the meshes")
     options = parser.parse_args()
     scan = read_scan(options.scan)
     open3d()
@@ -126,7 +126,7 @@ def main() -> None:
             meshes[name] = run(scan, options.voxel)
             seconds[name].append(np.array([time.perf_counter(), time.process_time()]) - start)
     strips = " | ".join(f"{name} closed" for name in STRIPS)
-    print(f"| | s | processor s | triangles | pieces | largest | {strips} | lane scatter cm |")
+    print(f"| tool | s | CPU s | triangles | components | largest | {strips} | lane scatter cm |")
     print("|---" * (7 + len(STRIPS)) + "|")
     for name, mesh in meshes.items():
         wall, processor = np.median(seconds[name], axis=0)

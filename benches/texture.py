@@ -5,7 +5,7 @@
 Each scan is processed by `scanloom run` without every tenth frame. Prints a Markdown table:
 
 - PSNR as rendered, and after fitting gain and bias per channel ("affine"); SSIM; "sharpness" is gradient
-  energy over that of the photo; "coverage" is the ratio of the photos' pixels that are compared.
+  energy relative to the photo; "coverage" is the ratio of the photos' pixels that are compared.
 - "seconds": duration of the stage that made the colours.
 - "seams": visibility of borders between photos (`seam_ratio`), and in parentheses `seam_ratio_over_photos`.
 
@@ -49,14 +49,14 @@ from scanloom.stages.texturing.photos import photo_of
 COLUMNS = (
     "scan",
     "ratio",
-    "colours",
+    "mesh",
     "raw dB",
     "affine dB",
     "SSIM",
     "sharpness",
-    "covered",
+    "coverage",
     "photos",
-    "placed",
+    "localised",
     "seconds",
     "textured.glb, MB",
     "seams",
@@ -116,8 +116,8 @@ def _others(
 ) -> Iterator[tuple[str, Mesh, float]]:
     seconds = {one.stage: one.seconds for one in result.stages}
     clean, light = (read_ply(out / f"{name}.ply") for name in ("clean", "simplified"))
-    yield "fused, of vertices", read_ply(out / "fused.ply"), seconds["fuse"]
-    yield "simplified, of vertices", light, seconds["simplify"]
+    yield "fused, vertex colours", read_ply(out / "fused.ply"), seconds["fuse"]
+    yield "simplified, vertex colours", light, seconds["simplify"]
     start = time.perf_counter()
     baked = bake(light, clean).mesh
     yield "simplified, baked", baked, time.perf_counter() - start

@@ -128,7 +128,7 @@ def main() -> None:
     parser.add_argument("--models", type=Path, help="folder of further textured models")
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.03])
     parser.add_argument("--mesh", nargs="*", choices=MODELS, default=list(MODELS))
-    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start with TOOL")
     parser.add_argument("--samples", type=int, default=200_000)
     options = parser.parse_args()
     prefixes = tuple(name.lower() for name in options.only or [""])
@@ -265,7 +265,7 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
                 f"{best_rms.rms:.1f} ({best_rms.tool})",
                 f"{ours.psnr:.1f}",
                 f"{best_psnr.psnr:.1f} ({best_psnr.tool})",
-                verdict if reached else f"no: {target:,} triangles were asked for",
+                verdict if reached else f"no: the target is {target:,} triangles",
                 better[0] if better else "–",
             ]
         )

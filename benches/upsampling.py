@@ -52,13 +52,13 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
     frames, truths, surface = made_scan()
-    print_head(["depth of", "way", "smooth mm", "beside jumps mm", "wrong %", "between %", "s"], words=2)
+    print_head(["depth of", "method", "smooth mm", "at jumps mm", "wrong %", "between %", "CPU s"], words=2)
     made = [(read(frame), frame.color, truth) for frame, truth in zip(frames, truths, strict=False)]
-    print_rows("made", made)
+    print_rows("synthetic", made)
     for name, folder in HELD_OUT.items():
         print_rows(name, list(held_out(data / folder)))
     print()
-    print_head(["mesh of", "asked", "voxel mm", "triangles", "RMS mm", "> 5 mm %"], words=2)
+    print_head(["mesh of", "parameters", "voxel mm", "triangles", "RMS mm", "> 5 mm %"], words=2)
     for asked in (
         {},
         {"upsample": "guided"},
@@ -67,7 +67,7 @@ def main() -> None:
     ):
         print_mesh("all frames", frames, surface, asked)
     for asked in ({"upsample": "off"}, {}):
-        print_mesh("one alone", [frames[8]], surface, asked)
+        print_mesh("one frame", [frames[8]], surface, asked)
 
 
 def ways() -> dict[str, Callable[[Image, Image], Image]]:
@@ -202,7 +202,7 @@ def print_mesh(name: str, frames: Sequence[Frame], truth: Mesh, asked: dict[str,
     print_row(
         [
             name,
-            ", ".join(f"{key}={value}" for key, value in asked.items()) or "nothing",
+            ", ".join(f"{key}={value}" for key, value in asked.items()) or "default",
             f"{1000 * found.voxel_size:.1f}",
             f"{len(found.mesh.triangles):,}",
             f"{1000 * float(np.sqrt(np.mean(error**2))):.2f}",

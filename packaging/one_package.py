@@ -43,7 +43,7 @@ def renamed(name: str) -> str:
     """Return the new path of a file in the wheel."""
     top = name.partition("/")[0]
     if top.endswith(".libs"):
-        raise SystemExit(f"{name}: the kernels load this library by a relative path, which would be wrong.")
+        raise SystemExit(f"{name}: cannot move this library, because the kernels load it by a relative path.")
     return name if top == PACKAGE or top.endswith((".dist-info", ".data")) else f"{PACKAGE}/{name}"
 
 

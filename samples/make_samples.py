@@ -141,8 +141,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).resolve().parent)
     parser.add_argument("--tags", action="store_true", help="paint AprilTags on floor and walls")
-    parser.add_argument("--visitor", action="store_true", help="have somebody in every tenth RGB-D frame")
-    parser.add_argument("--only", choices=("stereo", "rgbd"), help="make one scan")
+    parser.add_argument("--visitor", action="store_true", help="add a person to every tenth RGB-D frame")
+    parser.add_argument("--only", choices=("stereo", "rgbd"), help="make this scan alone")
     options = parser.parse_args()
     folder: Path = options.folder
     scene = Scene(tags=options.tags)

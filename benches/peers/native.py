@@ -12,7 +12,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 
 
-class Missing(Exception):  # noqa: N818 - not an error: the peer is left out
+class Missing(Exception):  # noqa: N818 - not an error: the peer is skipped
     """A peer is not available; the message names what is missing."""
 
 
@@ -62,7 +62,7 @@ def clusterlod() -> ctypes.CDLL:
     """
     folder = os.environ.get("MESHOPTIMIZER")
     if folder is None:
-        raise Missing("MESHOPTIMIZER does not name a folder with meshoptimizer's sources")
+        raise Missing("set MESHOPTIMIZER to a folder with meshoptimizer's sources")
     sources = sorted(str(path) for path in Path(folder, "src").glob("*.cpp"))
     library = _compiled("clusterlod", sources, [f"-I{folder}/src", f"-I{folder}/demo"])
     library.build.restype = ctypes.c_void_p

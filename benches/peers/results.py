@@ -83,7 +83,7 @@ def verdict(tool: str, rows: list[Row], own: list[Row]) -> str:
     """Format which of our settings beat each setting of a peer."""
     better = {row.setting: [mine.setting for mine in own if is_better(mine, row)] for row in rows}
     count = sum(map(bool, better.values()))
-    each = (f"{name or 'as it is'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
+    each = (f"{name or 'default'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
     return f"- {tool}: {count} of {len(rows)} beaten ({'; '.join(each)})"
 
 

@@ -192,7 +192,7 @@ def cgal(function: str) -> Callable[[Mesh, int], Prepared]:
             library.load(pointer(mesh.vertices), sizes[0], pointer(mesh.triangles), sizes[1])
         )
         if not handle:
-            raise Missing("CGAL takes the mesh for non-manifold")
+            raise Missing("CGAL rejects the mesh as non-manifold")
 
         def result(_: Any) -> Mesh:
             light = Mesh(
@@ -253,7 +253,7 @@ OUR_WAYS = {"default": {"weight": 1.0}} | weights(0, 0.3, 3, 10, 30, prefix="def
 
 OURS = "scanloom"
 TOOLS = (
-    Tool(OURS, ours, lambda: "this one", True, OUR_WAYS),
+    Tool(OURS, ours, lambda: "this package", True, OUR_WAYS),
     Tool("CGAL Lindstrom–Turk", cgal("lindstrom_turk"), cgal_version, False, ONE_WAY, is_quadric=False),
     Tool("CGAL Garland–Heckbert", cgal("garland_heckbert"), cgal_version, False, ONE_WAY),
     Tool("VTK", vtk, package("vtk"), True, weights(0.003, 0.01, 0.03, 0.1, 0.3, 1)),

@@ -40,7 +40,7 @@ def of_qualities() -> str:
             for name, value in flatten(params).items()
         ]
         rows.append(f"| `{quality}` | {', '.join(words) or 'nothing'} |")
-    return "\n".join([*rows, "", "In brackets: what `standard` has."])
+    return "\n".join([*rows, "", "In parentheses: the values of `standard`."])
 
 
 def _value(value: Any) -> str:

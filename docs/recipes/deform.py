@@ -172,7 +172,11 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
     points = mesh.vertices
     inside, held = handle.region.holds(points), handle.held(points)
     if not inside.any() or not held.any():
-        raise UsageError(MACHINE_BUG, "the handle holds no vertex, or nothing is far enough from it to stay.")
+        raise UsageError(
+            MACHINE_BUG,
+            "no vertex is within the radius of the handle, or none is beyond its reach. "
+            "Change --center, --radius or --reach.",
+        )
     constrained = np.flatnonzero(inside | held)
     goals = np.where(inside[:, None], handle.moved(points), points)[constrained]
     o3d: Any = open3d()
@@ -279,10 +283,10 @@ def main(words: Sequence[str] | None = None) -> Deformed:
     parser.add_argument("--mesh", type=Path)
     parser.add_argument("--center", type=float, nargs=3, default=(0.0, 0.0, 2.0))
     parser.add_argument("--radius", type=float, default=0.35)
-    parser.add_argument("--reach", type=float, help="by default 4 radii")
+    parser.add_argument("--reach", type=float, help="default: 4 radii")
     parser.add_argument("--move", type=float, nargs=3, default=(0.75, 0.0, -0.3))
     parser.add_argument("--turn", type=float, default=70.0)
-    parser.add_argument("--along", choices=("x", "y"), default="y", help="where the picture looks")
+    parser.add_argument("--along", choices=("x", "y"), default="y", help="viewing direction of the picture")
     parser.add_argument("--cell-triangles", type=int, default=800)
     given = parser.parse_args(words)
     handle = Handle(
@@ -295,12 +299,12 @@ def main(words: Sequence[str] | None = None) -> Deformed:
         write_mesh(given.out / f"{name}.ply", getattr(found, name))
     write_png(given.out / "deform.png", picture(found, given.along))
     sys.stdout.write(
-        f"{len(mesh.triangles):,} triangles; refined where marked: {len(found.front.triangles):,}; "
-        f"adjusted to the bend: {len(found.adjusted.triangles):,}\n"
+        f"triangles: {len(mesh.triangles):,}; front refined in the marked region: "
+        f"{len(found.front.triangles):,}; adjusted to the bend: {len(found.adjusted.triangles):,}\n"
         f"largest bend between neighbours: {found.bends[0]:.1f}° before adjusting, {found.bends[1]:.1f}° "
         "after\n"
-        f"irregular: {found.irregular[0]:,} before repairs, {found.irregular[1]:,} after, which moved the "
-        f"surface by no more than {found.moved_m:.2g} m\n"
+        f"irregular triangles: {found.irregular[0]:,} before repair, {found.irregular[1]:,} after; it "
+        f"moved the surface by at most {found.moved_m:.2g} m\n"
     )
     return found
 
