@@ -6,7 +6,7 @@
 DATA holds `meshes/`. Prints one Markdown table. Peers and their settings are the same as in
 `benches/simplify.py`.
 
-Each peer simplifies to a ratio of the triangles. `attack` of `benches/bounds.py` then searches for the
+Each peer simplifies to a ratio of the triangles. The search of `benches/bounds.py` then finds the
 largest two-sided distance between the peer's result and the input. `simplify` gets this distance as
 `max_shape`, without a triangle count. If the peer keeps colours, a second row adds the largest colour
 difference found as `max_color`.
