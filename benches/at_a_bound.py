@@ -1,18 +1,22 @@
-"""Triangles `simplify` needs to prove the largest deviation that another simplifier's result is seen to have.
+"""Triangles that `simplify` needs to prove another simplifier's maximum deviation.
 
     python benches/at_a_bound.py DATA [--ratios 0.1 0.04] [--mesh horse.ply ...] [--only VTK]
                                       [--samples 1000000]
 
-DATA holds `meshes/`; one Markdown table is printed. Peers, their settings and how each is called are those of
-`benches/simplify.py`. Each peer simplifies to a share of the triangles, and `attack` of `benches/bounds.py`
-looks for the largest distance between its result and the input, both ways. Ours then gets that distance as
-`max_shape`, and no number of triangles. Where the peer keeps colours, a second row has the largest difference
-of colour, found in the same way, as `max_color` besides.
+DATA holds `meshes/`. Prints one Markdown table. Peers and their settings are the same as in
+`benches/simplify.py`.
 
-What is found is at most the peer's true maximum, while ours has to prove it for every point: the comparison
-favours the peer. But it is one of maxima alone: a single bad place of a peer's gives ours a wide bound.
-"proven / asked" is above 1 where a bound cannot be proven. Ours is attacked, too; where more is found than it
-proves, the bench ends with an error. The whole takes half an hour.
+Each peer simplifies to a ratio of the triangles. The search of `benches/bounds.py` then finds the
+largest two-sided distance between the peer's result and the input. `simplify` gets this distance as
+`max_shape`, without a triangle count. If the peer keeps colours, a second row adds the largest colour
+difference found as `max_color`.
+
+The search finds at most the peer's true maximum, while `simplify` has to prove its bound for every point. The
+comparison therefore favours the peer. It compares maxima only: a single bad spot in a peer's result gives
+`simplify` a loose bound.
+
+"proven / requested" exceeds 1 if a bound cannot be proven. Results of `simplify` are attacked as well. A
+deviation above the proven bound ends the bench with an error. A full run takes half an hour.
 """
 
 from __future__ import annotations
@@ -32,15 +36,19 @@ from scanloom.stages.surface.mesh import Mesh
 
 MESHES = ("horse.ply", "fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply")
 HEAD = (
-    "| mesh | to | tool | its triangles | its maximum / diagonal | levels | ours: triangles | ours / its "
-    "| proven / asked | measured / proven |\n|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"
+    "| mesh | ratio | peer | triangles | max distance / diagonal | colour levels | scanloom: triangles "
+    "| scanloom / peer | proven / requested | measured / proven |\n"
+    "|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"
 )
 
 
 def compared(
     mesh: Mesh, name: str, share: float, tools: list[Tool], samples: int
 ) -> Iterator[tuple[str, float]]:
-    """Return a row for each peer, setting and set of bounds, and our triangles over the peer's."""
+    """Yield table row and triangle ratio for each peer and bound.
+
+    The ratio is our triangle count over the peer's.
+    """
     for tool, setting, _, light in results(mesh, share, tools):
         distance, levels = worst(mesh, light, samples)
         for asked in (None,) if light.colors is None else (None, levels):
@@ -66,12 +74,14 @@ def compared(
 
 
 def measured_over_proven(mesh: Mesh, ours: Simplified[CertifiedDetails], samples: int) -> float:
-    """Return the largest deviation that is found over the one that is proven, in shape or in colour.
+    """Compute the largest ratio of measured to proven deviation.
+
+    The maximum is over shape and colour.
 
     Raises
     ------
     SystemExit
-        If it is above 1.
+        If the ratio exceeds 1, which disproves the bound.
     """
     distance, levels = worst(mesh, ours.mesh, samples)
     proven = ours.details
@@ -80,20 +90,20 @@ def measured_over_proven(mesh: Mesh, ours: Simplified[CertifiedDetails], samples
         ratio = max(ratio, levels / proven.color_bound_levels)
     if ratio > 1:
         raise SystemExit(
-            f"The proof is wrong: {distance:g} m and {levels:g} levels were found, proven were "
-            f"{proven.shape_bound_m:g} m and {proven.color_bound_levels or 0:g} levels."
+            f"The proof is wrong: {distance:g} m and {levels:g} levels were measured, but the proven bounds "
+            f"are {proven.shape_bound_m:g} m and {proven.color_bound_levels or 0:g} levels."
         )
     return ratio
 
 
 def main() -> None:
-    """Print the table, and the least and the greatest ratio."""
+    """Print the table, then the smallest and the largest triangle ratio."""
     assert __doc__ is not None
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
     parser.add_argument("--mesh", nargs="+", default=MESHES, help="files in DATA/meshes")
-    parser.add_argument("--only", nargs="+", metavar="TOOL", help="peers whose names start so")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="peers whose names start with TOOL")
     parser.add_argument("--samples", type=int, default=1_000_000)
     options = parser.parse_args()
     tools = [tool for tool in installed(options.only) if tool.name != OURS]
@@ -106,7 +116,7 @@ def main() -> None:
                 ratios.append(ratio)
                 print(row, flush=True)
     if ratios:
-        print(f"\nOurs / its: {min(ratios):.2f} to {max(ratios):.2f}")
+        print(f"\nscanloom / peer: {min(ratios):.2f} to {max(ratios):.2f}")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Colour error of vertex colours against a baked texture, at fewer and fewer triangles.
+"""Colour error of vertex colours and baked textures by triangle ratio.
 
     python benches/baking.py DATA [--ratios 0.1 0.05 0.02] [--mesh kitchen globe] [--scan FILE ...]
 
-DATA holds `meshes/` and `images/`. Prints a Markdown table. PSNR is sampled on the original surface: its
-colour there against that at the nearest point of the light mesh.
+DATA holds `meshes/` and `images/`. Prints a Markdown table. PSNR is sampled on the original surface and
+compares its colour with the colour at the nearest point of the simplified mesh.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""Make a scan of a building.
+"""Generator of a synthetic RGB-D scan of a building.
 
     python benches/building.py FOLDER [--rooms 50] [--frames 10000] [--workers 2]
 
-Rooms in rows with doors between them, each with tables, cupboards and boxes, walked through with an RGB-D
-camera (320×240, depth noise of a structured-light sensor, poses known). Every number is drawn from a fixed
-seed, and a frame's from its own: fewer frames are the first of more. `scan.json` stands beside the images.
+Rooms with tables, cupboards and boxes are arranged in rows and connected by doors. An RGB-D camera walks
+through them (320×240, noise of a structured-light sensor, exact poses). All random numbers have fixed seeds,
+and each frame has its own seed: a scan with fewer frames is a prefix of a longer one. `scan.json` is written
+next to the image folders.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def main() -> None:
 
 
 def make_building(folder: Path, rooms: int, frames: int, workers: int = 1) -> None:
-    """Write a scan of the first `frames` frames of a building of so many rooms."""
+    """Write the first `frames` frames of a building with `rooms` rooms."""
     for kind in ("color", "depth"):
         (folder / kind).mkdir(parents=True)
     work = partial(_write_frame, folder, rooms)
@@ -70,14 +71,20 @@ def _write_frame(folder: Path, rooms: int, number: int) -> Frame:
 
 
 def _corner(room: int) -> Floats:
-    """Lowest corner of a room; rows are walked through there and back."""
+    """Compute the lowest corner of a room.
+
+    Rows are traversed in alternating directions.
+    """
     row, column = divmod(room, COLUMNS)
     column = column if row % 2 == 0 else COLUMNS - 1 - column
     return np.array((column, row, 0)) * (ROOM + WALL) * (1, 1, 0)
 
 
 def _pose(number: int, rooms: int) -> Pose:
-    """Return where the camera is: around the middle of the room, looking outward, up and down."""
+    """Compute the world-from-camera pose of a frame.
+
+    The camera moves on a circle around the room's centre and looks outward, up and down.
+    """
     room, step = divmod(number, FRAMES_A_ROOM)
     t = step / FRAMES_A_ROOM
     yaw = 2 * np.pi * (2 * t + 0.13 * (room % rooms))
@@ -93,7 +100,10 @@ def _pose(number: int, rooms: int) -> Pose:
 
 
 def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Return the picture (h, w, 3) and the depth (h, w) in millimetres, 0 where nothing came back."""
+    """Render the colour image and the depth map of a pose.
+
+    Colour is (h, w, 3) uint8, depth (h, w) uint16 in millimetres, 0 where invalid.
+    """
     height, width = CAMERA.height, CAMERA.width
     x = (np.arange(width) - CAMERA.cx) / CAMERA.fx
     y = (np.arange(height) - CAMERA.cy) / CAMERA.fy
@@ -112,7 +122,7 @@ def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np
     light = 0.55 + 0.45 * np.abs(normal @ (0.36, 0.48, 0.8))
     paint = colors[part] * (_pattern(points, part) * light)[:, None]
     color = np.where(is_hit[:, None], paint, 0.3) + 0.012 * draw.standard_normal((len(z), 3))
-    # Nguyen, Izadi and Lovell 2012, roughly: the noise of a structured-light sensor.
+    # Approximate noise model of a structured-light sensor: Nguyen, Izadi and Lovell 2012.
     measured = z + (0.0012 + 0.0019 * (z - 0.4) ** 2) * draw.standard_normal(len(z))
     lost = ~is_hit | (cosine < 0.15) | (z > 5) | (draw.random(len(z)) < 0.01)
     depth = np.where(lost, 0, np.rint(measured * 1000)).astype(np.uint16)
@@ -123,20 +133,23 @@ def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np
 
 
 def _pattern(points: Floats, part: NDArray[np.int64]) -> Floats:
-    """Return how bright places are painted: checks and stripes, of another width on each part."""
+    """Compute the brightness (n,) of points (n, 3).
+
+    The pattern is checks and stripes, whose width depends on the box.
+    """
     pitch = (3 + part % 5)[:, None] * 2.0
     checks = np.sin(pitch * points).prod(axis=1)
     return np.asarray(0.8 + 0.2 * np.tanh(6 * checks) * (0.5 + 0.5 * np.cos(31 * points.sum(axis=1))))
 
 
 def scene_of(rooms: int) -> Any:
-    """Return Open3D's raycasting scene of a building of so many rooms: the truth."""
+    """Return the true surface of a building as Open3D raycasting scene."""
     return _painted(rooms)[0]
 
 
 @lru_cache(maxsize=1)
 def _painted(rooms: int) -> tuple[Any, Floats]:
-    """Return what rays are cast into, and a colour (n, 3) for each of its boxes."""
+    """Build the raycasting scene and its box colours (n, 3), 0..1."""
     boxes = np.array(_boxes(rooms))
     corner = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)])
     faces = np.array(
@@ -154,7 +167,7 @@ def _painted(rooms: int) -> tuple[Any, Floats]:
 
 
 def _boxes(rooms: int) -> list[tuple[Floats, Floats]]:
-    """Return lowest and highest corners of all that the building is made of."""
+    """List the lowest and highest corner of each box of the building."""
     found = []
     for room in range(rooms):
         low = _corner(room)
@@ -173,14 +186,17 @@ def _boxes(rooms: int) -> list[tuple[Floats, Floats]]:
 
 
 def _is_beside(room: int, axis: int, step: int, rooms: int) -> bool:
-    """Whether there is a room on a side of one."""
+    """Check if there is a neighbouring room on one side."""
     there = _corner(room)
     there[axis] += step * (ROOM + WALL)[axis]
     return any(np.allclose(_corner(other), there) for other in range(rooms))
 
 
 def _wall(low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool) -> list[tuple[Floats, Floats]]:
-    """Return a wall of a room, half as thick as both rooms' together, with a door if it is open."""
+    """Make the boxes of one wall, with a door if `is_open`.
+
+    A wall has half its full thickness, because the neighbouring room contributes the other half.
+    """
     along = 1 - axis
     a, b = np.array(low), np.array(high)
     a[along] -= WALL / 2
@@ -197,7 +213,7 @@ def _wall(low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool) -
 
 
 def _furniture(low: Floats, draw: np.random.Generator) -> list[tuple[Floats, Floats]]:
-    """Return what stands in a room's corners: cupboards, boxes and tables."""
+    """Make the boxes of cupboards, boxes and tables in a room's corners."""
     found: list[tuple[Floats, Floats]] = []
 
     def add(base: Floats, low: Sequence[float], high: Sequence[float]) -> None:

@@ -1,19 +1,21 @@
-"""What it takes to tell what is missing in a scan, and what is left of it once one looked where it says.
+"""Cost and validity of `coverage`.
 
     python benches/coverage.py SCAN [--voxel-size 0.003]
     python benches/coverage.py SCAN --held-out
     python benches/coverage.py --again
 
-The first fuses and cleans the scan into a file, and prints of its coverage CPU seconds: before the second
-frame, of a frame, and after the last; most memory; and how much frames agree about vertices ("spread": that
-of half of what was measured, and of 95 %). A mesh of more than 5 million triangles is read at once and in
-pieces, each in a process of its own; "apart" is the largest difference of a figure, as a share of it.
+The first form fuses and cleans the scan into a file. It prints CPU seconds of `coverage` before the second
+frame, per frame and after the last frame, the peak memory, and the spread of frames about the surface (median
+and 95th percentile). A mesh of more than 5 million triangles is processed twice, in memory and in chunks,
+each in a separate process. "difference" is the largest relative difference of any metric.
 
-The second fuses every second frame, and asks of each kind of thin evidence how far the others find the
-surface to be off, along its normal, in the mean of at least three of them: what is thin should be farther.
+The second form fuses every second frame. For each kind of thin evidence it measures the distance of the
+surface along its normal according to the other frames (mean of at least three frames). Surface with thin
+evidence should be farther off.
 
-The third takes the first eight frames of the sample, all from one side, and three times over looks from
-where the first three places say, with the sensor that the sample was made with.
+The third form starts from the first eight frames of the sample, all from one side. In three iterations it
+adds a depth frame from each of the first three suggested viewpoints, simulated with the sensor model of the
+sample.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ def main() -> None:
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     words = parser.parse_args()
     if words.one:
-        print(json.dumps(taken(words.scan, Path(words.one[0]), in_pieces=words.one[1] == "pieces")))
+        print(json.dumps(taken(words.scan, Path(words.one[0]), in_pieces=words.one[1] == "chunks")))
     elif words.held_out:
         by_others(words.scan)
     elif words.again:
@@ -72,13 +74,16 @@ def main() -> None:
 
 
 def print_taken(scan: Path, voxel_size: float | None) -> None:
-    """Print what it takes, and whether pieces tell the same."""
-    ways = "triangles", "frames", "before, s", "a frame, ms", "after, s", "memory, MB"
-    print_head(["mesh", *ways, "spread, mm", "95 %, mm", "apart"])
+    """Print cost and metrics of `coverage`, in memory and in chunks.
+
+    Only large meshes are also processed in chunks.
+    """
+    ways = "triangles", "frames", "start, s", "per frame, ms", "end, s", "peak memory, MB"
+    print_head(["mesh", *ways, "spread median, mm", "spread 95 %, mm", "difference"])
     with tempfile.TemporaryDirectory() as folder:
         path = made(scan, Path(folder), voxel_size)
         found = []
-        for way in ("whole", "pieces") if table_of(path).exists() else ("whole",):
+        for way in ("memory", "chunks") if table_of(path).exists() else ("memory",):
             words = [sys.executable, __file__, str(scan), "--one", str(path), way]
             told = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
             found.append(numbers_of(told["figures"]))
@@ -88,7 +93,7 @@ def print_taken(scan: Path, voxel_size: float | None) -> None:
 
 
 def made(scan: Path, folder: Path, voxel_size: float | None) -> Path:
-    """Fuse and clean a scan into a file, in pieces if it is large."""
+    """Fuse and clean a scan into a file, chunked if large."""
     fused, result = folder / "fused.ply", folder / "clean.ply"
     fuse_to_file(read_scan(scan), FuseParams(voxel_size=voxel_size), fused)
     if table_of(fused).exists():
@@ -99,7 +104,7 @@ def made(scan: Path, folder: Path, voxel_size: float | None) -> Path:
 
 
 def taken(folder: Path, path: Path, *, in_pieces: bool) -> dict[str, Any]:
-    """Return what coverage of one mesh tells and takes."""
+    """Run `coverage` on one mesh; return its metrics and table cells."""
     scan, at = read_scan(folder), [time.process_time()]
 
     def told(done: int, of: int) -> None:
@@ -117,7 +122,7 @@ def taken(folder: Path, path: Path, *, in_pieces: bool) -> dict[str, Any]:
 
 
 def numbers_of(figures: Any) -> list[float]:
-    """Return all numbers among figures."""
+    """Collect all numbers of nested metrics."""
     if isinstance(figures, dict):
         return [number for value in figures.values() for number in numbers_of(value)]
     if isinstance(figures, list):
@@ -126,7 +131,7 @@ def numbers_of(figures: Any) -> list[float]:
 
 
 def by_others(folder: Path) -> None:
-    """Print how far off other frames find what is thin."""
+    """Print surface error according to held-out frames, by kind of evidence."""
     frames = read_scan(folder).frames
     mesh = clean(fuse(frames[::2]).mesh).mesh
     found = coverage(mesh, frames[::2])
@@ -139,8 +144,8 @@ def by_others(folder: Path) -> None:
         height[measured.rows] += measured.heights
     (asked,) = np.nonzero((count >= LEAST) & (known.evidence.frames[:-1] > 0))
     off, kinds = 1000 * np.abs(height[asked] / count[asked]), known.kinds[asked]
-    print_head(["evidence", "share of places", "off, median, mm", "off, 95 %, mm"])
-    for number, name in enumerate(("well seen", *THIN), -1):
+    print_head(["evidence", "ratio of points", "distance median, mm", "distance 95 %, mm"])
+    for number, name in enumerate(("well observed", *THIN), -1):
         if (kinds == number).any():
             some = off[kinds == number]
             median, most = np.percentile(some, (50, 95))
@@ -148,14 +153,14 @@ def by_others(folder: Path) -> None:
 
 
 def look_again() -> None:
-    """Print what is missing before one looks again, and after."""
+    """Print the missing area before and after capturing from suggested viewpoints."""
     sys.path.insert(0, str(SAMPLES))
     from scene import Scene
     from sensors import measure_depth
 
     scan, scene, rng = read_scan(SAMPLES / "rgbd"), Scene(), np.random.default_rng(1)
     frames = [replace(one, color=None, depth=read_depth(one)) for one in scan.frames[:FIRST]]
-    print_head(["frames", "hole, m²", "hidden, m²", "both, m²"], words=0)
+    print_head(["frames", "hole, m²", "hidden, m²", "total, m²"], words=0)
     for time_ in range(TIMES + 1):
         found = coverage(clean(fuse(frames).mesh).mesh, Scan("again", tuple(frames)))
         hole, hidden = (found.missing_areas[kind] for kind in ("hole", "hidden"))
@@ -167,7 +172,7 @@ def look_again() -> None:
 
 
 def looking(eye: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """Return the pose of a camera that is held level, z up."""
+    """Make the pose (4, 4) of a level camera, z up."""
     right = np.cross(forward, (0, 0, 1) if abs(forward[2]) < 0.99 else (0, 1, 0))
     right /= np.linalg.norm(right)
     pose = np.eye(4)

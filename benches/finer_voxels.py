@@ -1,10 +1,11 @@
-"""Whether finer voxels pay where cameras came near: distance to the truth by distance to the nearest camera.
+"""Fusion error at several voxel sizes, by distance to the nearest camera.
 
     python benches/finer_voxels.py [--frames 200]
 
-A made room (`benches/building.py`) and the RGB-D sample, fused at voxels of several sizes. Prints Markdown:
-the RMS distance of the mesh's vertices from the true surface, mm, of the nearest tenth of them, then by
-quarters, and what the volume takes.
+Shows if smaller voxels pay off where cameras came near. A synthetic room (`benches/building.py`) and the
+RGB-D sample are fused at several voxel sizes. Prints Markdown tables: RMS distance (mm) of the mesh's
+vertices from the true surface in quantile ranges of the camera distance (nearest tenth, then up to each
+quartile), triangles, and memory of the volume.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from building import make_building, scene_of
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
-# Shares of the vertices, by distance to the nearest camera, that rows are of.
+# Quantiles of the distance to the nearest camera that separate the columns.
 SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
 
 Floats = NDArray[np.float64]
@@ -40,7 +41,7 @@ Floats = NDArray[np.float64]
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=200, help="of the made room")
+    parser.add_argument("--frames", type=int, default=200, help="frames of the synthetic room")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         room = Path(scratch) / "room"
@@ -51,14 +52,20 @@ def main() -> None:
             asked = open3d().core.Tensor(points.astype(np.float32))
             return np.asarray(scene.compute_distance(asked).numpy(), np.float64)
 
-        table("made room", read_scan(room), (0.02, 0.01, 0.005), off_room)
+        table("synthetic room", read_scan(room), (0.02, 0.01, 0.005), off_room)
     truth = Surface(read_ply(SAMPLES / "truth.ply"))
     sizes = (0.0062, 0.0031, 0.0021)
     table("samples/rgbd", read_scan(SAMPLES / "rgbd"), sizes, lambda points: truth.closest(points).distances)
 
 
 def table(name: str, scan: Scan, sizes: Sequence[float], off: Callable[[Floats], Floats]) -> None:
-    """Print a table of one scan."""
+    """Print the table of one scan.
+
+    Parameters
+    ----------
+    sizes : voxel sizes, metres.
+    off : computes distances (n,) of points (n, 3) from the true surface, metres.
+    """
     eyes = np.array([frame.world_from_camera for frame in scan.frames])[:, :3, 3]
     edges: Floats | None = None
     for size in sizes:

@@ -1,14 +1,19 @@
-"""Fusion from files to volume and mesh, ours beside Open3D's own loop. Prints a Markdown table.
+"""Speed and accuracy of fusion, compared with Open3D's volumes.
 
 python benches/fusion.py SCAN [--voxels 0.02 0.01 0.006] [--repeats 3] [--samples samples]
 
-Every run is a process of its own, since a process never gives its peak memory back; the runs of all rivals
-take turns, and the median counts, because a machine's speed drifts. Open3D is imported before the clock
-starts, by those that use it. Open3D's loop is what its users write: decode, touch, integrate, with the
-constants of its documentation (16³ blocks, truncation of 8 voxels, weight over 3) but a block count small
-enough for memory. With --samples, the folder of scans with a known truth, a second table tells how near to it
-our own voxels come, and Open3D's in the same stage. The last table tells, in voxels, how far outward the
-sides of thin sheets are.
+Prints Markdown. Times cover reading the files, integration and mesh extraction. Each run is a separate
+process, because a process never returns its peak memory. The runs of all tools alternate and medians are
+reported, because a machine's speed drifts. Open3D is imported before the clock starts by the tools that use
+it.
+
+The Open3D loops are the ones that users write: decode, touch, integrate, with the constants of Open3D's
+documentation (16³ blocks, truncation of 8 voxels, weight over 3). Only the block count is reduced to fit in
+memory.
+
+With --samples (the folder of scans with known truth), a second table shows the distance to the truth with our
+own volume and with Open3D's volume in the same stage. The last table shows by how many voxels the sides of
+thin sheets are displaced outward.
 """
 
 from __future__ import annotations
@@ -45,14 +50,17 @@ MAX_DEPTH = 4.0
 
 
 class Laps:
-    """Seconds of wall clock and processor from files to volume, and to the mesh."""
+    """Time stamps of a run: start and completion of its volume.
+
+    Each is a pair of wall-clock and CPU seconds.
+    """
 
     def __init__(self) -> None:
         self.started = time.perf_counter(), time.process_time()
         self.volume = self.started
 
     def lap(self) -> None:
-        """Say that the volume is done."""
+        """Record the time at which the volume is complete."""
         self.volume = time.perf_counter(), time.process_time()
 
 
@@ -68,12 +76,12 @@ def ours(scan: Scan, voxel_size: float, laps: Laps, backend: str = "own") -> Mes
 
 
 def ours_in_open3d(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
-    """Do the same in Open3D's volume."""
+    """Fuse as `scanloom run` does, with Open3D's volume as backend."""
     return ours(scan, voxel_size, laps, "open3d")
 
 
 def voxel_block_grid(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
-    """Fuse with Open3D's tensor volume, as its documentation shows."""
+    """Fuse with Open3D's tensor volume, as in its documentation."""
     o3d = open3d()
     f32 = o3d.core.float32
     grid = o3d.t.geometry.VoxelBlockGrid(
@@ -93,7 +101,7 @@ def voxel_block_grid(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
 
 
 def legacy(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
-    """Fuse with Open3D's old volume (whose mesh is empty in Open3D 0.20.0)."""
+    """Fuse with Open3D's legacy volume, whose mesh is empty in Open3D 0.20.0."""
     o3d = open3d()
     volume = o3d.pipelines.integration.ScalableTSDFVolume(
         voxel_size, 4 * voxel_size, o3d.pipelines.integration.TSDFVolumeColorType.RGB8
@@ -124,7 +132,11 @@ RIVALS: dict[str, Callable[[Scan, float, Laps], Mesh]] = {
 
 
 def run_one(folder: Path, rival: str, voxel_size: float) -> dict[str, Any]:
-    """Run one rival on one voxel size, in this process."""
+    """Run one tool at one voxel size in this process.
+
+    Returns frames per second, CPU seconds, seconds of mesh extraction, peak memory (MB) and counts of the
+    mesh.
+    """
     scan = read_scan(folder)
     if rival != "scanloom":
         open3d()
@@ -145,19 +157,19 @@ def run_one(folder: Path, rival: str, voxel_size: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scan", type=Path)
     parser.add_argument("--voxels", type=float, nargs="+", default=[0.02, 0.01, 0.006], help="metres")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--samples", type=Path, help="folder of scans beside their truth.ply")
+    parser.add_argument("--samples", type=Path, help="folder of sample scans with truth.ply")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(run_one(options.scan, options.one, options.voxels[0])))
         return
     print(f"Open3D {open3d().__version__}, {len(read_scan(options.scan).frames)} frames\n")
-    print("| voxel | | frames/s | processor s | mesh s | peak MB | triangles | pieces | non-manifold edges |")
+    print("| voxel | tool | frames/s | CPU s | mesh s | MB | triangles | components | non-manifold edges |")
     print("|---|---|---|---|---|---|---|---|---|")
     for voxel in options.voxels:
         rounds: dict[str, list[dict[str, Any]]] = {name: [] for name in RIVALS}
@@ -179,9 +191,12 @@ def main() -> None:
 
 
 def print_thin() -> None:
-    """Print how far off both sides of a thin sheet are; few frames see one of them, many the other."""
+    """Print the displacement of both sides of thin sheets, in voxels.
+
+    Three frames see one side, twelve frames the other.
+    """
     voxel = 0.01
-    print("\n| sheet, voxels thick | | few frames' side | many frames' side |")
+    print("\n| sheet thickness, voxels | volume | side of 3 frames, voxels | side of 12 frames, voxels |")
     print("|---|---|---|---|")
     for thickness in (1.5, 2.0, 3.0, 4.0, 6.0):
         frames = [thin_sheet(-1, 0.02 * k, thickness * voxel, (200, 40, 30)) for k in range(3)]
@@ -192,14 +207,14 @@ def print_thin() -> None:
             off = []
             for side in (-1, 1):
                 z = side * mesh.vertices[inner & (side * mesh.vertices[:, 2] > 0), 2]
-                off.append(f"{np.median(z) / voxel - thickness / 2:+.2f}" if len(z) else "gone")
+                off.append(f"{np.median(z) / voxel - thickness / 2:+.2f}" if len(z) else "missing")
             print(f"| {thickness:g} | {backend} | {off[0]} | {off[1]} |", flush=True)
 
 
 def print_truth(samples: Path) -> None:
-    """Print how far fused samples are from their true surface, and that from them."""
+    """Print two-sided distances between fused samples and their true surface."""
     truth = read_ply(samples / "truth.ply")
-    print("\n| sample | | mean mm | RMS mm | truth to mesh, mean mm | colour RMS | triangles |")
+    print("\n| sample | volume | mean mm | RMS mm | truth to mesh, mean mm | colour RMS | triangles |")
     print("|---|---|---|---|---|---|---|")
     for name in ("rgbd", "stereo"):
         scan = read_scan(samples / name)

@@ -1,35 +1,38 @@
-"""Levels of detail: what they take, what is proven of them, and whether that holds.
+"""Levels of detail: build time, proven bounds, and sampled deviations.
 
     python benches/lod.py DATA [--mesh horse kitchen ...] [--threads 1] [--fronts 100] [--samples 20000]
     python benches/lod.py DATA --fields
 
-DATA holds `meshes/`. Prints Markdown.
+DATA holds `meshes/`. Prints these Markdown tables:
 
-"built": processor seconds of the build, million triangles of the input a second, cells of the finest level,
-nodes, triangles kept over those of the input, and megabytes of the file. "at 20,000" is the wall time of a
-cut to so many triangles, "evaluate + adjust" that of the paper's measures for a view and of the mesh for
-them, best of five.
+Build: CPU seconds, million input triangles per second, cells of the finest level, nodes, stored triangles
+over input triangles, and file size. "cut to 20,000" is the wall time of a cut to 20,000 triangles. "evaluate
++ adjust" is the wall time of evaluating the paper's measures for a view and cutting the mesh accordingly.
+Both are the best of five runs.
 
-"levels": of each level what is proven, its triangles, those of one piece simplified by method `certified`
-within the same distance, and the ratio: what borders between cells cost. "attack" is the distance that
-samples find over the one proven, of all nodes of the level: the largest, which may not pass 1, and the share
-of nodes where it is 0.8 or more; each node alone against its part of the input, both ways; then the same of
-colours at nearest points.
+Levels: for each level the proven bounds, its triangles, and the triangles of the whole mesh simplified by
+method `certified` within the same distance. "ratio" of the two is the cost of borders between cells. "sampled
+/ proven" is the sampled distance over the proven one, over all nodes of the level: the maximum, which must
+not exceed 1, and the ratio of nodes at 0.8 or more. Each node is compared with its part of the input, in both
+directions. The last two columns are the same for colours at nearest points.
 
-"clusterlod": whole cuts that claim an error, its own and ours: triangles, the distance that samples find over
-the one claimed, and our triangles over its. MESHOPTIMIZER names a folder with meshoptimizer's sources; left
-out without. Shape alone: colours bind our levels, too.
+clusterlod: cuts of the whole mesh within an error, by meshoptimizer's clusterlod and by ours: triangles,
+sampled distance over the claimed one, and our triangle count over clusterlod's. The environment variable
+MESHOPTIMIZER names a folder with meshoptimizer's sources; without it the table is skipped. clusterlod bounds
+shape alone, while colours bound our levels, too.
 
-"fronts": random nodes with random splits that are together all of the surface: how many have an edge of more
-than two triangles, or other borders than the input.
+Fronts: random sets of nodes with random splits that cover the surface. Counts the fronts with an edge of more
+than two triangles, and the fronts whose borders differ from the input's.
 
-"fields", alone: the horse in the four fields of the paper's figure 4, by its own rule. The paper gives the
-field's parameter and the triangles, but no eye, no pixels, no near and no far end. "letter" is the rule in
-all measures, for six eyes along the axes: the fewest and the most triangles. "error" is its threshold on
-the error alone, the one part of the rule that the field decides: the parameter is taken for the angle of
-the field in degrees, or for the distance, and what it is short of, pixels per metre, comes from the first
-row; the others follow. "global" is lambda_G with the last row's count as its floor, its far end from the
-first row. "proven" and "sampled" are the distances of "error, distance", over the diagonal.
+Fields (`--fields`): the horse in the four fields of view of the paper's figure 4, by its own rule. The paper
+gives the field's parameter and the triangle count, but neither viewpoint, pixels, near nor far distance.
+
+- "full rule" applies all measures for six viewpoints along the axes: smallest and largest triangle count.
+- "error" applies the rule's error threshold alone, the only part that depends on the field. The parameter is
+  taken as the angle of the field in degrees, or as the distance. The missing scale, pixels per metre, is
+  calibrated with the first row; the other rows follow.
+- "global" is lambda_G with the last row's count as floor and a far distance calibrated with the first row.
+- "proven" and "sampled" are the distances for "error, distance", over the diagonal.
 """
 
 from __future__ import annotations
@@ -63,31 +66,31 @@ MESHES = {
     "kitchen": "redkitchen_fused_vertexcolor.ply",
 }
 BUILT = [
-    *("mesh", "triangles", "build CPU s", "Mtri/s", "cells", "nodes", "kept / input", "MB"),
-    *("at 20,000 ms", "evaluate + adjust ms"),
+    *("mesh", "triangles", "build CPU s", "Mtri/s", "cells", "nodes", "stored / input", "MB"),
+    *("cut to 20,000 ms", "evaluate + adjust ms"),
 ]
 LEVELS = [
-    *("mesh", "level", "proven m", "levels of colour", "triangles", "one piece", "ratio"),
-    *("attack, largest", "0.8 or more", "on colour, largest", "0.8 or more"),
+    *("mesh", "level", "proven m", "proven colour levels", "triangles", "whole mesh", "ratio"),
+    *("sampled / proven, max", "0.8 or more", "colour: max", "0.8 or more"),
 ]
 CLUSTERS = [
     *(
         "mesh",
-        "at m",
-        "clusterlod, triangles",
-        "its true error / m",
-        "levels, triangles",
-        "true error / m",
+        "error m",
+        "clusterlod: triangles",
+        "sampled / claimed",
+        "scanloom: triangles",
+        "sampled / proven",
         "ratio",
     ),
 ]
-# Of figure 4: the field's parameter, and triangles.
+# Field parameters and triangle counts of figure 4.
 FIELDS = ((10.6017, 8632), (22.4261, 6553), (37.1169, 4060), (78.9082, 762))
 FIELD = [
-    *("parameter", "paper", "letter, 6 eyes", "global", "error, angle", "off"),
-    *("error, distance", "off", "proven / diagonal", "sampled / diagonal"),
+    *("parameter", "paper", "full rule, 6 views", "global", "error, angle", "difference"),
+    *("error, distance", "difference", "proven / diagonal", "sampled / diagonal"),
 ]
-FRONTS = ["mesh", "fronts", "edges of three triangles", "other borders"]
+FRONTS = ["mesh", "fronts", "with non-manifold edges", "with other borders"]
 
 
 def main() -> None:
@@ -123,8 +126,8 @@ def main() -> None:
 
 
 def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
-    """Print the table of the paper's fields."""
-    # Levels close to each other, since only whole levels are proven.
+    """Print the table of the paper's fields of view."""
+    # Levels with a small ratio, because bounds are proven for whole levels only.
     hierarchy = lod.build(mesh, ratio=1.2, root_triangles=400, cell_triangles=4000, threads=threads)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     (first, most), (_, least) = FIELDS[0], FIELDS[-1]
@@ -162,9 +165,15 @@ def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
 
 
 def triangles_by_letter(hierarchy: Hierarchy, field: float, axis: NDArray[np.float64]) -> int:
-    """Return what the paper's letter comes to for an eye along an axis and a field in degrees."""
+    """Count triangles by the paper's full rule.
+
+    Parameters
+    ----------
+    field : field of view, degrees.
+    axis : unit vector (3,) from the model to the eye.
+    """
     middle, radius = hierarchy.spheres[0][0], hierarchy.spheres[1][0]
-    # The whole model is in the narrowest field.
+    # At this distance, the narrowest field still shows the whole model.
     eye = middle + axis * radius / np.sin(np.radians(0.5 * FIELDS[0][0]))
     view = View(tuple(eye), tuple(middle), tuple(np.roll(axis, 1)), field=field)
     weights = lod.evaluate(hierarchy, view, rule="paper")
@@ -172,7 +181,7 @@ def triangles_by_letter(hierarchy: Hierarchy, field: float, axis: NDArray[np.flo
 
 
 def print_built(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> None:
-    """Print a row of "built"."""
+    """Print a row of the table of builds."""
     with tempfile.TemporaryDirectory() as folder:
         lod.write_slod(Path(folder) / "m.slod", hierarchy)
         size = (Path(folder) / "m.slod").stat().st_size
@@ -200,7 +209,7 @@ def print_built(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> 
 
 
 def best_ms(call: Callable[[], object]) -> float:
-    """Return the least wall time of five calls, ms."""
+    """Measure the smallest wall time of five calls, ms."""
     times = []
     for _ in range(5):
         before = time.perf_counter()
@@ -210,7 +219,7 @@ def best_ms(call: Callable[[], object]) -> float:
 
 
 def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> None:
-    """Print the rows of "levels", the finest first."""
+    """Print the rows of the table of levels, finest first."""
     for level in range(int(hierarchy.level.max()) + 1):
         nodes = np.flatnonzero(hierarchy.level == level)
         if not len(nodes):
@@ -240,22 +249,22 @@ def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> N
 
 
 def largest_and_share(of_bounds: NDArray[np.float64]) -> list[str]:
-    """Return the largest part of its bound that an attack has reached, and how many reached 0.8."""
+    """Format the maximum, and the ratio of values of 0.8 or more."""
     return [f"{of_bounds.max():.3f}", f"{np.mean(of_bounds >= 0.8):.0%}"]
 
 
 def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy], samples: int) -> None:
-    """Print cuts within an error: clusterlod's, which claims it, and ours, which is proven."""
+    """Print cuts within an error by clusterlod (claimed) and by ours (proven)."""
     try:
         library = native.clusterlod()
     except native.Missing as lacking:
-        print(f"clusterlod is left out: {lacking}.")
+        print(f"clusterlod is skipped: {lacking}.")
         return
     print_head(CLUSTERS)
     for name, mesh in meshes.items():
         hierarchy = hierarchies[name]
         clusters = Clusters(library, mesh)
-        print(f"{name}: clusterlod is built in {clusters.seconds:.2f} s of CPU.", file=sys.stderr)
+        print(f"{name}: clusterlod takes {clusters.seconds:.2f} CPU s to build.", file=sys.stderr)
         for level in range(int(hierarchy.level.max()) + 1):
             at = hierarchy.shape_bound[hierarchy.level == level].max(initial=0.0)
             if at == 0.0:
@@ -281,7 +290,7 @@ def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy],
 
 
 class Clusters:
-    """What clusterlod makes of a mesh, in clusters of 128 triangles: its shape alone."""
+    """clusterlod hierarchy of a mesh's shape, in clusters of 128 triangles."""
 
     def __init__(self, library: ctypes.CDLL, mesh: Mesh) -> None:
         self.library, self.mesh = library, mesh
@@ -299,7 +308,7 @@ class Clusters:
         self.seconds = time.process_time() - before
 
     def cut(self, error: float) -> Mesh:
-        """Return the mesh that is drawn where this error is allowed, in m."""
+        """Cut the hierarchy at an error in metres."""
         allowed = ctypes.c_float(error)
         corners = np.empty(self.library.cut(self.handle, allowed, None), np.uint32)
         self.library.cut(self.handle, allowed, corners.ctypes.data_as(ctypes.c_void_p))
@@ -307,7 +316,10 @@ class Clusters:
 
 
 def attack(hierarchy: Hierarchy, node: int, samples: int) -> tuple[float, float]:
-    """Return the largest deviation that samples find between a node's coarse mesh and its part of it all."""
+    """Sample the largest deviation between a node's coarse mesh and its input.
+
+    Returns the two-sided distance in metres and the colour difference in levels.
+    """
     leaves = [leaf for leaf in range(hierarchy.nodes) if is_below(hierarchy, leaf, node)]
     leaves = [leaf for leaf in leaves if not len(hierarchy.children[leaf])]
     base = hierarchy.mesh(leaves, hierarchy.splits[leaves])
@@ -317,16 +329,17 @@ def attack(hierarchy: Hierarchy, node: int, samples: int) -> tuple[float, float]
 
 
 def is_below(hierarchy: Hierarchy, node: int, above: int) -> bool:
-    """Return whether a node is another, or is below it."""
+    """Check if a node equals another or is its descendant."""
     while node > above:
         node = int(hierarchy.parent[node])
     return node == above
 
 
 def farthest(mesh: Mesh, other: Mesh, samples: int) -> tuple[float, float]:
-    """Return how far a mesh's vertices, middles of triangles and samples are from another at most.
+    """Sample the largest distance and colour difference from `mesh` to `other`.
 
-    In m, and in levels of colour from the nearest points there; 0 without colours.
+    Samples are the vertices, the centroids and random points of the triangles. The distance is in metres, the
+    colour difference at nearest points in 8-bit levels, 0 without colours.
     """
     random = np.random.default_rng(0)
     corners = mesh.vertices[mesh.triangles]
@@ -353,7 +366,7 @@ def farthest(mesh: Mesh, other: Mesh, samples: int) -> tuple[float, float]:
 
 
 def print_fronts(name: str, hierarchy: Hierarchy, count: int) -> None:
-    """Print a row of "fronts"."""
+    """Print a row of the table of fronts."""
     random = np.random.default_rng(0)
     base = topology(hierarchy.cut(max_shape=0.0).mesh)
     crossed = bordered = 0

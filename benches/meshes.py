@@ -1,6 +1,6 @@
-"""The meshes that simplifiers are compared on: real ones, and a globe with a satellite map.
+"""Meshes for comparing simplifiers: real models and a textured globe.
 
-Builders take DATA, the folder that holds `meshes/` and `images/`.
+Functions take DATA, the folder that holds `meshes/` and `images/`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scanloom.stages.surface.mesh_files import read_mesh
 Floats = np.ndarray
 Sampler = Callable[[Colors, Floats, Floats], Colors]
 
-# 8 · 96² triangles: the count of the coloured globe in JIA01.
+# Gives 8 · 96² triangles, as the coloured globe in JIA01 has.
 GLOBE_STEPS = 96
 
 
@@ -30,30 +30,33 @@ def horse(data: Path) -> Mesh:
 
 
 def kitchen(data: Path) -> Mesh:
-    """Read a room fused at 2 cm, noise, holes and all, made manifold."""
+    """Read a room fused at 2 cm, cleaned to a manifold.
+
+    Noise and holes are kept.
+    """
     return scan(data / "meshes/redkitchen_fused_vertexcolor.ply")
 
 
 def scan(path: Path) -> Mesh:
-    """Read any scan with colours, made manifold."""
+    """Read a coloured scan and clean it to a manifold."""
     return clean(read_mesh(path)).mesh.with_(normals=None)
 
 
 def painted(data: Path) -> Mesh:
-    """Read a photogrammetric model, and paint it with the earth's map."""
+    """Read a photogrammetric model and project the earth's map onto it."""
     return projected(data / "meshes/sceaux_mvs_scene_mesh.ply", earth(data))
 
 
 def projected(path: Path, image: Colors) -> Mesh:
-    """Read any model, make it manifold, and paint it as if by a slide projector.
+    """Read a model, clean it, and project an image onto its vertices.
 
-    The image is stretched over the box of the first two principal axes; the third is the projector's
-    direction.
+    The image is stretched over the bounding rectangle of the first two principal axes and projected along the
+    third.
     """
     mesh = clean(read_mesh(path)).mesh
     centred = mesh.vertices - mesh.vertices.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
-    # An axis may come out either way round; its largest component decides.
+    # The sign of a singular vector is arbitrary: make its largest component positive.
     axes *= np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1))
     at = centred @ axes.T
     low, high = at.min(axis=0), at.max(axis=0)
@@ -62,7 +65,7 @@ def projected(path: Path, image: Colors) -> Mesh:
 
 
 def satellite(data: Path) -> Mesh:
-    """Make the unit sphere with the earth's map on it, a colour a vertex."""
+    """Make the unit sphere with the earth's map as vertex colours."""
     return globe(GLOBE_STEPS, earth(data))
 
 
@@ -75,23 +78,31 @@ MESHES: dict[str, Callable[[Path], Mesh]] = {
 
 
 def earth(data: Path) -> Colors:
-    """Read the map: longitude −180° to 180° along the rows, latitude 90° to −90° down."""
+    """Read the earth's map.
+
+    Rows run from latitude 90° to −90°, columns from longitude −180° to 180°.
+    """
     path = data / "images/2k_earth_daymap.jpg"
     image = cv2.imread(str(path))
     if image is None:
-        raise InputError(MACHINE_BUG, "it is missing or no image.", path)
+        raise InputError(MACHINE_BUG, "the image is missing or cannot be decoded.", path)
     return np.ascontiguousarray(image[:, :, ::-1])
 
 
 def globe(steps: int, image: Colors, sample: Sampler | None = None) -> Mesh:
-    """Make a unit sphere of 8 · steps² triangles, coloured by a map in equal degrees, bilinearly by default.
+    """Make a unit sphere coloured by a map.
 
-    The octahedron |x| + |y| + |z| = steps has its subdivision's vertices at whole numbers; each is moved
-    along its ray onto the sphere.
+    The sphere has 8 · steps² triangles. The vertices of the subdivided octahedron |x| + |y| + |z| = steps are
+    integers; they are projected radially onto the sphere.
+
+    Parameters
+    ----------
+    image : equirectangular map (h, w, 3).
+    sample : samples the map at vertices; bilinear by default.
     """
     corners, turned = octant(steps)
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-    # A mirrored octant is inside out.
+    # Mirroring an octant flips the orientation of its triangles.
     pieces = [(turned if s.prod() < 0 else corners) * s for s in signs]
     lattice, triangles = np.unique(np.concatenate(pieces).reshape(-1, 3), axis=0, return_inverse=True)
     vertices = lattice / np.linalg.norm(lattice, axis=1, keepdims=True)
@@ -105,7 +116,10 @@ def globe(steps: int, image: Colors, sample: Sampler | None = None) -> Mesh:
 
 
 def octant(steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of the octant's triangles, (steps², 3, 3) whole numbers, and the same inside out."""
+    """Make the integer corners (steps², 3, 3) of one octant's triangles.
+
+    Returns them in both orientations.
+    """
     i, j = (a.ravel() for a in np.mgrid[0:steps, 0:steps])
     upward, downward = i + j < steps, i + j < steps - 1
 
@@ -120,13 +134,16 @@ def octant(steps: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest(image: Colors, x: Floats, y: Floats) -> Colors:
-    """Return the colours of the pixels nearest to pixel coordinates, centres at whole numbers."""
+    """Sample the nearest pixels; pixel centres have integer coordinates."""
     row, column = np.rint(y).clip(0, image.shape[0] - 1), np.rint(x).clip(0, image.shape[1] - 1)
     return image[row.astype(int), column.astype(int)]
 
 
 def bilinear(image: Colors, x: Floats, y: Floats) -> Colors:
-    """Return the image's colours at pixel coordinates, centres at whole numbers, its edge beyond it."""
+    """Sample an image bilinearly; pixel centres have integer coordinates.
+
+    Coordinates outside the image are clamped to its edge.
+    """
     x, y = x.clip(0, image.shape[1] - 1), y.clip(0, image.shape[0] - 1)
     column, row = x.astype(int).clip(max=image.shape[1] - 2), y.astype(int).clip(max=image.shape[0] - 2)
     u, v = (x - column)[:, None], (y - row)[:, None]

@@ -1,35 +1,39 @@
-"""Normal meshes: the papers' tables made again, bytes against Draco's, colours level by level.
+"""Normal meshes: results of the papers, file sizes, colours by level.
 
     python benches/normal_mesh.py DATA [--only models folds rates colors growth] [--mesh cow horse]
                                        [--samples 200000] [--picture FOLDER]
 
-DATA holds `meshes/`. `pip install '.[bench]'` brings the peers: PyMeshLab, which also measures the distances
-a second time, and Draco. It prints Markdown.
+DATA holds `meshes/`. `pip install '.[bench]'` installs the peers: PyMeshLab, which also measures distances
+independently, and Draco. Prints Markdown.
 
-"models": what Li et al. 2002 ran (cow, near-cube), what Guskov et al. 2000 ran (horse), and scans, four of
-them open, at a tolerance of 5e-8. Exceptions are new vertices that no scalar can place, boundary vertices
-aside, which always have vectors; the papers' counts are beside them. Distances are over the diagonal of the
-original's bounding box: RMS from the original to the result and back, and the largest of both; "check" is the
-same by PyMeshLab's own sampling. "off" is how far the vertices are from the original at most, by PyMeshLab.
-"turned" are triangles that face more than 90° away from the original next to their middle (in brackets: where
-the original is not itself turned against the surface around it), "flat" those without area; "spread" is the
-standard deviation of edge lengths over their mean. "CPU s" is processor time
-from the file to the result, the bytes of the `.snm` included. "bits" are for each vertex of the result.
+"models": the models of Li et al. 2002 (cow, near-cube) and of Guskov et al. 2000 (horse), and scans, four of
+them open, at a tolerance of 5e-8. Columns:
 
-"folds": two meshes that are crumpled in places, a fused kitchen and a model of many parts, all at its
-default. "turned" are triangles of each level as above, in brackets there; "folded" is what
-`folded_by_level` says.
+- "exceptions": new vertices that no scalar offset can represent. Boundary vertices are counted separately,
+  because they always have vectors. The papers' counts are in the next column.
+- Distances are over the diagonal of the original's bounding box: RMS from the original to the result and
+  back, and the larger maximum. "check" is the same by PyMeshLab's own sampling.
+- "distance": the largest distance of a vertex from the original, by PyMeshLab.
+- "flipped": triangles that face more than 90° away from the original at the point nearest to their centroid.
+  In parentheses: only where the original is consistent with the surface around it.
+- "degenerate": triangles without area. "edge spread": standard deviation of edge lengths over their mean.
+- "CPU s": CPU time from the input file to the result, including writing the `.snm` data. "bits": per vertex
+  of the result.
+
+"folds": two meshes with crumpled regions, a fused kitchen and a model of many components, with default
+parameters. "flipped" counts the triangles of each level as in the parentheses above. "folded" is
+`folded_by_level`.
 
 "rates": see normal_mesh_rates.py.
 
-"colors": the coloured kitchen scan, and how near the colours of each level are to the original's, sampled on
-the original. "bytes" are those of the file that ends with the level.
+"colors": the coloured kitchen scan. The colour error of each level is sampled on the original. "bytes" is the
+size of the file that ends with the level.
 
-"growth": made height fields, noisy and coloured, from ten thousand to a million triangles, and what each
-triangle of the input takes.
+"growth": synthetic coloured height fields with noise, from ten thousand to a million triangles, and the time
+per input triangle.
 
-With --picture: base, levels and the original painted with its distance to the result, over the diagonal, for
-four meshes.
+With --picture: base mesh, levels, and the original coloured by its distance to the result (over the
+diagonal), for four meshes.
 """
 
 from __future__ import annotations
@@ -61,31 +65,31 @@ from scanloom.stages.surface.topology import topology
 
 PARTS = ("models", "folds", "rates", "colors", "growth")
 SIZES = (10_000, 100_000, 1_000_000)
-SHAPE = ["least °", "5 % °", "mean °", "spread", "turned", "flat"]
+SHAPE = ["min °", "5 % °", "mean °", "edge spread", "flipped", "degenerate"]
 SIZE = ["bytes", "bits"]
 MODEL_COLUMNS = [
-    *("model", "triangles", "exceptions", "share", "paper", "boundary"),
-    *("RMS there ×1e-5", "back", "max", "check: RMS there", "back", "max"),
+    *("model", "triangles", "exceptions", "ratio", "paper", "boundary"),
+    *("RMS forward ×1e-5", "backward", "max", "check: RMS forward", "backward", "max"),
     *(*SHAPE, *SIZE, "CPU s"),
 ]
-LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "off", *SHAPE, *SIZE]
-FOLD_COLUMNS = ["mesh", "triangles", "base", "finest", "turned", "folded", "bytes", "CPU s"]
+LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "distance", *SHAPE, *SIZE]
+FOLD_COLUMNS = ["mesh", "triangles", "base", "finest", "flipped", "folded", "bytes", "CPU s"]
 COLOR_COLUMNS = [
-    *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS there ×1e-5", "back"),
+    *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS forward ×1e-5", "backward"),
     *SIZE,
 ]
 
 
 @dataclass(frozen=True)
 class Model:
-    """A mesh and how it is remeshed.
+    """Input mesh and remeshing parameters.
 
     Attributes
     ----------
-    read : takes DATA.
-    levels : refinements.
-    base_triangles : None for as many as make the result about as large as the input.
-    paper : what the paper reports of exceptions.
+    read : reads the mesh from DATA.
+    levels : number of refinements.
+    base_triangles : triangles of the base mesh; None for a result about as large as the input.
+    paper : number of exceptions reported by the paper.
     """
 
     read: Callable[[Path], Mesh]
@@ -94,28 +98,34 @@ class Model:
     paper: str = ""
 
     def remeshed(self, mesh: Mesh) -> NormalMesh:
-        """Remesh with what is not said here at its default."""
+        """Remesh with these parameters and defaults for the others."""
         return remesh(mesh, levels=self.levels, base_triangles=self.base_triangles, tolerance=5e-8)
 
 
 def file(name: str) -> Callable[[Path], Mesh]:
-    """Return what reads a mesh."""
+    """Return a function that reads a mesh from DATA."""
     return lambda data: read_mesh(data / "meshes" / name)
 
 
 def kitchen(data: Path) -> Mesh:
-    """Read a coloured room fused at 2 cm, and make it manifold."""
+    """Read a coloured room fused at 2 cm, cleaned to a manifold."""
     return clean(file("redkitchen_fused_vertexcolor.ply")(data)).mesh
 
 
 def standing_horse(data: Path) -> Mesh:
-    """Read the horse for a picture: the file has its heights along z, and its triangles inside out."""
+    """Read the horse for a picture.
+
+    The file's horse is on its side and its triangles face inward; both are corrected.
+    """
     mesh = file("horse.ply")(data)
     return Mesh(mesh.vertices[:, [1, 2, 0]], mesh.triangles[:, ::-1].copy())
 
 
 def near_cube() -> Mesh:
-    """Make a unit cube of 396 triangles: its edges are cut in 3, 6 and 9 parts along the three axes."""
+    """Make a unit cube of 396 triangles.
+
+    Its edges are divided into 3, 6 and 9 parts along the three axes.
+    """
     parts = np.array([3, 6, 9])
     corners = []
     for axis in range(3):
@@ -126,7 +136,8 @@ def near_cube() -> Mesh:
             square[..., axis] = side * parts[axis]
             square[..., u] = i[:, None] + [0, 1, 1, 0]
             square[..., v] = j[:, None] + [0, 0, 1, 1]
-            # Seen from outside, u to v turns left on the far side and right on the near one.
+            # From outside, the turn from u to v is counterclockwise on the far side and clockwise on the near
+            # side.
             square = square if side else square[:, ::-1]
             corners += [square[:, [0, 1, 2]], square[:, [0, 2, 3]]]
     lattice, triangles = np.unique(np.concatenate(corners).reshape(-1, 3), axis=0, return_inverse=True)
@@ -142,32 +153,32 @@ MODELS = {
     "sceaux": Model(file("sceaux_mvs_scene_mesh.ply"), 3),
     "igea": Model(file("igea.ply"), 4),
     "rocker-arm": Model(file("rocker-arm.obj"), 3),
-    # A closed surface without handles of 234 vertices has 464 triangles.
+    # A closed surface of genus 0 with 234 vertices has 464 triangles.
     "horse": Model(file("horse.ply"), 4, 464, "644"),
 }
 KITCHEN = Model(kitchen, 3)
-# What it was fused from tells where to look from.
+# The scan that the kitchen was fused from: its cameras give the viewpoint of the picture.
 SCAN = "rgbd/7scenes_redkitchen"
 PICTURED = {
     "horse": replace(MODELS["horse"], read=standing_horse),
     **{name: MODELS[name] for name in ("cow", "face")},
     "kitchen": KITCHEN,
 }
-# Pixels of one mesh in a picture.
+# Width of one mesh in a picture, pixels.
 WIDTH = 480
 
 
 def main() -> None:
-    """Print the tables, and draw the pictures."""
+    """Print the tables and draw the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
     parser.add_argument("--mesh", nargs="+", choices=[*MODELS, "kitchen"], default=[*MODELS, "kitchen"])
     parser.add_argument("--samples", type=int, default=200_000)
-    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="where to draw")
+    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="folder for the pictures")
     options = parser.parse_args()
     if "models" in options.only:
-        # What is loaded once is loaded now.
+        # Warm up: load libraries before anything is timed.
         MODELS["near-cube"].remeshed(near_cube())
         print_models([name for name in MODELS if name in options.mesh], options.data, options.samples)
     if "folds" in options.only:
@@ -192,7 +203,7 @@ def main() -> None:
 
 
 def print_models(names: list[str], data: Path, samples: int) -> None:
-    """Print a row for each model, then one for each of their levels."""
+    """Print a row for each model, then a row for each level."""
     print_head(MODEL_COLUMNS, words=2)
     later = []
     for name in names:
@@ -212,7 +223,7 @@ def print_models(names: list[str], data: Path, samples: int) -> None:
 
 
 def counted(mesh: Mesh, result: NormalMesh, paper: str) -> list[str]:
-    """Return the cells of triangles at each stage, and of the kinds of new vertices."""
+    """Format triangle counts of all levels and the kinds of new vertices."""
     stages = " → ".join(f"{len(one.triangles):,}" for one in (mesh, *result.levels))
     kinds = np.concatenate([offsets.kinds for offsets in result.offsets])
     scalars, exceptions, boundary = (np.count_nonzero(kinds == k) for k in (SCALAR, EXCEPTION, BOUNDARY))
@@ -221,7 +232,7 @@ def counted(mesh: Mesh, result: NormalMesh, paper: str) -> list[str]:
 
 
 def measured(mesh: Mesh, light: Mesh, samples: int) -> list[str]:
-    """Return the cells of distances, by `compare` and by PyMeshLab: there, back, and the largest."""
+    """Format distances by `compare` and by PyMeshLab: forward, backward, maximum."""
     found = compare(mesh, light, samples=samples)
     there, back = (hausdorff(*pair, samples) for pair in ((mesh, light), (light, mesh)))
     lengths = (found.a_to_b.rms, found.b_to_a.rms, found.symmetric.maximum)
@@ -230,7 +241,7 @@ def measured(mesh: Mesh, light: Mesh, samples: int) -> list[str]:
 
 
 def shaped(mesh: Mesh, light: Mesh) -> list[str]:
-    """Return the cells of the triangles' quality."""
+    """Format triangle quality."""
     angles, lengths = smallest_angles(light), edge_lengths(light)
     return [
         f"{angles.min():.2f}",
@@ -243,13 +254,13 @@ def shaped(mesh: Mesh, light: Mesh) -> list[str]:
 
 
 def stored(result: NormalMesh, level: int) -> list[str]:
-    """Return the cells of the file that ends with a level."""
+    """Format the size of the file that ends with a level."""
     size = result.level_ends[level]
     return [f"{size:,}", f"{8 * size / len(result.levels[level].vertices):.2f}"]
 
 
 def by_level(mesh: Mesh, result: NormalMesh) -> Iterator[list[str]]:
-    """Yield the cells of each level: exceptions, the largest distance of a vertex, soundness, bytes."""
+    """Yield the cells of each level: exceptions, distance, triangle quality, size."""
     diagonal = float(np.linalg.norm(np.diff(bounding_box(mesh), axis=0)))
     for level, light in enumerate(result.levels):
         kinds = result.offsets[level - 1].kinds if level else np.zeros(0, np.uint8)
@@ -265,9 +276,15 @@ def by_level(mesh: Mesh, result: NormalMesh) -> Iterator[list[str]]:
 
 
 def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
-    """Return distances from one surface to the other by PyMeshLab, of its vertices if `samples` is 0.
+    """Measure one-sided distances with PyMeshLab.
 
-    Not a number where it is not installed.
+    Parameters
+    ----------
+    samples : random points on `mesh`; 0 measures its vertices.
+
+    Returns
+    -------
+    "RMS" and "max", NaN if PyMeshLab is not installed.
     """
     try:
         import pymeshlab
@@ -288,14 +305,16 @@ def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
 
 
 def cell(value: float, form: str) -> str:
-    """Return the cell of a number; empty if there is none."""
+    """Format a number; empty if NaN."""
     return "" if math.isnan(value) else f"{value:{form}}"
 
 
 def turned(mesh: Mesh, light: Mesh) -> tuple[int, int]:
-    """Count triangles that face away, by more than a right angle, from the original next to their middle.
+    """Count triangles that face away from the original.
 
-    And those of them where the original is not itself turned against the surface around it.
+    A triangle is flipped if its normal is more than 90° from the normal of the original's triangle nearest to
+    its centroid. The second count leaves out triangles where the original itself is flipped against the
+    surface around it.
     """
     middles, facing = light.vertices[light.triangles].mean(axis=1), unit_normals(mesh)
     nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
@@ -308,7 +327,7 @@ def turned(mesh: Mesh, light: Mesh) -> tuple[int, int]:
 
 
 def print_folds(data: Path) -> None:
-    """Print a row for each mesh that is crumpled in places."""
+    """Print a row for each mesh with crumpled regions."""
     print("\n### Folds\n")
     print_head(FOLD_COLUMNS)
     for name, mesh in {"kitchen": kitchen(data), "pirate": file("pirate.obj")(data)}.items():
@@ -324,7 +343,7 @@ def print_folds(data: Path) -> None:
 
 
 def print_colors(model: Model, data: Path, samples: int) -> None:
-    """Print a row for each level of a mesh with colours."""
+    """Print colour errors for each level of a coloured mesh."""
     mesh = model.read(data)
     result = model.remeshed(mesh)
     print(f"\n### Colours, {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles\n")
@@ -340,9 +359,9 @@ def print_colors(model: Model, data: Path, samples: int) -> None:
 
 
 def print_growth() -> None:
-    """Print a row for each size of a made height field, at the default settings."""
+    """Print time by size of a height field, with default parameters."""
     print("\n### Growth\n")
-    print_head(["triangles", "of the result", "exceptions", "CPU s", "µs a triangle"], words=0)
+    print_head(["triangles", "result triangles", "exceptions", "CPU s", "µs per triangle"], words=0)
     for size in SIZES:
         mesh = hills(size)
         start = time.process_time()

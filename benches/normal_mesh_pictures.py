@@ -1,6 +1,7 @@
-"""Pictures of a normal mesh: base, levels, and the original painted with its distance to the result.
+"""Pictures of normal meshes.
 
-Part of normal_mesh.py.
+A picture shows the base mesh, all levels, and the original coloured by its distance to the result. Part of
+normal_mesh.py.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 INK, PAPER = (38, 52, 74), (242, 244, 247)
 HEAD_PX = 32
-# From the right end of the head.
+# Width of the colour bar, and its distance from the right end of the title bar, pixels.
 SCALE_PX, SCALE_END_PX = 120, 80
 
 
 def draw(mesh: Mesh, result: NormalMesh, viewpoint: Viewpoint, path: Path) -> None:
-    """Draw all from one viewpoint, side by side, as PNG; colours, where there are any, in a second row."""
+    """Draw all levels from one viewpoint, side by side, as PNG.
+
+    Coloured meshes get a second row that shows their colours.
+    """
     models = [Model(Surface(light)) for light in result.levels]
     top = [
         titled(model.draw(viewpoint, "edges"), f"level {level}: {len(light.triangles):,} triangles")
@@ -41,10 +45,10 @@ def draw(mesh: Mesh, result: NormalMesh, viewpoint: Viewpoint, path: Path) -> No
 
 
 def distances(mesh: Mesh, light: Mesh, viewpoint: Viewpoint) -> ColorImage:
-    """Draw a mesh painted with its distance to another, under the scale of the colours."""
+    """Draw a mesh coloured by distance to another, with a colour bar."""
     box = bounding_box(mesh, light)
     painted, full_scale = distance_map(mesh, Surface(light, box))
-    image = titled(Model(Surface(painted)).draw(viewpoint), "original: off by 0 to")
+    image = titled(Model(Surface(painted)).draw(viewpoint), "original: distance 0 to")
     ramp = np.linspace(0, 255, SCALE_PX).astype(np.uint8)[:, None]
     end = image.shape[1] - SCALE_END_PX
     image[10:22, end - SCALE_PX : end] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
@@ -53,12 +57,12 @@ def distances(mesh: Mesh, light: Mesh, viewpoint: Viewpoint) -> ColorImage:
 
 
 def titled(image: ColorImage, title: str) -> ColorImage:
-    """Return the picture below a head with a title."""
+    """Add a title bar above an image."""
     head = np.full((HEAD_PX, image.shape[1], 3), PAPER, np.uint8)
     write(head, title, 10)
     return np.vstack([head, image])
 
 
 def write(image: ColorImage, text: str, left: int) -> None:
-    """Write into the head of a picture."""
+    """Write text into an image's title bar, in place."""
     cv2.putText(image, text, (left, 21), cv2.FONT_HERSHEY_SIMPLEX, 0.55, INK, 1, cv2.LINE_AA)

@@ -1,15 +1,19 @@
-"""Bytes against distance: normal meshes beside Draco, and beside a simplified mesh in Draco.
+"""File size against distance: normal meshes, Draco, and simplified meshes in Draco.
 
 Part of normal_mesh.py. RMS is the larger of the two directions, over the diagonal of the original's bounding
-box; dB is 20 log10 of its inverse. "with levels" are files of several base sizes and tolerances, cut at every
-level, each decoded and measured. "without levels" are files of `remesh(levels=0, base_triangles=…)`, a
-simplified mesh and no more. Of both a table names the smallest that is at least as near, and beside it the
-smallest with levels. "Draco" keeps all vertices. "simplify + Draco" is each simplifier at several sizes, in
-Draco with several bits; its bytes at an RMS lie on the line between the two of its best files next to it.
-"of wanted" is what ours takes over what it is to take at most: above 1 the target is missed.
+box; dB is 20 log10 of its inverse.
 
-Published coders of normal meshes take 3,037 bytes at 62 dB and 18,111 at 75 dB for a dinosaur of 14,000
-vertices.
+- "with levels": files of several base sizes and tolerances, truncated after every level, each decoded and
+  measured.
+- "without levels": files of `remesh(levels=0, base_triangles=…)`, which hold just a simplified mesh. Tables
+  name the smallest file of both kinds with at most the given RMS, and the smallest one with levels.
+- "Draco": all vertices are kept.
+- "simplify + Draco": each simplifier at several sizes, encoded by Draco with several bit depths. Its size at
+  a given RMS is interpolated between the two nearest files of its Pareto front.
+- "/ target": our size over the largest size that we allow. Above 1 the target is missed.
+
+For comparison: published coders of normal meshes need 3,037 bytes at 62 dB and 18,111 bytes at 75 dB for a
+dinosaur of 14,000 vertices.
 """
 
 from __future__ import annotations
@@ -32,13 +36,13 @@ from scanloom.stages.surface.mesh import Mesh
 
 @dataclass(frozen=True)
 class Settings:
-    """Files of one base size.
+    """Parameters for files of one base size.
 
     Attributes
     ----------
-    base : triangles.
-    levels : refinements.
-    tolerances : of each file, as `remesh` takes it.
+    base : triangles of the base mesh.
+    levels : number of refinements.
+    tolerances : one file each; passed to `remesh`.
     """
 
     base: int
@@ -48,8 +52,8 @@ class Settings:
     relaxations: int = 1
 
 
-# Smaller bases go with larger tolerances: files of other pairs are larger at the same distance. Bytes and
-# distance jump by a tenth from one tolerance to the next, hence several.
+# Small bases need large tolerances: files of other pairs are larger at the same distance. Size and distance
+# jump by a tenth from one tolerance to the next, hence several tolerances.
 LEVELS = {
     "horse": (
         Settings(200, 4, (2e-3,)),
@@ -65,7 +69,7 @@ LEVELS = {
         Settings(800, 5, (1.1e-4, 1e-4, 9e-5)),
         Settings(1000, 5, (1.2e-4, 1.1e-4)),
     ),
-    # Without levels its files are smaller at every distance; these show by how much.
+    # The cow's files without levels are smaller at every distance; these files show by how much.
     "cow": (
         Settings(426, 3, (4e-3, 1e-3)),
         Settings(1000, 2, (4e-3, 2e-3, 1e-3, 5e-4), "linear", 0),
@@ -76,11 +80,11 @@ LEVELS = {
         Settings(300, 4, (1.2e-3, 5e-4, 2e-4)),
         Settings(600, 4, (5e-4, 2e-4)),
     ),
-    # Rough all over: so shows one.
+    # This scan is rough everywhere; one base size is enough to show it.
     "sceaux": (Settings(600, 4, (1.2e-3, 6e-4)),),
     "kitchen": (),
 }
-# Without levels: shares of the triangles, and tolerances.
+# Files without levels: triangle ratios and tolerances.
 ALONE_SHARES = {
     "horse": np.geomspace(0.005, 0.08, 5),
     "cow": np.geomspace(0.1, 0.95, 9),
@@ -90,26 +94,26 @@ ALONE_SHARES = {
 }
 ALONE_TOLERANCES = (2.5e-3, 1.6e-3, 1e-3, 6e-4, 4e-4, 2.5e-4, 1.6e-4)
 
-# Draco's bits where all vertices are kept, and what share of its bytes ours are to take at its RMS.
+# Draco's bit depths with all vertices kept, and the target for our size over Draco's at the same RMS.
 ALL_KEPT = {8: 1 / 12, 9: None, 10: 1 / 5, 11: 1 / 3, 12: 1 / 2, 14: None}
-# Bits after simplification, and shares of the triangles.
+# Draco's bit depths after simplification, and triangle ratios.
 BITS = range(9, 14)
 SHARES = np.geomspace(0.01, 0.9, 14)
-# At most this share of what simplify + Draco takes, at every one of these distances.
+# Target for our size over simplify + Draco, at each of these RMS distances (over the diagonal).
 HALF = 1 / 2
 DISTANCES = (60e-5, 30e-5, 18.7e-5, 14e-5, 13.9e-5, 11.1e-5, 7e-5, 6.7e-5, 3.6e-5)
-# Simplifiers that are of no use here: they are far behind, or the same quadrics again.
+# Simplifiers that cannot win here: they are far behind, or use the same quadrics as another one.
 LEFT_OUT = ("VTK", "meshoptimizer", "Open3D legacy", "fast-simplification", "CGAL Garland")
 
 
 def print_rates(name: str, mesh: Mesh, samples: int) -> None:
-    """Print the files worth having, and what the peers' files cost beside them."""
+    """Print the Pareto front of our files and sizes of peers' files."""
     original = Original(mesh, samples)
     refined = frontier(normal_meshes(name, original))
     ours = frontier([*refined, *without_levels(name, original)])
     for files, kind in ((refined, "with levels"), (ours, "with levels or without")):
         print(f"\n### {name}, {len(mesh.vertices):,} vertices: files {kind}\n")
-        print_head(["made of", "bytes", "bits for each original vertex", "RMS ×1e-5", "dB"])
+        print_head(["parameters", "bytes", "bits per original vertex", "RMS ×1e-5", "dB"])
         for file in files:
             bits = 8 * file.size / len(mesh.vertices)
             rms = f"{1e5 * file.rms:.2f}"
@@ -117,14 +121,14 @@ def print_rates(name: str, mesh: Mesh, samples: int) -> None:
     try:
         package("DracoPy")()
     except Missing as reason:
-        print(f"\nDraco is left out: {reason}")
+        print(f"\nDraco is skipped: {reason}")
         return
     print_all_kept(original, ours, refined)
     print_simplified(original, ours, refined)
 
 
 def normal_meshes(name: str, original: Original) -> Iterator[File]:
-    """Make files of several bases and tolerances, and measure what every prefix decodes to."""
+    """Yield files of several bases and tolerances, truncated after every level."""
     for setting in LEVELS[name]:
         for tolerance in setting.tolerances:
             result = remesh(
@@ -142,7 +146,7 @@ def normal_meshes(name: str, original: Original) -> Iterator[File]:
 
 
 def without_levels(name: str, original: Original) -> Iterator[File]:
-    """Make files of several sizes without levels, each with several tolerances."""
+    """Yield files without levels, of several sizes and tolerances."""
     for share in ALONE_SHARES[name]:
         triangles = int(share * len(original.mesh.triangles))
         for tolerance in ALONE_TOLERANCES:
@@ -152,32 +156,32 @@ def without_levels(name: str, original: Original) -> Iterator[File]:
 
 
 def print_all_kept(original: Original, ours: list[File], refined: list[File]) -> None:
-    """Print a row for each number of bits, all vertices kept."""
-    print("\nDraco, all vertices kept, and ours at its RMS:\n")
-    mine = ["ours", "bytes", "RMS ×1e-5", "of Draco's", "wanted", "of wanted"]
-    print_head(["Draco, bits", "bytes", "RMS ×1e-5", "dB", *mine, "with levels: bytes", "of wanted"])
+    """Print a row for each of Draco's bit depths, all vertices kept."""
+    print("\nDraco with all vertices, and our smallest file within its RMS:\n")
+    mine = ["ours", "bytes", "RMS ×1e-5", "/ Draco", "target", "/ target"]
+    print_head(["Draco, bits", "bytes", "RMS ×1e-5", "dB", *mine, "with levels: bytes", "/ target"])
     for bits, wanted in ALL_KEPT.items():
         data = encoded(original.mesh, bits)
         peer = original.file(len(data), decoded(data), f"{bits}")
         file = smallest(ours, peer.rms)
         cells = [peer.made, f"{peer.size:,}", f"{1e5 * peer.rms:.2f}", f"{peer.decibels:.1f}"]
         if file is None:
-            cells += ["none as near", "", "", ""]
+            cells += ["no file", "", "", ""]
         else:
             cells += [file.made, f"{file.size:,}", f"{1e5 * file.rms:.2f}", f"{file.size / peer.size:.3f}"]
         target = None if wanted is None else wanted * peer.size
         cells += ["" if wanted is None else f"{wanted:.3f}", over(file, target)]
         file = smallest(refined, peer.rms)
-        print_row([*cells, "none as near" if file is None else f"{file.size:,}", over(file, target)])
+        print_row([*cells, "no file" if file is None else f"{file.size:,}", over(file, target)])
 
 
 def over(file: File | None, size: float | None) -> str:
-    """Return the cell of a file's bytes over others; empty if either is not there."""
+    """Format a file's size over a target; empty if either is missing."""
     return "" if file is None or size is None else f"{file.size / size:.2f}"
 
 
 def print_simplified(original: Original, ours: list[File], refined: list[File]) -> None:
-    """Print, for several distances, what each simplifier's best mesh takes in Draco."""
+    """Print the size of simplify + Draco by distance and simplifier."""
     rivals: dict[str, list[File]] = {}
     for tool in TOOLS:
         if tool.name.startswith(LEFT_OUT):
@@ -186,24 +190,27 @@ def print_simplified(original: Original, ours: list[File], refined: list[File]) 
             tool.version()
             rivals[tool.name] = frontier(simplified(tool, original))
         except Missing as reason:
-            print(f"\n{tool.name} is left out: {reason}")
-    print(f"\nSimplify + Draco: bytes, and ours over what is wanted, which is {HALF:g} of them:\n")
-    both = [[f"{name}: bytes", "of wanted"] for name in rivals]
+            print(f"\n{tool.name} is skipped: {reason}")
+    print(f"\nSimplify + Draco: bytes, and our size over the target of {HALF:g} times these bytes:\n")
+    both = [[f"{name}: bytes", "/ target"] for name in rivals]
     print_head(["RMS ×1e-5", "dB", "ours", "bytes", "with levels: bytes", *itertools.chain(*both)])
     for rms in DISTANCES:
         file, levels = (smallest(files, rms) for files in (ours, refined))
         cells = [f"{1e5 * rms:.1f}", f"{-20 * math.log10(rms):.1f}"]
-        cells += ["none as near", ""] if file is None else [file.made, f"{file.size:,}"]
-        cells.append("none as near" if levels is None else f"{levels.size:,}")
+        cells += ["no file", ""] if file is None else [file.made, f"{file.size:,}"]
+        cells.append("no file" if levels is None else f"{levels.size:,}")
         for files in rivals.values():
             size = size_at(files, rms)
             cells += ["", ""] if size is None else [f"{size:,.0f}", over(file, HALF * size)]
         print_row(cells)
-    print(f"\nUnder {OURS} is our own `simplify` in Draco.")
+    print(f"\n{OURS}: our own `simplify`, encoded by Draco.")
 
 
 def simplified(tool: Tool, original: Original) -> Iterator[File]:
-    """Simplify to several sizes with a tool's first setting, and encode each with several bits."""
+    """Yield files of one simplifier at several sizes and bit depths.
+
+    The simplifier runs with its first setting.
+    """
     setting = next(iter(tool.settings.values()))
     for share in SHARES:
         triangles = int(share * len(original.mesh.triangles))

@@ -1,8 +1,10 @@
-"""Reading and writing OBJ files beside trimesh: `python benches/obj_files.py [VERTICES …] [--repeats N]`.
+"""OBJ reading and writing speed, compared with trimesh.
 
-A sheet with noise, bare and with colours, texture coordinates and normals. Each cell is the least of some
-repeats in seconds, and trimesh's time for the same file divided by ours. What is read must be what was
-written, to the bit; trimesh writes eight digits of each number, as it does by itself.
+    python benches/obj_files.py [VERTICES ...] [--repeats N]
+
+The mesh is a noisy sheet: positions only, and with colours, texture coordinates and normals. Each cell is the
+minimum of the repeats in seconds, and trimesh's time for the same file over ours. The mesh that is read back
+has to equal the written one exactly. trimesh writes eight digits, which is its default.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ SIZES = (250_000, 1_000_000)
 
 
 def sheet(count: int) -> Mesh:
-    """Return a square sheet of nearly `count` vertices and twice as many triangles."""
+    """Make a square height field of about `count` vertices."""
     side = round(count**0.5)
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, side)] * 2))
     z = 0.1 * np.sin(9 * x) + np.random.default_rng(0).normal(0, 1e-3, side * side)
@@ -37,7 +39,7 @@ def sheet(count: int) -> Mesh:
 
 
 def dressed(mesh: Mesh) -> Mesh:
-    """Return a mesh with colours, normals and texture coordinates."""
+    """Add colours, normals and texture coordinates to a mesh."""
     colors = np.random.default_rng(1).integers(0, 256, (len(mesh.vertices), 3))
     normals = mesh.vertices / np.linalg.norm(mesh.vertices + 1, axis=1, keepdims=True)
     uvs = mesh.vertices[mesh.triangles][:, :, :2].copy()
@@ -46,7 +48,10 @@ def dressed(mesh: Mesh) -> Mesh:
 
 
 def compared(mesh: Mesh, folder: Path, repeats: int) -> tuple[list[str], bool]:
-    """Return cells for writing and reading, and whether the mesh came back as it was."""
+    """Time writing and reading a mesh.
+
+    Returns the cells, and True if the mesh was read back unchanged.
+    """
     path, other = folder / "ours.obj", folder / "theirs.obj"
     write, _ = least(lambda: write_mesh(path, mesh), repeats)
     read, back = least(lambda: read_mesh(path), repeats)
@@ -59,7 +64,10 @@ def compared(mesh: Mesh, folder: Path, repeats: int) -> tuple[list[str], bool]:
 
 
 def least(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Return the least of the seconds that a call took, and what it returned."""
+    """Measure the minimum time of a call.
+
+    Returns seconds and the result of the call.
+    """
     found = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -74,7 +82,7 @@ def main() -> None:
     parser.add_argument("vertices", nargs="*", type=int, default=SIZES)
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
-    columns = ("vertices", "with", "MB", "write s", "× trimesh", "read s", "× trimesh", "read back equal")
+    columns = ("vertices", "data", "MB", "write s", "× trimesh", "read s", "× trimesh", "equal when read")
     print_head(columns, words=2)
     with tempfile.TemporaryDirectory() as folder:
         for count in arguments.vertices:

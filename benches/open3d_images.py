@@ -1,4 +1,4 @@
-"""A frame as Open3D's pipelines take it."""
+"""Conversion of frames to images and cameras of Open3D's pipelines."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from scanloom.stages.frames.matching_color import read_matching_color
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame
 
-# What pipelines that want colours see where a frame has none.
+# Grey level for pipelines that require colours if a frame has none.
 _GREY = 128
 
 
 def read_images(frame: Frame) -> tuple[DepthImage, ColorImage]:
-    """Return a frame's depth, (h, w) metres, and its colours in the same place, (h, w, 3); grey for none.
+    """Read a frame's depth and the colours registered to it.
+
+    Returns depth (h, w) in metres and colours (h, w, 3) uint8, which are grey if the frame has none.
 
     Raises
     ------
@@ -32,7 +34,7 @@ def read_images(frame: Frame) -> tuple[DepthImage, ColorImage]:
 
 
 def legacy_image(depth: DepthImage, color: ColorImage, truncation: float) -> Any:
-    """Return a legacy RGBDImage of grey intensities, its depth cut at `truncation` metres."""
+    """Make a legacy RGBDImage of grey intensities, depth truncated at `truncation` metres."""
     o3d = open3d()
     return o3d.geometry.RGBDImage.create_from_color_and_depth(
         o3d.geometry.Image(color),
@@ -43,7 +45,7 @@ def legacy_image(depth: DepthImage, color: ColorImage, truncation: float) -> Any
 
 
 def legacy_camera(camera: Camera) -> Any:
-    """Return the camera for the legacy pipelines."""
+    """Convert camera intrinsics for the legacy pipelines."""
     return open3d().camera.PinholeCameraIntrinsic(
         camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
     )

@@ -1,15 +1,15 @@
-"""Open3D's reconstruction system up to the poses: fragments are made, registered to each other, and refined.
+"""Open3D's reconstruction system up to the poses: fragments, registration, refinement.
 
-Written after Open3D's documentation ("Reconstruction system"), with the defaults of its configuration. A
-fragment is a hundred frames: odometry from each to the next, and between all pairs of key frames that
-recognised points can be started from; a pose graph; the surface fused from it. Fragments are registered by
-coloured ICP to the next one and by features of their surfaces (FPFH, RANSAC) to all others, in a second pose
-graph; what it keeps is refined by ICP at three resolutions, in a third.
+Follows Open3D's documentation ("Reconstruction system") with the defaults of its configuration. A fragment
+has a hundred frames. Odometry runs between consecutive frames, and between all pairs of key frames for which
+feature matches give an initial pose. A pose graph is optimised, and a surface is fused. Each fragment is
+registered to the next one by coloured ICP and to all others by surface features (FPFH, RANSAC), in a second
+pose graph. The edges that remain are refined by ICP at three resolutions, in a third pose graph.
 
-As there, a step of the odometry is taken as it comes; only a fragment in which none meets anything is an
-error. Other than there, points without depth are left out of what starts a pair, images are read once, all
-that is random is seeded, and the tensor volume fuses: the legacy one takes depth in metres for millimetres in
-Open3D 0.20.0, and stays empty.
+As in the original, every odometry step is accepted. Only a fragment in which no frame overlaps the next is an
+error. Differences from the original: points without depth do not count for initial poses, images are read
+once, and all random numbers have a seed. The tensor volume is used for fusion, because the legacy volume of
+Open3D 0.20.0 takes depth in metres for millimetres and stays empty.
 
 References
 ----------
@@ -36,28 +36,32 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 _FRAGMENT_FRAMES = 100
 _KEY_FRAMES_EVERY = 5
-# Metres.
+# Metres, Open3D's defaults: limits of odometry, voxel and truncation of fusion, voxel and maximum
+# correspondence distance of registration.
 _MAX_DEPTH, _MAX_DEPTH_DIFFERENCE = 3.0, 0.07
 _FUSED_VOXEL, _FUSED_TRUNCATION = 3.0 / 512, 0.04
 _VOXEL = 0.05
 _REACH = 1.4 * _VOXEL
-# How much a pose graph trusts a loop, within a fragment and between fragments.
+# Preference for loop closures in pose graph optimisation: within a fragment, and between fragments.
 _ODOMETRY_LOOPS, _REGISTRATION_LOOPS = 0.1, 5.0
 _PRUNED_BELOW = 0.25
-# Voxels and iterations of ICP, first and refined.
+# Voxel size (m) and iterations of each ICP scale: for neighbouring fragments, and for refinement.
 _FIRST_ICP = ((_VOXEL, 50),)
 _REFINING_ICP = ((_VOXEL, 50), (_VOXEL / 2, 30), (_VOXEL / 4, 14))
-# A loop between fragments must bring so much of the smaller one onto the other.
+# Minimum overlap of a loop closure between fragments, relative to the smaller one.
 _LEAST_OVERLAP = 0.3
 _RANSAC_TRIES, _RANSAC_CONFIDENCE, _LEAST_EDGE_RATIO = 1_000_000, 0.999, 0.9
-# Recognised points: features an image, pixels off the epipolar line, metres off the motion.
+# Feature matching: features per image, inlier thresholds in pixels (epipolar line) and metres (rigid motion).
 _FEATURES, _MAX_PIXELS, _MAX_METRES = 100, 1.0, 0.05
 _MOTION_TRIES, _MOTION_POINTS = 1000, 5
 
 
 @dataclass(frozen=True, eq=False)
 class _Edge:
-    """A motion (target_from_source) between two nodes of a pose graph; a loop, if they do not follow."""
+    """Pose graph edge with its motion (target_from_source).
+
+    Edges between nodes that are not consecutive are loop closures.
+    """
 
     source: int
     target: int
@@ -71,7 +75,7 @@ class _Edge:
 
 @dataclass(frozen=True, eq=False)
 class _Fragment:
-    """Frames with poses in the first one's camera, and the points and colours of their surface."""
+    """Poses of frames relative to the first, and their fused point cloud."""
 
     poses: list[Pose]
     cloud: Any
@@ -80,14 +84,17 @@ class _Fragment:
 def reconstruction_system(
     frames: Sequence[Frame], *, fragment_frames: int = _FRAGMENT_FRAMES
 ) -> dict[int, Pose]:
-    """Return world_from_camera of every frame by its place, the first frame's camera being the world.
+    """Estimate world_from_camera of every frame, by index.
+
+    The world is the camera of the first frame.
 
     Raises
     ------
     RuntimeError
-        If no frame of a fragment meets the next, or Open3D fails.
+        If no frame of a fragment overlaps the next, or Open3D fails.
     """
-    # On one thread sums, and so poses, are the same every time; the legacy odometry gains little from more.
+    # A single thread makes sums, and so poses, reproducible; the legacy odometry gains little from more
+    # threads.
     with one_thread_each():
         fragments = [
             _fragment(frames[start : start + fragment_frames])
@@ -111,9 +118,9 @@ def _fragment(frames: Sequence[Frame]) -> _Fragment:
     for source, target in itertools.pairwise(range(len(frames))):
         _, motion, information = _odometry(rgbd[source], rgbd[target], camera, np.eye(4))
         edges.append(_Edge(source, target, motion, information))
-    # Open3D calls it a success if no pixel of one frame meets the other.
+    # Open3D reports success even if no pixel of one frame overlaps the other.
     if edges and not any(edge.information.any() for edge in edges):
-        raise RuntimeError(f"no frame meets the next within {_MAX_DEPTH:g} m")
+        raise RuntimeError(f"no frame overlaps the next within {_MAX_DEPTH:g} m")
     for source, target in itertools.combinations(keys, 2):
         start = _recognised_motion(points[source], points[target], camera)
         if start is not None:
@@ -152,12 +159,19 @@ def _surface(images: Iterable[tuple[Any, Any]], poses: Iterable[Pose], camera: C
     return grid.extract_point_cloud(weight_threshold=0).to_legacy()
 
 
-# -- where a pair of key frames starts --------------------------------------------------------------------
+# -- initial poses of key frame pairs ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class _Features:
-    """Recognisable pixels (n, 2) of an image, their descriptors, and points (n, 3), NaN without depth."""
+    """ORB features of an image.
+
+    Attributes
+    ----------
+    pixels : (n, 2).
+    descriptors : (n, 32).
+    points : (n, 3), camera frame, metres; NaN without depth.
+    """
 
     pixels: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
@@ -185,7 +199,7 @@ def _points(pixels: NDArray[np.float32], depth: NDArray[np.float32], camera: Cam
 
 
 def _recognised_motion(source: _Features, target: _Features, camera: Camera) -> Pose | None:
-    """Return target_from_source from points that both show, None if too few agree."""
+    """Estimate target_from_source from feature matches; None if too few agree."""
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(source.descriptors, target.descriptors)
     if len(matches) < _MOTION_POINTS:
         return None
@@ -207,7 +221,10 @@ def _recognised_motion(source: _Features, target: _Features, camera: Camera) -> 
 
 
 def rigid_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> Pose | None:
-    """Return the motion of a few drawn points (n, 3) that brings most onto `b`; None if it is not enough."""
+    """Estimate the rigid motion from `a` to `b` (n, 3) by RANSAC.
+
+    Returns None if too few points are inliers.
+    """
     if len(a) < _MOTION_POINTS:
         return None
     drawn = np.random.default_rng(0).integers(len(a), size=(_MOTION_TRIES, _MOTION_POINTS))
@@ -218,7 +235,7 @@ def rigid_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> Pose | None:
     shifts = centre_b - centre_a @ turns.swapaxes(1, 2)
     off = np.linalg.norm(a @ turns.swapaxes(1, 2) + shifts - b, axis=2)
     agreeing = (off < _MAX_METRES).sum(axis=1)
-    # Images that show the same are not turned by more than a right angle.
+    # Overlapping images are not rotated by more than 90° about any axis.
     agreeing[(turns[:, range(3), range(3)] <= 0).any(axis=1)] = 0
     best = int(agreeing.argmax())
     if agreeing[best] <= _MOTION_POINTS:
@@ -232,7 +249,7 @@ def rigid_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> Pose | None:
 
 
 def _scene(fragments: Sequence[_Fragment]) -> list[Pose]:
-    """Return where the fragments are, in the first one's world."""
+    """Estimate world_from_fragment poses, relative to the first fragment."""
     surfaces = [_described(fragment.cloud) for fragment in fragments]
 
     edges = list(_registered(fragments, surfaces))
@@ -252,7 +269,7 @@ def _scene(fragments: Sequence[_Fragment]) -> list[Pose]:
 def _registered(fragments: Sequence[_Fragment], surfaces: Sequence[tuple[Any, Any]]) -> Iterator[_Edge]:
     for source, target in itertools.combinations(range(len(fragments)), 2):
         if target == source + 1:
-            # The next fragment starts about where this one ends.
+            # The next fragment starts close to the last frame of this one.
             start = inverted(fragments[source].poses[-1])
             pair = surfaces[source][0], surfaces[target][0]
             yield _Edge(source, target, *_icp(*pair, start, _FIRST_ICP))
@@ -261,7 +278,7 @@ def _registered(fragments: Sequence[_Fragment], surfaces: Sequence[tuple[Any, An
 
 
 def _described(cloud: Any) -> tuple[Any, Any]:
-    """Return a cloud's points thinned out, and their features."""
+    """Downsample a cloud and compute its FPFH features."""
     o3d = open3d()
     thin = cloud.voxel_down_sample(_VOXEL)
     thin.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=2 * _VOXEL, max_nn=30))
@@ -291,11 +308,11 @@ def _recognised_surface(
         ],
         registration.RANSACConvergenceCriteria(_RANSAC_TRIES, _RANSAC_CONFIDENCE),
     ).transformation
-    # Open3D's answer where it found none is no motion.
+    # Open3D returns the identity if RANSAC finds no transformation.
     if np.array_equal(pose, np.eye(4)):
         return None
     information = registration.get_information_matrix_from_point_clouds(a, b, _REACH, pose)
-    # Each pair of points adds an identity to the block of the shift.
+    # Each correspondence adds an identity to the translation block, so its last entry counts correspondences.
     overlap = information[5, 5] / min(len(a.points), len(b.points))
     return (pose, information) if overlap >= _LEAST_OVERLAP else None
 
@@ -303,7 +320,7 @@ def _recognised_surface(
 def _icp(
     source: Any, target: Any, start: Pose, scales: Sequence[tuple[float, int]]
 ) -> tuple[Pose, NDArray[np.float64]]:
-    """Return target_from_source by coloured ICP from coarse to fine, and its information."""
+    """Refine target_from_source by multi-scale coloured ICP; return it and its information."""
     o3d = open3d()
     registration = o3d.pipelines.registration
     pose = start
@@ -325,7 +342,10 @@ def _icp(
 
 
 def _optimised(edges: Sequence[_Edge], reach: float, loops: float) -> tuple[list[Pose], list[_Edge]]:
-    """Return the poses that agree best, from the chain of the edges that are no loops, and the edges kept."""
+    """Optimise a pose graph; return its poses and remaining edges.
+
+    Initial poses follow from the chain of edges that are not loop closures.
+    """
     registration = open3d().pipelines.registration
     graph = registration.PoseGraph()
     pose = np.eye(4)

@@ -1,7 +1,7 @@
-"""Open3D's dense SLAM up to the poses: each frame is placed to the model fused from all before it.
+"""Open3D's dense SLAM up to the poses: frame-to-model tracking.
 
-Written after Open3D's documentation ("Dense RGB-D SLAM"), with the defaults of its tensor reconstruction
-system. Nothing is random, and no loop is closed.
+Follows Open3D's documentation ("Dense RGB-D SLAM") with the defaults of its tensor reconstruction system. It
+uses no random numbers and closes no loops.
 """
 
 from __future__ import annotations
@@ -15,21 +15,23 @@ from scanloom.stages._open3d import open3d
 from scanloom.stages.registration.odometry import one_thread_each
 from scanloom.stages.scans.model.scan import Frame, Pose
 
-# Metres.
+# Metres, Open3D's defaults: voxel size, depth range, maximum correspondence distance.
 _VOXEL, _NEAREST, _FARTHEST, _REACH = 0.0058, 0.1, 3.0, 0.07
 _TRUNCATION_VOXELS = 8.0
 _BLOCK_VOXELS = 16
-# Room at first: the model grows where it needs more, which changes no pose.
+# Initial block count. The volume grows if it needs more, which does not change the poses.
 _BLOCKS = 10_000
 
 
 def dense_slam(frames: Sequence[Frame]) -> dict[int, Pose]:
-    """Return world_from_camera of every frame by its place, the first frame's camera being the world.
+    """Estimate world_from_camera of every frame, by index.
+
+    The world is the camera of the first frame.
 
     Raises
     ------
     RuntimeError
-        If Open3D cannot place a frame; it says why.
+        If Open3D cannot track a frame.
     """
     o3d = open3d()
     camera = frames[0].camera
@@ -41,12 +43,12 @@ def dense_slam(frames: Sequence[Frame]) -> dict[int, Pose]:
         o3d.t.pipelines.slam.Frame(camera.height, camera.width, matrix, device) for _ in range(2)
     )
     poses = {}
-    # On one thread sums, and so poses, are the same every time.
+    # A single thread makes sums, and so poses, reproducible.
     with one_thread_each():
         for place, frame in enumerate(frames):
             depth, color = read_images(frame)
             seen.set_data_from_image("depth", o3d.t.geometry.Image(o3d.core.Tensor(depth)))
-            # Depth in floating point is taken with colours in floating point only.
+            # Float depth requires float colours.
             share = color / np.float32(255)
             seen.set_data_from_image("color", o3d.t.geometry.Image(o3d.core.Tensor(share)))
             if place > 0:

@@ -1,9 +1,9 @@
-"""Near-planar patches: time a triangle at several sizes, and the reductions of Chen and Qin.
+"""Near-planar patches: time by mesh size, and reductions of Chen and Qin.
 
     python benches/planar.py DATA
 
-DATA is the folder that holds `meshes/`. Times are the best of several runs: process time over all threads,
-and wall time. The meshes are a room and a horse, each triangle cut in four again and again, and a noisy wall.
+DATA holds `meshes/`. Times are the best of several runs: CPU time over all threads, and wall time. The meshes
+are a room and a horse, subdivided repeatedly into four triangles each, and a noisy wall.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from scanloom import compare, planar_patches, simplify
 from scanloom.stages.surface.mesh import Mesh
 
 RUNS = 3
-# Below the 9° between two sectors of the cone, none takes in what is thin enough of the next near the apex.
+# Degrees. The angle for the cone is less than the 9° between its sectors: a patch cannot then grow into the
+# next sector, which is within the bound near the apex.
 ANGLES = {"cone": 6, "cup": 40, "bottle": 40}
 SIZES = (50_000, 200_000, 500_000, 1_000_000, 2_500_000)
 
 
 def finer(mesh: Mesh) -> Mesh:
-    """Cut each triangle in four at the midpoints of its sides."""
+    """Subdivide each triangle into four at the midpoints of its sides."""
     sides = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keys = sides[:, 0].astype(np.int64) * len(mesh.vertices) + sides[:, 1]
     _, first, number = np.unique(keys, return_index=True, return_inverse=True)
@@ -41,7 +42,10 @@ def finer(mesh: Mesh) -> Mesh:
 
 
 def wall(triangles: int) -> Mesh:
-    """Make a wall of 4 m × 3 m with noise of 1 mm, in about so many triangles."""
+    """Make a noisy wall of about `triangles` triangles.
+
+    The wall is 4 m × 3 m and has noise of 1 mm.
+    """
     n = int(np.sqrt(triangles / 2))
     y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
     z = np.random.default_rng(0).normal(0, 0.001, x.shape).clip(-0.003, 0.003) * min(1, 150 / n)
@@ -52,7 +56,7 @@ def wall(triangles: int) -> Mesh:
 
 
 def timed(mesh: Mesh) -> list[str]:
-    """Return a row of the table of times."""
+    """Time simplification and patches; return a row of the table of times."""
     best = np.full(3, np.inf)
     for _ in range(RUNS):
         process, wall_clock = time.process_time(), time.perf_counter()
@@ -77,8 +81,8 @@ def timed(mesh: Mesh) -> list[str]:
 
 def times(data: Path) -> None:
     """Print the table of times."""
-    head = ["mesh", "triangles", "reduction", "CPU ns", "wall ns", "CPU ns, patches alone", "M triangles/s"]
-    print_head(head)
+    times_ns = ["CPU ns / triangle", "wall ns / triangle", "patches: CPU ns / triangle"]
+    print_head(["mesh", "triangles", "reduction", *times_ns, "M triangles/s"])
     for name, mesh in (("room", meshes.kitchen(data)), ("horse", meshes.horse(data))):
         mesh = Mesh(mesh.vertices, mesh.triangles)
         while len(mesh.triangles) <= SIZES[-1]:
@@ -89,8 +93,8 @@ def times(data: Path) -> None:
 
 
 def reductions() -> None:
-    """Print the paper's table, with the error it takes."""
-    print_head(["mesh", "points", "paper", "here", "bound / diagonal", "largest distance", "RMS"])
+    """Print the paper's reductions and the errors at which we reach them."""
+    print_head(["mesh", "points", "paper", "ours", "bound / diagonal", "max / diagonal", "RMS / diagonal"])
     for name, (make, _, *wanted) in REDUCTIONS.items():
         mesh = make()
         diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))

@@ -1,9 +1,10 @@
-"""Near-planar patches at ten bounds: a looser one never leaves more triangles.
+"""Near-planar patches at ten bounds.
 
     python benches/planar_ladder.py DATA
 
-DATA is the folder that holds `meshes/`. Bounds are parts of the diagonal of the bounding box; each cell has
-triangles, and process time over all threads in seconds.
+DATA holds `meshes/`. Bounds are relative to the diagonal of the bounding box. A looser bound should not leave
+more triangles than a tighter one. Each cell has the triangle count, and CPU seconds over all threads in
+parentheses.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ BOUNDS = np.geomspace(1e-6, 1e-1, 10)
 
 
 def chamfered_box() -> Mesh:
-    """Make a cube of 2 m with all edges and corners cut off by 0.1 m: 26 flat faces in 11,264 triangles."""
+    """Make a chamfered cube.
+
+    Its side is 2 m, its chamfers are 0.1 m wide. It has 26 flat faces in 11,264 triangles.
+    """
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).T.reshape(-1, 3)
     corners = np.concatenate([signs * (1 - 0.1 * (np.arange(3) != axis)) for axis in range(3)])
     made = trimesh.convex.convex_hull(corners)
@@ -35,7 +39,7 @@ def chamfered_box() -> Mesh:
 
 
 def ladder(name: str, mesh: Mesh) -> None:
-    """Print a row of the table."""
+    """Print the row of one mesh."""
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     cells = []
     for bound in BOUNDS:

@@ -1,14 +1,20 @@
-"""Depth of posed views (`depth.views`): swept and from pairs, beside the depth of a sensor that saw the same.
+"""Depth of posed views by plane sweep and pairs, against sensor depth.
 
     python benches/posed_views.py DATA
 
-Scans with colour and depth, their poses and colour camera adjusted; then the colour images alone are views,
-and depth that the sensor measured is the truth where no jump is near. "found": of the truth's pixels, those
-with depth; "wrong": of these, off by more than 5 %; "right": found and not wrong, of all; "of three": found,
-of what at least two other views see, too, by the sensor's depth in them; CPU seconds a megapixel of a view.
-Then folders of views as they are: seconds and CPU seconds for the depth of all, the share of their pixels
-with depth, and, where masks cut a thing out, the mean intersection over union of the masks and the
-silhouettes of the clean mesh.
+Compares the values of `depth.views`. Poses and colour cameras of RGB-D scans are adjusted first. The colour
+images alone then serve as views, and the sensor's depth is the ground truth away from depth discontinuities.
+
+- "coverage": ratio of ground-truth pixels with depth.
+- "wrong": ratio of pixels with depth whose error exceeds 5 %.
+- "correct": pixels with depth that are not wrong, over all ground-truth pixels.
+- "coverage, 3 views": coverage of pixels that at least two other views see, too, according to their sensor
+  depth.
+- "CPU s / MP": CPU seconds per megapixel of a view.
+
+A second table covers folders of views: wall and CPU seconds for the depth of all views, and the ratio of
+pixels with depth. If the views have masks, it also gives the mean intersection over union (IoU) of the masks
+with the silhouettes of the cleaned mesh.
 """
 
 from __future__ import annotations
@@ -57,7 +63,11 @@ WRONG, JUMP, SAME = 0.05, 0.1, 0.03
 
 
 def view_and_truth(frame: Frame) -> tuple[Frame, NDArray[np.float32]]:
-    """Return the photo of a frame as a view of its own, and the sensor's depth in it, 0 where it has none."""
+    """Convert an RGB-D frame to a view and its true depth.
+
+    The view has only the photo. The sensor's depth is reprojected into the colour camera, (h, w) float32
+    metres; it is 0 where unknown and near discontinuities.
+    """
     lens, pose = frame.color_camera or frame.camera, np.asarray(frame.world_from_camera)
     shift = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth)
     color, depth, own, camera = read_color(frame), read_depth(frame), pinhole(frame.camera), pinhole(lens)
@@ -81,7 +91,10 @@ def view_and_truth(frame: Frame) -> tuple[Frame, NDArray[np.float32]]:
 
 
 def seen_by_three(scan: Scan, truths: Sequence[NDArray[np.float32]]) -> list[NDArray[np.bool_]]:
-    """Return where the truth of each view is that of two others, too; holes of a pixel are closed."""
+    """Mark the pixels that at least two other views see.
+
+    Holes of one pixel in the ground truth are closed first.
+    """
     views = posed_views(scan)
     closed = [np.asarray(cv2.dilate(truth, np.ones((3, 3), np.uint8)), np.float32) for truth in truths]
     result = []
@@ -92,7 +105,7 @@ def seen_by_three(scan: Scan, truths: Sequence[NDArray[np.float32]]) -> list[NDA
 
 
 def measured(name: str, scan: Scan, truths: Sequence[NDArray[np.float32]]) -> None:
-    """Print a row for each way."""
+    """Print a row for each method."""
     some = np.concatenate([truth[truth > 0][::97] for truth in truths])
     near, far = (float(f * np.quantile(some, q)) for f, q in ((0.9, 0.002), (1.1, 0.998)))
     known = sum(int(np.count_nonzero(truth)) for truth in truths)
@@ -114,7 +127,7 @@ def measured(name: str, scan: Scan, truths: Sequence[NDArray[np.float32]]) -> No
 
 
 def silhouettes_shared(mesh: Mesh, scan: Scan) -> float:
-    """Return the mean intersection over union of silhouettes and masks, at every fourth pixel each way."""
+    """Compute the mean IoU of silhouettes and masks, at every fourth pixel."""
     surface, shares = Surface(mesh), []
     for frame in scan.frames:
         camera, pose, seen = pinhole(frame.camera), np.asarray(frame.world_from_camera), read_seen(frame)
@@ -129,7 +142,7 @@ def silhouettes_shared(mesh: Mesh, scan: Scan) -> float:
 
 
 def folder(name: str, scan: Scan) -> None:
-    """Print a row of a folder of views."""
+    """Print a row for a folder of views."""
     began, work = time.perf_counter(), time.process_time()
     results = list(views_depth(scan))
     wall, work = time.perf_counter() - began, time.process_time() - work
@@ -149,13 +162,13 @@ def main() -> None:
     )
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
-    print_head(["scan", "way", "found", "wrong", "right", "of three", "CPU s"], words=2)
+    print_head(["scan", "method", "coverage", "wrong", "correct", "coverage, 3 views", "CPU s / MP"], words=2)
     for name, (path, step) in SCANS.items():
         frames = adjust(read_scan(data / path)).frames[::step]
         views, truths = zip(*(view_and_truth(frame) for frame in frames), strict=True)
         measured(name, Scan("views", list(views)), truths)
     print()
-    print_head(["folder", "views", "s", "CPU s", "with depth", "silhouettes"], words=1)
+    print_head(["folder", "views", "s", "CPU s", "coverage", "mask IoU"], words=1)
     for name in FOLDERS:
         folder(name, read_scan(data / name))
 

@@ -1,10 +1,10 @@
-"""What `--quality draft`, `standard` and `best` take, and what they come to.
+"""Cost and results of `--quality draft`, `standard` and `best`.
 
     python benches/quality.py SCAN [SCAN ...] [--truth MESH] [--quality draft ...]
 
-Every tenth frame is kept from all stages, and its photo compared with the result; a draft of many frames uses
-fewer, and so compares fewer. Seconds are of the processor, all threads together, report and page included.
-With `--truth`, also how far the result is off a mesh in the scans' world.
+Every tenth frame is held out, and its photo is compared with the result. A draft of a long scan uses fewer
+frames, so fewer are compared. Seconds are CPU time of all threads, including report and page. With `--truth`,
+the distance from a mesh in the scans' coordinates is reported as well.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HOLD_OUT = 10
 COLUMNS = (
     "scan",
     "quality",
-    "processor s",
+    "CPU s",
     "voxel mm",
     "triangles",
     "GLB bytes",
@@ -36,7 +36,7 @@ COLUMNS = (
 
 
 def row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
-    """Run a scan in a quality, from nothing, and return the cells of its row."""
+    """Run a scan without a cache; return the cells of its row."""
     with tempfile.TemporaryDirectory() as folder:
         out, begun = Path(folder) / "out", time.process_time()
         report = run(scan, out, Config.of(quality).set([f"scan.hold_out={HOLD_OUT}"])).report
@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--quality", nargs="+", choices=tuple(QUALITIES), default=list(QUALITIES))
     options = parser.parse_args()
     truth = None if options.truth is None else stages.read_mesh(options.truth)
-    print_head([*COLUMNS, *([] if truth is None else ["off truth, RMS mm", "95 % mm"])], words=2)
+    print_head([*COLUMNS, *([] if truth is None else ["truth, RMS mm", "truth, 95 % mm"])], words=2)
     for scan in options.scans:
         for quality in options.quality:
             print_row(row(scan, quality, truth))

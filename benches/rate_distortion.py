@@ -1,4 +1,4 @@
-"""Bytes against distance: files of one mesh, which of them are worth having, and how two coders compare."""
+"""Rate–distortion comparison of mesh coders."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from scanloom.stages.comparing.compare import CompareParams, compare_surfaces
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Surface, bounding_box
 
-# A coder's result may reach beyond the original's box by this share of it.
+# Enlarges the original's bounding box on each side, relative to its size, because a coder's result may exceed
+# the box.
 MARGIN = 0.02
 
 
 @dataclass(frozen=True)
 class File:
-    """One file of a mesh.
+    """Encoded file of a mesh.
 
     Attributes
     ----------
     size : bytes.
-    rms : distance to the original, over the diagonal of its box; the larger of the two directions.
-    made : how, for the table.
+    rms : RMS distance to the original over the diagonal of its box, the larger of the two directions.
+    made : description of the parameters for the table.
     """
 
     size: int
@@ -34,12 +35,12 @@ class File:
 
     @property
     def decibels(self) -> float:
-        """Return 20 log10(diagonal / RMS), as papers on geometry coding give it."""
+        """20 log10(diagonal / RMS), as papers on geometry coding report it."""
         return -20 * math.log10(self.rms)
 
 
 class Original:
-    """A mesh that many results are measured against."""
+    """Reference mesh for measuring many results."""
 
     def __init__(self, mesh: Mesh, samples: int) -> None:
         box = bounding_box(mesh)
@@ -49,13 +50,13 @@ class Original:
         self._surface = Surface(mesh, self._box)
 
     def file(self, size: int, result: Mesh, made: str) -> File:
-        """Measure what a file of so many bytes holds."""
+        """Measure the mesh that a file of `size` bytes decodes to."""
         found = compare_surfaces(self._surface, Surface(result, self._box), self._params)
         return File(size, max(found.a_to_b.rms, found.b_to_a.rms) / found.diagonal, made)
 
 
 def frontier(files: Iterable[File]) -> list[File]:
-    """Return the files that no other one is both smaller and nearer than, smallest first."""
+    """Select the Pareto-optimal files in size and RMS, smallest first."""
     best: list[File] = []
     for file in sorted(files, key=lambda file: (file.size, file.rms)):
         if not best or file.rms < best[-1].rms:
@@ -64,15 +65,15 @@ def frontier(files: Iterable[File]) -> list[File]:
 
 
 def smallest(files: list[File], rms: float) -> File | None:
-    """Return the smallest file of a frontier that is at least as near as `rms`; None if there is none."""
+    """Find the smallest file of a Pareto front within an RMS."""
     return next((file for file in files if file.rms <= rms), None)
 
 
 def size_at(files: list[File], rms: float) -> float | None:
-    """Return the bytes a coder would need for `rms`, between the two files of its frontier next to it.
+    """Interpolate the size (bytes) that a coder needs for an RMS.
 
-    Logarithms are interpolated linearly, so a rival gets the benefit of files it was not asked for. None
-    outside the frontier's range.
+    Interpolates logarithms linearly between neighbouring files of its Pareto front. This favours the rival,
+    because no file of that size has to exist. Returns None outside the front's range.
     """
     nearer = bisect.bisect_left(files, -rms, key=lambda file: -file.rms)
     if nearer == len(files) or (nearer == 0 and files[0].rms < rms):

@@ -1,19 +1,22 @@
-"""Poses found against true ones, ours beside Open3D's odometry. Prints a Markdown table.
+"""Accuracy of registration against true poses, compared with Open3D.
 
 python benches/registration.py SCAN [SCAN ...] [--poses FILE] [--every N] [--again N] [--depth-only]
     [--only NAME ...] [--meshes] [--frames N ...]
 
-Each SCAN has true poses, which are hidden from all. ATE is the root mean square distance of camera centres
-after the best rigid motion (Umeyama 1991); "scaled" after the best motion with a scale, which takes out
-what the depth calibration and the truth disagree by. RPE is the median error of the motion from each frame
-to the next, and RMS its root mean square. Transfer is how far recognised points land from their matches
-through depth, the median in pixels: of the poses found, and of the true ones. Poses are those of the largest
-piece; rivals know one piece only. Some chain Open3D's odometry
-from frame to frame with its defaults, from files to poses: "hybrid" (Park, Zhou and Koltun 2017, of the
-legacy and the tensor pipeline) and "point to plane". See open3d_reconstruction.py and open3d_slam.py for the
-others, which use one thread. Stereo scans are matched first, which is not timed. With --depth-only, rivals
-that want colours see grey. With --meshes, the root mean square distance of the mesh fused from the poses to
-that from the true ones.
+Prints a Markdown table. Each SCAN has true poses, which are hidden from all tools. Errors refer to the
+largest connected component; the peers have one component only.
+
+- "ATE": RMS distance of camera centres after the best rigid alignment (Umeyama 1991). "scaled ATE" is after
+  the best similarity alignment, which removes a difference in scale between depth and truth.
+- "RPE": median error of the motion from each frame to the next; "RPE RMS" is its root mean square.
+- "reprojection": median distance in pixels between feature matches reprojected through depth, with the
+  estimated and with the true poses.
+- "mesh RMS" (--meshes): RMS distance between the meshes fused with the estimated and with the true poses.
+
+Some peers chain Open3D's odometry from frame to frame with its defaults: "hybrid" (Park, Zhou and Koltun
+2017, of the legacy and the tensor pipeline) and "point to plane". For the others, which use one thread, see
+open3d_reconstruction.py and open3d_slam.py. Stereo scans are matched before, which is not timed. With
+--depth-only, tools that require colours get grey images.
 """
 
 from __future__ import annotations
@@ -54,22 +57,22 @@ from scanloom.stages.scans.trajectory.files import read_tum
 from scanloom.stages.stereo.depth import DepthMap, depth_scan
 from scanloom.stages.surface.mesh import Mesh
 
-# Open3D's examples cut depth here, in metres.
+# Maximum depth in metres, as in Open3D's examples.
 _TRUNCATION = 4.0
 
 
 def ours(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
-    """Find poses as `scanloom run` does."""
+    """Register as `scanloom run` does."""
     return _pieces(register(frames))
 
 
 def without_loops(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
-    """Find poses as we do, but close no loops."""
+    """Register without loop closures."""
     return _pieces(register(frames, loops=False))
 
 
 def adjusted(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
-    """Find poses as we do, and adjust them as `scanloom run` does after that."""
+    """Register, then adjust as `scanloom run` does."""
     found = register(frames)
     better = adjust(found.frames)
     return _pieces(replace(found, frames=better.frames))
@@ -78,12 +81,12 @@ def adjusted(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
 def in_one_piece(
     find: Callable[[Sequence[Frame]], dict[int, Pose]],
 ) -> Callable[[Sequence[Frame]], list[dict[int, Pose]]]:
-    """Return a function whose poses are all of one world."""
+    """Wrap a function whose poses form a single component."""
     return lambda frames: [find(frames)]
 
 
 def legacy_hybrid(frames: Sequence[Frame]) -> dict[int, Pose]:
-    """Chain Open3D's legacy odometry."""
+    """Chain Open3D's legacy hybrid odometry."""
     o3d = open3d()
     intrinsic = legacy_camera(frames[0].camera)
     hybrid = o3d.pipelines.odometry.RGBDOdometryJacobianFromHybridTerm()
@@ -102,7 +105,7 @@ def legacy_hybrid(frames: Sequence[Frame]) -> dict[int, Pose]:
 
 
 def tensor(method: str) -> Callable[[Sequence[Frame]], dict[int, Pose]]:
-    """Return a function that chains Open3D's tensor odometry of a method."""
+    """Return a function that chains Open3D's tensor odometry."""
 
     def chain(frames: Sequence[Frame]) -> dict[int, Pose]:
         o3d = open3d()
@@ -151,12 +154,12 @@ def main() -> None:
     parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="true poses, in the order of the frames")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
-    parser.add_argument("--again", type=int, default=1, metavar="N", help="go to and fro N times in all")
+    parser.add_argument("--again", type=int, default=1, metavar="N", help="traverse the frames N times")
     parser.add_argument("--depth-only", action="store_true", help="hide the colours")
     parser.add_argument("--only", nargs="+", choices=RIVALS, default=list(RIVALS), metavar="NAME")
     parser.add_argument("--meshes", action="store_true", help="fuse and compare meshes too")
     parser.add_argument(
-        "--frames", type=int, nargs="+", metavar="N", help="tell speed and memory of N frames"
+        "--frames", type=int, nargs="+", metavar="N", help="print speed and memory for N frames"
     )
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -164,12 +167,13 @@ def main() -> None:
         _tell_speed(options.scans[0], options.frames[0])
         return
     if min(options.every, options.again) < 1:
-        parser.error("--every and --again want 1 or more")
+        parser.error("--every and --again have to be at least 1")
     if options.frames:
         _print_speed(options.scans, options.frames)
         return
-    columns = ["scan", "poses", "frames", "pieces", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °"]
-    columns += ["RMS mm", "RMS °", "transfer px", "of the truth px"]
+    columns = ["scan", "tool", "frames", "components", "ATE mm", "ATE / path", "scaled ATE mm"]
+    columns += ["RPE mm", "RPE °", "RPE RMS mm", "RPE RMS °"]
+    columns += ["reprojection px", "true poses: reprojection px"]
     print_head([*columns, "frames/s", *["mesh RMS mm"] * options.meshes], words=2)
     for folder in options.scans:
         there = frames_of(folder, options.poses)[:: options.every]
@@ -181,7 +185,7 @@ def main() -> None:
             try:
                 pieces = RIVALS[name](hidden)
             except (RuntimeError, InputError) as error:
-                # Open3D colours its errors and puts a signature, file and line before what is wrong.
+                # Open3D colours its error messages, and puts signature, file and line first.
                 what = re.sub(r"\x1b\[[\d;]*m|\[Open3D Error\] .*?\.cpp:\d+: ", "", str(error)).strip()
                 print_row([folder.name, name, f"failed: {what}"[:60]])
                 continue
@@ -202,7 +206,10 @@ def main() -> None:
 
 
 def _tell_speed(folder: Path, count: int) -> None:
-    """Register so many frames of a scan, to and fro, and print how long it took and the memory it had."""
+    """Register `count` frames of a scan; print speed and memory.
+
+    The scan is traversed back and forth until there are enough frames.
+    """
     there = frames_of(folder)
     places = itertools.cycle([*range(len(there)), *reversed(range(len(there)))])
     frames = [
@@ -212,7 +219,7 @@ def _tell_speed(folder: Path, count: int) -> None:
     started = time.perf_counter()
     found = register(frames)
     seconds = time.perf_counter() - started
-    # Of this process alone, in KiB.
+    # Peak memory of this process, KiB.
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print_row(
         [
@@ -228,24 +235,27 @@ def _tell_speed(folder: Path, count: int) -> None:
 
 
 def _print_speed(folders: Sequence[Path], counts: Sequence[int]) -> None:
-    print_head(["scan", "frames", "key frames", "edges", "frames/s", "CPU ms a frame", "memory MiB"], words=1)
+    print_head(["scan", "frames", "key frames", "edges", "frames/s", "CPU ms / frame", "peak MiB"], words=1)
     for folder, count in itertools.product(folders, counts):
         words = [sys.executable, __file__, str(folder), "--frames", str(count), "--child"]
         subprocess.run(words, check=True)
 
 
 def frames_of(folder: Path, poses: Path | None = None) -> list[Frame]:
-    """Return the frames of a scan with true poses and depth; pairs are matched.
+    """Read the frames of a scan with true poses and depth.
+
+    Stereo pairs are matched.
 
     Parameters
     ----------
-    poses : a TUM trajectory with a pose for each frame, in order, where the folder has none.
+    poses : TUM trajectory with a pose for each frame, in order, if the folder has no poses.
     """
     if poses is not None:
         scan = read_scan(folder, complete=False)
         known = read_tum(poses).poses
         if len(known) != len(scan.frames):
-            raise InputError(MACHINE_BUG, f"{len(known)} poses for {len(scan.frames)} frames.", poses)
+            message = f"it has {len(known)} poses, but the scan has {len(scan.frames)} frames."
+            raise InputError(MACHINE_BUG, message, poses)
         pairs = zip(scan.frames, known, strict=True)
         return [replace(frame, world_from_camera=pose) for frame, pose in pairs]
     scan = read_scan(folder)
@@ -259,13 +269,16 @@ def frames_of(folder: Path, poses: Path | None = None) -> list[Frame]:
 
 
 def hidden_pose(frame: Frame, *, depth_only: bool) -> Frame:
-    """Return a frame without its pose, and without its colours if asked."""
+    """Remove a frame's pose, and its colours if `depth_only`."""
     frame = replace(frame, world_from_camera=None)
     return replace(frame, color=None, color_camera=None, color_from_depth=None) if depth_only else frame
 
 
 def umeyama(a: np.ndarray, b: np.ndarray, *, scale: bool) -> tuple[Pose, float]:
-    """Return the motion (and scale) that brings points onto others with the least squared distance."""
+    """Align points `a` to `b` (n, 3) by least squares (Umeyama 1991).
+
+    Returns the rigid motion (4, 4) and the scale, which is 1 unless `scale` is set.
+    """
     centred = a - a.mean(axis=0), b - b.mean(axis=0)
     u, size, vt = np.linalg.svd(centred[0].T @ centred[1])
     mirror = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
@@ -311,7 +324,7 @@ def _rms(values: Sequence[float]) -> float:
 
 
 def _transfers(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
-    """Return how far points of a few couples land from their matches, of found and of true poses."""
+    """Format median reprojection errors of estimated and true poses, pixels."""
     found = look([replace(truth[p], world_from_camera=poses[p]) for p in poses], range(len(poses)))
     true = look([truth[p] for p in poses], range(len(poses)))
     return [f"{one.median:.2f}" if len(one.errors) else "" for one in (found, true)]
@@ -329,7 +342,10 @@ def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Me
 
 
 def _pieces(found: Registration) -> list[dict[int, Pose]]:
-    """Return poses by place, of each piece in its own world; that which is used first."""
+    """List the poses of each component by frame index.
+
+    The component in use is the first. Each component has its own world.
+    """
     used = dict(zip(found.places, found.frames, strict=True))
     return [
         {place: require_rigid_pose(frame) for place, frame in one.items()}

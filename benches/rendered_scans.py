@@ -1,14 +1,17 @@
-"""What of a rendered scan must be right in its texture: AprilTags that decode, and nobody who only walked by.
+"""Texture checks on rendered scans: readable AprilTags, and removal of a passer-by.
 
     python benches/rendered_scans.py [--ratio 0.1]
 
-Makes scans with `samples/make_samples.py` and runs the pipeline on them; prints Markdown. "tags": of all tags
-that decode in the photos, how many decode in pictures of `textured.glb` from the same cameras. They are so
-small in the photos that chance is in it: "all in pictures" counts those too that do not decode in the photo,
-"photos moved" how many decode after the photo itself is moved by half a pixel. "visitor": somebody is in
-every tenth frame. The texture from all of them beside that from the same scan without the visitor, on one
-mesh: the share of the surface that differs by more than ten levels in a channel. "whole run": pixels of
-pictures of both runs' results, which have meshes of their own.
+Makes scans with `samples/make_samples.py` and runs the pipeline on them. Prints a Markdown table:
+
+- "tags": of the tags that decode in the photos, those that also decode in renderings of `textured.glb` from
+  the same cameras. The tags are so small that decoding is partly random. For comparison, "all in renderings"
+  includes tags that do not decode in the photo, and "shifted photos" counts tags that decode after a shift of
+  the photo by half a pixel.
+- "visitor": a person is in every tenth frame. The texture from all photos is compared with the texture from
+  the same scan without the visitor, on the same mesh: ratio of surface samples that differ by more than ten
+  levels in a channel.
+- "visitor, whole run": the same for pixels of renderings of both runs, each with its own mesh.
 """
 
 from __future__ import annotations
@@ -50,12 +53,12 @@ def main() -> None:
         results = {name: Path(folder) / f"{name}-out" for name in scans}
         for name, scan in scans.items():
             run(scan, results[name], Config().set([f"simplify.ratio={ratio}"]))
-        print_head(["scan", "what", "of", "share"], words=2)
+        print_head(["check", "result", "of", "ratio"], words=2)
         wanted, *others = tags(scans["tags"], results["tags"])
-        for name, count in zip(("", ", all in pictures", ", photos moved"), others, strict=True):
+        for name, count in zip(("", ", all in renderings", ", shifted photos"), others, strict=True):
             print_row([f"tags{name}", f"{count} decoded", f"{wanted} in photos", f"{count / wanted:.1%}"])
         differing, places = painted_over(scans, results["plain"])
-        print_row(["visitor", f"{differing} differ", f"{places} places", f"{differing / places:.2%}"])
+        print_row(["visitor", f"{differing} differ", f"{places} points", f"{differing / places:.2%}"])
         differing, pixels = seen_over(scans["plain"], results["plain"], results["visitor"])
         print_row(
             ["visitor, whole run", f"{differing} differ", f"{pixels} pixels", f"{differing / pixels:.2%}"]
@@ -74,7 +77,10 @@ def made(folder: Path, *words: str) -> Path:
 
 
 def pictures(scan: Path, result: Path) -> list[tuple[ColorImage, ColorImage, np.ndarray]]:
-    """Return each photo, the result from its camera, and where that shows the mesh."""
+    """Render a result from each camera of a scan.
+
+    Returns photo, rendering (h, w, 3) uint8, and mask (h, w) of the pixels that show the mesh.
+    """
     surface = Surface(read_mesh(result / "textured.glb"))
     found = []
     for frame in read_scan(scan).frames:
@@ -85,7 +91,10 @@ def pictures(scan: Path, result: Path) -> list[tuple[ColorImage, ColorImage, np.
 
 
 def tags(scan: Path, result: Path) -> tuple[int, int, int, int]:
-    """Return how many tags decode in the photos, there and in pictures, in pictures, and in moved photos."""
+    """Count decoded tags.
+
+    Returns counts for photos, photos and renderings, renderings, and shifted photos.
+    """
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     detector = cv2.aruco.ArucoDetector(family)
 
@@ -103,7 +112,10 @@ def tags(scan: Path, result: Path) -> tuple[int, int, int, int]:
 
 
 def painted_over(scans: dict[str, Path], plain: Path) -> tuple[int, int]:
-    """Return places that differ between textures with and without the visitor, of all photos show."""
+    """Count surface samples that differ between textures with and without the visitor.
+
+    Returns differing samples and all samples.
+    """
     mesh = read_ply(plain / "simplified.ply")
     found = [texture(mesh, read_scan(scans[name]), format="png").mesh for name in ("visitor", "plain")]
     rng = np.random.default_rng(0)
@@ -115,7 +127,10 @@ def painted_over(scans: dict[str, Path], plain: Path) -> tuple[int, int]:
 
 
 def seen_over(scan: Path, plain: Path, visited: Path) -> tuple[int, int]:
-    """Return pixels that differ between pictures of two results, of all that show both."""
+    """Count pixels that differ between renderings of two results.
+
+    Returns differing pixels and all pixels that show both meshes.
+    """
     differing = pixels = 0
     for (_, one, hit), (_, other, other_hit) in zip(
         pictures(scan, plain), pictures(scan, visited), strict=True

@@ -1,4 +1,4 @@
-"""Surfaces of revolution with as many points as those of Chen and Qin."""
+"""Surfaces of revolution with the point counts of Chen and Qin."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def revolved(profile: NDArray[np.float64], around: int, *, ends: tuple[bool, bool] = (True, True)) -> Mesh:
-    """Turn a profile (k, 2) of radius and height about the z axis, in so many steps.
+    """Revolve a profile about the z axis.
 
-    Where `ends` says so, the first and the last point lie on the axis and are one vertex each. The
-    outside is on the right of the profile.
+    Parameters
+    ----------
+    profile : (k, 2) radius and height; the outside is on its right.
+    around : number of steps about the axis.
+    ends : the first and the last point are on the axis and become one vertex each.
     """
     first, last = ends
     ring = profile[int(first) : len(profile) - int(last)]
@@ -39,26 +42,35 @@ def revolved(profile: NDArray[np.float64], around: int, *, ends: tuple[bool, boo
 
 
 def cone() -> Mesh:
-    """1,441 points: an apex over 36 rings of 40; open below."""
+    """Make an open cone of 1,441 points.
+
+    It has an apex and 36 rings of 40 points.
+    """
     along = np.linspace(0, 1, 37)
     return revolved(np.stack([1 - along, 2 * along], 1), 40, ends=(False, True))
 
 
 def cup() -> Mesh:
-    """1,800 points: 45 rings of 40, up the outside, over the rim, and down the inside; open below."""
+    """Make a cup of 1,800 points, open below.
+
+    It has 45 rings of 40 points. The profile goes up the outside, over the rim, and down the inside.
+    """
     outside = [(0.6 + 0.4 * np.sin(1.4 * h), 2 * h) for h in np.linspace(0, 1, 23)]
     inside = [(0.9 * (0.6 + 0.4 * np.sin(1.4 * h)), 2 * h) for h in np.linspace(1, 0.1, 22)]
     return revolved(np.array(outside + inside), 40, ends=(False, False))
 
 
 def bottle() -> Mesh:
-    """2,772 points: 63 rings of 44; body, shoulder and neck, open above and below."""
+    """Make a bottle of 2,772 points, open at both ends.
+
+    It has 63 rings of 44 points.
+    """
     height = np.linspace(0, 3, 63)
     radius = 0.25 + 0.55 / (1 + np.exp((height - 1.9) * 9)) - 0.1 * np.exp(-((height - 0.05) ** 2) / 0.01)
     return revolved(np.stack([radius, height], 1), 44, ends=(False, False))
 
 
-# Of each the points, and the paper's reductions of these in per cent.
+# Generator, point count, and the paper's two reductions in percent.
 REDUCTIONS = {
     "cone": (cone, 1441, 91.0, 95.0),
     "cup": (cup, 1800, 62.5, 70.0),

@@ -1,16 +1,16 @@
-"""Whether two checkouts make the same outputs: every command on the same inputs, compared to the byte.
+"""Comparison of the outputs of two checkouts, byte by byte.
 
     python benches/same_outputs.py FIRST SECOND [--data DATA] [--keep FOLDER] [--only 'methods/*'] [--quick]
 
-FIRST and SECOND are checkouts with their kernels built, both run by the Python that runs this. It uses what
-both sides share, whatever they look like inside: the command line, and names of `scanloom`. Each job
-(see outputs/jobs.py) is run on both sides; files are compared by their bytes, archives by their members, JSON
-value by value. Seconds, dates and keys of the cache are left out. It prints a Markdown table with the seconds
-of both sides, what differs, and exits with 1 if that is not in EXPECTED.
+FIRST and SECOND are checkouts with compiled kernels; both run with the current Python. Only their common
+interface is used: the command line, and public names of `scanloom`. Each job (see outputs/jobs.py) runs on
+both sides. Files are compared by bytes, archives by members, JSON by values. Seconds, dates and cache keys
+are left out. Prints a Markdown table with the seconds of both sides and the differences. The exit code is 1
+if a difference is not listed in EXPECTED.
 
-With --keep the outputs of FIRST stay in FOLDER/first, and are taken from there as long as FIRST has the same
-commit and kernels, and Python the same packages; of SECOND those jobs stay whose outputs differ. SECOND can
-be FIRST itself, which tells whether outputs are the same each time at all.
+With --keep, the outputs of FIRST stay in FOLDER/first. They are reused as long as FIRST has the same commit
+and kernels, and Python the same packages. Outputs of SECOND are kept for jobs that differ. If SECOND is
+FIRST, the bench checks if outputs are reproducible.
 """
 
 from __future__ import annotations
@@ -39,42 +39,42 @@ from outputs.differences import Difference, Expected, differences, matches
 from outputs.jobs import QUICK, Job, all_jobs
 from outputs.leaves import Leaves
 
-# Differences that are meant: in which jobs, which (as they are printed: "changed 1 simplify:triangles",
-# "moved 1 simplify:proven -> 1 simplify:details.proven", ...; * is any text), and why.
+# Expected differences: pattern of jobs, pattern of differences as printed ("changed 1 simplify:triangles",
+# "moved 1 simplify:proven -> 1 simplify:details.proven", ...; `*` is any text), and the reason.
 EXPECTED: tuple[Expected, ...] = (
-    Expected("*", "moved * -> *details.*", "what one method alone has to tell stands under details"),
-    Expected("*", "gone *attribute_scale_m_per_level*", "planar has no use for a weight of colour"),
-    Expected("*", "moved *.pinned -> *.locked", "a vertex that stays is locked"),
+    Expected("*", "moved * -> *details.*", "results of a single method are under details"),
+    Expected("*", "gone *attribute_scale_m_per_level*", "planar has no colour weight"),
+    Expected("*", "moved *.pinned -> *.locked", "vertices that stay are called locked"),
     Expected("*", "moved *texture* -> *color*", "a bound on colour is max_color"),
-    Expected("*", "new *schema*", "JSON says by which names it goes"),
-    Expected("*", "changed *schema*", "JSON says by which names it goes"),
-    Expected("*", "moved *view -> *viewpoint", "where a picture is drawn from is a viewpoint"),
-    Expected("*", "moved *views -> *viewpoints", "where a picture is drawn from is a viewpoint"),
+    Expected("*", "new *schema*", "JSON states the version of its names"),
+    Expected("*", "changed *schema*", "JSON states the version of its names"),
+    Expected("*", "moved *view -> *viewpoint", "views of pictures are called viewpoints"),
+    Expected("*", "moved *views -> *viewpoints", "views of pictures are called viewpoints"),
     Expected("*", "new *largest_color_change_levels*", "a bound on colour is max_color"),
     Expected("*", "new *max_color*", "a bound on colour is max_color"),
     Expected("*", "gone *texture*_levels*", "a bound on colour is max_color"),
-    Expected("*", "new *is called*", "a former name says the new one"),
-    Expected("*", "new *details.largest_patches*", "of two alike it is not told which one moved"),
-    Expected("*", "gone *largest_patches*", "of two alike it is not told which one moved"),
-    Expected("*", "*is not supported by method*", "the table of methods says what each takes"),
-    Expected("*", "*collapses no edges*", "the table of methods says what each takes"),
-    Expected("*", "changed *:error", "the table of methods says what each takes"),
+    Expected("*", "new *is called*", "a former name is answered with the new one"),
+    Expected("*", "new *details.largest_patches*", "of two equal values, the moved one is unknown"),
+    Expected("*", "gone *largest_patches*", "of two equal values, the moved one is unknown"),
+    Expected("*", "*is not supported by method*", "the table of methods lists their parameters"),
+    Expected("*", "*collapses no edges*", "the table of methods lists their parameters"),
+    Expected("*", "changed *:error", "the table of methods lists their parameters"),
     Expected(
         "run/*",
         "*simplify.params.simplify.*",
-        "each method has a default of its own",
+        "each method has a separate default",
     ),
-    Expected("run/*", "changed *reason", "each method has a default of its own"),
-    Expected("run/*", "* cache: *", "keys follow from the versions of results"),
-    Expected("words/*", "*", "helps, configs and refusals name what is named anew"),
-    Expected("records/*", "*cut.npz*", "records have one format"),
-    Expected("records/*", "*record.npz*", "records have one format"),
-    Expected("broken/*", "*light.glb*", "the third command is seams, which runs on the one driver"),
-    Expected("broken/*", "* 2 simplify:*", "the third command is seams, which runs on the one driver"),
-    Expected("kitchen/*", "* seams.ply*", "seams runs on the one driver, region by region"),
-    Expected("kitchen/methods", "* 4 simplify:*", "seams runs on the one driver, region by region"),
-    Expected("kitchen/as_it_is", "* 1 simplify:*", "seams runs on the one driver, region by region"),
-    Expected("*/seams", "*", "seams runs on the one driver, region by region"),
+    Expected("run/*", "changed *reason", "each method has a separate default"),
+    Expected("run/*", "* cache: *", "cache keys depend on the versions of results"),
+    Expected("words/*", "*", "help, configuration and errors use the new names"),
+    Expected("records/*", "*cut.npz*", "all records have one format"),
+    Expected("records/*", "*record.npz*", "all records have one format"),
+    Expected("broken/*", "*light.glb*", "the third command is seams, which uses the common driver"),
+    Expected("broken/*", "* 2 simplify:*", "the third command is seams, which uses the common driver"),
+    Expected("kitchen/*", "* seams.ply*", "seams uses the common driver, region by region"),
+    Expected("kitchen/methods", "* 4 simplify:*", "seams uses the common driver, region by region"),
+    Expected("kitchen/as_it_is", "* 1 simplify:*", "seams uses the common driver, region by region"),
+    Expected("*/seams", "*", "seams uses the common driver, region by region"),
     Expected("methods/*/auto", "*", "auto takes seams for textured models"),
     Expected("textures/*", "*", "textured models are simplified by seams"),
 )
@@ -82,27 +82,31 @@ EXPECTED: tuple[Expected, ...] = (
 SNIPPETS = Path(__file__).parent / "outputs" / "snippets"
 _LIMIT_S = 900
 _SHOWN = 25
-# Of a step.
+# Number of a step in the name of a leaf.
 _NUMBER = re.compile(r"\b\d+(?= \S+(:| exit code| stderr))")
 
 
 @dataclass(frozen=True)
 class Side:
-    """A checkout, and the folder its jobs work in."""
+    """Checkout and working folder of its jobs.
+
+    Attributes
+    ----------
+    identity : digest of everything that determines its outputs; None if unknown.
+    """
 
     checkout: Path
     work: Path
-    # All that decides what it makes, or None if that cannot be told.
     identity: str | None = None
 
     def folder_of(self, job: Job) -> Path:
-        """Return the folder a job works in."""
+        """Return the output folder of a job."""
         return self.work / job.name / "outputs"
 
 
 @dataclass(frozen=True)
 class Made:
-    """What a job left behind, and how long it took."""
+    """Outputs and duration of a job on one side."""
 
     leaves: Leaves
     seconds: float
@@ -111,7 +115,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Row:
-    """A job on both sides."""
+    """Results of a job on both sides."""
 
     job: Job
     first: Made
@@ -121,11 +125,11 @@ class Row:
 
 
 def main() -> int:
-    """Print the table and the differences."""
+    """Print the table and the differences; return the exit code."""
     options = arguments()
     jobs = [job for job in all_jobs(options.data) if is_wanted(job, options.only, options.quick)]
     if not jobs:
-        sys.exit(f"no job is called like {' or '.join(options.only)}")
+        sys.exit(f"no job matches {' or '.join(options.only)}")
     with tempfile.TemporaryDirectory() as scratch:
         kept = options.keep or Path(scratch)
         first = side(options.first, kept / "first")
@@ -143,16 +147,16 @@ def main() -> int:
 
 
 def arguments() -> argparse.Namespace:
-    """Return the options of the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("first", type=Path, help="checkout as it was")
-    parser.add_argument("second", type=Path, help="checkout as it is")
+    parser.add_argument("first", type=Path, help="checkout before the change")
+    parser.add_argument("second", type=Path, help="checkout after the change")
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser.add_argument("--data", type=Path, default=beside, help="folder of real scans and meshes")
-    parser.add_argument("--keep", type=Path, help="folder where outputs stay")
+    parser.add_argument("--keep", type=Path, help="folder that keeps outputs")
     parser.add_argument("--only", nargs="+", metavar="PATTERN", default=["*"], help="jobs, such as 'run/*'")
-    parser.add_argument("--quick", action="store_true", help="a little of everything")
-    parser.add_argument("--jobs", type=int, default=1, help="jobs at the same time")
+    parser.add_argument("--quick", action="store_true", help="run a few jobs of each kind")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel jobs")
     options = parser.parse_args()
     for name in ("first", "second", "data", "keep"):
         if getattr(options, name) is not None:
@@ -161,13 +165,13 @@ def arguments() -> argparse.Namespace:
 
 
 def is_wanted(job: Job, only: Sequence[str], quick: bool) -> bool:
-    """Return whether a job was asked for."""
+    """Check if a job is selected by the command line."""
     in_time = not quick or any(matches(pattern, job.name) for pattern in QUICK)
     return in_time and any(matches(pattern, job.name) for pattern in only)
 
 
 def side(checkout: Path, work: Path) -> Side:
-    """Return a side, after a look whether Python takes the code from there."""
+    """Make a side, after checking that Python imports its code."""
     command = [
         sys.executable,
         "-c",
@@ -181,12 +185,15 @@ def side(checkout: Path, work: Path) -> Side:
         sys.exit(f"{checkout} does not start:\n{found.stderr}")
     for path in found.stdout.split():
         if not Path(path).is_relative_to(checkout):
-            sys.exit(f"{checkout} is not what runs, but {path}")
+            sys.exit(f"Python imports {path} instead of {checkout}")
     return Side(checkout, work, identity(checkout))
 
 
 def identity(checkout: Path) -> str | None:
-    """Return a digest of commit, kernels and installed packages; None if files differ from the commit."""
+    """Compute a digest of commit, kernels and installed packages.
+
+    Returns None if the working tree differs from the commit.
+    """
 
     def git(*words: str) -> str:
         return subprocess.run(["git", "-C", str(checkout), *words], capture_output=True, text=True).stdout
@@ -202,7 +209,10 @@ def identity(checkout: Path) -> str | None:
 
 
 def environment(checkout: Path, work: Path) -> Mapping[str, str]:
-    """Return the variables a checkout runs with; nothing is written into it."""
+    """Make the environment variables of a checkout.
+
+    They prevent Python from writing into the checkout.
+    """
     unwanted = {"SCANLOOM_CACHE", "PYTHONDONTWRITEBYTECODE"}
     return {name: value for name, value in os.environ.items() if name not in unwanted} | {
         "PYTHONPATH": str(checkout),
@@ -213,7 +223,7 @@ def environment(checkout: Path, work: Path) -> Mapping[str, str]:
 
 
 def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) -> Row:
-    """Run a job on both sides."""
+    """Run a job on both sides and compare its outputs."""
     places = {**places, "first": first.folder_of(job)}
     work = work_of(job, places)
     before = kept(job, first, work) or made(job, first, places, work)
@@ -231,7 +241,10 @@ def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) ->
 
 
 def kept(job: Job, one: Side, work: str) -> Made | None:
-    """Return what an earlier run of the same code left of the same job, if it did."""
+    """Load outputs of an earlier run of the same code and job.
+
+    Returns None without such a run.
+    """
     record = one.work / job.name / "made.json"
     if one.identity is None or not record.is_file():
         return None
@@ -242,10 +255,14 @@ def kept(job: Job, one: Side, work: str) -> Made | None:
 
 
 def made(job: Job, one: Side, places: Mapping[str, Path], work: str) -> Made:
-    """Run the steps of a job, and return what they left behind; a record of it stays beside the outputs."""
+    """Run the steps of a job and collect its outputs.
+
+    A record of them is stored next to the output folder.
+    """
     folder = new_folder(one.folder_of(job))
     folder.mkdir(parents=True)
-    # What both sides call alike; the first one's own folder is its {first}.
+    # Placeholders for folder names that differ between the sides. {first} is the job's own folder on the
+    # first side.
     named = {str(path): f"{{{name}}}" for name, path in places.items()}
     named |= {str(one.checkout): "{checkout}", str(folder): "{folder}", str(places["first"]): "{folder}"}
     named[str(SNIPPETS)] = "{snippets}"
@@ -263,7 +280,7 @@ def made(job: Job, one: Side, places: Mapping[str, Path], work: str) -> Made:
 def step_leaves(
     step: str, number: int, one: Side, folder: Path, places: Mapping[str, Path], named: Mapping[str, str]
 ) -> Leaves:
-    """Run one step, and return the leaves of what it printed, and its exit code."""
+    """Run one step; return the leaves of its output and exit code."""
     words = shlex.split(step)
     for name, path in places.items():
         words = [word.replace(f"{{{name}}}", str(path)) for word in words]
@@ -281,7 +298,7 @@ def step_leaves(
             timeout=_LIMIT_S,
         )
     except subprocess.TimeoutExpired:
-        return {f"{name} exit code": f"none in {_LIMIT_S} s"}
+        return {f"{name} exit code": f"timed out after {_LIMIT_S} s"}
     return {
         f"{name} exit code": str(done.returncode),
         **leaves.of_output(done.stdout, name, named),
@@ -290,7 +307,10 @@ def step_leaves(
 
 
 def work_of(job: Job, places: Mapping[str, Path]) -> str:
-    """Return a digest of all that a job is made of beside the checkout's code: steps, snippets and inputs."""
+    """Compute a digest of a job's steps, snippets and inputs.
+
+    The code of the checkout is not included.
+    """
     digest = hashlib.sha256("\n".join([str(places["data"]), *job.steps]).encode())
     sources = [Path(inputs.__file__), Path(leaves.__file__)]
     for path in [*sources, *(SNIPPETS / word for step in job.steps for word in step.split()[:1])]:
@@ -300,13 +320,13 @@ def work_of(job: Job, places: Mapping[str, Path]) -> str:
 
 
 def new_folder(path: Path) -> Path:
-    """Return the path of a folder, which is not there any more if it was."""
+    """Delete a folder if it exists; return its path."""
     shutil.rmtree(path, ignore_errors=True)
     return path
 
 
 def told(row: Row) -> Row:
-    """Print the row of a job."""
+    """Print the table row of a job; return the row."""
     words = [f"**{len(row.unexpected)} differ**"] if row.unexpected else []
     words += [f"{len(row.expected)} differ as expected"] if row.expected else []
     before = f"({row.first.seconds:.1f})" if row.first.is_kept else f"{row.first.seconds:.1f}"
@@ -316,7 +336,7 @@ def told(row: Row) -> Row:
 
 
 def conclude(rows: Sequence[Row]) -> int:
-    """Print all differences and the sums, and return the exit code."""
+    """Print all differences and totals; return the exit code."""
     different = [row for row in rows if row.unexpected]
     for row in different:
         print(f"\n{row.job.name}:")
@@ -335,15 +355,18 @@ def conclude(rows: Sequence[Row]) -> int:
 
 
 def print_kinds(rows: Iterable[Row]) -> None:
-    """Print in how many jobs something differs in the same way: what EXPECTED is written from."""
+    """Print the number of jobs for each kind of difference.
+
+    The list helps to write EXPECTED.
+    """
     kinds = Counter(kind for row in rows for kind in {_NUMBER.sub("*", str(one)) for one in row.unexpected})
-    print("\nin how many jobs:")
+    print("\nNumber of jobs by kind of difference:")
     for kind, count in kinds.most_common(_SHOWN):
         print(f"- {count}: {kind}")
 
 
 def print_differences(found: Iterable[Difference]) -> None:
-    """Print differences, one a line, with the values of both sides."""
+    """Print differences, one per line, with the values of both sides."""
     lines = [f"- {one}: {one.values}" for one in found]
     print(*lines[:_SHOWN], sep="\n")
     if len(lines) > _SHOWN:
@@ -351,7 +374,7 @@ def print_differences(found: Iterable[Difference]) -> None:
 
 
 def total(made: Iterable[Made]) -> str:
-    """Return the seconds of a side, all jobs together."""
+    """Format the total seconds of one side."""
     return f"{sum(one.seconds for one in made):.0f} s"
 
 

@@ -1,11 +1,12 @@
-"""Many scans by several workers: how much faster, and what is left of it where workers are killed.
+"""Batch of many scans: speedup by workers, and recovery from killed workers.
 
-So many small made scans (RGB-D, four frames) go as far as `simplify`: by one worker of one thread, by two,
-and by two that are killed (`kill -9`) at random every few seconds, half of the time the worker itself, else
-the process that runs its job, and replaced. "twice" are scans that two tries brought to an end; "same bytes"
-compares every result but report.json with that of one worker. Then a queue of so many jobs is claimed without
-working on them. Seconds on the wall say little where other work goes on: processor seconds are of all
-processes of the workers.
+Small synthetic scans (RGB-D, four frames) are processed up to `simplify`: by one worker of one thread, by
+two, and by two that are killed (`kill -9`) at random every few seconds and replaced. Half of the kills hit
+the worker, the others the process that runs its job.
+
+"finished twice" counts scans that were completed by two attempts. "same bytes" compares every result except
+report.json with the results of one worker. Then all jobs of a long queue are claimed without being run.
+Wall-clock seconds are unreliable on a busy machine; CPU seconds cover all processes of the workers.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from small_scans import write_small_scans  # noqa: E402
 
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 WORKER = [*SCANLOOM, "worker", "--quiet", "--jobs", "1", "--set", "worker.threads=1"]
-# Seconds between two kills.
+# Range of seconds between two kills.
 SOONEST, LATEST = 2.0, 6.0
 NOT_COMPARED = {"report.json"}
 
 
 def batch(scans: int, jobs: int, seed: int) -> None:
-    """Print the tables of `batch`."""
+    """Print the table of `batch` and the time per claim."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_small_scans(Path(folder) / "scans", scans)
-        print_head(("scans", "workers", "kills", "wall", "CPU", "faster", "same bytes", "twice"), 0)
+        print_head(("scans", "workers", "kills", "wall", "CPU", "speedup", "same bytes", "finished twice"), 0)
         told = f"{scans:,}"
         wall, cpu, one = worked(made, Path(folder) / "one", 1)
         print_row((told, "1", "0", f"{wall:.0f} s", f"{cpu:.0f} s", "", "", f"{twice(one)}"))
@@ -59,11 +60,11 @@ def batch(scans: int, jobs: int, seed: int) -> None:
         longer, kills, killed = killed_workers(made, Path(folder) / "killed", seed)
         compared = same(results, killed)
         print_row((told, "2", f"{kills}", f"{longer:.0f} s", "", "", compared, f"{twice(killed)}"))
-        print(f"\n{jobs:,} jobs in a queue: {claimed(Path(folder) / 'queue', jobs):.3f} ms for each claim")
+        print(f"\n{jobs:,} jobs in a queue: {claimed(Path(folder) / 'queue', jobs):.3f} ms per claim")
 
 
 def queued(scans: Path, out: Path) -> Path:
-    """Write the queue."""
+    """Write the queue of a batch; return its folder."""
     words = [
         "batch",
         scans,
@@ -80,7 +81,10 @@ def queued(scans: Path, out: Path) -> Path:
 
 
 def worked(scans: Path, out: Path, workers: int) -> tuple[float, float, Path]:
-    """Return the seconds that so many workers take, on the wall and of processors, and the folder."""
+    """Process a batch with several workers.
+
+    Returns wall seconds, CPU seconds, and the output folder.
+    """
     queued(scans, out)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     started = time.perf_counter()
@@ -93,7 +97,10 @@ def worked(scans: Path, out: Path, workers: int) -> tuple[float, float, Path]:
 
 
 def killed_workers(scans: Path, out: Path, seed: int) -> tuple[float, int, Path]:
-    """Return the seconds that two workers take which are killed and replaced, how often, and the folder."""
+    """Process a batch with two workers that are killed and replaced.
+
+    Returns wall seconds, number of kills, and the output folder.
+    """
     queued(scans, out)
     drawn = random.Random(seed)
     started = time.perf_counter()
@@ -118,18 +125,18 @@ def killed_workers(scans: Path, out: Path, seed: int) -> tuple[float, int, Path]
 
 
 def started_worker(out: Path) -> subprocess.Popen[bytes]:
-    """Start a worker."""
+    """Start a worker process."""
     return subprocess.Popen([*WORKER, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def children_of(process: int) -> list[int]:
-    """Return the processes that one has started."""
+    """List the child processes of a process."""
     path = Path(f"/proc/{process}/task/{process}/children")
     return [int(word) for word in path.read_text().split()] if path.exists() else []
 
 
 def digests(out: Path) -> dict[str, str]:
-    """Return the digest of every result, by its path."""
+    """Compute the digest of every result, by path."""
     files = [
         path for path in sorted(out.glob("scan-*/*")) if path.is_file() and path.name not in NOT_COMPARED
     ]
@@ -137,7 +144,7 @@ def digests(out: Path) -> dict[str, str]:
 
 
 def same(expected: dict[str, str], out: Path) -> str:
-    """Say whether the results in a folder are those that are expected."""
+    """Compare the results in a folder with expected digests; format the outcome."""
     found = digests(out)
     differ = sum(found.get(name) != content for name, content in expected.items()) + len(
         found.keys() - expected
@@ -146,7 +153,7 @@ def same(expected: dict[str, str], out: Path) -> str:
 
 
 def twice(out: Path) -> int:
-    """Return how many jobs were brought to an end more than once."""
+    """Count jobs that were completed more than once."""
     queue = standing_queue(out)
     assert queue is not None
     ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
@@ -155,7 +162,7 @@ def twice(out: Path) -> int:
 
 
 def claimed(out: Path, jobs: int) -> float:
-    """Return the milliseconds that a claim takes in a queue of so many jobs."""
+    """Measure the CPU milliseconds per claim in a queue of `jobs` jobs."""
     queue = new_queue(out, 1, Settings(""), [Job(k, f"../scans/{k}", f"{k}") for k in range(jobs)])
     assert queue is not None
     started = time.process_time()
@@ -170,7 +177,7 @@ def claimed(out: Path, jobs: int) -> float:
 
 
 def add_to(commands: Any) -> None:
-    """Add the command `batch` to those of a parser."""
+    """Add the command `batch` to a parser."""
     parser = commands.add_parser("batch", description=__doc__)
     parser.add_argument("--scans", type=int, default=1000)
     parser.add_argument("--jobs", type=int, default=10_000)

@@ -1,8 +1,9 @@
-"""A made building fused in bricks: what a frame costs and how much memory it takes, from few frames to many.
+"""Out-of-core fusion of a synthetic building: time and memory by frames.
 
-Makes the building (or takes one that `benches/building.py` has made: --building FOLDER), and fuses its first
-frames at 1 cm, each number of them in a process of its own. Then the same by runs that are killed (`kill -9`)
-at random until one ends: how many bricks it took over, and whether the mesh is that of the quiet run.
+Makes the building (or uses --building FOLDER, written by `benches/building.py`) and fuses its first frames at
+1 cm, in a separate process for each number of frames. The fusion is then repeated by runs that are killed
+(`kill -9`) at random until one completes. The table shows the bricks reused from killed runs, and if the mesh
+has the same bytes as the undisturbed one.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def bricks(
         if building is None:
             building = Path(scratch) / "building"
             make_building(building, rooms, max(frames), os.cpu_count() or 1)
-        print_head(("frames", "CPU", "a frame", "peak memory", "bricks", "triangles"), 0)
+        print_head(("frames", "CPU", "CPU per frame", "peak memory", "bricks", "triangles"), 0)
         drawn, contents = [], {}
         for count in frames:
             scan = first_frames(building, Path(scratch) / f"scan-{count}", count)
@@ -59,7 +60,7 @@ def bricks(
             )
             remove(out)
         print()
-        print_head(("frames", "kills", "bricks taken over", "same bytes"), 0)
+        print_head(("frames", "kills", "reused bricks", "same bytes"), 0)
         for count in killed:
             scan, out = Path(scratch) / f"scan-{count}", Path(scratch) / f"killed-{count}"
             kills, taken = fused_under_kills(scan, out, memory, seed)
@@ -71,19 +72,19 @@ def bricks(
 
 
 def remove(out: Path) -> None:
-    """Remove results and their cache: of a building they take gigabytes."""
+    """Remove results and their cache, which take gigabytes."""
     for folder in (out, Path(f"{out}-cache")):
         shutil.rmtree(folder)
 
 
 def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
-    """Draw what a frame costs, ms of CPU, and peak memory, MB, over the number of frames."""
+    """Plot CPU time per frame (ms) and peak memory (MB)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 2.8), layout="constrained")
     frames, costs, peaks = zip(*measured, strict=True)
     for axes, values, label in zip(
-        figure.subplots(1, 2), (costs, peaks), ("CPU a frame, ms", "peak memory, MB"), strict=True
+        figure.subplots(1, 2), (costs, peaks), ("CPU per frame, ms", "peak memory, MB"), strict=True
     ):
         axes.plot(frames, values, "o-", color="#0072b2")
         axes.set(xscale="log", xlabel="frames", ylabel=label, ylim=(0, 1.2 * max(values)))
@@ -92,7 +93,7 @@ def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
 
 
 def first_frames(building: Path, folder: Path, count: int) -> Path:
-    """Write a scan of the first frames of a building, whose images are links."""
+    """Write a scan of a building's first frames, with linked images."""
     folder.mkdir()
     for kind in ("color", "depth"):
         (folder / kind).symlink_to(building / kind)
@@ -107,7 +108,10 @@ def first_frames(building: Path, folder: Path, count: int) -> Path:
 
 
 def command(scan: Path, out: Path, memory: float) -> list[str]:
-    """Return the command that fuses a scan in bricks, with a cache of its own."""
+    """Make the command that fuses a scan in bricks.
+
+    Each output folder gets a separate cache.
+    """
     settings = (
         f"fuse.voxel_size={VOXEL_SIZE}",
         "fuse.brick_size=4",
@@ -131,7 +135,10 @@ def command(scan: Path, out: Path, memory: float) -> list[str]:
 
 
 def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
-    """Fuse a scan in peace; return the folder, the stage's part of the report, and processor seconds."""
+    """Fuse a scan without disturbance.
+
+    Returns the output folder, the stage's part of the report, and CPU seconds.
+    """
     before = os.times()
     subprocess.run(command(scan, out, memory), check=True)
     after = os.times()
@@ -140,7 +147,10 @@ def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
 
 
 def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, int]:
-    """Fuse a scan by runs that are killed at random, until one ends; return kills, bricks taken over."""
+    """Fuse a scan by randomly killed runs, until one completes.
+
+    Returns the number of kills and of bricks that the last run reused.
+    """
     draw, kills, longest = random.Random(seed), 0, 4.0
     while True:
         run = subprocess.Popen(command(scan, out, memory))
@@ -153,22 +163,22 @@ def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[
         os.kill(run.pid, signal.SIGKILL)
         run.wait()
         kills += 1
-        # It has to end some time, however large it is.
+        # A growing limit makes sure that some run completes.
         longest *= 1.5
     figures = json.loads((out / "report.json").read_text())["stages"]["fuse"]["figures"]
     return kills, figures["bricks"] - figures["bricks_fused"]
 
 
 def add_to(commands: Any) -> None:
-    """Add the command `bricks` to those of a parser."""
+    """Add the command `bricks` to a parser."""
     parser = commands.add_parser("bricks", description=__doc__)
     parser.add_argument("--building", type=Path, help="made by benches/building.py")
     parser.add_argument("--frames", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000])
     parser.add_argument(
-        "--killed", type=int, nargs="*", default=[1000], help="of these numbers, those killed"
+        "--killed", type=int, nargs="*", default=[1000], help="numbers of frames to repeat with kills"
     )
-    parser.add_argument("--plot", type=Path, help="picture to draw (extra plot)")
-    parser.add_argument("--memory", type=float, default=500, help="MB of voxels at a time")
+    parser.add_argument("--plot", type=Path, help="picture of the first table (requires the extra plot)")
+    parser.add_argument("--memory", type=float, default=500, help="memory for voxels, MB")
     parser.add_argument("--rooms", type=int, default=50)
     parser.add_argument("--seed", type=int, default=3)
     parser.set_defaults(bench=bricks)

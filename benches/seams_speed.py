@@ -1,10 +1,10 @@
-"""Collapses a second of method seams, one thread, at several sizes. Prints a Markdown table.
+"""Speed of method `seams` on one thread, by mesh size.
 
     python benches/seams_speed.py [SIZES ...]
 
-A noisy height field is cut into strips of 50 rows, each a chart of its own with vertices of its own, and
-taken to a tenth of its triangles: texture coordinates alone, and with colours. Time is processor time of the
-whole call but the fit, the best of three.
+A noisy height field is cut into strips of 50 rows, each a chart with separate vertices, and simplified to a
+tenth of its triangles: with texture coordinates only, and with colours. Prints a Markdown table of collapses
+per CPU second, the best of three calls without the fit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ _ROWS = 50
 
 
 def strips(triangles: int) -> Mesh:
-    """Return a height field whose strips are charts side by side in the image, turned by a quarter."""
+    """Make a height field whose strips are separate charts.
+
+    The charts are rotated by 90° in the image.
+    """
     mesh = hills(triangles)
     place = mesh.vertices[:, :2] / np.ptp(mesh.vertices[:, :2])
     n = round(len(mesh.vertices) ** 0.5)

@@ -1,23 +1,23 @@
-"""Simplifiers side by side, each called the way its users call it: shape, colour, soundness, time, memory.
+"""Comparison of simplifiers: shape, colour, manifoldness, time and memory.
 
     python benches/simplify.py DATA [--ratios 0.1 0.04] [--mesh globe] [--only VTK] [--scan FILE]
                                     [--paint FILE ...] [--picture FILE] [--summary] [--samples 200000]
 
-DATA holds `meshes/` and `images/`. `pip install '.[bench]'` brings the peers that are Python packages;
-meshoptimizer wants cargo, CGAL wants g++ and Debian's libcgal-dev and libeigen3-dev. A peer that is absent
-is left out, with a line that says why. It prints Markdown: a table for each mesh and ratio, then what
-follows from them; with --summary a row a tool, each at its best setting for each mesh and ratio: that of
-least shape error times colour error. All tools get the same cleaned mesh. The whole takes five minutes.
+DATA holds `meshes/` and `images/`. `pip install '.[bench]'` installs the peers that are Python packages.
+meshoptimizer requires cargo; CGAL requires g++ and Debian's libcgal-dev and libeigen3-dev. A missing peer is
+skipped with a line that gives the reason. All tools get the same cleaned mesh. A full run takes five minutes.
 
-Ours runs with its default weight of colour, which it derives, and with multiples of that. A peer is beaten
-where one of ours is better in shape and in colour at once.
+Prints Markdown: a table for each mesh and ratio, then comparisons. With --summary, one row per tool shows its
+best setting for each mesh and ratio, the one with the smallest product of shape and colour error. Our
+simplifier runs with its derived colour weight and with multiples of it. A peer is beaten if one of our
+settings is better in both shape and colour.
 
-Each call is a process of its own on one core. "CPU s" is the processor time of the call, "MB" the growth of
-the process's peak memory during it; both start after one call on a small mesh. Shape is two-sided; colour is
-sampled on the original: the colour there against the colour at the nearest point of the result, in 8-bit
-levels. Lengths are relative to the bounding box's diagonal. "check" is the RMS by PyMeshLab's own sampling.
-"pinched" are vertices of more than one fan, "turned" are triangles that face more than 120° away from the
-original next to them, "spread" is the standard deviation of edge lengths over their mean.
+Each call is a separate process on one core. "CPU s" is its CPU time, "MB" the growth of peak memory during
+the call; a call on a small mesh precedes both. Lengths are relative to the bounding box's diagonal. Shape is
+two-sided. "check" is the RMS by PyMeshLab's own sampling. Colour is sampled on the original and compared with
+the nearest point of the result, in 8-bit levels. "non-manifold vertices" have more than one fan. "flipped"
+triangles face more than 120° away from the nearest triangle of the original. "edge spread" is the standard
+deviation of edge lengths over their mean.
 """
 
 from __future__ import annotations
@@ -46,24 +46,24 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Surface, bounding_box
 from scanloom.stages.surface.topology import Topology, topology
 
-# A call that takes longer counts as failed.
+# Seconds after which a call counts as failed.
 PATIENCE_S = 300
 TURNED = math.cos(math.radians(120))
 
 
 def main() -> None:
-    """Print the tables and what follows from them."""
+    """Print the tables and comparisons."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
     parser.add_argument("--mesh", nargs="*", choices=meshes.MESHES, default=list(meshes.MESHES))
-    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so, and ours")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools that start with TOOL, and ours")
     parser.add_argument("--scan", type=Path, help="another coloured mesh")
     parser.add_argument(
-        "--paint", type=Path, nargs="+", metavar="FILE", help="other models, to paint with a map"
+        "--paint", type=Path, nargs="+", metavar="FILE", help="further models, painted with the earth's map"
     )
     parser.add_argument("--picture", type=Path, help="draw shape error against colour error")
-    parser.add_argument("--summary", action="store_true", help="print a row a tool; the rest to stderr")
+    parser.add_argument("--summary", action="store_true", help="print one row per tool, all else to stderr")
     parser.add_argument("--samples", type=int, default=200_000)
     options = parser.parse_args()
 
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def run(options: argparse.Namespace) -> list[Row]:
-    """Run and measure everything, and print a table for each mesh and ratio."""
+    """Measure all tools; print a table for each mesh and ratio."""
     tools = list(installed(options.only))
     inputs = {name: meshes.MESHES[name](options.data) for name in options.mesh}
     if options.scan:
@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> list[Row]:
 
 
 def installed(only: list[str] | None) -> Iterator[Tool]:
-    """Return the tools that can be called here, and print which ones and why others cannot."""
+    """Yield the available tools; print their versions, and reasons for missing ones."""
     for tool in TOOLS:
         if only and tool.name != OURS and not tool.name.lower().startswith(tuple(o.lower() for o in only)):
             continue
@@ -107,11 +107,11 @@ def installed(only: list[str] | None) -> Iterator[Tool]:
             print(f"- {tool.name}: {tool.version()}", flush=True)
             yield tool
         except Missing as reason:
-            print(f"- {tool.name} is left out: {reason}", flush=True)
+            print(f"- {tool.name} is skipped: {reason}", flush=True)
 
 
 def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: int) -> Iterator[Row]:
-    """Run each tool with each of its settings and measure what comes out."""
+    """Run each tool with each setting and measure its result."""
     before = topology(mesh)
     for tool, setting, cost, light in results(mesh, ratio, tools):
         yield Row(
@@ -127,7 +127,11 @@ def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: in
 def results(
     mesh: Mesh, ratio: float, tools: list[Tool]
 ) -> Iterator[tuple[Tool, str, dict[str, float], Mesh]]:
-    """Run each tool with each of its settings, or one if there are no colours, and print where one fails."""
+    """Run each tool with each setting; print failures.
+
+    Meshes without colours run with the first setting only. Yields tool, setting, cost ("seconds" and
+    "megabytes") and result.
+    """
     with tempfile.TemporaryDirectory() as folder:
         given, result = Path(folder, "given.npz"), Path(folder, "result.npz")
         save(mesh, given)
@@ -145,12 +149,12 @@ def results(
 
 
 def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result: Path) -> dict[str, float]:
-    """Have a fresh process call the tool; return seconds and megabytes.
+    """Call a tool in a new process; return seconds and megabytes.
 
     Raises
     ------
     Missing
-        If the tool fails there; the message is the last thing it said.
+        If the tool fails; the message is the last line it printed.
     """
     command = [
         sys.executable,
@@ -162,7 +166,7 @@ def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result
         str(triangles),
         str(result),
     ]
-    # Some tools look for cores here rather than at where they may run.
+    # Some tools read the thread count from these variables and ignore the CPU affinity.
     environment = os.environ | {"OMP_NUM_THREADS": "1", "RAYON_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, env=environment)
     if done.returncode:
@@ -171,7 +175,7 @@ def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result
 
 
 def call(name: str, setting: str, given: str, triangles: str, result: str) -> None:
-    """Call one tool in this process and print what it took."""
+    """Call one tool in this process; print its cost as JSON."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     tool = next(tool for tool in TOOLS if tool.name == name)
@@ -179,11 +183,11 @@ def call(name: str, setting: str, given: str, triangles: str, result: str) -> No
     small = meshes.globe(12, np.zeros((2, 2, 3), np.uint8)).with_(colors=None)
     if mesh.colors is not None:
         small = small.with_(colors=np.resize(mesh.colors, (len(small.vertices), 3)))
-    # What is loaded once is loaded now.
+    # Warm up: load libraries before anything is measured.
     warm, _ = tool.prepare(small, 200, **tool.settings[setting])
     warm()
     work, unpacked = tool.prepare(mesh, int(triangles), **tool.settings[setting])
-    # The peak so far belongs to what came before; Linux lets a process start it afresh.
+    # Linux resets the peak memory of a process on this write; the peak so far is from earlier steps.
     Path("/proc/self/clear_refs").write_text("5")
     before, start = peak_bytes(), time.process_time()
     raw = work()
@@ -193,25 +197,25 @@ def call(name: str, setting: str, given: str, triangles: str, result: str) -> No
 
 
 def peak_bytes() -> int:
-    """Return the largest resident size of this process so far."""
+    """Return the peak resident memory of this process since its last reset."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
 def save(mesh: Mesh, path: Path) -> None:
-    """Write what `load` reads."""
+    """Write a mesh to an NPZ file for `load`."""
     colors = {} if mesh.colors is None else {"colors": mesh.colors}
     np.savez(path, vertices=mesh.vertices, triangles=mesh.triangles, **colors)
 
 
 def load(path: Path) -> Mesh:
-    """Read what `save` wrote."""
+    """Read a mesh written by `save`."""
     with np.load(path) as arrays:
         return Mesh(arrays["vertices"], arrays["triangles"], arrays.get("colors"))
 
 
 def quality(mesh: Mesh, before: Topology, light: Mesh, samples: int) -> dict[str, Any]:
-    """Measure a result against the mesh it was made from."""
+    """Measure a result against its input."""
     difference = compare(mesh, light, samples=samples)
     after = topology(light)
     color = difference.color_a_to_b
@@ -237,7 +241,10 @@ def quality(mesh: Mesh, before: Topology, light: Mesh, samples: int) -> dict[str
 
 
 def independent_rms(mesh: Mesh, light: Mesh, samples: int, diagonal: float) -> float | None:
-    """Return the two-sided RMS distance over the diagonal by PyMeshLab's sampling; None without it."""
+    """Measure the two-sided RMS over the diagonal with PyMeshLab.
+
+    Returns None if PyMeshLab is not installed.
+    """
     try:
         import pymeshlab
     except ImportError:
@@ -256,13 +263,13 @@ def independent_rms(mesh: Mesh, light: Mesh, samples: int, diagonal: float) -> f
 
 
 def edge_lengths(mesh: Mesh) -> np.ndarray:
-    """Return the length of every edge, once."""
+    """Compute the length of every edge (n,), metres."""
     ends = edges_of(mesh.triangles, len(mesh.vertices)).ends
     return np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
 
 
 def smallest_angles(mesh: Mesh) -> np.ndarray:
-    """Return each triangle's smallest angle, degrees; 0 where a side has no length."""
+    """Compute each triangle's smallest angle (m,), degrees; 0 if degenerate."""
     corners = mesh.vertices[mesh.triangles]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     sines = np.linalg.norm(np.cross(one, other), axis=2)
@@ -270,7 +277,10 @@ def smallest_angles(mesh: Mesh) -> np.ndarray:
 
 
 def turned(mesh: Mesh, light: Mesh) -> int:
-    """Count triangles that face away from the original's triangle nearest to their middle."""
+    """Count triangles that face more than 120° away from the original.
+
+    Each is compared with the original's triangle nearest to its centroid.
+    """
     middles = light.vertices[light.triangles].mean(axis=1)
     nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
     cosines = (unit_normals(light) * unit_normals(mesh)[nearest]).sum(axis=1)
@@ -278,7 +288,7 @@ def turned(mesh: Mesh, light: Mesh) -> int:
 
 
 def unit_normals(mesh: Mesh) -> np.ndarray:
-    """Return each triangle's unit normal, zero where it has no area."""
+    """Compute each triangle's unit normal (m, 3); zero without area."""
     a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -295,15 +305,15 @@ COLUMNS = {
     "colour RMSE": "---:",
     "PSNR dB": "---:",
     "non-manifold edges": "---:",
-    "pinched": "---:",
-    "turned": "---:",
+    "non-manifold vertices": "---:",
+    "flipped": "---:",
     "degenerate": "---:",
     "border edges": "---:",
     "Euler ±": "---:",
     "edge ×1e-5": "---:",
-    "spread": "---:",
+    "edge spread": "---:",
     "5 % angle °": "---:",
-    "least °": "---:",
+    "min °": "---:",
     "CPU s": "---:",
     "× ours": "---:",
     "MB": "---:",
@@ -312,7 +322,10 @@ HEADER = "\n".join("| " + " | ".join(part) + " |" for part in (COLUMNS, COLUMNS.
 
 
 def line(row: Row, first: Row) -> str:
-    """Return the row in Markdown; times are also given over those of `first` where that is ours."""
+    """Format a row in Markdown.
+
+    Times are also given relative to `first`, if that is ours.
+    """
     shape = row.topology
     color = (row.color_note, "") if row.color is None else (f"{row.color:.2f}", f"{row.psnr:.2f}")
     cells = (

@@ -1,71 +1,73 @@
-"""How fast `simplify` is, and how much memory it takes, as the mesh grows.
+"""Speed and memory of `simplify` by mesh size.
 
     python benches/simplify_speed.py [SIZE ...] [--mode count] [--mesh hills] [--repeats 2]
 
-It prints Markdown. Modes: "count" is to a tenth of the triangles, all else default: colours weighed, the
-result fitted. "jia01" is within that method's default bounds. "certified" is within 0.3 of the spacing of
-vertices and 16 levels, proof included; closer bounds take longer for each triangle. Meshes: "hills" have
-colours and the row order of a depth image, "shuffled" are the same in random order, "sphere" has no colours.
-Each run is a process of its own. "removed/s" are triangles removed in a second of processor time on one
-thread, "memory" is how much the process's peak grows (VmHWM) over the triangles given: the work and the
-result count, the input does not. "1 thread" and "2 threads" are elapsed seconds; the results are compared by
-the bytes of their arrays, and a difference is an error. Seconds are the least of the repeats. "n log n" is
-the time for each removed triangle over log n, against the smallest size of the same kind: at most 1 is growth
-no faster than n log n.
+Prints Markdown. Each run is a separate process; seconds are the minimum of the repeats.
 
-Where the time goes, by perf's samples on a million triangles of hills, one thread of an AMD EPYC with 1 MB of
-L2 a core and 32 MB behind it, other work on the other core:
+- Modes: "count" simplifies to a tenth of the triangles with default parameters, colour weight and fit
+  included. "jia01" uses the default bounds of that method. "certified" uses bounds of 0.3 of the vertex
+  spacing and 16 levels, proof included; tighter bounds take longer per triangle.
+- Meshes: "hills" has colours and the row order of a depth image, "shuffled" is the same in random order,
+  "sphere" has no colours.
+- "removed/s": removed triangles per CPU second on one thread.
+- "memory": growth of the process's peak memory (VmHWM) per input triangle, in bytes. It includes working
+  memory and result, but not the input.
+- "1 thread" and "2 threads": wall seconds. The arrays of both results are compared; a difference is an error.
+- "n log n": time per removed triangle over log n, relative to the smallest size. Growth is no faster than n
+  log n if it is at most 1.
+
+Profile by perf samples, a million triangles of hills, one thread of an AMD EPYC with 1 MB of L2 cache per
+core and 32 MB of L3, with other work on the other core:
 
 | share of the time | count | jia01 |
 |---|---:|---:|
-| quadrics of a new star | 17 % | |
-| shape change between old and new star | | 30 % |
+| quadrics of the new one-ring | 17 % | |
+| shape change between old and new one-ring | | 30 % |
 | placement, legality, connectivity | 10 % | 20 % |
-| order: priorities, heap, marks of what changed | 24 % | 14 % |
-| between rounds: cutting patches, queues afresh, joining | 26 % | 26 % |
-| fit and weight of colour | 16 % | |
-| Python: checks, copies about the centre, sources | 7 % | 9 % |
+| queue: priorities, heap, marks of changes | 24 % | 14 % |
+| between rounds: cutting regions, rebuilding queues, joining | 26 % | 26 % |
+| fit and colour weight | 16 % | |
+| Python: checks, centred copies, provenance | 7 % | 9 % |
 
-The last row has since come down to 2 % and 1 %: the kernels measure sides, checks look at whole arrays first.
-Pieces are joined in the memory of the mesh they came from, on all threads. The weight of colour is tried on a
-sample now, which takes 3 % more.
+Since then the last row fell to 2 % and 1 %: kernels measure edge lengths, and checks process whole arrays
+first. Regions are joined in place, on all threads. The colour weight is now tested on a sample, which takes 3
+% more.
 
-These figures are from before quadrics were computed two at a time, changes noted at vertices instead of at
-the edges around them, and places in the queue compared as whole numbers: with the same bits, "count" takes a
-tenth less since.
+The profile precedes three changes that leave results unchanged and make "count" a tenth faster: quadrics are
+computed two at a time, changes are marked at vertices instead of at surrounding edges, and queue positions
+are compared as integers.
 
-"certified" spends two fifths on the watched vertices while it collapses, another fifth on the rest of that, a
-quarter on the proof and the rest on trees, copies and checks. Its peak is at the proof. Bytes a triangle
-there, counted by what is held: points, triangles and the triangles around each vertex 50, the tree over them
-70, collapses and where they led 38, what is known of each triangle 9; the rest is short-lived. Between rounds
-free pages are given back to the system: without that the peak was 50 higher.
+"certified" spends two fifths on watched vertices during collapses, another fifth on the rest of the
+collapses, a quarter on the proof, and the rest on trees, copies and checks. Memory peaks during the proof.
+Bytes per triangle at the peak: points, triangles and vertex adjacency 50, tree over triangles 70, collapses
+and vertex maps 38, state of each triangle 9; the rest is temporary. Free pages are returned to the system
+between rounds, otherwise the peak is 50 bytes higher.
 
-On a scan it is the proof that counts. 145,634 triangles of the kitchen within 5 mm and 20 levels (`scanloom
-simplify KITCHEN OUT --max-shape 0.005 --max-color 20 --threads 1`) take 4.6 s, 28,000 removals a second; 2.9
-s and 44,000 on two threads; and as much without a bound on colours, where what they differ by is bounded on
-the way. These are seconds of the method, without the program's start and files. By perf's samples three
-tenths are collapses: without any proof it would be some 93,000 a second. The rest is mostly the first look
-at all triangles and later looks at what was taken back, more of it for the result's triangles than for the
-input's: many have to be halved several times, as the input has borders under them, or rises beyond the bound
-beside them.
+On a scan the proof dominates. 145,634 triangles of the kitchen within 5 mm and 20 levels (`scanloom simplify
+KITCHEN OUT --max-shape 0.005 --max-color 20 --threads 1`) take 4.6 s, 28,000 removals per second; on two
+threads 2.9 s and 44,000. Without a bound on colour it takes as long, because the colour difference is bounded
+anyway. Start of the program and files are not included. By perf samples, three tenths of the time are
+collapses: without any proof it would be about 93,000 removals per second. The rest is mostly the first check
+of all triangles and later checks of undone collapses. Checks take longer for triangles of the result than of
+the input: many have to be split several times, because the input below them has borders, or bumps beyond the
+bound next to them.
 
-How far that is from the floor, for "count", by perf's counters:
+Distance from the minimum possible cost for "count", by perf counters:
 
-- Bytes. Reading the input once and writing the result once is 29 MB, 32 bytes for each removed triangle.
-  400 MB come from memory, 14 times as much: copies as floats about the centre, four rounds, the fit's second
-  look at the input. It hardly matters: 2 million of those lines are waited for, at 100 ns each a tenth of the
-  time.
-- Caches. A collapse has to look at about 10 triangles, 10 points with their quadrics of 184 bytes each, and 8
-  places in the queue: 2.7 kB. 3.7 kB a collapse come into L2 from beyond, fit included, 1.4 times as much:
-  patches stay in L2, as they should.
-- Arithmetic. The core is busy: 3.0 instructions a cycle, 15,500 cycles a collapse. Of these, the quadrics of
-  7.5 new triangles (108 cycles each) and the placement on 7.5 new edges (171 each), once, are what the method
-  cannot do without: 2,100. The factor is 7. Half of the cycles do not belong to collapses at all but to
-  rounds, fit and Python; and computing old quadrics again to subtract them, rather than storing them, costs
-  as much as the new ones.
+- Memory traffic. Reading the input once and writing the result once is 29 MB, 32 bytes per removed triangle.
+  400 MB are transferred, 14 times as much: centred floating-point copies, four rounds, and the second pass of
+  the fit over the input. It hardly matters: 2 million cache lines are waited for, at 100 ns each a tenth of
+  the time.
+- Caches. A collapse needs about 10 triangles, 10 points with quadrics of 184 bytes each, and 8 queue entries:
+  2.7 kB. 3.7 kB per collapse are loaded into L2, fit included, 1.4 times as much. Regions stay in L2, as
+  intended.
+- Arithmetic. The core is busy: 3.0 instructions per cycle, 15,500 cycles per collapse. The minimum is 2,100
+  cycles: quadrics of 7.5 new triangles (108 cycles each) and placement on 7.5 new edges (171 each), once. The
+  factor is 7. Half of the cycles belong to rounds, fit and Python instead of collapses. Recomputing old
+  quadrics to subtract them, instead of storing them, costs as much as the new ones.
 
-Rows in random order cost 1.1 to 1.2 times the time: four times as many lines are waited for from the last
-cache. "count" would take 1.5 times the time, and so it sorts such a mesh along a curve through space first.
+Random row order takes 1.1 to 1.2 times as long, because four times as many lines are waited for from the L3
+cache. "count" would take 1.5 times as long and therefore sorts such a mesh along a space-filling curve first.
 """
 
 from __future__ import annotations
@@ -89,12 +91,15 @@ from scanloom.stages.surface.raycasting import bounding_box
 
 SIZES = (10_000, 100_000, 1_000_000, 2_000_000, 5_000_000)
 SHUFFLED = 1_000_000
-# Bounds of "certified": of the spacing of vertices, and in 8-bit levels.
+# Bounds of "certified": relative to the vertex spacing, and in 8-bit levels.
 MAX_SHAPE, MAX_TEXTURE = 0.3, 16.0
 
 
 def hills(triangles: int) -> Mesh:
-    """Make a noisy, coloured height field, in the row order of a depth image."""
+    """Make a noisy, coloured height field.
+
+    Vertices and triangles have the row order of a depth image.
+    """
     n = int((triangles / 2) ** 0.5) + 1
     y, x = np.mgrid[0:n, 0:n].astype(float)
     noise = np.random.default_rng(0)
@@ -110,7 +115,7 @@ def hills(triangles: int) -> Mesh:
 
 
 def shuffled(triangles: int) -> Mesh:
-    """Make hills whose vertices and triangles come in random order."""
+    """Make hills with vertices and triangles in random order."""
     mesh, random = hills(triangles), np.random.default_rng(1)
     order = random.permutation(len(mesh.vertices))
     number = np.argsort(order).astype(np.int32)
@@ -119,7 +124,7 @@ def shuffled(triangles: int) -> Mesh:
 
 
 def sphere(triangles: int) -> Mesh:
-    """Make a sphere without colours, ring after ring from pole to pole."""
+    """Make a sphere without colours, ordered in rings from pole to pole."""
     rings = int((triangles / 4) ** 0.5)
     around = 2 * rings
     polar = np.pi * np.arange(1, rings + 1)[:, None] / (rings + 1)
@@ -140,7 +145,7 @@ MESHES: dict[str, Callable[[int], Mesh]] = {"hills": hills, "shuffled": shuffled
 
 
 def certified(mesh: Mesh, threads: int) -> Simplified[Any]:
-    """Simplify within bounds that suit the size: a share of the spacing of vertices, and some levels."""
+    """Simplify by `certified` within bounds relative to the vertex spacing."""
     low, high = bounding_box(mesh)
     spacing = float(np.linalg.norm(high - low)) / len(mesh.triangles) ** 0.5
     texture = None if mesh.colors is None else MAX_TEXTURE
@@ -157,14 +162,14 @@ MODES: dict[str, Callable[[Mesh, int], Simplified[Any]]] = {
 
 
 def main() -> None:
-    """Print the figures of each run, and then how the time grows."""
+    """Print the measurements of each run, then the growth of the time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sizes", nargs="*", type=int, metavar="SIZE", help="triangles")
     parser.add_argument("--mode", nargs="+", choices=MODES, default=list(MODES))
     parser.add_argument("--mesh", nargs="+", choices=MESHES, default=list(MESHES))
     parser.add_argument("--repeats", type=int, default=2)
     options = parser.parse_args()
-    print("| mode | mesh | triangles | removed | removed/s | memory, bytes | 1 thread | 2 threads | faster |")
+    print("| mode | mesh | triangles | removed | removed/s | B/triangle | 1 thread | 2 threads | speedup |")
     print("|---|---|---:|---:|---:|---:|---:|---:|---:|")
     growth: dict[tuple[str, str], dict[int, float]] = {}
     for mode in options.mode:
@@ -179,20 +184,22 @@ def main() -> None:
                     f"| {one['elapsed'] / two['elapsed']:.2f} |",
                     flush=True,
                 )
-    print("\n| mode | mesh | triangles | ns for each removed | n log n |\n|---|---|---:|---:|---:|")
+    print("\n| mode | mesh | triangles | ns per removed triangle | n log n |\n|---|---|---:|---:|---:|")
     for (mode, mesh), times in growth.items():
         for triangles, ratio in over_n_log_n(times).items():
             print(f"| {mode} | {mesh} | {triangles:,} | {times[triangles]:,.0f} | {ratio:.2f} |")
 
 
 def over_n_log_n(times: dict[int, float]) -> dict[int, float]:
-    """Return the time for each of n triangles over log n, against that of the smallest n."""
+    """Divide times per triangle by log n, relative to the smallest n."""
     over = {n: time / math.log(n) for n, time in times.items()}
     return {n: value / over[min(over)] for n, value in over.items()}
 
 
 def both(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, Any]]:
-    """Return the figures with one thread and with two, in turn, the best of each.
+    """Measure with one and with two threads, alternating.
+
+    Yields the best measurement of each.
 
     Raises
     ------
@@ -201,23 +208,26 @@ def both(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, An
     """
     runs = [[in_own_process(mode, mesh, size, threads) for threads in (1, 2)] for _ in range(repeats)]
     if len({run["digest"] for pair in runs for run in pair}) > 1:
-        raise SystemExit(f"{mode}, {mesh}, {size}: results differ from run to run or from one thread to two")
+        raise SystemExit(f"{mode}, {mesh}, {size}: results differ between runs or numbers of threads")
     for some in zip(*runs, strict=True):
         yield some[0] | {key: min(run[key] for run in some) for key in ("seconds", "elapsed")}
 
 
 def in_own_process(mode: str, mesh: str, size: int, threads: int) -> dict[str, Any]:
-    """Have a fresh process run `measure`."""
+    """Run `measure` in a new process."""
     command = [sys.executable, __file__, "--measure", mode, mesh, str(size), str(threads)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     return dict(json.loads(done.stdout))
 
 
 def measure(mode: str, name: str, triangles: int, threads: int) -> dict[str, Any]:
-    """Simplify one mesh in this process; return counts, seconds, bytes and a digest of the result."""
+    """Simplify one mesh in this process.
+
+    Returns counts, seconds, bytes and a digest of the result.
+    """
     mesh = MESHES[name](triangles)
-    MODES[mode](MESHES[name](1000), threads)  # loads what is loaded once
-    # The peak so far belongs to making the mesh; Linux lets a process start it afresh.
+    MODES[mode](MESHES[name](1000), threads)  # Warm up: load libraries.
+    # Linux resets the peak memory of a process on this write; the peak so far is from making the mesh.
     Path("/proc/self/clear_refs").write_text("5")
     memory, start, elapsed = peak_bytes(), time.process_time(), time.perf_counter()
     result = MODES[mode](mesh, threads)
@@ -233,13 +243,13 @@ def measure(mode: str, name: str, triangles: int, threads: int) -> dict[str, Any
 
 
 def peak_bytes() -> int:
-    """Return the largest resident size of this process so far."""
+    """Return the peak resident memory of this process since its last reset."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
 def digest(result: Simplified[Any]) -> str:
-    """Return an MD5 over all arrays of a result."""
+    """Compute an MD5 digest over all arrays of a result."""
     mesh = result.mesh
     arrays = (mesh.vertices, mesh.triangles, mesh.colors, result.vertex_source, result.triangle_source)
     md5 = hashlib.md5(usedforsecurity=False)

@@ -1,10 +1,14 @@
-"""Depth against ground truth, and against OpenCV's matcher called the way its users call it.
+"""Stereo depth against ground truth, compared with OpenCV's matcher.
 
     python benches/stereo.py DATA [--model FILE.onnx]
 
 DATA holds `stereo/middlebury2014_motorcycle`, `stereo/middlebury2003_cones` and, for the time of a whole
-sequence, `stereo/kitti_sequence_1`. "covered" is of the pixels that both cameras see, "off" of the pixels
-that are given out ("seen": of those of them that both see); "s" is processor time.
+sequence, `stereo/kitti_sequence_1`. OpenCV is called as its users call it.
+
+- "coverage": ratio of valid pixels among the pixels that both cameras see.
+- "error": ratio of pixels with a larger disparity error among all valid pixels, and ("visible") among those
+  that both cameras see.
+- "s": CPU seconds.
 """
 
 from __future__ import annotations
@@ -31,11 +35,11 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--model", help="a network of pairs, with its sidecar, as one more row")
+    parser.add_argument("--model", help="also measure a stereo network, with its sidecar file")
     words = parser.parse_args()
     stereo = words.data / "stereo"
     print(f"OpenCV {cv2.__version__}, {os.cpu_count()} cores\n")
-    print("| pair | setting | covered % | off > 1 px % | > 2 px % | seen > 2 px % | median px | s |")
+    print("| pair | setting | coverage % | error > 1 px % | > 2 px % | visible > 2 px % | median px | s |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     for name, pair in (("Motorcycle", motorcycle(stereo)), ("Cones", cones(stereo))):
         for setting, run in settings(*pair[:3], words.model).items():
@@ -47,7 +51,10 @@ def main() -> None:
 def settings(
     left: Image, right: Image, rig: StereoRig, model: str | None = None
 ) -> dict[str, Callable[[], tuple[Image, Image]]]:
-    """Return what is compared: each gives a disparity and the pixels it vouches for."""
+    """Return the compared functions by name.
+
+    Each computes a disparity map (h, w) and the mask of its valid pixels.
+    """
 
     def ours(**changes: object) -> Callable[[], tuple[Image, Image]]:
         def run() -> tuple[Image, Image]:
@@ -58,7 +65,7 @@ def settings(
 
     count = -(-(rig.disparities or 64) // 16) * 16
     return {
-        "OpenCV SGBM, as it is": lambda: opencv(left, right, count, "sgbm"),
+        "OpenCV SGBM": lambda: opencv(left, right, count, "sgbm"),
         "OpenCV HH4 + WLS, padded": lambda: opencv(left, right, count, "hh4"),
         "stereo_disparity": lambda: disparity_of(left, right, count, 0.8),
         "stereo_disparity, min_confidence=0": lambda: disparity_of(left, right, count, 0),
@@ -75,13 +82,17 @@ def settings(
 
 
 def disparity_of(left: Image, right: Image, count: int, least: float) -> tuple[Image, Image]:
-    """Return our own matcher's disparity, and where it is sure enough."""
+    """Run `stereo_disparity`; return disparity and valid pixels."""
     found = stereo_disparity(left, right, count - 1, min_confidence=least)
     return found.disparity, np.isfinite(found.disparity)
 
 
 def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Image]:
-    """Return plain SGBM; or HH4 in both directions on a padded pair, smoothed by weighted least squares."""
+    """Run OpenCV's matcher; return disparity and valid pixels.
+
+    Mode "sgbm" is plain SGBM. Mode "hh4" runs HH4 in both directions on a padded pair, with weighted least
+    squares (WLS) smoothing.
+    """
     grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right)]
     if mode == "sgbm":
         matcher = cv2.StereoSGBM.create(0, count, 3, 72, 288, 1, 31, 10, 100, 1)
@@ -89,7 +100,7 @@ def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Ima
         return disparity, disparity >= 0
     matcher = cv2.StereoSGBM.create(0, count, 3, 36, 216, -1, 31, mode=cv2.STEREO_SGBM_MODE_HH4)
     first = matcher.compute(*(pad(image, count, 0) for image in grey))[:, count:]
-    # The right image's search ends beyond its right side.
+    # The search from the right image extends beyond the right border of the left image.
     other = cv2.ximgproc.createRightMatcher(matcher)
     second = other.compute(*(pad(image, 0, count) for image in grey[::-1]))[:, :-count]
     wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)
@@ -101,12 +112,15 @@ def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Ima
 
 
 def pad(image: Image, before: int, after: int) -> Image:
-    """Return the image with columns added, so that the matcher answers those at its side."""
+    """Pad an image horizontally, so that the matcher covers border pixels."""
     return cv2.copyMakeBorder(image, 0, 0, before, after, cv2.BORDER_REPLICATE)
 
 
 def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
-    """Return the figures of one setting; the time is the best of three runs."""
+    """Measure one function and format its row.
+
+    The time is the best of three runs.
+    """
     seconds = []
     for _ in range(3):
         start = time.process_time()
@@ -121,7 +135,7 @@ def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
 
 
 def visible(truth: Image) -> Image:
-    """Return the pixels whose true match in the right image is not hidden by a nearer one."""
+    """Mark the pixels whose match in the right image is not occluded."""
     rows, columns = np.nonzero(np.isfinite(truth))
     target = np.round(columns - truth[rows, columns]).astype(int)
     inside = target >= 0
@@ -134,7 +148,7 @@ def visible(truth: Image) -> Image:
 
 
 def motorcycle(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
-    """Return the pair with its calibration and true disparity."""
+    """Read the Motorcycle pair with calibration and true disparity."""
     folder = stereo / "middlebury2014_motorcycle"
     rig = read_scan(folder).rig
     assert rig is not None
@@ -143,7 +157,10 @@ def motorcycle(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
 
 
 def cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
-    """Return the pair, a calibration made up for it, and the true disparity."""
+    """Read the Cones pair with its true disparity.
+
+    The pair has no calibration, so one is assumed.
+    """
     folder = stereo / "middlebury2003_cones"
     camera = Camera(450, 375, 600.0, 600.0, 224.5, 187.0)
     right_from_left = np.eye(4)
@@ -155,13 +172,16 @@ def cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
 
 
 def rgb(path: Path) -> Image:
-    """Return an image file as RGB."""
+    """Read an image file as RGB."""
     return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
 
 
 def reliability(stereo: Path) -> None:
-    """Print how often `stereo_disparity` is right within 2 px where it says how sure it is."""
-    print("\n| called sure, % | pixels % | said % | right % |\n|---|---:|---:|---:|")
+    """Print the calibration of the confidence.
+
+    Compares confidence with the ratio of errors of at most 2 px.
+    """
+    print("\n| confidence % | pixels % | mean confidence % | correct % |\n|---|---:|---:|---:|")
     said, right = [], []
     for left, other, rig, truth in (motorcycle(stereo), cones(stereo)):
         found = stereo_disparity(left, other, (rig.disparities or 64) - 1, min_confidence=0)
@@ -177,13 +197,13 @@ def reliability(stereo: Path) -> None:
 
 
 def sequence(folder: Path) -> None:
-    """Print how long a whole sequence takes, files to depth maps."""
+    """Print the time of a whole sequence, from files to depth maps."""
     scan = read_scan(folder)
     start, cpu = time.perf_counter(), time.process_time()
     used = [np.mean(result.depth > 0) for _, result in depth_scan(scan)]
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
     print(f"\n{len(used)} pairs of {folder.name}: {wall:.2f} s on {os.cpu_count()} cores, {cpu:.2f} s of "
-          f"processor time, {100 * np.mean(used):.1f} % of the pixels given out")  # fmt: skip
+          f"CPU time, {100 * np.mean(used):.1f} % coverage")  # fmt: skip
 
 
 if __name__ == "__main__":

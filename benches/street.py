@@ -1,10 +1,11 @@
-"""From stereo pairs to a mesh of a street: ours beside a script that glues OpenCV to Open3D.
+"""Meshing of a street from stereo, against OpenCV with Open3D.
 
 python benches/street.py SCAN [--voxel 0.1] [--pictures FOLDER]
 
-Prints seconds, triangles, pieces, and how closed the road is: the share of downward rays that hit the mesh
-below the car's path, and how far the hits scatter about the lane's height. With --pictures, both meshes are
-drawn from the same two places. The scan's cameras must look along the road.
+Prints seconds, triangles, components, and two measures of the road surface. "closed" is the ratio of downward
+rays that hit the mesh below the car's path. "lane scatter" is the standard deviation of hit heights in the
+lane. With --pictures, both meshes are rendered from the same two viewpoints. The scan's cameras have to look
+along the road.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from scanloom.stages.stereo.depth import DepthMap, depth_scan
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import topology
 
-# The lane along the path, and what lies beside it, metres to the right of the left camera.
+# Strips along the path: range of metres to the right of the left camera.
 STRIPS = {"lane": (-1.5, 1.5), "left side": (-6.0, -3.0), "right side": (3.0, 6.0)}
-# The mesh at the very start was seen by too few frames of anyone's.
+# Too few frames saw the start of the street, for either tool.
 FIRST_FRAME = 8
 
 
@@ -41,7 +42,7 @@ def ours(scan: Scan, voxel_size: float) -> Mesh:
 
 
 def script(scan: Scan, voxel_size: float) -> Mesh:
-    """Match with OpenCV and fuse with Open3D, with the constants their examples use."""
+    """Match with OpenCV and fuse with Open3D, with constants of their examples."""
     import cv2
 
     o3d = open3d()
@@ -69,7 +70,11 @@ def script(scan: Scan, voxel_size: float) -> Mesh:
 
 
 def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, float]:
-    """Share of downward rays over a strip that hit within 2.5 m, and the scatter of their heights (m)."""
+    """Cast downward rays over a strip.
+
+    Returns the ratio of rays that hit the mesh within 2.5 m, and the standard deviation of their lengths in
+    metres.
+    """
     poses = np.stack([frame.world_from_camera for frame in scan.frames[FIRST_FRAME:]])
     beside = np.linspace(*across, 60)[None, :, None] * poses[:, None, :3, 0]
     onward = np.linspace(0, 1, 12)[None, :, None, None] * np.diff(poses[:, :3, 3], axis=0)[:, None, None]
@@ -88,7 +93,10 @@ def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, fl
 
 
 def views(scan: Scan) -> list[Viewpoint]:
-    """As the driver of the ninth frame sees it, and from six metres above the first."""
+    """Make two viewpoints for pictures.
+
+    One is the driver's at the ninth frame, the other is 6 m above the fourth frame.
+    """
     driver, first = (np.array(scan.frames[k].world_from_camera) for k in (8, 3))
     above = np.array(first)
     above[:3, 3] += -6 * first[:3, 1]
@@ -100,12 +108,12 @@ def views(scan: Scan) -> list[Viewpoint]:
 
 
 def main() -> None:
-    """Print the table, and draw the pictures."""
+    """Print the table and draw the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scan", type=Path)
     parser.add_argument("--voxel", type=float, default=0.1, help="metres")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--pictures", type=Path, help="folder for the pictures")
+    parser.add_argument("--pictures", type=Path, help="folder for renderings of the meshes")
     options = parser.parse_args()
     scan = read_scan(options.scan)
     open3d()
@@ -118,7 +126,7 @@ def main() -> None:
             meshes[name] = run(scan, options.voxel)
             seconds[name].append(np.array([time.perf_counter(), time.process_time()]) - start)
     strips = " | ".join(f"{name} closed" for name in STRIPS)
-    print(f"| | s | processor s | triangles | pieces | largest | {strips} | lane scatter cm |")
+    print(f"| tool | s | CPU s | triangles | components | largest | {strips} | lane scatter cm |")
     print("|---" * (7 + len(STRIPS)) + "|")
     for name, mesh in meshes.items():
         wall, processor = np.median(seconds[name], axis=0)
@@ -135,7 +143,7 @@ def main() -> None:
 
 
 def largest_piece(mesh: Mesh) -> float:
-    """Share of the triangles that are in the largest piece."""
+    """Compute the ratio of triangles in the largest connected component."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,14 +1,18 @@
-"""Photos that were left out, beside what their cameras see of fused, simplified, baked and textured meshes.
+"""Held-out photos compared with renderings of fused, simplified, baked and textured meshes.
 
     python benches/texture.py SCAN... [--hold-out 10] [--ratio 0.1 0.05 ...] [--open3d]
 
-Each scan goes through `scanloom run` without every tenth frame. Prints a Markdown table: PSNR as it is and
-after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
-count, seconds of the stage that made the colours, the size of the textured mesh, and how visible borders of
-photos are in it (`seam_ratio`, and `seam_ratio_over_photos` in brackets). Of several ratios the first has all
-rows, the others that of the texture alone. Photos are placed against each mesh (see
-`scanloom.stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with
-the same cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
+Each scan is processed by `scanloom run` without every tenth frame. Prints a Markdown table:
+
+- PSNR as rendered, and after fitting gain and bias per channel ("affine"); SSIM; "sharpness" is gradient
+  energy relative to the photo; "coverage" is the ratio of the photos' pixels that are compared.
+- "seconds": duration of the stage that made the colours.
+- "seams": visibility of borders between photos (`seam_ratio`), and in parentheses `seam_ratio_over_photos`.
+
+For the first ratio all meshes are compared, for further ratios only the textured one. Photos are localised
+against each mesh (see `scanloom.stages.comparing.left_out`). --open3d adds Open3D's
+`project_images_to_albedo` with the same cameras, on the charts of `bake` in one image of 2048²; it takes
+minutes.
 """
 
 from __future__ import annotations
@@ -45,14 +49,14 @@ from scanloom.stages.texturing.photos import photo_of
 COLUMNS = (
     "scan",
     "ratio",
-    "colours",
+    "mesh",
     "raw dB",
     "affine dB",
     "SSIM",
     "sharpness",
-    "covered",
+    "coverage",
     "photos",
-    "placed",
+    "localised",
     "seconds",
     "textured.glb, MB",
     "seams",
@@ -98,7 +102,7 @@ def main() -> None:
 
 
 def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
-    """Return the frames as the later stages saw them."""
+    """Return the frames with the cameras that later stages used."""
     folders = {one.stage: one.folder for one in result.stages}
     if "register" in folders:
         scan = Poses(folders["register"]).apply_to(scan)
@@ -112,8 +116,8 @@ def _others(
 ) -> Iterator[tuple[str, Mesh, float]]:
     seconds = {one.stage: one.seconds for one in result.stages}
     clean, light = (read_ply(out / f"{name}.ply") for name in ("clean", "simplified"))
-    yield "fused, of vertices", read_ply(out / "fused.ply"), seconds["fuse"]
-    yield "simplified, of vertices", light, seconds["simplify"]
+    yield "fused, vertex colours", read_ply(out / "fused.ply"), seconds["fuse"]
+    yield "simplified, vertex colours", light, seconds["simplify"]
     start = time.perf_counter()
     baked = bake(light, clean).mesh
     yield "simplified, baked", baked, time.perf_counter() - start
@@ -141,7 +145,7 @@ def _projected(mesh: Mesh, frames: Sequence[Frame]) -> Mesh:
 
 
 def _one_page(mesh: Mesh) -> Pages:
-    """Return the mesh laid out in one image, as fine as fits."""
+    """Lay out a mesh in one image, as finely as possible."""
     texel_size = math.sqrt(areas(mesh.vertices, mesh.triangles).sum()) / _OPEN3D_SIZE
     while True:
         found = fitted(

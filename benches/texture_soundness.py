@@ -1,4 +1,4 @@
-"""What a simplifier must not do to a textured mesh: tear it open along seams, or turn its texture over."""
+"""Damage of simplification to textured meshes: open seams and flipped texture triangles."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scanloom.stages.surface.edges import components, edges_of
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Surface, bounding_box
 
-# Lengths over the bounding box's diagonal: places that count as one, and how far from a border of the
-# original a border may lie and still be that one, simplified.
+# Relative to the bounding box's diagonal: distance below which vertices are welded, and distance within which
+# a border counts as a simplified border of the original.
 SAME_PLACE = 1e-6
 SAME_BORDER = 0.02
-# A texture triangle with less than this share of the image has no orientation to speak of.
+# Texture triangles with a smaller area, relative to the image, have no reliable orientation.
 NO_AREA = 1e-12
 
 
@@ -26,8 +26,8 @@ class Soundness:
     Attributes
     ----------
     new_border : length of borders that the original does not have, over the diagonal.
-    uv_flips : triangles whose texture runs the other way round than the original's does next to them.
-    uv_triangles : those that were looked at: with area in the texture, here and there.
+    uv_flips : triangles whose texture has the opposite orientation of the nearest original triangle.
+    uv_triangles : triangles that were checked, because both have an area in the texture.
     """
 
     new_border: float
@@ -36,7 +36,7 @@ class Soundness:
 
 
 def soundness(original: Mesh, light: Mesh) -> Soundness:
-    """Measure the damage; meshes without texture coordinates have no flips."""
+    """Measure new borders and flips; meshes without texture coordinates have no flips."""
     low, high = bounding_box(original)
     diagonal = float(np.linalg.norm(high - low))
     borders = [border(mesh, SAME_PLACE * diagonal) for mesh in (original, light)]
@@ -45,10 +45,9 @@ def soundness(original: Mesh, light: Mesh) -> Soundness:
 
 
 def border(mesh: Mesh, tolerance: float) -> np.ndarray:
-    """Return the border's edges (k, 2, 3) after vertices closer than the tolerance became one.
+    """Return border edges (k, 2, 3) after welding vertices within a tolerance.
 
-    An edge that is traversed as often in one direction as in the other is closed, however many triangles
-    meet there.
+    An edge that is traversed equally often in both directions is closed, whatever its number of triangles.
     """
     pairs = cKDTree(mesh.vertices).query_pairs(tolerance, output_type="ndarray")
     count, place = components(len(mesh.vertices), pairs[:, 0], pairs[:, 1])
@@ -62,11 +61,11 @@ def border(mesh: Mesh, tolerance: float) -> np.ndarray:
 
 
 def new_length(before: np.ndarray, after: np.ndarray, reach: float) -> float:
-    """Return the length of the edges `after` that do not run along the edges `before`, within reach."""
+    """Compute the length of edges `after` farther than `reach` from edges `before`."""
     lengths = np.linalg.norm(after[:, 1] - after[:, 0], axis=1)
     if not len(before) or not len(after):
         return float(lengths.sum())
-    # Points along the edges, no farther apart than the reach.
+    # Sample points along the edges, at most `reach` apart.
     steps = np.ceil(np.linalg.norm(before[:, 1] - before[:, 0], axis=1) / reach).astype(int) + 1
     along = np.concatenate([np.linspace(a, b, n) for (a, b), n in zip(before, steps, strict=True)])
     distances, _ = cKDTree(along).query(after.mean(axis=1))
@@ -74,7 +73,7 @@ def new_length(before: np.ndarray, after: np.ndarray, reach: float) -> float:
 
 
 def uv_flips(original: Mesh, light: Mesh) -> tuple[int, int]:
-    """Return how many triangles have their texture turned over, and how many were looked at."""
+    """Count triangles with flipped texture, and all triangles checked."""
     if original.texture is None or light.texture is None:
         return 0, 0
     middles = light.vertices[light.triangles].mean(axis=1)
@@ -85,6 +84,6 @@ def uv_flips(original: Mesh, light: Mesh) -> tuple[int, int]:
 
 
 def uv_areas(uvs: np.ndarray) -> np.ndarray:
-    """Return signed areas in the image."""
+    """Compute signed areas (m,) of texture triangles."""
     (u1, v1), (u2, v2) = ((uvs[:, i] - uvs[:, 0]).T for i in (1, 2))
     return (u1 * v2 - v1 * u2) / 2

@@ -1,4 +1,4 @@
-"""Simplifiers on textured models: processor time, shape, colour through the texture, cracks and flips.
+"""Comparison of simplifiers on textured models: time, shape, colour, cracks and flips.
 
     python benches/textured.py DATA [--models FOLDER] [--ratios 0.1 0.03] [--mesh duck] [--only PyMeshLab]
 
@@ -8,13 +8,13 @@ coordinates kept to the best peer in each column, and names a peer that is bette
 skipped with a line that gives the reason.
 
 All simplifiers get the same mesh, cleaned, with texture coordinates per corner and a material per triangle.
-Those that take one texture coordinate per vertex get vertices on seams once for each side.
+Tools that support only one texture coordinate per vertex get duplicated vertices along seams.
 
-"CPU s" is the processor time of the call. Shape is two-sided, over the bounding box's diagonal. Colour is
-sampled on both surfaces through their textures, against the nearest point of the other. "new border" is the
-length of borders that the original does not have, over the diagonal, after vertices at one position were
-joined. "UV flips" are triangles whose texture is mirrored compared to the original next to them. "MB" is the
-size of the result as GLB.
+"CPU s" is the CPU time of the call. Shape is two-sided, over the bounding box's diagonal. Colour is sampled
+on both surfaces through their textures, against the nearest point of the other. "new border" is the length of
+borders that the original does not have, over the diagonal, after welding coincident vertices. "UV flips" are
+triangles whose texture is mirrored compared to the nearest original triangle. "MB" is the size of the result
+as GLB.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ OURS = "scanloom --keep-uv"
 # A result with more triangles than this multiple of the target cannot be compared.
 TOLERATED = 1.05
 
-# Options of meshoptimizer's simplifier, and its flag for a vertex on an edge that stays.
+# Options of meshoptimizer's simplifier, and its flag for protected vertices.
 PERMISSIVE, REGULARIZE_LIGHT = 1 << 5, 1 << 6
 PROTECTED = 1 << 1
 
@@ -128,7 +128,7 @@ def main() -> None:
     parser.add_argument("--models", type=Path, help="folder of further textured models")
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.03])
     parser.add_argument("--mesh", nargs="*", choices=MODELS, default=list(MODELS))
-    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start with TOOL")
     parser.add_argument("--samples", type=int, default=200_000)
     options = parser.parse_args()
     prefixes = tuple(name.lower() for name in options.only or [""])
@@ -150,7 +150,7 @@ def main() -> None:
 
 
 def read_models(data: Path, names: list[str], folder: Path | None) -> Iterator[tuple[str, Mesh]]:
-    """Yield name and mesh of each textured model; print a line for each file that has no usable texture."""
+    """Yield name and mesh of each textured model; report unusable files."""
     paths = [(name, path) for name in names for path in sorted(data.glob(MODELS[name]))[:1]]
     if folder is not None:
         found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
@@ -168,14 +168,14 @@ def read_models(data: Path, names: list[str], folder: Path | None) -> Iterator[t
 
 
 def read_model(path: Path) -> Mesh:
-    """Read a model and make it a manifold; small components stay."""
+    """Read a model and clean it to a manifold; small components stay."""
     mesh = read_mesh(path)
     if mesh.texture is None:
         return mesh
     mesh = clean(mesh, min_island_area=0.0).mesh.with_(normals=None, corner_normals=None)
     images = sorted(path.parent.glob("*.png"))
     if mesh.texture is not None and not mesh.texture.images and images and path.suffix.lower() == ".obj":
-        # An OBJ file without an MTL file beside its image.
+        # An OBJ file without an MTL file, next to its image.
         pixels = decoded_image(images[0].read_bytes())
         materials = (Material(image=Image(given=pixels)),)
         ids = np.zeros(len(mesh.triangles), np.int32)
@@ -220,14 +220,17 @@ def glb_bytes(mesh: Mesh) -> int:
 
 
 def keeps_layout(mesh: Mesh, simplified: Mesh) -> bool:
-    """Return whether the images are the original's; in new images, charts may be mirrored."""
+    """Check if the images are the original's.
+
+    In new images, charts may be mirrored.
+    """
     if mesh.texture is None or simplified.texture is None:
         return False
     return [id(image) for image in simplified.texture.images] == [id(image) for image in mesh.texture.images]
 
 
 def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
-    """Print our result with kept coordinates against the best peer for each model and ratio."""
+    """Print our result with kept coordinates against the best peer."""
     print("\n### Summary: texture coordinates kept, against the best peer in each column\n")
     print_head(SUMMARY)
     good = {"RMS": 0, "PSNR": 0, "both": 0}
@@ -240,7 +243,7 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
         best_rms = min(peers, key=lambda row: row.rms)
         best_psnr = max(peers, key=lambda row: row.psnr or 0.0)
         reached = is_comparable(ours, target)
-        # As printed: half a unit of the last digit is no difference.
+        # Compared as printed: differences of less than half a unit of the last digit do not count.
         is_good = {
             "RMS": reached and round(ours.rms, 1) <= round(best_rms.rms, 1),
             "PSNR": reached and round(ours.psnr, 1) >= round(best_psnr.psnr or 0.0, 1),
@@ -262,7 +265,7 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
                 f"{best_rms.rms:.1f} ({best_rms.tool})",
                 f"{ours.psnr:.1f}",
                 f"{best_psnr.psnr:.1f} ({best_psnr.tool})",
-                verdict if reached else f"no: {target:,} triangles were asked for",
+                verdict if reached else f"no: the target is {target:,} triangles",
                 better[0] if better else "–",
             ]
         )
@@ -274,17 +277,20 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
 
 
 def is_better_in_both(peer: Row, ours: Row) -> bool:
-    """Check if one peer is better than ours in shape and in colour, as printed."""
+    """Check if a peer is better in shape and colour, as printed."""
     return round(peer.rms, 1) < round(ours.rms, 1) and round(peer.psnr or 0.0, 1) > round(ours.psnr or 0.0, 1)
 
 
 def is_comparable(row: Row, target: int) -> bool:
-    """Check that a tool reached the target and kept the texture."""
+    """Check if a tool reached the target and kept the texture."""
     return row.psnr is not None and row.triangles <= max(TOLERATED * target, target + 2)
 
 
 def run_default(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
-    """Simplify as the command does by default: bake a new texture if the method drops the images."""
+    """Simplify as the command does by default.
+
+    A new texture is baked if the method drops the images.
+    """
 
     def work() -> Mesh:
         simplified = simplify(mesh, triangles=triangles).mesh
@@ -330,18 +336,20 @@ def run_pymeshlab(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callab
 
 
 def run_meshoptimizer(weight: float, options: int) -> Simplifier:
-    """Return the simplifier that updates positions and texture coordinates; equal positions are one vertex.
+    """Return the simplifier that updates positions and texture coordinates.
+
+    Vertices at equal positions are treated as one.
 
     Parameters
     ----------
-    weight : of texture coordinates against positions.
+    weight : of texture coordinates relative to positions.
     options : bits of `meshopt_Simplify…`. With PERMISSIVE, vertices between materials are protected.
     """
 
     def prepare(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
         library = native.meshoptimizer()
         corners = mesh.triangles.reshape(-1)
-        # A wedge belongs to one material, so that triangles keep theirs.
+        # Wedges are split by material, so that triangles keep their material.
         rows = np.column_stack(
             [corners, mesh.texture.uvs.reshape(-1, 2), np.repeat(mesh.texture.material_ids, 3)]
         )
@@ -379,13 +387,13 @@ def run_meshoptimizer(weight: float, options: int) -> Simplifier:
 
 
 def run_open3d_legacy(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
-    """Collapse by plain quadrics."""
+    """Collapse with Open3D's legacy quadric decimation."""
     given = to_open3d_legacy(mesh.with_(texture=None, part_ids=None, part_names=(), up=None))
     return lambda: given.simplify_quadric_decimation(triangles), as_mesh
 
 
 def run_open3d_tensor(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
-    """Collapse with VTK inside."""
+    """Collapse with Open3D's tensor decimation, which uses VTK."""
     given = to_open3d(mesh.with_(texture=None, part_ids=None, part_names=(), up=None))
     reduction = 1 - triangles / len(mesh.triangles)
     return lambda: given.simplify_quadric_decimation(reduction), as_mesh
@@ -394,7 +402,7 @@ def run_open3d_tensor(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Ca
 def with_texture(
     mesh: Mesh, vertices: np.ndarray, triangles: np.ndarray, uvs: np.ndarray, ids: np.ndarray
 ) -> Mesh:
-    """Return a peer's result with the materials of the mesh it was made from."""
+    """Add materials of the original to a peer's result."""
     texture = replace(mesh.texture, uvs=uvs.astype(np.float64), material_ids=ids.astype(np.int32))
     return Mesh(vertices.astype(np.float64), triangles.astype(np.int32), texture=texture)
 

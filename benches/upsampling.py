@@ -1,12 +1,17 @@
-"""Small depth made larger by a photo (`fuse.upsample`), beside plain ways and OpenCV's filters.
+"""Depth upsampling guided by a photo (`fuse.upsample`), compared with OpenCV's filters.
 
     python benches/upsampling.py DATA
 
-"made": the scene of the samples as a phone sees it, 256 × 192 of noisy depth beside photos, against true
-depth. The others: every third pixel of a sensor's depth in DATA, made three times as large, against all of
-them; their sensors' edges are not quite those of the photo. "smooth": mean error where no jump is near;
-"wrong": off by more than 3 % beside jumps; "between": where no surface near is. Then meshes of the made scan,
-against the true surface, at their vertices: all frames, and one alone.
+"synthetic": the scene of the samples as a phone records it, noisy depth of 256 × 192 with larger photos,
+against true depth. The other scans: every third pixel of a sensor's depth in DATA, upsampled by 3, against
+the full depth; depth edges of these sensors do not match the photo's edges exactly.
+
+- "smooth": mean error away from depth discontinuities. "at jumps": mean error near discontinuities.
+- "wrong": ratio of pixels near discontinuities with an error above 3 %.
+- "between": ratio of pixels near discontinuities whose depth is between two surfaces.
+
+The second table fuses the synthetic scan, all frames and a single one, and measures vertices against the true
+surface.
 """
 
 from __future__ import annotations
@@ -47,13 +52,13 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
     frames, truths, surface = made_scan()
-    print_head(["depth of", "way", "smooth mm", "beside jumps mm", "wrong %", "between %", "s"], words=2)
+    print_head(["depth of", "method", "smooth mm", "at jumps mm", "wrong %", "between %", "CPU s"], words=2)
     made = [(read(frame), frame.color, truth) for frame, truth in zip(frames, truths, strict=False)]
-    print_rows("made", made)
+    print_rows("synthetic", made)
     for name, folder in HELD_OUT.items():
         print_rows(name, list(held_out(data / folder)))
     print()
-    print_head(["mesh of", "asked", "voxel mm", "triangles", "RMS mm", "> 5 mm %"], words=2)
+    print_head(["mesh of", "parameters", "voxel mm", "triangles", "RMS mm", "> 5 mm %"], words=2)
     for asked in (
         {},
         {"upsample": "guided"},
@@ -62,11 +67,14 @@ def main() -> None:
     ):
         print_mesh("all frames", frames, surface, asked)
     for asked in ({"upsample": "off"}, {}):
-        print_mesh("one alone", [frames[8]], surface, asked)
+        print_mesh("one frame", [frames[8]], surface, asked)
 
 
 def ways() -> dict[str, Callable[[Image, Image], Image]]:
-    """Return what is compared: each makes of small depth and a large photo large depth."""
+    """Return the compared methods by name.
+
+    Each upsamples a small depth map guided by a large photo.
+    """
     return {
         "nearest": nearest,
         "bilinear": bilinear,
@@ -82,7 +90,7 @@ def ways() -> dict[str, Callable[[Image, Image], Image]]:
 
 
 def filtered(smooth: Callable[[Image, Image], Image]) -> Callable[[Image, Image], Image]:
-    """Return a way that smooths inverse depth by the photo, of what there is."""
+    """Return a method that smooths valid inverse depth with a guided filter."""
 
     def way(depth: Image, color: Image) -> Image:
         first = bilinear(depth, color)
@@ -94,12 +102,12 @@ def filtered(smooth: Callable[[Image, Image], Image]) -> Callable[[Image, Image]
 
 
 def nearest(depth: Image, color: Image) -> Image:
-    """Return each pixel's nearest sample."""
+    """Upsample by nearest neighbour."""
     return cv2.resize(depth, color.shape[1::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 
 def bilinear(depth: Image, color: Image) -> Image:
-    """Interpolate inverse depth between the samples there are."""
+    """Interpolate inverse depth bilinearly between valid samples."""
     there = depth > 0
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=there)
     total, share = (
@@ -110,7 +118,7 @@ def bilinear(depth: Image, color: Image) -> Image:
 
 
 def print_rows(name: str, sets: Sequence[tuple[Image, Image, Image]]) -> None:
-    """Print how far each way is off, in the mean of some images."""
+    """Print the mean errors of each method over several images."""
     for way, make in ways().items():
         start = time.process_time()
         found = [make(depth, color) for depth, color, _ in sets]
@@ -120,7 +128,10 @@ def print_rows(name: str, sets: Sequence[tuple[Image, Image, Image]]) -> None:
 
 
 def off(found: Image, truth: Image) -> list[float]:
-    """Return the mean error away from and beside jumps (mm), and which shares are wrong and between (%)."""
+    """Measure errors of a depth map.
+
+    Returns mean error away from and near discontinuities (mm), and ratios of wrong and in-between pixels (%).
+    """
     window = np.ones((2 * TIMES + 1,) * 2, np.uint8)
     farthest, nearest_there = cv2.dilate(truth, window), cv2.erode(np.where(truth > 0, truth, 99), window)
     judged, jump = (found > 0) & (truth > 0), farthest > 1.05 * nearest_there
@@ -139,7 +150,7 @@ def off(found: Image, truth: Image) -> list[float]:
 
 
 def held_out(folder: Path) -> Iterator[tuple[Image, Image, Image]]:
-    """Yield every third pixel of some frames' depth, their photos, and all of the depth."""
+    """Yield subsampled depth, photo, and full depth of six frames."""
     frames = read_scan(folder, complete=False).frames
     for frame in frames[:: max(1, len(frames) // 6)][:6]:
         depth = read(frame)
@@ -150,20 +161,23 @@ def held_out(folder: Path) -> Iterator[tuple[Image, Image, Image]]:
 
 
 def read(frame: Frame) -> Image:
-    """Return the depth of a frame."""
+    """Read the depth of a frame."""
     depth = read_depth(frame)
     assert depth is not None
     return depth
 
 
 def made_scan() -> tuple[list[Frame], list[Image], Mesh]:
-    """Return frames of the samples' scene as a phone takes them, true depth of some, and the true surface."""
+    """Simulate a phone scan of the samples' scene.
+
+    Returns frames, true depth maps of some frames, and the true surface.
+    """
     sys.path[:0] = [str(SAMPLES)]
     import sensors
     from make_samples import arc
     from scene import Scene
 
-    # Photos have texture enough, and pixels too many, for four rays each.
+    # One ray per pixel is enough, because the photos are large and well textured.
     sensors._FINE = 1
     scene, photo = Scene(), scaled(PHONE, TIMES * PHONE.width, TIMES * PHONE.height)
     frames, truths = [], []
@@ -182,13 +196,13 @@ def made_scan() -> tuple[list[Frame], list[Image], Mesh]:
 
 
 def print_mesh(name: str, frames: Sequence[Frame], truth: Mesh, asked: dict[str, object]) -> None:
-    """Print how far the mesh of some frames is off the true surface, from the mesh to it."""
+    """Print the distance of a fused mesh's vertices from the true surface."""
     found = fuse(Scan("made", frames), **asked)
     error = Surface(truth).closest(found.mesh.vertices).distances
     print_row(
         [
             name,
-            ", ".join(f"{key}={value}" for key, value in asked.items()) or "nothing",
+            ", ".join(f"{key}={value}" for key, value in asked.items()) or "default",
             f"{1000 * found.voxel_size:.1f}",
             f"{len(found.mesh.triangles):,}",
             f"{1000 * float(np.sqrt(np.mean(error**2))):.2f}",

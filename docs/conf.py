@@ -1,7 +1,7 @@
-"""How Sphinx makes the site of these pages; `make docs` calls it.
+"""Sphinx configuration of the documentation site, built by `make docs`.
 
-The whole checkout is the source, so that a page leads to README.md as it does on a code host; only the pages
-named below are read. Nothing is fetched, and what is built opens from a disk.
+The source folder is the whole checkout, so that links to README.md work as on a code host. Only the pages
+listed below are read. The build downloads nothing, and the site works from a local disk.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ exclude_patterns = [
 ]
 
 extensions = ["myst_parser"]
-# Headings down to the third have anchors, named as code hosts name them.
+# Anchors of headings down to level 3, with the names that code hosts use.
 myst_heading_anchors = 3
 myst_enable_extensions = ["deflist"]
-# Options begin with two hyphens, which are not a dash.
+# Otherwise "--" in options would become a dash.
 smartquotes = False
-# What a block without a name holds is words for a terminal.
+# Blocks without a language are terminal output.
 highlight_language = "text"
 
 html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-# A disk has no page "docs/": its beginning leads to the index.
+# A local disk does not serve index pages of folders, so a page at the top links to docs/index.
 html_additional_pages = {"index": "beginning.html"}
 templates_path = ["templates"]
 html_show_sphinx = False
@@ -61,6 +61,6 @@ html_theme_options: dict[str, Any] = {"navigation_with_keys": True}
 
 
 def setup(app: Sphinx) -> None:
-    """Put in what is made from the code."""
+    """Connect the generators of page content."""
     app.connect("source-read", written.fill_in)
     app.connect("build-finished", finder.write_list)

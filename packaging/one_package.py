@@ -1,9 +1,10 @@
-"""Move the packages of a wheel into the package `scanloom`.
+"""Relocation of a wheel's packages into the package `scanloom`.
 
-The sources have `stages/`, `pipeline/` and `cli/` at the top. In site-packages such plain names would clash
-with modules of users, and maturin cannot rename packages. So the packages move in the finished wheel.
+The sources have `stages/`, `pipeline/` and `cli/` at the top level. In site-packages such names would clash
+with modules of users, and maturin cannot rename packages. Therefore the packages are moved in the finished
+wheel.
 
-`python packaging/one_package.py FOLDER WHEEL...` takes wheels that maturin built, and writes changed copies.
+`python packaging/one_package.py FOLDER WHEEL...` writes changed copies of wheels that maturin built.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ PACKAGE = "scanloom"
 
 
 def in_one_package(wheel: bytes) -> bytes:
-    """Return a wheel whose only top-level package is `scanloom`."""
+    """Move all packages of a wheel into `scanloom`; return the new wheel."""
     written = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(wheel)) as old, zipfile.ZipFile(written, "w") as new:
         for entry in old.infolist():
@@ -31,7 +32,7 @@ def in_one_package(wheel: bytes) -> bytes:
 
 
 def renamed_record(record: bytes) -> bytes:
-    """Return the list of files of a wheel with the new names."""
+    """Rename the paths in a wheel's RECORD."""
     written = io.StringIO()
     rows = csv.reader(io.StringIO(record.decode()))
     csv.writer(written, lineterminator="\n").writerows([renamed(name), *rest] for name, *rest in rows)
@@ -39,10 +40,10 @@ def renamed_record(record: bytes) -> bytes:
 
 
 def renamed(name: str) -> str:
-    """Return the new name of a file of the wheel."""
+    """Return the new path of a file in the wheel."""
     top = name.partition("/")[0]
     if top.endswith(".libs"):
-        raise SystemExit(f"{name}: the kernels load this library by a relative path, which would be wrong.")
+        raise SystemExit(f"{name}: cannot move this library, because the kernels load it by a relative path.")
     return name if top == PACKAGE or top.endswith((".dist-info", ".data")) else f"{PACKAGE}/{name}"
 
 

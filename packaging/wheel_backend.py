@@ -1,4 +1,4 @@
-"""Build backend: maturin, with a wheel that puts only `scanloom` into site-packages."""
+"""Build backend: maturin, with all packages of the wheel inside `scanloom`."""
 
 from __future__ import annotations
 

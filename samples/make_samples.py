@@ -1,15 +1,16 @@
-"""Make the sample scans: `python samples/make_samples.py` rewrites stereo/, rgbd/ and truth.ply beside it.
+"""Generator of the sample scans.
 
-Both scans move along an arc around the corner of a room (scene.py) and see it through noisy cameras
-(sensors.py). Every number is drawn from a fixed seed.
+`python samples/make_samples.py` rewrites stereo/, rgbd/ and truth.ply in the folder of this file. In both
+scans, noisy cameras (sensors.py) move along an arc around the corner of a room (scene.py). All random numbers
+have fixed seeds.
 
-- stereo/: 14 pairs of 480×360 from a rig with a baseline of 12 cm, unrectified: the right camera is turned
+- stereo/: 14 pairs of 480×360 from a rig with a baseline of 12 cm, not rectified: the right camera is rotated
   by about one degree, and both lenses distort. `calibration.toml`, `poses.txt` (left camera to world).
-- rgbd/: 24 frames of 320×240 with registered depth in millimetres, `scan.json` with camera and poses.
-- truth.ply: the surface itself, with the scene's colours at its vertices.
+- rgbd/: 24 frames of 320×240 with registered depth in millimetres; `scan.json` with camera and poses.
+- truth.ply: the true surface, with the scene's colours at its vertices.
 
-With --tags AprilTags are on floor and walls; with --visitor somebody in a red coat is in every tenth frame of
-rgbd/, at another place each time. Give a folder for these: the sample scans have neither.
+--tags adds AprilTags to floor and walls. --visitor adds a person in a red coat to every tenth frame of rgbd/,
+at a different position each time. Pass a folder with these options, because the sample scans have neither.
 """
 
 from __future__ import annotations
@@ -31,25 +32,31 @@ from scanloom.stages.surface.formats.ply import write_ply
 SEED = 7
 LEFT = Camera(480, 360, 432.4, 431.8, 243.1, 176.2, (-0.112, 0.041, 0.0006, -0.0004))
 RIGHT = Camera(480, 360, 430.9, 430.6, 236.7, 182.5, (-0.107, 0.036, -0.0003, 0.0005))
-RIGHT_TURN = np.deg2rad((0.5, -1.2, 0.4))  # rotation vector of the right camera in the left one's axes
+RIGHT_TURN = np.deg2rad((0.5, -1.2, 0.4))  # rotation vector of the right camera in the axes of the left one
 BASELINE = 0.12
 DEPTH_CAMERA = Camera(320, 240, 291.0, 291.0, 159.2, 119.6)
 PAIRS, DEPTH_FRAMES = 14, 24
-VISIT = 4  # of every ten frames
+VISIT = 4  # index within every ten frames
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92]
 
 
 def rig() -> StereoRig:
-    """Return the stereo rig as calibrated."""
+    """Make the calibrated stereo rig."""
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = cv2.Rodrigues(RIGHT_TURN)[0]
-    # The right camera's centre lies BASELINE along x, and a hair off it, in the left camera's axes.
+    # As in a real rig, the right camera's centre is slightly off the x axis of the left camera.
     right_from_left[:3, 3] = -right_from_left[:3, :3] @ np.array((BASELINE, 0.0012, -0.0008))
     return StereoRig(LEFT, RIGHT, right_from_left, rectified=False)
 
 
 def arc(count: int, sweep: float, phase: float) -> Iterator[Pose]:
-    """Yield world-from-camera poses along an arc in front of the corner, `sweep` degrees wide."""
+    """Yield world-from-camera poses along an arc in front of the corner.
+
+    Parameters
+    ----------
+    sweep : angle of the arc, degrees.
+    phase : of the variation in elevation and distance, radians.
+    """
     for t in np.linspace(0, 1, count):
         azimuth = np.deg2rad(-45 + sweep * (t - 0.5))
         elevation = np.deg2rad(34 + 11 * np.sin(2 * np.pi * 1.5 * t + phase))
@@ -68,7 +75,7 @@ def arc(count: int, sweep: float, phase: float) -> Iterator[Pose]:
 
 
 def make_stereo(scene: Scene, folder: Path) -> None:
-    """Write the scan of stereo pairs."""
+    """Write the stereo scan."""
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
     pair, lines = rig(), []
@@ -83,7 +90,7 @@ def make_stereo(scene: Scene, folder: Path) -> None:
 
 
 def calibration(pair: StereoRig) -> str:
-    """Return the rig as TOML."""
+    """Format the rig as TOML."""
     rotation, translation = pair.right_from_left[:3, :3], pair.right_from_left[:3, 3]
     lines = [
         "# x_right = R x_left + T, metres; distortion is OpenCV's k1 k2 p1 p2.",
@@ -100,7 +107,12 @@ def calibration(pair: StereoRig) -> str:
 
 
 def make_rgbd(scene: Scene, folder: Path, visited: Callable[[int], Scene] | None = None) -> None:
-    """Write the scan of RGB-D frames; of `visited` every tenth is taken, by its number."""
+    """Write the RGB-D scan.
+
+    Parameters
+    ----------
+    visited : returns the scene for a frame index; replaces `scene` in every tenth frame.
+    """
     frames = []
     for kind in ("color", "depth"):
         (folder / kind).mkdir(parents=True)
@@ -117,7 +129,7 @@ def make_rgbd(scene: Scene, folder: Path, visited: Callable[[int], Scene] | None
 
 
 def write_image(path: Path, image: np.ndarray) -> None:
-    """Write an RGB picture or a depth map, compressed as its suffix says."""
+    """Write an RGB image or depth map in its suffix's format."""
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     options = JPEG if path.suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 9]
@@ -125,12 +137,12 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def main() -> None:
-    """Write everything into the folder given, by default this script's own."""
+    """Write all scans into a folder, by default this script's folder."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).resolve().parent)
     parser.add_argument("--tags", action="store_true", help="paint AprilTags on floor and walls")
-    parser.add_argument("--visitor", action="store_true", help="have somebody in every tenth RGB-D frame")
-    parser.add_argument("--only", choices=("stereo", "rgbd"), help="make one scan")
+    parser.add_argument("--visitor", action="store_true", help="add a person to every tenth RGB-D frame")
+    parser.add_argument("--only", choices=("stereo", "rgbd"), help="make this scan alone")
     options = parser.parse_args()
     folder: Path = options.folder
     scene = Scene(tags=options.tags)

@@ -1,8 +1,9 @@
-"""The corner of a room that both sample scans look at: known geometry, procedural colours, fixed light.
+"""Scene of the sample scans: the corner of a room.
 
-Metres, z up. A floor and two walls meet at (-0.45, 0.45, 0); on the floor stand a box, a vase, a globe and a
-ring. Colours are functions of the point in space, sharper than any mesh of this size could hold, with
-features from centimetres down to millimetres so that stereo has something to match.
+Colours are procedural, the light is fixed. Lengths are in metres, z is up. A floor and two walls meet at
+(-0.45, 0.45, 0). A box, a vase, a globe and a ring are on the floor. Colours are functions of the 3-D point,
+so they are sharper than vertex colours of a mesh of this size. Their features range from centimetres to
+millimetres, so that stereo matching has texture.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from scanloom.stages.surface.mesh import Mesh
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Paint = Callable[[Floats], Floats]
-# A paint, the two axes of its plane, the middles of tags there, and the number of the first.
+# Adds tags to a paint. Arguments: paint, axes of its plane, centres of the tags, number of the first tag.
 Tagged = Callable[[Paint, tuple[int, int], Floats, int], Paint]
 
-HALF = 0.45  # of the floor's side
-WALL = 0.42  # height
+HALF = 0.45  # half the side of the floor, metres
+WALL = 0.42  # height of the walls, metres
 GLOBE, GLOBE_RADIUS = np.array((0.17, -0.12, 0.095)), 0.095
 RING, RING_RADII = np.array((-0.14, -0.20, 0.034)), (0.085, 0.034)
 VASE = np.array((0.14, 0.20, 0.0))
 BOX, BOX_SIZE, BOX_TURN = np.array((-0.18, 0.13, 0.0)), np.array((0.20, 0.14, 0.17)), np.deg2rad(25)
-# Outline of the vase from the foot over the lip down to the bottom inside: radius, height.
+# Profile of the vase (radius, height), from the foot over the lip to the bottom inside, metres.
 VASE_OUTLINE = np.array(
     [
         *(
@@ -51,12 +52,12 @@ VASE_OUTLINE = np.array(
         ),
     ]
 )
-# An area light, as points: soft shadows.
+# Area light approximated by points, for soft shadows.
 _LIGHTS = np.array((0.9, -0.5, 1.5)) + 0.16 * np.array(
     [(np.cos(a), np.sin(a), 0.4 * np.sin(2 * a)) for a in np.arange(8) * np.pi / 4]
 )
 _AMBIENT = 0.42
-# Middles of AprilTags (36h11), and their side with the white border, metres.
+# Centres of AprilTags (36h11) in the axes of floor and walls, and their side with the white border, metres.
 _FLOOR_TAGS = np.array(
     [(-0.35, -0.35), (-0.05, -0.36), (0.3, -0.36), (0.36, 0.1), (0.02, 0.0), (-0.36, -0.02)]
 )
@@ -67,7 +68,14 @@ _TAG, _TAG_CELLS = 0.14, 10
 
 @dataclass(frozen=True)
 class Part:
-    """One object: a grid of vertices with their normals, and its paint (albedo, 0..1 sRGB, of a point)."""
+    """Object of the scene.
+
+    Attributes
+    ----------
+    vertices, normals : (n, 3).
+    triangles : (m, 3).
+    paint : computes the albedo (n, 3) of points (n, 3), sRGB 0..1.
+    """
 
     vertices: Floats
     normals: Floats
@@ -76,10 +84,13 @@ class Part:
 
 
 class Scene:
-    """Rays go in; distances, normals and lit colours come out.
+    """Raycasting scene with lit colours.
 
-    With `tags`, AprilTags are painted on floor and walls. A `visitor` is somebody small in a red coat, who
-    stands at a place (x, y) on the floor.
+    Parameters
+    ----------
+    spacing : of the vertices, metres.
+    tags : add AprilTags to floor and walls.
+    visitor : position (x, y) of a small person in a red coat on the floor.
 
     Attributes
     ----------
@@ -108,7 +119,10 @@ class Scene:
         self.mesh = Mesh(vertices, self._triangles.astype(np.int32), np.rint(colors * 255).astype(np.uint8))
 
     def cast(self, origin: Floats, directions: Floats) -> tuple[Floats, Floats, Ints]:
-        """Return distance (inf for a miss), unit normal and part of what rays (k, 3) meet first."""
+        """Cast rays with directions (k, 3) from an origin.
+
+        Returns distance (k,), inf for a miss, unit normal (k, 3), and part index (k,) of the first hit.
+        """
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3], rays[:, 3:] = origin, directions
         hits = self._rays.cast_rays(open3d().core.Tensor(rays))
@@ -121,7 +135,10 @@ class Scene:
         return distance, normal / np.maximum(length, 1e-9), self._part_of[triangle]
 
     def color(self, points: Floats, normals: Floats, parts: Ints) -> Floats:
-        """Return the lit colours of surface points, sRGB 0..1: what a perfect camera would record."""
+        """Compute the lit colours (n, 3) of surface points, sRGB 0..1.
+
+        These are the colours that an ideal camera records.
+        """
         albedo = np.empty((len(points), 3))
         for number, part in enumerate(self._parts):
             own = np.flatnonzero(parts == number)
@@ -191,7 +208,7 @@ def _with_tags(paint: Paint, axes: tuple[int, int], middles: Floats, first: int)
 
 def _visitor(place: Floats, spacing: float) -> Part:
     def outline(t: Floats) -> tuple[Floats, Floats]:
-        # A coat, and a head on it.
+        # Profile of a coat with a head on top.
         height = 0.3 * t
         coat = 0.05 * np.sqrt(np.clip(1 - (np.minimum(height, 0.22) / 0.24) ** 4, 0, 1))
         head = np.sqrt(np.clip(0.035**2 - (height - 0.265) ** 2, 0, None))
@@ -201,7 +218,7 @@ def _visitor(place: Floats, spacing: float) -> Part:
 
 
 def _patch(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Paint) -> Part:
-    """Return a flat rectangle spanned by u and v, seen from the side of u × v."""
+    """Make a rectangle spanned by `u` and `v`, normal u × v."""
     i, j = (max(2, round(float(np.linalg.norm(side)) / spacing) + 1) for side in (u, v))
     s, t = (
         a.ravel()[:, None] for a in np.meshgrid(np.linspace(0, 1, i), np.linspace(0, 1, j), indexing="ij")
@@ -228,7 +245,13 @@ def _swept(
     spacing: float,
     paint: Paint,
 ) -> Part:
-    """Return a surface of revolution about z; `outline` maps 0..1 to radius, height, outside on its right."""
+    """Make a surface of revolution about the z axis.
+
+    Parameters
+    ----------
+    outline : maps 0..1 to radius and height; the outside is on its right.
+    lengths : of the outline and of the circumference, metres.
+    """
     i, j = (round(length / spacing) + 1 for length in lengths)
     t, angle = np.linspace(0, 1, i), np.linspace(0, 2 * np.pi, j)
     radius, height = outline(t)
@@ -240,7 +263,7 @@ def _swept(
         np.concatenate([r[:, None, None] * around, np.broadcast_to(h[:, None, None], (i, j, 1))], axis=2)
         for r, h in ((radius, height), slope)
     )
-    # The first and last column are the same points; poles collapse to slivers without area, left out.
+    # The first and last column coincide. Triangles at the poles have no area and are removed.
     triangles = _grid(i, j, wrap=True)
     flat = vertices.reshape(-1, 3)
     a, b, c = (flat[triangles[:, k]] for k in range(3))
@@ -259,17 +282,25 @@ def _vase_outline(t: Floats) -> tuple[Floats, Floats]:
 
 
 def _grid(i: int, j: int, *, wrap: bool = False) -> Ints:
-    """Return two triangles a cell of a grid with j points a row; `wrap` joins last and first column."""
+    """Make the triangles of a grid of i × j points.
+
+    With `wrap`, the last and the first column are joined.
+    """
     row, column = (a.ravel() for a in np.meshgrid(np.arange(i - 1), np.arange(j - 1), indexing="ij"))
     right = (column + 1) % (j - 1) if wrap else column + 1
     a, b, c, d = row * j + column, (row + 1) * j + column, (row + 1) * j + right, row * j + right
-    if wrap:  # the second direction is the angle: seen from outside, the cell turns the other way
+    if wrap:  # seen from outside, the orientation is reversed along the angle
         b, d = d, b
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
 def _noise(points: Floats, wavelength: float, seed: int) -> Floats:
-    """Return smooth value noise, -1..1, on a cubic lattice of this wavelength (metres)."""
+    """Compute smooth value noise (n,), -1..1, on a cubic lattice.
+
+    Parameters
+    ----------
+    wavelength : lattice spacing, metres.
+    """
     q = points / wavelength + 1000.0
     cell = np.floor(q).astype(np.int64)
     f = q - cell
@@ -282,14 +313,17 @@ def _noise(points: Floats, wavelength: float, seed: int) -> Floats:
 
 
 def _hash(cell: Ints, seed: int) -> Floats:
-    """Return a fixed pseudo-random number, -1..1, of every lattice point."""
+    """Hash lattice points to fixed pseudo-random numbers, -1..1."""
     h = (cell[:, 0] * 73856093) ^ (cell[:, 1] * 19349663) ^ (cell[:, 2] * 83492791) ^ (seed * 2654435761)
     h = (h ^ (h >> 13)) * 1274126177 & 0xFFFFFFFF
     return ((h ^ (h >> 16)) & 0xFFFF) / 32767.5 - 1
 
 
 def _grain(points: Floats, seed: int) -> Floats:
-    """Return noise of all sizes from 5 cm to 5 mm, about -1..1, (k, 1)."""
+    """Compute noise (n, 1), about -1..1, of several wavelengths.
+
+    The wavelengths range from 5 mm to 5 cm.
+    """
     octaves = [(0.05, 0.3), (0.022, 0.35), (0.011, 0.45), (0.0055, 0.4)]
     grain = np.zeros(len(points))
     for k, (wavelength, weight) in enumerate(octaves):
@@ -324,7 +358,7 @@ def _paint_left_wall(p: Floats) -> Floats:
 
 def _paint_back_wall(p: Floats) -> Floats:
     color = np.broadcast_to(_rgb(196, 192, 206), (len(p), 3))
-    # A poster: rings around a sun over hills.
+    # A poster that shows rings around a sun over hills.
     x, z = p[:, 0] + 0.05, p[:, 2] - 0.25
     poster = (np.abs(x) < 0.2) & (np.abs(z) < 0.13)
     rings = np.sin(np.hypot(x - 0.06, z - 0.03) * 2 * np.pi / 0.04) > 0

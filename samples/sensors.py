@@ -1,4 +1,4 @@
-"""What real cameras do to a perfect picture: distortion, blur, vignetting, noise, quantisation, holes."""
+"""Camera models: distortion, blur, vignetting, noise, quantisation and depth holes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from scene import Floats, Scene
 
 from scanloom.stages.scans.model.scan import Camera, Pose
 
-_FINE = 2  # rays a pixel and direction: keeps fine texture from aliasing
-_BLUR = 0.55  # pixels, standard deviation of the lens's blur
-_FULL_WELL = 9000.0  # electrons at white: shot noise is its square root
+_FINE = 2  # rays per pixel and direction, against aliasing of fine texture
+_BLUR = 0.55  # standard deviation of the lens blur, pixels
+_FULL_WELL = 9000.0  # electrons at white; shot noise is their square root
 _READ_NOISE = 12.0  # electrons
-_CORNER = 0.82  # brightness in the image's corners
+_CORNER = 0.82  # relative brightness in the corners of the image (vignetting)
 
 
 def photograph(
     scene: Scene, camera: Camera, world_from_camera: Pose, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Return the (h, w, 3) uint8 RGB picture a camera takes."""
+    """Simulate a photo (h, w, 3) uint8 RGB."""
     import cv2
 
     height, width = camera.height, camera.width
@@ -27,7 +27,7 @@ def photograph(
     rays = _rays(camera, *np.meshgrid(fine_u, fine_v))
     distance, normals, parts = scene.cast(world_from_camera[:3, 3], rays @ world_from_camera[:3, :3].T)
     hit = np.flatnonzero(np.isfinite(distance))
-    # Beyond the scene there is an evenly grey room, without anything to match.
+    # Outside the scene there is a uniform grey background, without texture to match.
     color = np.full((len(rays), 3), 0.36)
     points = world_from_camera[:3, 3] + distance[hit, None] * (rays[hit] @ world_from_camera[:3, :3].T)
     color[hit] = scene.color(points, normals[hit], parts[hit])
@@ -42,11 +42,12 @@ def photograph(
 def measure_depth(
     scene: Scene, camera: Camera, world_from_camera: Pose, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
-    """Return the (h, w) depth image, millimetres, 0 where missing, of a structured-light sensor.
+    """Simulate a depth map (h, w) uint16 of a structured-light sensor.
 
-    Axial and lateral noise follow Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
-    reconstruction and tracking" (2012): σ_z grows with the square of the distance, edges wander by about
-    half a pixel. Nothing comes back from surfaces seen at a grazing angle, or beside many depth edges.
+    Values are in millimetres, 0 where missing. Axial and lateral noise follow Nguyen, Izadi and Lovell,
+    "Modeling Kinect sensor noise for improved 3D reconstruction and tracking" (2012): σ_z grows with the
+    square of the distance, edges shift by about half a pixel. Depth is missing at grazing angles and at many
+    depth discontinuities.
     """
     import cv2
 
@@ -58,7 +59,7 @@ def measure_depth(
     z = np.where(np.isfinite(distance), distance * rays[:, 2], 0).reshape(height, width)
     cosine = -np.einsum("kx,kx->k", normals, directions).reshape(height, width)
 
-    # Neighbouring pixels share part of their matching window, and so of their error.
+    # Neighbouring pixels share part of their matching window, so their errors are correlated.
     error = cv2.GaussianBlur(rng.standard_normal(z.shape), (0, 0), 0.7) * 2.2
     measured = z + error * (0.0008 + 0.0016 * z**2)
     lost = (z == 0) | (cosine < 0.14 + 0.06 * rng.random(z.shape)) | (rng.random(z.shape) < 0.004)
@@ -70,11 +71,11 @@ def measure_depth(
 
 
 def _rays(camera: Camera, u: Floats, v: Floats) -> Floats:
-    """Return the unit directions (k, 3), camera axes, of pixels of a distorted image."""
+    """Compute unit viewing directions (k, 3) of pixels of a distorted image."""
     bent_x, bent_y = (u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy
     k1, k2, p1, p2 = camera.distortion or (0.0, 0.0, 0.0, 0.0)
     x, y = bent_x, bent_y
-    for _ in range(30):  # OpenCV's lens model, inverted by fixed-point iteration: contracts for mild lenses
+    for _ in range(30):  # fixed-point inverse of OpenCV's lens model; converges for mild distortion
         r2 = x * x + y * y
         radial = 1 + k1 * r2 + k2 * r2 * r2
         x, y = (

@@ -441,7 +441,7 @@ def test_a_scan_beyond_the_reconstruction_system_s_depth_fails(
         for frame in near
     ]
 
-    with pytest.raises(RuntimeError, match="no frame meets the next within 3 m"):
+    with pytest.raises(RuntimeError, match="no frame overlaps the next within 3 m"):
         reconstruction.reconstruction_system(far)
 
 

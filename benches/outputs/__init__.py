@@ -1,1 +1,4 @@
-"""What same_outputs.py runs, and how it compares what comes out; it names nothing inside a checkout."""
+"""Jobs and comparisons of same_outputs.py.
+
+They use no internal names of a checkout.
+"""

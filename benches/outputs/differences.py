@@ -1,4 +1,4 @@
-"""Where two sides differ, leaf by leaf, and which differences are meant."""
+"""Differences between the outputs of two checkouts, and expected differences."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ from dataclasses import dataclass
 from outputs.leaves import Leaves
 
 _DIGEST = re.compile(r"\b([0-9a-f]{12})[0-9a-f]{52}\b")
-# The last part of a name that is no number, with the numbers behind it: it is `size.0` of `camera.size.0`.
+# Last non-numeric part of a dotted name with its indices: `size.0` for `camera.size.0`.
 _LAST = re.compile(r".*?([^.]*[^.\d][^.]*(?:\.\d+)*)$")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One leaf that is not the same on both sides; `kind` is changed, gone, new or moved."""
+    """Leaf that differs between the two checkouts.
+
+    Attributes
+    ----------
+    kind : "changed", "gone", "new" or "moved".
+    where : name of the leaf; "old -> new" if its name changed.
+    first, second : its values; empty if missing on that side.
+    """
 
     kind: str
     where: str
@@ -28,35 +35,41 @@ class Difference:
 
     @property
     def values(self) -> str:
-        """Return the values of both sides, or of the one that has it, digests shortened."""
+        """Both values, or the one that exists, with shortened digests."""
         values = dict.fromkeys(value for value in (self.first, self.second) if value)
         return " | ".join(_DIGEST.sub(r"\1", value) for value in values)
 
 
 @dataclass(frozen=True)
 class Expected:
-    """A difference that is meant; `*` in `job` and `what` stands for any text."""
+    """Expected difference.
+
+    Attributes
+    ----------
+    job, what : patterns of the job's name and of the difference as text; `*` matches any text.
+    reason : shown in the report.
+    """
 
     job: str
     what: str
     reason: str
 
     def covers(self, job: str, difference: Difference) -> bool:
-        """Return whether this is the difference that is meant, in the job it is meant for."""
+        """Check if a difference in a job is the expected one."""
         return matches(self.job, job) and matches(self.what, str(difference))
 
 
 def matches(pattern: str, text: str) -> bool:
-    """Return whether the whole text fits the pattern, where `*` stands for any text."""
+    """Check if a pattern matches the whole text; `*` matches any text."""
     return re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), text, re.DOTALL) is not None
 
 
 def differences(first: Leaves, second: Leaves) -> list[Difference]:
-    """Return where two sides differ, files before values in documents.
+    """Compare the leaves of both sides; return differences, files first.
 
-    A value of a document that is gone from one place and new in another is told as moved, or as changed if
-    it is another one: when the last part of the name is the same, or else the value, and no other that is
-    gone or new there has the same.
+    A value that is gone under one name and new under another counts as moved (equal value) or changed (other
+    value). The two names are paired by their last part and value, then by the last part, then by the value,
+    if the pairing is unique within a document.
     """
     changed = [name for name in first if name in second and second[name] != first[name]]
     gone = {name for name in first if name not in second}
@@ -76,7 +89,7 @@ def differences(first: Leaves, second: Leaves) -> list[Difference]:
 def _pairs(
     gone: Mapping[tuple[str, ...], Sequence[str]], new: Mapping[tuple[str, ...], Sequence[str]]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the names that alone have a key, on both sides."""
+    """Yield pairs of names whose key is unique on both sides."""
     for key, befores in gone.items():
         afters = new.get(key, ())
         if len(befores) == len(afters) == 1:
@@ -84,9 +97,13 @@ def _pairs(
 
 
 def _by(parts: Sequence[str], names: Iterable[str], leaves: Leaves) -> dict[tuple[str, ...], list[str]]:
-    """Return the names in documents by document and what is asked for: last part of the name, value, both.
+    """Group names of document values by document and `parts`.
 
-    Files and lines of text have no name but their own.
+    Names of files and text lines are left out, because they cannot be paired.
+
+    Parameters
+    ----------
+    parts : "last" (last part of the name), "value", or both.
     """
     grouped: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for name in sorted(names):

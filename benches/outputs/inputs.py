@@ -1,4 +1,4 @@
-"""Inputs that no sample has, made once for both sides: recordings of a sample, and parameters as TOML."""
+"""Generated inputs for both checkouts: recordings and a configuration file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ width = 300
 
 
 def make(folder: Path, sample: Path) -> None:
-    """Fill a folder with inputs; `sample` is that of depth frames."""
+    """Write all inputs into a new folder; `sample` is the RGB-D sample."""
     folder.mkdir(parents=True)
     (folder / "run.toml").write_text(_PARAMETERS)
     _realsense(folder, sample)
@@ -53,7 +53,7 @@ def make(folder: Path, sample: Path) -> None:
 
 
 def _realsense(folder: Path, sample: Path) -> None:
-    """Write the first frames as RealSense's viewer does, in its old form and in its new one."""
+    """Write RealSense recordings in the ROS 1 and db3 formats."""
     known, depths, colors, unit = _frames(sample)
     depth = Stream(DEPTH, [Image(*one, "mono16", unit=unit) for one in depths], **known)
     color = Stream(COLOR, [Image(*one, "rgb8") for one in colors], **known)
@@ -64,7 +64,7 @@ def _realsense(folder: Path, sample: Path) -> None:
 
 
 def _ros(folder: Path, sample: Path) -> None:
-    """Write the same as recordings of ROS 1 and 2, packed in every way they have."""
+    """Write ROS 1 and ROS 2 recordings with each supported compression."""
     known, depths, colors, _ = _frames(sample)
     known |= {"model": "plumb_bob", "from_reference": None, "info": "/camera_info"}
     of_ros: dict[str, Any] = {"unit": None, "frame": "optical"}
@@ -94,7 +94,11 @@ def _ros(folder: Path, sample: Path) -> None:
 
 
 def _frames(sample: Path) -> tuple[dict[str, Any], list[Any], list[Any], float]:
-    """Return what is known of the camera, depth and colour images with their times, and metres per unit."""
+    """Read the first frames of a sample.
+
+    Returns camera parameters, time-stamped depth images, time-stamped colour images, and metres per depth
+    unit.
+    """
     scan = json.loads((sample / "scan.json").read_text())
     camera = scan["camera"]
     known = {

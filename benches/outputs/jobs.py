@@ -1,12 +1,12 @@
-"""The list of jobs: command lines of scanloom, and snippets for what no command does.
+"""Jobs of same_outputs.py: command lines of scanloom, and Python snippets.
 
-A step begins with a command of scanloom, or with the name of a file in snippets/. It works in a folder of its
-job, and these stand for folders:
+A step begins with a command of scanloom, or with the name of a file in snippets/. It runs in the folder of
+its job. Placeholders in a step:
 
     {data}      the real scans and meshes
     {samples}   the sample scans of the first checkout
-    {inputs}    what inputs.py makes
-    {first}     what the first checkout left of the same job: the second one must read it, too
+    {inputs}    generated inputs, see inputs.py
+    {first}     outputs of the same job by the first checkout, which the second one has to read
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Job:
-    """Steps in one folder, each a command line without the program's name."""
+    """Command lines that run in one folder.
+
+    Attributes
+    ----------
+    steps : command lines without the program's name.
+    """
 
     name: str
     steps: tuple[str, ...]
@@ -26,7 +31,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Model:
-    """A mesh that every method is tried on; `shape` is a bound in metres that leaves them something to do."""
+    """Mesh for which all methods run; `shape` is a bound in metres."""
 
     path: str
     shape: float
@@ -43,7 +48,7 @@ MODELS = {
 }
 KITCHEN = "{data}/meshes/redkitchen_fused_vertexcolor.ply"
 
-# What --quick runs: a little of everything.
+# Jobs of --quick: some of each kind.
 QUICK = (
     "run/rgbd",
     "stages/*",
@@ -64,7 +69,12 @@ QUICK = (
 
 
 def all_jobs(data: Path) -> list[Job]:
-    """Return every job, those on small things first; `data` is looked at for the names of its files."""
+    """List all jobs, those on small inputs first.
+
+    Parameters
+    ----------
+    data : its file names determine some of the jobs.
+    """
     return [
         *_words(),
         *_methods(),
@@ -90,7 +100,7 @@ def _mesh(name: str) -> str:
 
 
 def _methods() -> Iterator[Job]:
-    """Yield each method on each model: to a number, within bounds, both, and with what is its own alone."""
+    """Yield each method on each model: count, bounds, both, own parameters."""
     for name, model in MODELS.items():
         shape = f"--max-shape {model.shape}"
         bounds = f"{shape} --max-color 40" if model.is_colored else shape
@@ -130,7 +140,7 @@ def _methods() -> Iterator[Job]:
             "auto": ("", "--ratio 0.25", "--triangles 800", bounds),
         }
         for method, variants in options.items():
-            # GLB keeps what seams carries along.
+            # Only GLB stores the texture coordinates that seams keeps.
             ending = "glb" if method == "seams" else "ply"
             yield Job(
                 f"methods/{name}/{method}",
@@ -142,7 +152,7 @@ def _methods() -> Iterator[Job]:
 
 
 def _controlled() -> Iterator[Job]:
-    """Yield places that are given more care, on the command line and as arrays."""
+    """Yield simplification with regions, locks and importance, by command and API."""
     sphere = '--region "sphere 0 0.3 0.3 0.3 20"'
     box = '--region "box -9 -9 -9 9 0 9 lock"'
     for method, options in {
@@ -165,7 +175,10 @@ def _controlled() -> Iterator[Job]:
 
 
 def _records() -> Iterator[Job]:
-    """Yield records of each method that keeps one, replayed at several counts; the first side's too."""
+    """Yield records of each method that writes them, replayed at several counts.
+
+    The record of the first checkout is also replayed by the second.
+    """
     for name, method, options in (
         ("camelhead", "quadric", "--ratio 0.05"),
         ("airplane", "quadric", "--ratio 0.1"),
@@ -205,7 +218,7 @@ def _records() -> Iterator[Job]:
 
 
 def _normal_meshes() -> Iterator[Job]:
-    """Yield normal meshes, all their levels, and what is left of a file that was cut."""
+    """Yield normal meshes: encoding, all levels, and truncated files."""
     for name, path, options in (
         ("horse", _mesh("horse"), ""),
         ("camelhead", _mesh("camelhead"), "--set remesh.scheme=butterfly --set remesh.tolerance=1e-4"),
@@ -232,7 +245,7 @@ def _normal_meshes() -> Iterator[Job]:
 
 
 def _textures() -> Iterator[Job]:
-    """Yield light meshes with all the colour of their originals in a texture."""
+    """Yield simplified meshes with baked textures."""
     for name in ("duck", "airplane", "fuze"):
         original = _mesh(name)
         yield Job(
@@ -249,7 +262,7 @@ def _textures() -> Iterator[Job]:
 
 
 def _measures() -> Iterator[Job]:
-    """Yield distances, proofs and patches."""
+    """Yield distances, certificates and planar patches."""
     for name, model in MODELS.items():
         original = _mesh(name)
         max_color = "--max-color 60" if model.is_colored else ""
@@ -275,7 +288,7 @@ def _measures() -> Iterator[Job]:
 
 
 def _pictures() -> Iterator[Job]:
-    """Yield pictures of meshes with texture, with colours and without."""
+    """Yield renderings of textured, coloured and plain meshes."""
     for name in MODELS:
         yield Job(
             f"pictures/{name}",
@@ -288,7 +301,7 @@ def _pictures() -> Iterator[Job]:
 
 
 def _cleaning(data: Path) -> Iterator[Job]:
-    """Yield what cleaning makes of each mesh, and of one with each of its options."""
+    """Yield cleaning of each mesh, and of two meshes with each option."""
     for path in _mesh_files(data):
         yield Job(f"cleaning/{path.name}", (f"clean '{{data}}/{path}' clean.ply --json",))
     for name, path in {
@@ -308,13 +321,13 @@ def _cleaning(data: Path) -> Iterator[Job]:
 
 
 def _formats(data: Path) -> Iterator[Job]:
-    """Yield each mesh in all formats, and back."""
+    """Yield each mesh written in all formats and read back."""
     for path in _mesh_files(data):
         yield Job(f"formats/{path.name}", (f"formats.py '{{data}}/{path}'",))
 
 
 def _broken(data: Path) -> Iterator[Job]:
-    """Yield what is said of each broken file, or made of it where something can be."""
+    """Yield damaged files: their errors, or results if they can be repaired."""
     for path in sorted((data / "broken").iterdir()):
         yield Job(
             f"broken/{path.name}",
@@ -332,7 +345,7 @@ def _mesh_files(data: Path) -> list[Path]:
 
 
 def _recordings() -> Iterator[Job]:
-    """Yield recordings in every form, whole and cut."""
+    """Yield recordings in every format, complete and truncated."""
     whole = ("realsense.bag", "realsense_raw.db3", "realsense_png.db3", "realsense_zstd.db3")
     whole += ("ros1_none.bag", "ros1_bz2.bag", "ros1_lz4.bag", "ros1_png.bag")
     whole += ("ros2.db3", "ros2_zstd.db3", "ros2.mcap", "ros2_zstd.mcap")
@@ -353,7 +366,7 @@ def _recordings() -> Iterator[Job]:
 
 
 def _scans(data: Path) -> Iterator[Job]:
-    """Yield what is said of each scan folder."""
+    """Yield inspections of each scan folder."""
     for sample in ("rgbd", "stereo"):
         scan = f"{{samples}}/{sample}"
         yield Job(
@@ -395,7 +408,7 @@ def _scans(data: Path) -> Iterator[Job]:
 
 
 def _stages() -> Iterator[Job]:
-    """Yield the stages that read scans, one at a time."""
+    """Yield single stages that read scans."""
     stereo, rgbd = "{samples}/stereo", "{samples}/rgbd"
     yield Job(
         "stages/depth",
@@ -444,7 +457,7 @@ def _stages() -> Iterator[Job]:
 
 
 def _kitchen() -> Iterator[Job]:
-    """Yield a fused room with colours, holes and islands: what scans are like."""
+    """Yield a fused room with colours, holes and islands."""
     yield Job(
         "kitchen/methods",
         (
@@ -473,7 +486,10 @@ def _kitchen() -> Iterator[Job]:
 
 
 def _runs() -> Iterator[Job]:
-    """Yield whole runs; a second one in the same folder says what it did again, and why."""
+    """Yield complete runs.
+
+    A second run in the same folder reports the stages that it repeats and the reasons.
+    """
     everything = "--set bake.enabled=true --set remesh.enabled=true"
     yield Job("run/stereo", (f"run {{samples}}/stereo -o out {everything} --json",))
     yield Job(
@@ -495,7 +511,7 @@ def _runs() -> Iterator[Job]:
 
 
 def _words() -> Iterator[Job]:
-    """Yield what a person reads: text instead of JSON, and the sentence for each wrong command line."""
+    """Yield text for people: output without --json, and usage errors."""
     spot, duck = _mesh("spot"), _mesh("duck")
     yield Job(
         "words/text",

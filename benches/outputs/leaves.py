@@ -1,7 +1,7 @@
-"""What a job left behind as leaves, each a name and a value.
+"""Outputs of a job as leaves, each a name and a value.
 
-A leaf is a file and the digest of its bytes, a member of an archive, a value in a JSON document, or a line of
-text. What is different in each run has no leaf: seconds, dates, memory, keys of the cache.
+A leaf is a file with the digest of its bytes, a member of an archive, a value of a JSON document, or a line
+of text. Values that differ in every run are left out: seconds, dates, memory, cache keys.
 """
 
 from __future__ import annotations
@@ -17,20 +17,22 @@ from typing import Any
 
 Leaves = dict[str, str]
 
-# Keys of JSON whose values belong to one run.
+# JSON keys whose values differ in every run.
 VOLATILE = {"created", "last_used", "made_in_s", "peak_memory_mb", "seconds"}
-# What the cache keeps beside results: locks, keys, and which run used what.
+# Files of the cache that are not results: locks, keys, and lists of the entries that runs used.
 _BOOKKEEPING = {"CACHEDIR.TAG", "manifest.json", "names.lock", "in-use.lock", "runs"}
 _KEY = re.compile("[0-9a-f]{64}")
 _SECONDS = re.compile(r"\b\d+(\.\d+)? (s|ms|min)\b")
 
 
 def of_folder(folder: Path, places: Mapping[str, str]) -> Leaves:
-    """Return the leaves of all files of a folder; entries of a cache go by their stage, not by their key.
+    """Collect the leaves of all files in a folder.
+
+    Cache entries are named by their stage instead of their key.
 
     Parameters
     ----------
-    places : what stands for a folder in texts, so that it may be another on the other side.
+    places : placeholder for each folder name in texts, because folders differ between the two sides.
     """
     found: dict[str, list[Leaves]] = defaultdict(list)
     for path in sorted(folder.rglob("*")):
@@ -43,7 +45,7 @@ def of_folder(folder: Path, places: Mapping[str, str]) -> Leaves:
         if len(entries) == 1:
             leaves |= entries[0]
         else:
-            # Several entries of one stage: their keys, and so their order, mean nothing.
+            # Several entries of one stage are ordered by content, because the order of keys is arbitrary.
             ordered = sorted(entries, key=lambda entry: sorted(entry.items()))
             leaves |= {
                 f"{name} #{n}{key[len(name) :]}": v for n, e in enumerate(ordered) for key, v in e.items()
@@ -52,7 +54,7 @@ def of_folder(folder: Path, places: Mapping[str, str]) -> Leaves:
 
 
 def of_file(path: Path, name: str, places: Mapping[str, str]) -> Leaves:
-    """Return the leaves of a file: of a JSON document, of an archive's members, or its digest."""
+    """Collect a file's leaves: JSON values, archive members, or a digest."""
     if path.suffix == ".json":
         return of_output(path.read_text(), name, places)
     if path.suffix in (".npz", ".zip") and zipfile.is_zipfile(path):
@@ -62,7 +64,7 @@ def of_file(path: Path, name: str, places: Mapping[str, str]) -> Leaves:
 
 
 def of_output(text: str, name: str, places: Mapping[str, str]) -> Leaves:
-    """Return the leaves of JSON text, or the lines of any other."""
+    """Collect the leaves of printed text: JSON values, or lines."""
     try:
         return of_json(json.loads(text), name, places)
     except ValueError:
@@ -70,7 +72,7 @@ def of_output(text: str, name: str, places: Mapping[str, str]) -> Leaves:
 
 
 def of_json(document: Any, name: str, places: Mapping[str, str]) -> Leaves:
-    """Return the values of a document by where they stand in it, such as `report.json:mesh.edges.count`."""
+    """Collect the values of a document by path: `report.json:mesh.edges.count`."""
     return {f"{name}:{'.'.join(keys)}": _placed(value, places) for keys, value in _values(document)}
 
 
@@ -87,13 +89,13 @@ def _values(document: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
 
 
 def of_lines(text: str, name: str, places: Mapping[str, str]) -> Leaves:
-    """Return the lines of a text, each with how often it is there; seconds are left out of them."""
+    """Count the lines of a text, with durations masked."""
     lines = (_SECONDS.sub("SECONDS", line.rstrip()) for line in _placed(text, places).splitlines())
     return {f"{name}: {line}": str(count) for line, count in Counter(lines).items() if line}
 
 
 def _placed(text: str, places: Mapping[str, str]) -> str:
-    # The longest first: one folder may lie in another.
+    # Longest first, because one folder may contain another.
     for folder in sorted(places, key=len, reverse=True):
         text = text.replace(folder, places[folder])
     return text

@@ -1,1 +1,1 @@
-"""Other tools' simplifiers, called the way their users call them, for benches/simplify.py."""
+"""Simplifiers of other tools, called as their users call them."""

@@ -1,6 +1,6 @@
-// CGAL's two edge-collapse simplifiers behind C functions, for benches/simplify.py.
-// Called as the manual's examples do, but stopped at a number of faces: the stop by edges misses it on
-// meshes with a border.
+// C interface to CGAL's two edge-collapse simplifiers, for benches/simplify.py.
+// They are called as in the manual's examples, except that they stop at a number of faces: a stop at a
+// number of edges misses the target on meshes with borders.
 #include <CGAL/Simple_cartesian.h>
 #include <CGAL/Surface_mesh.h>
 #include <CGAL/Surface_mesh_simplification/Policies/Edge_collapse/Bounded_normal_change_placement.h>
@@ -32,7 +32,7 @@ extern "C" {
 
 const char* version() { return CGAL_VERSION_STR; }
 
-// Null when CGAL refuses a face as non-manifold.
+// Returns null if CGAL rejects a face as non-manifold.
 void* load(const double* vertices, std::size_t vertex_count, const std::int32_t* triangles, std::size_t count) {
     auto mesh = new Mesh;
     for (std::size_t i = 0; i < vertex_count; ++i)
@@ -65,7 +65,7 @@ std::size_t vertex_count(void* handle) { return static_cast<Mesh*>(handle)->numb
 
 std::size_t triangle_count(void* handle) { return static_cast<Mesh*>(handle)->number_of_faces(); }
 
-// Writes what is left into arrays of the sizes above, and frees the mesh.
+// Writes the simplified mesh into arrays with the counts above, and frees it.
 void unload(void* handle, double* vertices, std::int32_t* triangles) {
     auto mesh = static_cast<Mesh*>(handle);
     mesh->collect_garbage();

@@ -1,4 +1,5 @@
-// meshoptimizer's clusterlod: all clusters of its hierarchy with their errors, so that any cut can be taken.
+// C interface to meshoptimizer's clusterlod. Stores all clusters of its hierarchy with their errors, so that
+// the hierarchy can be cut at any error.
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -11,7 +12,7 @@ namespace {
 
 struct Built {
     std::vector<float> group_error;
-    // By cluster: its group, and the group it is a simpler form of, or -1.
+    // Of each cluster: its group, and the group that it simplifies, or -1.
     std::vector<int32_t> group, refined;
     // Corners of cluster i: indices[first[i]] to indices[first[i + 1]].
     std::vector<uint64_t> first{0};
@@ -36,7 +37,7 @@ int add_group(void* context, clodGroup group, const clodCluster* clusters, size_
 
 extern "C" {
 
-// Clusters of so many triangles, the default configuration; the mesh stays the caller's.
+// Builds clusters of at most `triangles` triangles with the default configuration. Arrays stay with the caller.
 void* build(const float* points, size_t point_count, const uint32_t* indices, size_t index_count, size_t triangles) {
     clodMesh mesh = {};
     mesh.indices = indices;
@@ -49,7 +50,7 @@ void* build(const float* points, size_t point_count, const uint32_t* indices, si
     return built;
 }
 
-// Corners of the clusters that are drawn where an error up to `error` is allowed; `target` may be null. Returns how many.
+// Writes the corners of the cut at `error` into `target`, which may be null. Returns their count.
 size_t cut(const void* handle, float error, uint32_t* target) {
     const Built& built = *static_cast<const Built*>(handle);
     size_t count = 0;

@@ -1,4 +1,7 @@
-"""Draco, a general mesh coder: all vertices are kept, positions rounded to a grid over the bounding cube."""
+"""Draco, a general mesh coder.
+
+All vertices are kept. Positions are quantised to a grid over the bounding cube.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,12 @@ import numpy as np
 
 from scanloom.stages.surface.mesh import Mesh
 
-# One of these gives the smallest file; which of them depends on the bits.
+# Compression levels. Which one gives the smaller file depends on the bit depth, so both are tried.
 LEVELS = (7, 10)
 
 
 def encoded(mesh: Mesh, bits: int) -> bytes:
-    """Return the smallest file with positions of so many bits a coordinate; colours are left out."""
+    """Encode a mesh without colours; `bits` per coordinate."""
     import DracoPy
 
     positions, corners = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
@@ -23,7 +26,7 @@ def encoded(mesh: Mesh, bits: int) -> bytes:
 
 
 def decoded(data: bytes) -> Mesh:
-    """Return the mesh of a file."""
+    """Decode a Draco file."""
     import DracoPy
 
     found = DracoPy.decode(data)

@@ -1,4 +1,4 @@
-"""Peers without a Python door: C functions compiled on demand and opened with ctypes."""
+"""Peers without a Python package, compiled on demand and called with ctypes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pathlib import Path
 HERE = Path(__file__).parent
 
 
-class Missing(Exception):  # noqa: N818 - not an error: the peer is left out
-    """A peer cannot be called here; the message says what it lacks."""
+class Missing(Exception):  # noqa: N818 - not an error: the peer is skipped
+    """A peer is not available; the message names what is missing."""
 
 
 @functools.cache
 def meshoptimizer() -> ctypes.CDLL:
-    """Build and open the crate beside this file; see its `simplify`.
+    """Build and load the crate in `meshoptimizer/`.
 
     Raises
     ------
@@ -34,7 +34,7 @@ def meshoptimizer() -> ctypes.CDLL:
 
 @functools.cache
 def cgal() -> ctypes.CDLL:
-    """Compile and open `cgal.cpp` beside this file; see its functions.
+    """Compile and load `cgal.cpp`.
 
     Raises
     ------
@@ -51,9 +51,9 @@ def cgal() -> ctypes.CDLL:
 
 @functools.cache
 def clusterlod() -> ctypes.CDLL:
-    """Compile and open `clusterlod.cpp` beside this file, with the sources that MESHOPTIMIZER names.
+    """Compile and load `clusterlod.cpp`.
 
-    That is a folder with meshoptimizer's `src/` and `demo/clusterlod.h`.
+    The environment variable MESHOPTIMIZER names a folder with meshoptimizer's `src/` and `demo/clusterlod.h`.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def clusterlod() -> ctypes.CDLL:
     """
     folder = os.environ.get("MESHOPTIMIZER")
     if folder is None:
-        raise Missing("MESHOPTIMIZER does not name a folder with meshoptimizer's sources")
+        raise Missing("set MESHOPTIMIZER to a folder with meshoptimizer's sources")
     sources = sorted(str(path) for path in Path(folder, "src").glob("*.cpp"))
     library = _compiled("clusterlod", sources, [f"-I{folder}/src", f"-I{folder}/demo"])
     library.build.restype = ctypes.c_void_p
@@ -71,7 +71,7 @@ def clusterlod() -> ctypes.CDLL:
 
 
 def _compiled(name: str, sources: list[str], options: list[str]) -> ctypes.CDLL:
-    """Return the C++ file beside this one, compiled with other sources where it is newer than last time."""
+    """Load a C++ file of this folder, compiled if it changed."""
     source, target = HERE / f"{name}.cpp", HERE / f"target/{name}.so"
     if not target.exists() or target.stat().st_mtime < source.stat().st_mtime:
         target.parent.mkdir(exist_ok=True)

@@ -1,4 +1,7 @@
-"""The picture: shape error against colour error, a panel a mesh and ratio, a curve a tool."""
+"""Picture of shape error against colour error.
+
+One panel for each mesh and ratio, one curve for each tool.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from peers.results import Row, colored, of, parts
 from peers.tools import OURS, TOOLS, Tool
 
 OUR_COLOR = "#d62728"
-# Of each peer: colour and marker, or without a marker the line's dashes.
+# Colour and marker of each peer; peers that drop colours have line dashes instead of a marker.
 STYLES: dict[str, tuple[str, Any]] = {
     "VTK": ("#1f77b4", "s"),
     "meshoptimizer": ("#2ca02c", "^"),
@@ -26,7 +29,7 @@ STYLES: dict[str, tuple[str, Any]] = {
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Draw the rows of meshes with colours; a tool that drops colours is a line at its shape error."""
+    """Draw all coloured meshes; tools that drop colours are vertical lines."""
     panels = parts(colored(rows))
     ratios = list(dict.fromkeys(ratio for _, ratio in panels))
     names = list(dict.fromkeys(name for name, _ in panels))
@@ -51,7 +54,7 @@ def draw(rows: list[Row], path: Path) -> None:
 
 
 def panel(axis: Any, rows: list[Row]) -> None:
-    """Draw one mesh at one ratio."""
+    """Draw the panel of one mesh at one ratio."""
     for tool in TOOLS:
         points = sorted(of(rows, tool.name), key=lambda row: weight(tool, row))
         if not points:
@@ -84,5 +87,5 @@ def panel(axis: Any, rows: list[Row]) -> None:
 
 
 def weight(tool: Tool, row: Row) -> float:
-    """Return the weight of colour a result was made with."""
+    """Return the colour weight that a result was made with."""
     return tool.settings[row.setting].get("weight", 0.0)

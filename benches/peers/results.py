@@ -1,4 +1,4 @@
-"""A result's figures, and what follows from many: who beats whom, and each tool at its best."""
+"""Measured results of simplifiers, and comparisons of tools."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from dataclasses import dataclass
 from peers.tools import OURS, TOOLS
 from scanloom.stages.surface.topology import Topology
 
-# Fewer triangles make any result worse; a tool may end this much above another and still compare.
+# Fewer triangles increase every error. Results are comparable if ours has at most this many times the
+# triangles.
 SAME_COUNT = 1.01
 QUADRIC = {tool.name for tool in TOOLS if tool.is_quadric}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One result. Distances are shares of the diagonal, colours 8-bit levels, None where there are none."""
+    """Measured result of one tool and setting.
+
+    Distances are over the bounding box's diagonal, colour errors in 8-bit levels; None if not available.
+    """
 
     mesh: str
     ratio: float
@@ -40,19 +44,22 @@ class Row:
 
 
 def parts(rows: list[Row]) -> dict[tuple[str, float], list[Row]]:
-    """Return the rows of each mesh and ratio, as they came."""
+    """Group rows by mesh and ratio, in order of appearance."""
     keys = dict.fromkeys((row.mesh, row.ratio) for row in rows)
     return {key: [row for row in rows if (row.mesh, row.ratio) == key] for key in keys}
 
 
 def colored(rows: list[Row]) -> list[Row]:
-    """Return the rows of meshes that have colours."""
+    """Select the rows of meshes with colours."""
     meshes = {row.mesh for row in rows if row.color is not None}
     return [row for row in rows if row.mesh in meshes]
 
 
 def verdicts(rows: list[Row]) -> Iterator[str]:
-    """Say, for each mesh and ratio, which peers ours beats, and how far the default is from the best."""
+    """Yield comparisons with the peers for each mesh and ratio.
+
+    They list the peers that we beat, and our shape error over the best peer's.
+    """
     for (mesh, ratio), part in parts(rows).items():
         own, peers = ([row for row in part if (row.tool == OURS) == yes] for yes in (True, False))
         if not own or not peers:
@@ -73,25 +80,28 @@ def verdicts(rows: list[Row]) -> Iterator[str]:
 
 
 def verdict(tool: str, rows: list[Row], own: list[Row]) -> str:
-    """Say of each setting of a tool which of ours are better in shape and in colour at once."""
+    """Format which of our settings beat each setting of a peer."""
     better = {row.setting: [mine.setting for mine in own if is_better(mine, row)] for row in rows}
     count = sum(map(bool, better.values()))
-    each = (f"{name or 'as it is'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
+    each = (f"{name or 'default'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
     return f"- {tool}: {count} of {len(rows)} beaten ({'; '.join(each)})"
 
 
 def is_better(mine: Row, row: Row) -> bool:
-    """Whether one result has the smaller shape and colour error, on no more triangles."""
+    """Check if a result has smaller shape and colour errors.
+
+    It must not have more triangles, within `SAME_COUNT`.
+    """
     if mine.color is None or row.color is None:
         return False
     return mine.rms < row.rms and mine.color < row.color and mine.triangles <= SAME_COUNT * row.triangles
 
 
 def summary(rows: list[Row]) -> Iterator[str]:
-    """Return a Markdown table with a row a tool, each at its best setting for each mesh and ratio.
+    """Yield a Markdown table with one row per tool.
 
-    The best is the one of least shape error times colour error. Ours has a row for its default, too, which
-    all times are relative to.
+    Each tool is shown at its best setting for each mesh and ratio, the one with the smallest product of shape
+    and colour error. Our default has a row as well; all times are relative to it.
     """
     cells = parts(colored(rows))
     of_tool = {tool.name: [of(part, tool.name) for part in cells.values()] for tool in TOOLS}
@@ -108,27 +118,27 @@ def summary(rows: list[Row]) -> Iterator[str]:
 
 
 def summary_row(name: str, results: list[list[Row]], default: list[list[Row]]) -> str:
-    """Return the row of a tool, from its results for each mesh and ratio."""
+    """Format a tool's row from its results by mesh and ratio."""
     best = [min(some, key=product) if some else None for some in results]
     found = [row for row in best if row]
     cells = [name, *("failed" if row is None else both(row) for row in best)]
     cells.append(str(sum(row.topology.nonmanifold_edges for row in found)))
-    # Over the same meshes and ratios as its own.
+    # Compared over the meshes and ratios for which the tool has a result.
     times = [(row.seconds, ours[0].seconds) for row, ours in zip(best, default, strict=True) if row and ours]
     cells.append(f"{sum(t for t, _ in times) / sum(t for _, t in times):.2g}" if times else "")
     return "| " + " | ".join(cells) + " |"
 
 
 def of(rows: list[Row], tool: str) -> list[Row]:
-    """Return the rows of a tool."""
+    """Select the rows of a tool."""
     return [row for row in rows if row.tool == tool]
 
 
 def product(row: Row) -> float:
-    """Return shape error times colour error, shape error alone without colours."""
+    """Multiply shape error by colour error; shape error alone without colours."""
     return row.rms * (1.0 if row.color is None else row.color)
 
 
 def both(row: Row) -> str:
-    """Return shape and colour error."""
+    """Format shape and colour error."""
     return f"{1e5 * row.rms:.1f} / " + ("–" if row.color is None else f"{row.color:.1f}")

@@ -1,7 +1,8 @@
-"""Every simplifier as one function: it takes a mesh, a number of triangles and a setting.
+"""Simplifiers with a common interface.
 
-It returns the call that is measured and what makes a Mesh of its result. What a tool's user does once, such
-as filling the tool's own mesh class, stays outside the call.
+Each takes a mesh, a triangle count and a setting. It returns the call that is measured, and a function that
+converts its result to a Mesh. One-time work of a tool's user, such as filling the tool's own mesh class,
+stays outside the call.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ Prepared = tuple[Callable[[], Any], Callable[[Any], Mesh]]
 
 @dataclass(frozen=True)
 class Tool:
-    """A simplifier and what it is run with.
+    """Simplifier and its settings.
 
     Attributes
     ----------
-    keeps_color : whether the result has colours; without colours in the input only the first setting is run.
-    settings : keyword arguments of `prepare` by the name the table gives them.
-    version : raises Missing where the tool cannot be called.
-    is_quadric : whether it goes by quadric errors, as most do.
+    prepare : returns the call to measure, and the conversion of its result.
+    version : returns the version; raises Missing if the tool cannot be called.
+    keeps_color : True if the result has colours. Meshes without colours run with the first setting only.
+    settings : keyword arguments of `prepare`, by name in the table.
+    is_quadric : True if the tool uses quadric errors, as most do.
     """
 
     name: str
@@ -48,7 +50,7 @@ class Tool:
 
 
 def package(name: str) -> Callable[[], str]:
-    """Return what tells the version of a Python package, if it can be imported."""
+    """Return a function that imports a Python package and returns its version."""
 
     def version() -> str:
         try:
@@ -61,27 +63,27 @@ def package(name: str) -> Callable[[], str]:
 
 
 def ours(mesh: Mesh, triangles: int, weight: float) -> Prepared:
-    """Simplify to a number of triangles; the weight of colour is a multiple of the default."""
-    # The default is derived in the call, as it is for its users.
+    """Prepare `simplify`; `weight` multiplies the default colour weight."""
+    # The default is derived inside the measured call, as it is for users.
     scale = None if weight == 1 else weight * color_weight(mesh, triangles)
     return lambda: simplify(mesh, triangles=triangles, attribute_scale=scale), lambda result: result.mesh
 
 
 def open3d_legacy(mesh: Mesh, triangles: int) -> Prepared:
-    """Collapse by plain quadrics; colours are averaged."""
+    """Prepare Open3D's legacy quadric decimation, which averages colours."""
     given = to_open3d_legacy(mesh)
     return lambda: given.simplify_quadric_decimation(triangles), as_mesh
 
 
 def open3d_tensor(mesh: Mesh, triangles: int) -> Prepared:
-    """Collapse with VTK inside."""
+    """Prepare Open3D's tensor decimation, which uses VTK and drops colours."""
     given = to_open3d(mesh.with_(colors=None))
     reduction = 1 - triangles / len(mesh.triangles)
     return lambda: given.simplify_quadric_decimation(reduction), as_mesh
 
 
 def pymeshlab(mesh: Mesh, triangles: int) -> Prepared:
-    """Collapse with MeshLab's defaults."""
+    """Prepare MeshLab's quadric edge collapse with its defaults."""
     import pymeshlab
 
     colors = {} if mesh.colors is None else {"v_color_matrix": rgba(mesh.colors)}
@@ -97,7 +99,7 @@ def pymeshlab(mesh: Mesh, triangles: int) -> Prepared:
 
 
 def fast_simplification(mesh: Mesh, triangles: int) -> Prepared:
-    """Collapse whatever is below a rising threshold."""
+    """Prepare fast-simplification, which collapses edges below a rising threshold."""
     import fast_simplification
 
     def call() -> Any:
@@ -107,7 +109,10 @@ def fast_simplification(mesh: Mesh, triangles: int) -> Prepared:
 
 
 def vtk(mesh: Mesh, triangles: int, weight: float) -> Prepared:
-    """Collapse by quadrics with colour as an attribute; VTK scales the weight by the colours' range."""
+    """Prepare VTK's quadric decimation with colours as attributes.
+
+    VTK scales the weight by the range of the colours.
+    """
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
@@ -122,7 +127,7 @@ def vtk(mesh: Mesh, triangles: int, weight: float) -> Prepared:
     decimation.SetTargetReduction(1 - triangles / len(mesh.triangles))
     if mesh.colors is not None:
         scalars = numpy_to_vtk(mesh.colors.astype(np.float32), deep=True)
-        scalars.SetName("colors")  # without a name they would quietly not count
+        scalars.SetName("colors")  # VTK silently ignores attributes without a name.
         given.GetPointData().SetScalars(scalars)
         decimation.AttributeErrorMetricOn()
         decimation.ScalarsAttributeOn()
@@ -141,7 +146,10 @@ def vtk(mesh: Mesh, triangles: int, weight: float) -> Prepared:
 
 
 def meshoptimizer(mesh: Mesh, triangles: int, weight: float) -> Prepared:
-    """Collapse with positions and colours (0 to 1) updated; lengths are relative to the mesh's extent."""
+    """Prepare meshoptimizer, which updates positions and colours (0 to 1).
+
+    Its lengths are relative to the mesh's extent.
+    """
     library = native.meshoptimizer()
     indices = mesh.triangles.astype(np.uint32)
     positions = mesh.vertices.astype(np.float32)
@@ -163,7 +171,7 @@ def meshoptimizer(mesh: Mesh, triangles: int, weight: float) -> Prepared:
         )
 
     def result(left: int) -> Mesh:
-        # Vertices that are gone stay in the arrays.
+        # meshoptimizer keeps removed vertices in the arrays.
         used, corners = np.unique(indices[:left], return_inverse=True)
         return Mesh(
             positions[used].astype(np.float64),
@@ -175,7 +183,7 @@ def meshoptimizer(mesh: Mesh, triangles: int, weight: float) -> Prepared:
 
 
 def cgal(function: str) -> Callable[[Mesh, int], Prepared]:
-    """Return the caller of one of the functions of cgal.cpp."""
+    """Return a function that prepares one of the simplifiers of cgal.cpp."""
 
     def prepare(mesh: Mesh, triangles: int) -> Prepared:
         library = native.cgal()
@@ -184,7 +192,7 @@ def cgal(function: str) -> Callable[[Mesh, int], Prepared]:
             library.load(pointer(mesh.vertices), sizes[0], pointer(mesh.triangles), sizes[1])
         )
         if not handle:
-            raise Missing("CGAL takes the mesh for non-manifold")
+            raise Missing("CGAL rejects the mesh as non-manifold")
 
         def result(_: Any) -> Mesh:
             light = Mesh(
@@ -200,7 +208,7 @@ def cgal(function: str) -> Callable[[Mesh, int], Prepared]:
 
 
 def open3d_version() -> str:
-    """Return Open3D's own version."""
+    """Return Open3D's version."""
     try:
         return str(open3d().__version__)
     except StageError as error:
@@ -208,44 +216,44 @@ def open3d_version() -> str:
 
 
 def cgal_version() -> str:
-    """Return CGAL's own version."""
+    """Return CGAL's version."""
     return str(native.cgal().version().decode())
 
 
 def meshoptimizer_version() -> str:
-    """Return the version the crate's lock file names."""
+    """Return the version of the crate `meshopt` from its lock file."""
     native.meshoptimizer()
     lock = (native.HERE / "meshoptimizer/Cargo.lock").read_text()
     return "crate meshopt " + lock.split('name = "meshopt"\nversion = "')[1].split('"')[0]
 
 
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
-    """Return where the array's values lie."""
+    """Return the address of an array's data."""
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def rgba(colors: np.ndarray) -> np.ndarray:
-    """Return 8-bit colours as opaque fractions."""
+    """Convert 8-bit colours to opaque RGBA, 0 to 1."""
     return np.hstack([colors / 255, np.ones((len(colors), 1))])
 
 
 def levels(colors: np.ndarray) -> np.ndarray:
-    """Return colours of 0 to 255, rounded."""
+    """Round colours (0 to 255) to 8 bits."""
     return np.rint(colors).clip(0, 255).astype(np.uint8)
 
 
 def weights(*values: float, prefix: str = "weight ") -> dict[str, dict[str, float]]:
-    """Return a setting for each weight."""
+    """Make a setting for each weight."""
     return {f"{prefix}{value:g}": {"weight": value} for value in values}
 
 
 ONE_WAY: dict[str, dict[str, float]] = {"": {}}
-# The default comes first.
+# The default has to be first.
 OUR_WAYS = {"default": {"weight": 1.0}} | weights(0, 0.3, 3, 10, 30, prefix="default × ")
 
 OURS = "scanloom"
 TOOLS = (
-    Tool(OURS, ours, lambda: "this one", True, OUR_WAYS),
+    Tool(OURS, ours, lambda: "this package", True, OUR_WAYS),
     Tool("CGAL Lindstrom–Turk", cgal("lindstrom_turk"), cgal_version, False, ONE_WAY, is_quadric=False),
     Tool("CGAL Garland–Heckbert", cgal("garland_heckbert"), cgal_version, False, ONE_WAY),
     Tool("VTK", vtk, package("vtk"), True, weights(0.003, 0.01, 0.03, 0.1, 0.3, 1)),

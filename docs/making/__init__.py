@@ -1,1 +1,1 @@
-"""What the pages of docs/ have from the code: parameters, commands, Python's names, messages."""
+"""Content of docs/ generated from the code: parameters, commands, API, messages."""

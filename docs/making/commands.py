@@ -1,4 +1,4 @@
-"""All commands with their arguments and options, from the typer app itself."""
+"""Reference of all commands with arguments and options, from the typer app."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scanloom.cli.help import panel_of, panel_order
 
 
 def reference() -> str:
-    """Return a section for each command and group, in the order of the help."""
+    """Write a section for each command and group, in the order of the help."""
     written = []
     for name, command in get_command(app()).commands.items():  # type: ignore[attr-defined]
         if name in GROUPS:
@@ -28,7 +28,7 @@ def reference() -> str:
 
 
 def named() -> Iterator[tuple[str, Any]]:
-    """Return every command that does something, with the words that call it: `lod tiles`."""
+    """Yield every command with the words that call it: `lod tiles`."""
     for name, command in get_command(app()).commands.items():  # type: ignore[attr-defined]
         if hasattr(command, "commands"):
             for own, below in command.commands.items():
@@ -49,7 +49,7 @@ def _section(name: str, command: Any, level: int) -> str:
     context = command.context_class(command)
     for panel, group in groupby(sorted(options, key=panel_order), key=panel_of):
         written.append(f"**{escaped(panel)}**")
-        # The names of an option and its values, as in the help.
+        # Names of an option and its value type, as in the help.
         entries = ((code(option.get_help_record(context)[0]), _help(option), "") for option in group)
         written.append(definitions(entries))
     if command.hint:
@@ -68,7 +68,7 @@ def _help(parameter: Any) -> str:
 
 
 def _text(text: str | None) -> str:
-    """Return a command's help, its examples as code."""
+    """Convert a command's help to Markdown, with examples as code."""
     written = []
     for paragraph in re.split(r"\n\s*\n", (text or "").strip()):
         example = re.fullmatch(r"Example:\s*(scanloom .*)", paragraph.strip(), flags=re.DOTALL)

@@ -1,8 +1,8 @@
-"""Pages of docs/when-it-goes-wrong, made from the codes of diagnostics.
+"""Pages of docs/when-it-goes-wrong, generated from the diagnostic codes.
 
     PYTHONPATH=.:docs python -m making.diagnostics
 
-writes the pages; tests compare them with the codes. The index is written by hand.
+writes the pages. Tests compare them with the codes. The index is written by hand.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PAGES = ROOT / "docs" / "when-it-goes-wrong"
 
 @dataclass(frozen=True)
 class Page:
-    """Page of the codes of some topics.
+    """Page for the codes of some topics.
 
     Attributes
     ----------
@@ -131,12 +131,12 @@ TABLE = {
 
 @dataclass(frozen=True)
 class Message:
-    """Message in the sources, with `…` for its values.
+    """Message in the sources, with `…` in place of values.
 
     Attributes
     ----------
     constant : name of the constant of its code.
-    file, line : place in the sources.
+    file, line : position in the sources.
     """
 
     text: str
@@ -146,17 +146,17 @@ class Message:
 
 
 def find_codes() -> list[Code]:
-    """Return all codes, in the order of their declarations."""
+    """List all codes in the order of their declarations."""
     for path in _sources():
         if path.name == "codes.py":
             importlib.import_module(".".join(("scanloom", *path.relative_to(ROOT).with_suffix("").parts)))
-    # Not in the order in which modules happened to be imported.
+    # `declared_codes` has the order of imports, which is arbitrary.
     codes = declared_codes()
     return [codes[name] for name in find_constants().values()]
 
 
 def find_constants() -> dict[str, str]:
-    """Return the name of each code by its constant."""
+    """Map the constant of each code to the code's name."""
     names = {}
     for path in _sources():
         if path.name == "codes.py":
@@ -170,7 +170,7 @@ def find_constants() -> dict[str, str]:
 
 
 def find_messages() -> Iterator[Message]:
-    """Yield the messages of all calls that name the constant of a code, by file."""
+    """Yield the messages of all calls with a diagnostic code."""
     constants = find_constants()
     for path in _sources():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -205,7 +205,7 @@ def page_of(name: str) -> str:
 
 
 def write_page(name: str) -> str:
-    """Return the Markdown of a page."""
+    """Write the Markdown of a page."""
     page = TABLE[name]
     codes = [one for topic in page.topics for one in find_codes() if one.name.partition(".")[0] == topic]
     sections = [
@@ -221,7 +221,7 @@ def _sources() -> list[Path]:
 
 
 def _forms(node: ast.expr) -> Iterator[str]:
-    """Yield the texts that an expression can be, with `…` for values."""
+    """Yield the possible texts of an expression, with `…` for values."""
     match node:
         case ast.Constant(str(text)):
             yield re.sub(r"\{[^{}]*\}", "…", text)

@@ -1,4 +1,7 @@
-"""Docstrings of this house as Markdown: numpy's sections, with what a name means behind its colon."""
+"""Conversion of docstrings with numpydoc sections to Markdown.
+
+Entries of sections have the form `name : meaning`.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,13 @@ from inspect import cleandoc
 
 from making.markdown import code, definitions, escaped
 
-# Sections whose entries have a name each.
+# Sections whose entries have names.
 _LISTS = ("Parameters", "Attributes", "Raises", "Returns", "Yields")
 _HEADING = re.compile(r"^([A-Z]\w+)\n-+\n", flags=re.MULTILINE)
 
 
 def as_markdown(docstring: str | None) -> str:
-    """Return a docstring as Markdown, its sections as definition lists under bold names."""
+    """Convert a docstring to Markdown, sections to definition lists."""
     before, *sections = _HEADING.split(cleandoc(docstring or ""))
     written = [_prose(before)]
     for name, text in zip(sections[::2], sections[1::2], strict=True):
@@ -24,7 +27,7 @@ def as_markdown(docstring: str | None) -> str:
 
 
 def _prose(text: str) -> str:
-    """Return paragraphs as they are, and examples and what is set in as code."""
+    """Escape paragraphs; turn examples and indented text into code blocks."""
     written = []
     for paragraph in re.split(r"\n\s*\n", text.strip()):
         if paragraph.startswith(">>>"):
@@ -39,13 +42,13 @@ def _prose(text: str) -> str:
 def _entries(text: str) -> str:
     entries = list(_split(text))
     if not all(meaning for _, meaning in entries):
-        # One type or text without a name.
+        # A single type or text without a name.
         return "\n\n".join(escaped(f"{name} {meaning}".strip()) for name, meaning in entries)
     return definitions((code(name), escaped(meaning), "") for name, meaning in entries)
 
 
 def _split(text: str) -> Iterator[tuple[str, str]]:
-    """Return name and meaning of each entry: `name : meaning`, going on in lines that are set in."""
+    """Yield name and meaning of each entry, joining indented continuation lines."""
     for entry in re.split(r"\n(?=\S)", text.strip()):
         first, *more = entry.split("\n")
         name, _, begun = first.partition(" : ")

@@ -1,4 +1,7 @@
-"""List in which a pasted message is looked for: texts of messages, and where their codes are explained."""
+"""List of messages for the search page, with links to their explanations.
+
+A pasted message is compared with this list.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ FILE = "_static/messages-list.js"
 
 
 def write_list(app: Sphinx, failure: Exception | None) -> None:
-    """Write the list beside the pages, when they are built."""
+    """Write the list into the built site."""
     if failure is not None:
         return
     folder = PAGES.relative_to(ROOT).as_posix()

@@ -1,8 +1,8 @@
-"""Keywords of functions for type checkers, and the names of the package `stages`, made from the code.
+"""Generated keyword classes for type checkers, and the public names of `stages`.
 
     PYTHONPATH=.:docs python -m making.keywords
 
-writes `stages/params/keywords.py` and the generated parts of `stages/__init__.py`; tests compare them.
+writes `stages/params/keywords.py` and the generated parts of `stages/__init__.py`. Tests compare them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 if TYPE_CHECKING:
 '''
-# Classes that are no parameter classes, and whose fields are keywords all the same.
+# Classes that are not parameter classes, but whose fields are keywords of functions.
 _OTHERS = ("scanloom.stages.surface.mesh.Mesh",)
 _BUILTIN = frozenset(("bool", "dict", "float", "int", "list", "object", "str", "tuple"))
 _IMPORTS = re.compile(r"(?<=\nif TYPE_CHECKING:\n).*?(?=\n    __version__: str\n)", re.DOTALL)
@@ -45,7 +45,7 @@ _ALL = re.compile(r"(?<=\n__all__ = \[\n).*?(?=\])", re.DOTALL)
 
 
 def find_classes() -> list[type]:
-    """Return the classes whose fields are keywords of functions, by name.
+    """List the classes whose fields are keywords of functions, by name.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def find_classes() -> list[type]:
 
 
 def write_keywords() -> str:
-    """Return the source of the module of keywords."""
+    """Write the source of the module of keywords."""
     classes = find_classes()
     imports: dict[str, set[str]] = {}
     written = []
@@ -98,7 +98,10 @@ def write_keywords() -> str:
 
 
 def write_package() -> str:
-    """Return the source of `stages/__init__.py` with the names of its table imported and listed."""
+    """Write the source of `stages/__init__.py` with its generated parts.
+
+    These are the imports and `__all__`, from the tables of public names.
+    """
     text = PACKAGE.read_text(encoding="utf-8")
     imports = [
         f"    from scanloom.stages.{module} import {', '.join(names)}\n"
@@ -111,7 +114,7 @@ def write_package() -> str:
 
 
 def get_keywords_name(cls: type) -> str:
-    """Return the name of the class of keywords of a parameter class."""
+    """Return the name of the keyword class of a parameter class."""
     return f"{cls.__name__.removesuffix('Params')}Keywords"
 
 
@@ -125,7 +128,7 @@ def _is_declared_in(cls: Any, module: str) -> bool:
 
 
 def _get_annotation(cls: type, name: str) -> tuple[str, str]:
-    """Return the annotation of a field as its source has it, and the module that declares the field."""
+    """Return a field's annotation as written, and the module that declares it."""
     owner = next(base for base in cls.__mro__ if name in vars(base).get("__annotations__", {}))
     annotation = owner.__annotations__[name]
     assert isinstance(annotation, str), f"{owner.__module__} lacks `from __future__ import annotations`"
@@ -133,14 +136,17 @@ def _get_annotation(cls: type, name: str) -> tuple[str, str]:
 
 
 def _find_names(annotation: str) -> Iterator[str]:
-    """Yield the names in an annotation that a module has to import."""
+    """Yield the names in an annotation that have to be imported."""
     for node in ast.walk(ast.parse(annotation, mode="eval")):
         if isinstance(node, ast.Name) and node.id not in _BUILTIN:
             yield node.id
 
 
 def _find_import(module: str, name: str) -> tuple[str, str]:
-    """Return the module from which another module has a name, and the name, or "as NAME" of a module."""
+    """Find the module and name to import for a used name.
+
+    The name is "as NAME" if a whole module is imported under that name.
+    """
     return _find_imports(module).get(name, (module, name))
 
 
@@ -158,7 +164,7 @@ def _find_imports(module: str) -> dict[str, tuple[str, str]]:
 
 
 def _format(text: str, path: Path) -> str:
-    """Return a source with sorted imports in the format of the repository."""
+    """Format a source with ruff, imports sorted."""
     for words in (["check", "--quiet", "--select=I", "--fix"], ["format", "--quiet"]):
         command = [sys.executable, "-m", "ruff", *words, f"--stdin-filename={path}", "-"]
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Text of the code as Markdown."""
+"""Escaping and definition lists in Markdown."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 def escaped(text: str) -> str:
-    """Return a plain text as Markdown: what is between backticks is code, and nothing else has a meaning."""
+    """Escape plain text for Markdown, keeping code in backticks."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(
         part if part.startswith("`") else re.sub(r"([\\*_<>\[\]|#$~{}])", r"\\\1", part) for part in parts
@@ -15,7 +15,7 @@ def escaped(text: str) -> str:
 
 
 def code(text: str) -> str:
-    """Return a text as inline code, whatever backticks are in it."""
+    """Format text as inline code, whatever backticks it contains."""
     longest = max((len(run) for run in re.findall("`+", text)), default=0)
     fence = "`" * (longest + 1)
     space = " " if text.startswith("`") or text.endswith("`") else ""
@@ -23,7 +23,12 @@ def code(text: str) -> str:
 
 
 def definitions(entries: Iterable[tuple[str, str, str]]) -> str:
-    """Return a definition list: of each entry the term, what it means, and facts in a line of their own."""
+    """Format a definition list.
+
+    Parameters
+    ----------
+    entries : term, meaning, and facts, which get a separate line.
+    """
     written = []
     for term, meaning, facts in entries:
         lines = [term, f": {meaning}"]

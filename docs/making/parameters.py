@@ -1,4 +1,4 @@
-"""Parameters as definition lists, from the classes that declare them."""
+"""Parameter reference as definition lists, from the parameter classes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from scanloom.stages.params import Described, describe_all, flatten, get_group, 
 
 
 def of_section(section: str) -> str:
-    """Return the parameters of a section of the configuration, as `scan.first` and so on."""
+    """List the parameters of a configuration section, named like `scan.first`."""
     return _grouped(getattr(Config(), section), lambda name: f"`{section}.{name}`")
 
 
 def of_all() -> str:
-    """Return every section of the configuration under a heading, with an anchor for each parameter."""
+    """List all configuration sections with headings and an anchor per parameter."""
     written = []
     for section, cls in Config.types().items():
         params = getattr(Config(), section)
@@ -31,7 +31,7 @@ def of_all() -> str:
 
 
 def of_qualities() -> str:
-    """Return a table of what each quality of a run sets, and what is set without one."""
+    """Write a table of the parameters that each quality sets."""
     rows = ["| quality | sets |", "|---|---|"]
     for quality, sections in QUALITIES.items():
         words = [
@@ -40,7 +40,7 @@ def of_qualities() -> str:
             for name, value in flatten(params).items()
         ]
         rows.append(f"| `{quality}` | {', '.join(words) or 'nothing'} |")
-    return "\n".join([*rows, "", "In brackets: what `standard` has."])
+    return "\n".join([*rows, "", "In parentheses: the values of `standard`."])
 
 
 def _value(value: Any) -> str:
@@ -48,10 +48,13 @@ def _value(value: Any) -> str:
 
 
 def entries_of(params: Any) -> Iterator[tuple[str, Described, str]]:
-    """Return name, description and facts (kind, unit, range, default) of each parameter of an object."""
+    """Yield name, description and facts of each parameter of an object.
+
+    Facts are type, unit, range and default.
+    """
     cls = type(params)
     for name, about in describe_all(cls).items():
-        # The default is the value of the object: a section may have another default than its class.
+        # The default is taken from the object, because sections can have other defaults than their class.
         yield name, about, facts_of(about, get_value(params, name), get_hint(cls, name))
 
 

@@ -1,8 +1,8 @@
-"""Make the picture of README.md and the pictures of docs/tutorial.md again, by their own commands.
+"""Generator of the pictures of README.md and docs/tutorial.md, with the commands of the pages.
 
     PYTHONPATH=.:docs python -m making.pictures
 
-The page is drawn by headless Chromium (playwright, of the extra `dev`).
+Headless Chromium draws the page (playwright, in the extra `dev`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PAGE = (900, 640)
 
 
 def main() -> None:
-    """Run the tutorial's commands in a folder that goes away, and keep the pictures."""
+    """Run the tutorial's commands in a temporary folder and keep the pictures."""
     TO.mkdir(exist_ok=True)
     with TemporaryDirectory() as folder:
         here = Path(folder)
@@ -62,14 +62,14 @@ def _draw_readme(here: Path) -> None:
 
 
 def _drawn(here: Path, name: str) -> None:
-    """Draw the textured mesh and its triangles, from where the scan looked."""
+    """Render the textured mesh and its triangles from the scan's viewpoint."""
     common = f"--scan samples/rgbd --width {_WIDTH}"
     _scanloom(here, f"render my_mesh/textured.glb {name}.png {common}")
     _scanloom(here, f"render my_mesh/textured.glb {name}-triangles.png --shading edges {common}")
 
 
 def _page(page: Path, picture: Path) -> None:
-    """Draw the page as a browser without a GPU shows it."""
+    """Take a screenshot of the page in a browser without a GPU."""
     from playwright.sync_api import sync_playwright
 
     switches = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
@@ -84,7 +84,7 @@ def _page(page: Path, picture: Path) -> None:
 
 
 def _keep(parts: list[Path], name: str, width: int, gap: int = 0) -> None:
-    """Put pictures of one width side by side, and write them as a JPEG file."""
+    """Join pictures of one width side by side, and save them as JPEG."""
     images = [Image.open(part).convert("RGB") for part in parts]
     images = [
         one.resize((width, round(one.height * width / one.width)), Image.Resampling.LANCZOS) for one in images

@@ -1,4 +1,7 @@
-"""Public names of `scanloom` and `scanloom.stages.lod`, by rooms: signatures and docstrings."""
+"""Reference of public names: signatures and docstrings.
+
+Covers `scanloom` and `scanloom.stages.lod`, grouped by package.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +19,21 @@ from making.markdown import code, definitions, escaped
 from scanloom.stages import lod
 from scanloom.stages.params import describe_all
 
-# The rooms in the order of the pipeline, and what stands above each.
+# Packages in the order of the pipeline, with their headings.
 ROOMS = {
     "scans": "Scans",
-    "inspecting": "Inspecting",
+    "inspecting": "Inspection",
     "stereo": "Depth",
     "registration": "Registration",
-    "adjusting": "Adjusting",
+    "adjusting": "Adjustment",
     "fusion": "Fusion",
     "cleaning": "Cleaning and checking",
     "simplification": "Simplification",
     "texturing": "Texture",
     "normal_meshes": "Normal meshes",
     "lod": "Levels of detail",
-    "exporting": "Exporting",
-    "comparing": "Comparing",
+    "exporting": "Export",
+    "comparing": "Comparison",
     "picturing": "Pictures",
     "report": "Pages",
     "surface": "Meshes",
@@ -40,7 +43,7 @@ _WIDTH = 88
 
 
 def reference() -> str:
-    """Return a section for each room, in which functions come first."""
+    """Write a section for each package, functions first."""
     written = []
     for room, entries in groupby(sorted(named(), key=_place), key=lambda entry: _room(entry[1])):
         written.append(f"## {ROOMS[room]}")
@@ -49,7 +52,7 @@ def reference() -> str:
 
 
 def named() -> Iterator[tuple[str, Any]]:
-    """Return every public name with what it is: `simplify`, `lod.build`."""
+    """Yield every public name with its object: `simplify`, `lod.build`."""
     for prefix, package in (("", scanloom), ("lod.", lod)):
         for name in package.__all__:
             thing = getattr(package, name)
@@ -64,7 +67,7 @@ def _place(entry: tuple[str, Any]) -> tuple[int, bool, str]:
 
 def _room(thing: Any) -> str:
     package, *below = thing.__module__.removeprefix("scanloom.").split(".")
-    # A name for several types says it is of typing; there is one, for what is taken as a mesh.
+    # The only type alias is the union of mesh types, whose `__module__` is typing; it belongs to `surface`.
     return str(below[0]) if package in ("stages", "pipeline") else "surface"
 
 
@@ -117,7 +120,10 @@ def _words(name: str, function: Any) -> str:
 
 
 def _arguments(function: Any) -> list[str]:
-    """Return the arguments as one writes them; where a default is a function, its name."""
+    """List the arguments as written in a signature.
+
+    Defaults that are functions are shown by name.
+    """
     written, named_only = [], False
     for argument in inspect.signature(function).parameters.values():
         if argument.kind is argument.KEYWORD_ONLY and not named_only:

@@ -1,12 +1,13 @@
-"""Put what is made from the code where a page asks for it.
+"""Generated content in documentation pages.
 
-A page has, say:
+A page requests content in a block such as:
 
     ```{made} parameters fuse
     `scanloom config` prints these.
     ```
 
-The text within is what a reader of the page itself sees; on the site, the list of parameters stands there.
+The text in the block is shown to readers of the Markdown file. On the site it is replaced by the list of
+parameters.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 PAGES = Path(__file__).resolve().parents[1]
-# Pages beside the index that stand elsewhere in the table of contents, and the first of the others.
+# Pages that other parts of the table of contents list, and the first pages of the guides.
 _ELSEWHERE = ("index", "tutorial", "capturing", "stages")
 _FIRST = ("command-line", "report", "simplification", "exporting", "comparing", "checking")
 
 
 def guides() -> str:
-    """Return a table of contents of all pages beside the index that stand nowhere else."""
+    """Write the table of contents of pages that are listed nowhere else."""
     names = {path.stem for path in PAGES.glob("*.md")} - set(_ELSEWHERE)
     listed = [name for name in _FIRST if name in names]
     return "\n".join(
@@ -48,12 +49,12 @@ _BLOCK = re.compile(r"^```\{made\} *(?P<what>[^\n]*)\n.*?^```$", flags=re.MULTIL
 
 
 def fill_in(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG001 - Sphinx calls it so
-    """Replace every such block of a page's text, in place."""
+    """Replace all blocks in the source of a page, in place."""
     source[0] = filled_in(source[0])
 
 
 def filled_in(text: str) -> str:
-    """Return a page's text with what is made from the code."""
+    """Replace all blocks in a page's text with generated content."""
     return _BLOCK.sub(_made, text)
 
 

@@ -46,7 +46,8 @@ class Handle:
     Attributes
     ----------
     center : (x, y, z), metres.
-    radius, reach : metres.
+    radius : of the sphere, metres.
+    reach : points farther than this from the centre stay, metres.
     move : (x, y, z), metres.
     turn : degrees about `axis` through the centre.
     """
@@ -111,7 +112,7 @@ class Deformed:
 
 
 def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deformed:
-    """Mark, refine, deform, evaluate, adjust, deform and repair."""
+    """Refine the marked part, deform, refine the bends, deform again, and repair."""
     hierarchy = lod.build(mesh, cell_triangles=cell_triangles, root_triangles=cell_triangles // 4)
     view = view_of(mesh)
     front = lod.adjust(hierarchy.front(), urgency(hierarchy, view, handle.region, in_full=True), LIMIT)
@@ -158,7 +159,7 @@ def urgency(
 def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
     """Deform a mesh by moving its handle.
 
-    After Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
+    Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
 
     Raises
     ------
@@ -168,7 +169,11 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
     points = mesh.vertices
     inside, held = handle.region.holds(points), handle.held(points)
     if not inside.any() or not held.any():
-        raise UsageError(MACHINE_BUG, "the handle holds no vertex, or nothing is far enough from it to stay.")
+        raise UsageError(
+            MACHINE_BUG,
+            "no vertex is within the radius of the handle, or none is beyond its reach. "
+            "Change --center, --radius or --reach.",
+        )
     constrained = np.flatnonzero(inside | held)
     goals = np.where(inside[:, None], handle.moved(points), points)[constrained]
     o3d: Any = open3d()
@@ -198,7 +203,7 @@ def bends(before: Mesh, after: Mesh) -> Floats:
 
 
 def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> Floats:
-    """Return the angles (k,) between the normals of pairs of triangles, degrees."""
+    """Compute angles (k,) between the normals of triangle pairs, degrees."""
     corners = mesh.vertices[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
@@ -221,7 +226,7 @@ def view_of(mesh: Mesh) -> lod.View:
 
 
 def bar(around: int = 48, along: int = 90) -> Mesh:
-    """Return a bar along z, 2 m long, with grooves."""
+    """Make a grooved bar along z, 2 m long."""
     angle, height = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.linspace(0, 2, along))
     radius = 0.25 * (1 + 0.06 * np.sin(8 * angle + 3 * height) + 0.02 * np.sin(20 * height))
     rings = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=2).reshape(-1, 3)
@@ -280,12 +285,12 @@ def main(words: Sequence[str] | None = None) -> Deformed:
         write_mesh(given.out / f"{name}.ply", getattr(found, name))
     write_png(given.out / "deform.png", picture(found, given.along))
     sys.stdout.write(
-        f"{len(mesh.triangles):,} triangles; refined where marked: {len(found.front.triangles):,}; "
-        f"adjusted to the bend: {len(found.adjusted.triangles):,}\n"
+        f"triangles: {len(mesh.triangles):,}; front refined in the marked region: "
+        f"{len(found.front.triangles):,}; adjusted to the bend: {len(found.adjusted.triangles):,}\n"
         f"largest bend between neighbours: {found.bends[0]:.1f}° before adjusting, {found.bends[1]:.1f}° "
         "after\n"
-        f"irregular: {found.irregular[0]:,} before repairs, {found.irregular[1]:,} after, which moved the "
-        f"surface by no more than {found.moved_m:.2g} m\n"
+        f"irregular triangles: {found.irregular[0]:,} before repair, {found.irregular[1]:,} after; it "
+        f"moved the surface by at most {found.moved_m:.2g} m\n"
     )
     return found
 

@@ -57,7 +57,7 @@ def test_the_summary_counts_what_is_as_good(capsys):
 def test_more_triangles_than_asked_for_are_no_merit(capsys):
     print_summary([("ball", 0.1, 100, [row(OURS, 5.0, 40.0, triangles=300), row("peer A", 6.0, 39.0)])])
     printed = capsys.readouterr().out
-    assert "no: 100 triangles were asked for" in printed
+    assert "no: the target is 100 triangles" in printed
     assert "in RMS in 0, in PSNR in 0, in both in 0. In 0, no single peer is better in both." in printed
 
 

@@ -1,4 +1,4 @@
-"""A browser without a window, for tests of pages; and Node, for checks that other people wrote."""
+"""Headless Chromium, an HTTP server and Node for tests of pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clouds, and files of them as the libraries that read them write them."""
+"""Point clouds, and their files in PLY, LAS, LAZ and E57."""
 
 from __future__ import annotations
 

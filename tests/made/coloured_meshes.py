@@ -1,7 +1,7 @@
-"""Coloured meshes of every topology, and what must stay of it.
+"""Coloured meshes of several topologies, and a check that topology is unchanged.
 
-Tests start dozens of processes that want no more than a sheet: trimesh, which takes half a second, is
-imported where it is used.
+trimesh is imported inside functions, because its import takes half a second and many test processes need just
+a sheet.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A coloured sheet, one with an image, a ball and a body, for what is written and read."""
+"""Coloured and textured sheets and bodies for tests of file formats."""
 
 from __future__ import annotations
 

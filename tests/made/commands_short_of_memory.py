@@ -1,9 +1,9 @@
-"""Commands with more and more memory until it is enough, each time in a process of its own.
+"""Commands with increasing memory limits until one suffices.
 
-`python -m tests.made.commands_short_of_memory` reads command lines, and answers each with a line of JSON: the
-exit code and the output of each run, by how much the process was allowed to grow. The first that is enough is
-the last: with more, nothing is lacking either. Libraries are imported before, once. "{}" in a word stands for
-the number of the run, whose results then are no other's.
+Each run is a separate process. `python -m tests.made.commands_short_of_memory` reads command lines. For each
+it writes a line of JSON: exit code and output of each run, by the number of bytes that the process could
+allocate. Runs stop at the first sufficient limit. Libraries are imported once, before the first run. "{}" in
+a word is replaced by the number of the run, so that each run has separate results.
 """
 
 from __future__ import annotations

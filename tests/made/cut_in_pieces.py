@@ -1,4 +1,4 @@
-"""A mesh cut in pieces along planes, as if it were large."""
+"""Mesh split into chunks, as if it were large."""
 
 from __future__ import annotations
 

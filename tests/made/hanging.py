@@ -1,4 +1,4 @@
-"""A job that hangs as it does where a network drive does not answer: opening one file takes for ever."""
+"""Job that hangs on opening a file, as on unresponsive network drives."""
 
 from __future__ import annotations
 

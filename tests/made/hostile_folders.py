@@ -1,4 +1,4 @@
-"""A user's project whose modules have the names of scanloom's packages."""
+"""User project whose modules have the names of scanloom's packages."""
 
 from pathlib import Path
 

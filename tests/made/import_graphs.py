@@ -1,7 +1,7 @@
-"""Who imports whom, in Python and in Rust, read from the sources; and the circles in it.
+"""Import graphs of Python packages and Rust crates, and their cycles.
 
-A graph is a dict: a module's dotted name, and the modules of the same tree that it imports. A folder's own
-file (`__init__.py`, `mod.rs`) has the folder's name; `crate` is `lib.rs`.
+A graph maps the dotted name of each module to the imported modules of the same tree. `__init__.py` and
+`mod.rs` have the name of their folder; `lib.rs` is `crate`.
 """
 
 import ast

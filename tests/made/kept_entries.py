@@ -1,4 +1,4 @@
-"""An entry of a cache, as tests make and keep it."""
+"""Cache entry for tests, and helpers that make, store and damage it."""
 
 import os
 import sys

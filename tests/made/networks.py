@@ -1,4 +1,4 @@
-"""Networks of a few kilobytes, written with `onnx`: a matcher of blocks, and depth by brightness."""
+"""Small ONNX networks: a stereo block matcher, and monocular depth from brightness."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has to hold of every normal mesh."""
+"""Checks that hold for every normal mesh."""
 
 from __future__ import annotations
 

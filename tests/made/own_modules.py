@@ -1,4 +1,4 @@
-"""All modules of our packages, but for those of other systems."""
+"""All modules of packages that this operating system can import."""
 
 import pkgutil
 import sys

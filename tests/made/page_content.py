@@ -1,4 +1,4 @@
-"""What a page in one file holds."""
+"""Content of single-file pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A pale thing of five balls before black, with shading and hardly any texture, on a ring of views."""
+"""Pale object with little texture on black, in a ring of views.
+
+The object consists of five shaded balls.
+"""
 
 from __future__ import annotations
 

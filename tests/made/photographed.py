@@ -1,4 +1,4 @@
-"""A painted wall, photographed by cameras that are known: what a texture of it must show is known, too."""
+"""Painted wall and simulated photos with known cameras and colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scans of flat plates, with the exact depth that cameras measure of them, for tests of what is missing."""
+"""Scans of flat plates with exact depth, for tests of coverage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A textured ball before a textured board, seen by single cameras with any pose; the rest is black."""
+"""Textured ball in front of a textured board, in posed views.
+
+The background is black.
+"""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Let this process take Linux for Windows, as far as files and locks go.
+"""Emulation of Windows on Linux, for files and locks.
 
-The modules that Windows lacks are gone, and so are the flags and calls of `os`; what the sources ask of
-kernel32 is answered by Linux. Windows refuses more than Linux does, and so do `os.open`, `os.replace`,
-`os.rename`, `os.unlink`, `os.rmdir` and `os.fsync` afterwards: folders are not opened, no folder is moved in
-which this process has a file open, no file that it has open without letting others remove it.
+Modules, flags and calls that Windows lacks are removed from this process, and Linux answers calls of
+kernel32. `os.open`, `os.replace`, `os.rename`, `os.unlink`, `os.rmdir` and `os.fsync` refuse what Windows
+refuses: opening a folder, moving a folder in which this process has a file open, removing a file that it
+opened without sharing deletion.
 
-Names, drives and letter case stay those of Linux. Use it as `pytest -p pretend_windows`, or call `pretend`
-before the sources are imported.
+Names, drives and letter case stay as on Linux. Run `pytest -p pretend_windows`, or call `pretend` before
+scanloom is imported.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The reader of a file with less and less memory, each time in a process of its own.
+"""File readers with decreasing memory limits, each run in a separate process.
 
-`python -m tests.made.readers_short_of_memory` reads names of files, and answers each with a line of JSON: how
-each run ended, by how much the process was allowed to grow; see `short_of_memory`. Libraries are imported
-before, once.
+`python -m tests.made.readers_short_of_memory` reads file names. For each it writes a line of JSON: outcome of
+each run, by the number of bytes that the process could allocate; see `short_of_memory`. Libraries are
+imported once, before the first run.
 """
 
 from __future__ import annotations

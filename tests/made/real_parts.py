@@ -1,4 +1,4 @@
-"""Parts of real meshes, where the whole would tell a test no more and take many times as long."""
+"""Parts of real meshes, for tests that whole meshes would slow down."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Write ROS and RealSense recordings with another program's writers: topics and messages as the makers'."""
+"""ROS and RealSense recordings with the vendors' topics and messages.
+
+They are written by an independent library, `rosbags`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A room whose opposite walls have the same poster, seen by a camera that turns in its middle."""
+"""Room with equal posters on opposite walls, seen by a rotating camera."""
 
 from __future__ import annotations
 

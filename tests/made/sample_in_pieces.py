@@ -1,4 +1,4 @@
-"""The sample scan fused into a PLY file in pieces, as if it were large."""
+"""Sample scan fused into a chunked PLY file, as large meshes are."""
 
 from __future__ import annotations
 

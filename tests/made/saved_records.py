@@ -1,4 +1,4 @@
-"""Records of each kind that there is, and their files."""
+"""Collapse records of each kind, and their files."""
 
 from __future__ import annotations
 

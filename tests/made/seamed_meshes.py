@@ -1,4 +1,4 @@
-"""Textured meshes whose seams are known, and what has to hold of every simplification of one."""
+"""Textured meshes with known seams, and checks of their simplification."""
 
 from __future__ import annotations
 

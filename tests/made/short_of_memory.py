@@ -1,8 +1,8 @@
-"""Each kernel with too little memory, each time in a process of its own.
+"""Kernels with too little memory, each run in a separate process.
 
-`python -m tests.made.short_of_memory` reads lines of KERNEL SIDE, and runs each kernel on a sheet of 2 SIDE²
-triangles with more and more address space until that is enough, and with none that is left after a while. It
-answers with a line of JSON, how each run ended: "done", "memory" for a MemoryError, else what was wrong.
+`python -m tests.made.short_of_memory` reads lines of KERNEL SIDE. Each kernel runs on a sheet of 2 SIDE²
+triangles with increasing address space until it suffices, and with a limit that is set after a delay. The
+outcome of each run is written as a line of JSON: "done", "memory" for a MemoryError, otherwise the failure.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Checks that hold of every simplified mesh, whichever method made it."""
+"""Checks that hold for every simplified mesh, independent of the method."""
 
 from __future__ import annotations
 

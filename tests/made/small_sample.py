@@ -1,4 +1,4 @@
-"""The RGB-D sample for what only has to run: every fourth frame, at half its size."""
+"""Small version of the RGB-D sample: every fourth frame at half resolution."""
 
 from __future__ import annotations
 

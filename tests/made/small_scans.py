@@ -1,4 +1,7 @@
-"""Scans that are run within a second: a few small frames of a ball before a wall, another ball for each."""
+"""Tiny scans of a ball in front of a wall.
+
+A run takes less than a second.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A wall with tags of known size, photographed by cameras whose poses are known."""
+"""Wall with tags of known size, and photos with known poses."""
 
 from __future__ import annotations
 

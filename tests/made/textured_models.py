@@ -1,4 +1,4 @@
-"""Textured models with known materials, and what a texture shows at points of a surface."""
+"""Textured models with known materials, and sample points on their surfaces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sheet with two sides close together, seen from before and from behind."""
+"""Thin sheet seen from both sides."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A ball or a box on a round table above a floor, in frames of cameras around that look down; z is up."""
+"""Ball or box on a round table, seen from a ring of cameras.
+
+The table is above a floor; z is up.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tiles read back from their files, as a viewer has them."""
+"""Tiles read back from their files as a viewer sees them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A recording of the tiny world of the layouts' tests.
+"""Recording of the tiny scene that tests of layouts share.
 
-The colour camera is rolled by a quarter turn and moved against the depth camera: color_from_depth takes
-(x, y, z) to (-y - 0.04, x + 0.02, z). So the known point (0.2, 0.1, 2) is at (-0.14, 0.22, 2), which its
-camera, with focal lengths of 200 and 24.5, 32.5 as centre, sees at pixel (10.5, 54.5): between four pixels.
+The colour camera is rotated by 90° and shifted against the depth camera: color_from_depth maps (x, y, z) to
+(-y - 0.04, x + 0.02, z). The known point (0.2, 0.1, 2) is thus at (-0.14, 0.22, 2). With focal lengths of 200
+and the principal point (24.5, 32.5), it projects to pixel (10.5, 54.5), between four pixels.
 """
 
 import dataclasses

@@ -1,4 +1,7 @@
-"""A box and a ball on a plate that turns before a papered wall, and a camera that stands still; z is up."""
+"""Box and ball on a turntable, seen by a static camera.
+
+A papered wall is in the background; z is up.
+"""
 
 from __future__ import annotations
 

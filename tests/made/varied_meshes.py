@@ -1,4 +1,4 @@
-"""Meshes with any combination of colours, normals, textures, parts and an up direction, for round trips."""
+"""Random meshes with any combination of attributes, for round trips."""
 
 from __future__ import annotations
 

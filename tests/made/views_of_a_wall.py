@@ -1,4 +1,7 @@
-"""A made problem: views on an arc before a wavy wall, whose true cameras and points are known."""
+"""Synthetic bundle adjustment problem with known cameras and points.
+
+Views on an arc show a wavy wall.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keep the beginning of a file: cut.py FILE SHARE OUT."""
+"""Truncate a file to a ratio: cut.py FILE RATIO OUT."""
 
 import sys
 from pathlib import Path

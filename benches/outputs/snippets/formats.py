@@ -1,4 +1,7 @@
-"""Read a mesh, write it in every format, and what comes back from each as PLY: formats.py MESH."""
+"""Write and read a mesh in every format: formats.py MESH.
+
+The meshes that were read are saved as PLY.
+"""
 
 import sys
 from pathlib import Path

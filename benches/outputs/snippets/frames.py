@@ -1,4 +1,4 @@
-"""Depth maps of a scan in memory, the mesh they make, and their poses found anew: frames.py SCAN EVERY."""
+"""Match, fuse and register a scan in memory: frames.py SCAN EVERY."""
 
 import json
 import sys

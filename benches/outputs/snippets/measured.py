@@ -1,4 +1,4 @@
-"""Everything that is said of a mesh without changing it: measured.py MESH."""
+"""Measure, render and convert a mesh without changing it: measured.py MESH."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""Replay a record in memory and from its file: recorded.py MESH METHOD NAME=NUMBER ...."""
+"""Replay a record in memory and from file: recorded.py MESH METHOD NAME=NUMBER ...."""
 
 import sys
 

@@ -1,16 +1,16 @@
-//! meshoptimizer's simplifier behind C functions, for `benches/simplify.py` and `benches/textured.py`.
+//! C interface to meshoptimizer's simplifier, for `benches/simplify.py` and `benches/textured.py`.
 //!
-//! The crate links the C++ library and declares the function that also updates positions and attributes;
-//! it has no safe wrapper for that one yet.
+//! It calls `meshopt_simplifyWithUpdate`, which also updates positions and attributes, through the FFI
+//! declarations: the `meshopt` crate has no safe wrapper for it yet.
 
 use meshopt::ffi::meshopt_simplifyWithUpdate;
 
-/// Simplifies in place to `target` triangles, whatever the error, and returns the number left.
+/// Simplifies in place to `target` triangles without an error limit; returns the number of triangles left.
 ///
 /// # Safety
 ///
-/// `indices` holds 3 · `triangles` vertex numbers; `positions` 3 and `attributes` `attribute_count` floats a
-/// vertex; `weights` one a float of `attributes`. All may be written to but `weights`.
+/// `indices` holds 3 · `triangles` vertex indices. `positions` holds 3 and `attributes` `attribute_count`
+/// floats per vertex. `weights` holds `attribute_count` floats. All arrays except `weights` are written to.
 #[no_mangle]
 pub unsafe extern "C" fn simplify(
     indices: *mut u32,
@@ -43,7 +43,7 @@ pub unsafe extern "C" fn simplify(
 ///
 /// # Safety
 ///
-/// As for `simplify`; `flags` holds one byte a vertex, or is null.
+/// As for `simplify`; `flags` holds one byte per vertex, or is null.
 #[no_mangle]
 pub unsafe extern "C" fn simplify_with_options(
     indices: *mut u32,
