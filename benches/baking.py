@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--scan", type=Path, nargs="+", default=[], help="other coloured meshes")
     options = parser.parse_args()
     originals = {name: meshes.MESHES[name](options.data) for name in options.mesh}
-    originals |= {path.stem: meshes.scan(path) for path in options.scan}
+    originals |= {path.stem: meshes.read_colored_scan(path) for path in options.scan}
     print_head(COLUMNS)
     for name, original in originals.items():
         for ratio in options.ratios:

@@ -24,8 +24,14 @@ from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated
-from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.raycasting import (
+    ClosestPoints,
+    Floats,
+    RaycastingSurface,
+    compute_bounding_box,
+    interpolate_values,
+)
+from scanloom.stages.surface.topology import compute_areas
 
 MESHES = (
     "camelhead.off",
@@ -43,107 +49,112 @@ MESHES = (
 )
 # Bounds on shape over the diagonal of the bounding box, and on colour. The colour sums of jia01 are large
 # enough for the shape bound to decide; the colour levels of certified are not.
-SUMS = ((2e-4, 20.0), (1e-3, 60.0), (5e-3, 400.0), (2e-2, 2000.0))
-LEVELS = ((2e-4, 8.0), (1e-3, 20.0), (5e-3, 60.0))
+SUM_BOUNDS = ((2e-4, 20.0), (1e-3, 60.0), (5e-3, 400.0), (2e-2, 2000.0))
+LEVEL_BOUNDS = ((2e-4, 8.0), (1e-3, 20.0), (5e-3, 60.0))
 HEADS = {
     "jia01": "| mesh | bound / diagonal | removed | measured / bound |\n|---|---:|---:|---:|",
     "certified": "| mesh | bound / diagonal | colour levels | removed | measured / proven | proven / bound "
     "| colour: measured / proven | colour: proven / bound |\n|---|---:|---:|---:|---:|---:|---:|---:|",
 }
 # Barycentric coordinates checked in every triangle: the centroid, and 1/4, 1/2 and 3/4 of each edge.
-PLACES = np.array(
+BARYCENTRIC_SAMPLES = np.array(
     [[1 / 3, 1 / 3, 1 / 3]]
     + [list(np.roll([t, 1 - t, 0], turn)) for t in (0.25, 0.5, 0.75) for turn in range(3)]
 )
 
 
-def summed(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
+def check_sum_bounds(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
     """Yield table row and measured / bound for each bound of `jia01`."""
-    for relative, texture in SUMS:
-        size = diagonal(mesh)
+    for relative, texture in SUM_BOUNDS:
+        size = compute_diagonal(mesh)
         bound = relative * size
         own = {"resolution": size}
         light = simplify(mesh, method="jia01", max_shape=bound, max_color=texture, jia01=own).mesh
-        ratio = worst(mesh, light, samples)[0] / bound
-        yield f"| {name} | {relative:g} | {removed(mesh, light)} | {ratio:.4f} |", ratio
+        ratio = find_two_sided_maximum(mesh, light, samples)[0] / bound
+        yield f"| {name} | {relative:g} | {format_removed_ratio(mesh, light)} | {ratio:.4f} |", ratio
 
 
-def proven(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
+def check_certified_bounds(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
     """Yield table row and measured / proven for each bound of `certified`."""
-    for relative, levels in LEVELS:
-        bound = relative * diagonal(mesh)
-        asked = levels if mesh.colors is not None else None
-        result = simplify(mesh, method="certified", max_shape=bound, max_color=asked)
-        distance, difference = worst(mesh, result.mesh, samples)
+    for relative, levels in LEVEL_BOUNDS:
+        bound = relative * compute_diagonal(mesh)
+        color_bound = levels if mesh.colors is not None else None
+        result = simplify(mesh, method="certified", max_shape=bound, max_color=color_bound)
+        distance, difference = find_two_sided_maximum(mesh, result.mesh, samples)
         ratio = distance / result.details.shape_bound_m
         cells = f"{ratio:.3f} | {result.details.shape_bound_m / bound:.3f}"
         if result.details.color_bound_levels is None:
             cells += " |  | "
         else:
-            of_color = difference / result.details.color_bound_levels
-            cells += f" | {of_color:.3f} | {result.details.color_bound_levels / levels:.3f}"
-            ratio = max(ratio, of_color)
-        shown = "" if asked is None else f"{levels:g}"
-        yield f"| {name} | {relative:g} | {shown} | {removed(mesh, result.mesh)} | {cells} |", ratio
+            color_ratio = difference / result.details.color_bound_levels
+            cells += f" | {color_ratio:.3f} | {result.details.color_bound_levels / levels:.3f}"
+            ratio = max(ratio, color_ratio)
+        bound_cell = "" if color_bound is None else f"{levels:g}"
+        yield (
+            f"| {name} | {relative:g} | {bound_cell} | {format_removed_ratio(mesh, result.mesh)} | {cells} |",
+            ratio,
+        )
 
 
-METHODS = {"jia01": summed, "certified": proven}
+METHODS = {"jia01": check_sum_bounds, "certified": check_certified_bounds}
 
 
-def worst(a: Mesh, b: Mesh, samples: int) -> tuple[float, float]:
+def find_two_sided_maximum(a: Mesh, b: Mesh, samples: int) -> tuple[float, float]:
     """Find the largest two-sided distance and colour difference between meshes.
 
     Distance in metres, colour difference in 8-bit levels.
     """
-    box = bounding_box(a, b)
-    found = [attack(one, Surface(other, box), samples) for one, other in ((a, b), (b, a))]
+    box = compute_bounding_box(a, b)
+    found = [
+        find_one_sided_maximum(one, RaycastingSurface(other, box), samples) for one, other in ((a, b), (b, a))
+    ]
     return max(distance for distance, _ in found), max(levels for _, levels in found)
 
 
-def attack(mesh: Mesh, other: Surface, samples: int) -> tuple[float, float]:
+def find_one_sided_maximum(mesh: Mesh, other: RaycastingSurface, samples: int) -> tuple[float, float]:
     """Find the largest distance and colour difference from `mesh` to `other`.
 
     Distance in metres, colour difference in 8-bit levels.
     """
     distance = levels = 0.0
-    for at in points(mesh, samples):
-        nearest = other.closest(interpolated(mesh.vertices, mesh, at))
+    for at in sample_points(mesh, samples):
+        nearest = other.find_closest_points(interpolate_values(mesh.vertices, mesh, at))
         distance = max(distance, float(nearest.distances.max()))
         if mesh.colors is not None and other.mesh.colors is not None:
-            there = interpolated(other.mesh.colors, other.mesh, nearest)
-            apart = np.linalg.norm(interpolated(mesh.colors, mesh, at) - there, axis=1)
+            there = interpolate_values(other.mesh.colors, other.mesh, nearest)
+            apart = np.linalg.norm(interpolate_values(mesh.colors, mesh, at) - there, axis=1)
             levels = max(levels, float(apart.max()))
     return distance, levels
 
 
-def points(mesh: Mesh, samples: int) -> Iterator[Located]:
+def sample_points(mesh: Mesh, samples: int) -> Iterator[ClosestPoints]:
     """Yield batches of sample points on a surface.
 
-    First all vertices, then the points of `PLACES` in every triangle, then random points by area.
+    First all vertices, then the points of `BARYCENTRIC_SAMPLES` in every triangle, then random points by area.
     """
     every = np.arange(len(mesh.triangles))
-    for weights in (*np.eye(3), *PLACES):
-        yield located(every, np.broadcast_to(weights, (len(every), 3)))
+    for weights in (*np.eye(3), *BARYCENTRIC_SAMPLES):
+        yield make_locations(every, np.broadcast_to(weights, (len(every), 3)))
     random = np.random.default_rng(0)
-    area: Floats = areas(mesh.vertices, mesh.triangles)
+    area: Floats = compute_areas(mesh.vertices, mesh.triangles)
     triangles = np.sort(random.choice(len(area), samples, p=area / area.sum()))
-    yield located(triangles, random.dirichlet(np.ones(3), samples))
+    yield make_locations(triangles, random.dirichlet(np.ones(3), samples))
 
 
-def located(triangles: np.ndarray, weights: Floats) -> Located:
+def make_locations(triangles: np.ndarray, weights: Floats) -> ClosestPoints:
     """Make surface locations from triangle indices (n,) and barycentric coordinates (n, 3)."""
-    return Located(triangles, weights, np.zeros(len(triangles)))
+    return ClosestPoints(triangles, weights, np.zeros(len(triangles)))
 
 
-def diagonal(mesh: Mesh) -> float:
+def compute_diagonal(mesh: Mesh) -> float:
     """Compute the length of the bounding box's diagonal, metres."""
-    low, high = bounding_box(mesh)
+    low, high = compute_bounding_box(mesh)
     return float(np.linalg.norm(high - low))
 
 
-def removed(mesh: Mesh, light: Mesh) -> str:
+def format_removed_ratio(mesh: Mesh, simplified: Mesh) -> str:
     """Format the ratio of removed triangles."""
-    return f"{1 - len(light.triangles) / len(mesh.triangles):.1%}"
+    return f"{1 - len(simplified.triangles) / len(mesh.triangles):.1%}"
 
 
 def main() -> None:

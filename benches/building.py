@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
@@ -33,7 +33,7 @@ ROOM = np.array((4.0, 3.5, 2.6))
 WALL = 0.12
 DOOR = np.array((0.9, 2.0))
 COLUMNS = 10
-FRAMES_A_ROOM = 200
+FRAMES_PER_ROOM = 200
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 
 
@@ -62,15 +62,15 @@ def make_building(folder: Path, rooms: int, frames: int, workers: int = 1) -> No
 
 
 def _write_frame(folder: Path, rooms: int, number: int) -> Frame:
-    pose = np.round(_pose(number, rooms), 9)
-    color, depth = _seen(rooms, pose, np.random.default_rng((SEED, 1, number)))
+    pose = np.round(_compute_pose(number, rooms), 9)
+    color, depth = _render_frame(rooms, pose, np.random.default_rng((SEED, 1, number)))
     paths = folder / "color" / f"{number:06d}.jpg", folder / "depth" / f"{number:06d}.png"
     cv2.imwrite(str(paths[0]), cv2.cvtColor(color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
     cv2.imwrite(str(paths[1]), depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return Frame(f"{number:06d}", CAMERA, color=paths[0], depth=paths[1], world_from_camera=pose)
 
 
-def _corner(room: int) -> Floats:
+def _compute_room_corner(room: int) -> Floats:
     """Compute the lowest corner of a room.
 
     Rows are traversed in alternating directions.
@@ -80,17 +80,17 @@ def _corner(room: int) -> Floats:
     return np.array((column, row, 0)) * (ROOM + WALL) * (1, 1, 0)
 
 
-def _pose(number: int, rooms: int) -> Pose:
+def _compute_pose(number: int, rooms: int) -> Pose:
     """Compute the world-from-camera pose of a frame.
 
     The camera moves on a circle around the room's centre and looks outward, up and down.
     """
-    room, step = divmod(number, FRAMES_A_ROOM)
-    t = step / FRAMES_A_ROOM
+    room, step = divmod(number, FRAMES_PER_ROOM)
+    t = step / FRAMES_PER_ROOM
     yaw = 2 * np.pi * (2 * t + 0.13 * (room % rooms))
     pitch = np.deg2rad(-12 + 26 * np.sin(2 * np.pi * 5 * t))
     around = np.array((np.cos(yaw + 2.6), np.sin(yaw + 2.6), 0.0))
-    eye = _corner(room % rooms) + ROOM * (0.5, 0.5, 0.58) + 0.55 * around
+    eye = _compute_room_corner(room % rooms) + ROOM * (0.5, 0.5, 0.58) + 0.55 * around
     forward = np.array((np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)))
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)
@@ -99,7 +99,9 @@ def _pose(number: int, rooms: int) -> Pose:
     return pose
 
 
-def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+def _render_frame(
+    rooms: int, pose: Pose, draw: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
     """Render the colour image and the depth map of a pose.
 
     Colour is (h, w, 3) uint8, depth (h, w) uint16 in millimetres, 0 where invalid.
@@ -108,9 +110,9 @@ def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np
     x = (np.arange(width) - CAMERA.cx) / CAMERA.fx
     y = (np.arange(height) - CAMERA.cy) / CAMERA.fy
     rays = np.stack([*np.meshgrid(x, y), np.ones((height, width))], axis=-1).reshape(-1, 3) @ pose[:3, :3].T
-    scene, colors = _painted(rooms)
+    scene, colors = _build_painted_scene(rooms)
     given = np.concatenate([np.broadcast_to(pose[:3, 3], rays.shape), rays], axis=1).astype(np.float32)
-    hits = scene.cast_rays(open3d().core.Tensor(given))
+    hits = scene.cast_rays(import_open3d().core.Tensor(given))
     z = hits["t_hit"].numpy().astype(np.float64)
     is_hit = np.isfinite(z)
     z[~is_hit] = 0
@@ -120,19 +122,19 @@ def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np
     points = pose[:3, 3] + rays * z[:, None]
     part = np.where(is_hit, hits["primitive_ids"].numpy(), 0) // 12
     light = 0.55 + 0.45 * np.abs(normal @ (0.36, 0.48, 0.8))
-    paint = colors[part] * (_pattern(points, part) * light)[:, None]
+    paint = colors[part] * (_compute_pattern(points, part) * light)[:, None]
     color = np.where(is_hit[:, None], paint, 0.3) + 0.012 * draw.standard_normal((len(z), 3))
     # Approximate noise model of a structured-light sensor: Nguyen, Izadi and Lovell 2012.
     measured = z + (0.0012 + 0.0019 * (z - 0.4) ** 2) * draw.standard_normal(len(z))
-    lost = ~is_hit | (cosine < 0.15) | (z > 5) | (draw.random(len(z)) < 0.01)
-    depth = np.where(lost, 0, np.rint(measured * 1000)).astype(np.uint16)
+    is_invalid = ~is_hit | (cosine < 0.15) | (z > 5) | (draw.random(len(z)) < 0.01)
+    depth = np.where(is_invalid, 0, np.rint(measured * 1000)).astype(np.uint16)
     return (
         np.rint(color.clip(0, 1) * 255).astype(np.uint8).reshape(height, width, 3),
         depth.reshape(height, width),
     )
 
 
-def _pattern(points: Floats, part: NDArray[np.int64]) -> Floats:
+def _compute_pattern(points: Floats, part: NDArray[np.int64]) -> Floats:
     """Compute the brightness (n,) of points (n, 3).
 
     The pattern is checks and stripes, whose width depends on the box.
@@ -142,15 +144,15 @@ def _pattern(points: Floats, part: NDArray[np.int64]) -> Floats:
     return np.asarray(0.8 + 0.2 * np.tanh(6 * checks) * (0.5 + 0.5 * np.cos(31 * points.sum(axis=1))))
 
 
-def scene_of(rooms: int) -> Any:
+def build_scene(rooms: int) -> Any:
     """Return the true surface of a building as Open3D raycasting scene."""
-    return _painted(rooms)[0]
+    return _build_painted_scene(rooms)[0]
 
 
 @lru_cache(maxsize=1)
-def _painted(rooms: int) -> tuple[Any, Floats]:
+def _build_painted_scene(rooms: int) -> tuple[Any, Floats]:
     """Build the raycasting scene and its box colours (n, 3), 0..1."""
-    boxes = np.array(_boxes(rooms))
+    boxes = np.array(_list_boxes(rooms))
     corner = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)])
     faces = np.array(
         [
@@ -160,17 +162,17 @@ def _painted(rooms: int) -> tuple[Any, Floats]:
     )
     vertices = (boxes[:, None, 0] + corner * (boxes[:, 1] - boxes[:, 0])[:, None]).reshape(-1, 3)
     triangles = (faces + 8 * np.arange(len(boxes))[:, None, None]).reshape(-1, 3)
-    core = open3d().core
-    scene = open3d().t.geometry.RaycastingScene()
+    core = import_open3d().core
+    scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(core.Tensor(vertices.astype(np.float32)), core.Tensor(triangles.astype(np.uint32)))
     return scene, np.random.default_rng((SEED, 2)).uniform(0.35, 0.95, (len(boxes), 3))
 
 
-def _boxes(rooms: int) -> list[tuple[Floats, Floats]]:
+def _list_boxes(rooms: int) -> list[tuple[Floats, Floats]]:
     """List the lowest and highest corner of each box of the building."""
     found = []
     for room in range(rooms):
-        low = _corner(room)
+        low = _compute_room_corner(room)
         high = low + ROOM
         draw = np.random.default_rng((SEED, 0, room))
         outer = np.array((WALL, WALL, 0)) / 2
@@ -179,20 +181,22 @@ def _boxes(rooms: int) -> list[tuple[Floats, Floats]]:
             ((*(low - outer)[:2], high[2]), high + outer + (0, 0, 0.1)),
         ]
         for axis in (0, 1):
-            found += _wall(low, high, axis, upper=False, is_open=_is_beside(room, axis, -1, rooms))
-            found += _wall(low, high, axis, upper=True, is_open=_is_beside(room, axis, 1, rooms))
-        found += _furniture(low, draw)
+            found += _make_wall(low, high, axis, upper=False, is_open=_has_neighbour(room, axis, -1, rooms))
+            found += _make_wall(low, high, axis, upper=True, is_open=_has_neighbour(room, axis, 1, rooms))
+        found += _make_furniture(low, draw)
     return [(np.asarray(a, float), np.asarray(b, float)) for a, b in found]
 
 
-def _is_beside(room: int, axis: int, step: int, rooms: int) -> bool:
+def _has_neighbour(room: int, axis: int, step: int, rooms: int) -> bool:
     """Check if there is a neighbouring room on one side."""
-    there = _corner(room)
+    there = _compute_room_corner(room)
     there[axis] += step * (ROOM + WALL)[axis]
-    return any(np.allclose(_corner(other), there) for other in range(rooms))
+    return any(np.allclose(_compute_room_corner(other), there) for other in range(rooms))
 
 
-def _wall(low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool) -> list[tuple[Floats, Floats]]:
+def _make_wall(
+    low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool
+) -> list[tuple[Floats, Floats]]:
     """Make the boxes of one wall, with a door if `is_open`.
 
     A wall has half its full thickness, because the neighbouring room contributes the other half.
@@ -212,7 +216,7 @@ def _wall(low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool) -
     return [left, right, above]
 
 
-def _furniture(low: Floats, draw: np.random.Generator) -> list[tuple[Floats, Floats]]:
+def _make_furniture(low: Floats, draw: np.random.Generator) -> list[tuple[Floats, Floats]]:
     """Make the boxes of cupboards, boxes and tables in a room's corners."""
     found: list[tuple[Floats, Floats]] = []
 

@@ -34,24 +34,24 @@ from typing import Any
 import numpy as np
 from markdown_tables import print_head, print_row
 
+from scanloom.stages.cleaning.chunked_clean import clean_chunked
 from scanloom.stages.cleaning.clean import CleanParams, clean
-from scanloom.stages.cleaning.clean_in_pieces import clean_in_pieces
 from scanloom.stages.fusion.fuse import fuse, fuse_to_file
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.inspecting.coverage.coverage import coverage
-from scanloom.stages.inspecting.coverage.evidence import measured_by
-from scanloom.stages.inspecting.coverage.kinds import THIN
-from scanloom.stages.inspecting.coverage.views import read_view
+from scanloom.stages.inspecting.coverage.defect_kinds import WEAK_KINDS
+from scanloom.stages.inspecting.coverage.depth_view import read_view
+from scanloom.stages.inspecting.coverage.measurement_evidence import measure_probes
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Frame, Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.surface.chunked_mesh import ChunkedMesh
+from scanloom.stages.surface.chunked_ply import ChunkedPly, make_table_path
 from scanloom.stages.surface.formats.ply import read_ply, write_ply
-from scanloom.stages.surface.pieces import Pieces, table_of
-from scanloom.stages.surface.piecewise import Piecewise
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
-FIRST, PLACES, TIMES = 8, 3, 3
-LEAST = 3
+START_FRAMES, VIEWPOINT_COUNT, ITERATIONS = 8, 3, 3
+MIN_FRAMES = 3
 
 
 def main() -> None:
@@ -64,114 +64,118 @@ def main() -> None:
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     words = parser.parse_args()
     if words.one:
-        print(json.dumps(taken(words.scan, Path(words.one[0]), in_pieces=words.one[1] == "chunks")))
+        print(json.dumps(measure_cost(words.scan, Path(words.one[0]), chunked=words.one[1] == "chunks")))
     elif words.held_out:
-        by_others(words.scan)
+        print_held_out_errors(words.scan)
     elif words.again:
-        look_again()
+        print_recapture()
     else:
-        print_taken(words.scan, words.voxel_size)
+        print_cost(words.scan, words.voxel_size)
 
 
-def print_taken(scan: Path, voxel_size: float | None) -> None:
+def print_cost(scan: Path, voxel_size: float | None) -> None:
     """Print cost and metrics of `coverage`, in memory and in chunks.
 
     Only large meshes are also processed in chunks.
     """
-    ways = "triangles", "frames", "start, s", "per frame, ms", "end, s", "peak memory, MB"
-    print_head(["mesh", *ways, "spread median, mm", "spread 95 %, mm", "difference"])
+    columns = "triangles", "frames", "start, s", "per frame, ms", "end, s", "peak memory, MB"
+    print_head(["mesh", *columns, "spread median, mm", "spread 95 %, mm", "difference"])
     with tempfile.TemporaryDirectory() as folder:
-        path = made(scan, Path(folder), voxel_size)
+        path = fuse_and_clean(scan, Path(folder), voxel_size)
         found = []
-        for way in ("memory", "chunks") if table_of(path).exists() else ("memory",):
+        for way in ("memory", "chunks") if make_table_path(path).exists() else ("memory",):
             words = [sys.executable, __file__, str(scan), "--one", str(path), way]
-            told = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
-            found.append(numbers_of(told["figures"]))
+            outcome = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
+            found.append(collect_numbers(outcome["figures"]))
             apart = max(abs(a - b) / max(abs(b), 1e-12) for a, b in zip(found[-1], found[0], strict=True))
-            spread = (f"{1000 * told['figures'][name]:.1f}" for name in ("spread_median_m", "spread_95_m"))
-            print_row([way, *told["row"], *spread, f"{apart:.0e}"])
+            spread = (f"{1000 * outcome['figures'][name]:.1f}" for name in ("spread_median_m", "spread_95_m"))
+            print_row([way, *outcome["row"], *spread, f"{apart:.0e}"])
 
 
-def made(scan: Path, folder: Path, voxel_size: float | None) -> Path:
+def fuse_and_clean(scan: Path, folder: Path, voxel_size: float | None) -> Path:
     """Fuse and clean a scan into a file, chunked if large."""
     fused, result = folder / "fused.ply", folder / "clean.ply"
     fuse_to_file(read_scan(scan), FuseParams(voxel_size=voxel_size), fused)
-    if table_of(fused).exists():
-        clean_in_pieces(fused, result, CleanParams())
+    if make_table_path(fused).exists():
+        clean_chunked(fused, result, CleanParams())
     else:
         write_ply(result, clean(read_ply(fused)).mesh)
     return result
 
 
-def taken(folder: Path, path: Path, *, in_pieces: bool) -> dict[str, Any]:
+def measure_cost(folder: Path, path: Path, *, chunked: bool) -> dict[str, Any]:
     """Run `coverage` on one mesh; return its metrics and table cells."""
-    scan, at = read_scan(folder), [time.process_time()]
+    scan, times = read_scan(folder), [time.process_time()]
 
-    def told(done: int, of: int) -> None:
+    def record_time(done: int, of: int) -> None:
         if done in (1, of):
-            at.append(time.process_time())
+            times.append(time.process_time())
 
-    mesh = Piecewise(Pieces(path)) if in_pieces else read_ply(path)
-    found = coverage(mesh, scan, progress=told)
-    at.append(time.process_time())
-    frame = (at[2] - at[1]) / (len(scan.frames) - 1)
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
-    row = [f"{found.covered.surface.triangle_count:,}", f"{found.frames}", f"{at[1] - at[0]:.1f}"]
-    row += [f"{1000 * frame:.0f}", f"{at[3] - at[2]:.1f}", f"{most:.0f}"]
+    mesh = ChunkedMesh(ChunkedPly(path)) if chunked else read_ply(path)
+    found = coverage(mesh, scan, progress=record_time)
+    times.append(time.process_time())
+    frame = (times[2] - times[1]) / (len(scan.frames) - 1)
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+    row = [
+        f"{found.surface_coverage.surface.triangle_count:,}",
+        f"{found.frame_count}",
+        f"{times[1] - times[0]:.1f}",
+    ]
+    row += [f"{1000 * frame:.0f}", f"{times[3] - times[2]:.1f}", f"{peak_mb:.0f}"]
     return {"row": row, "figures": found.figures()}
 
 
-def numbers_of(figures: Any) -> list[float]:
+def collect_numbers(figures: Any) -> list[float]:
     """Collect all numbers of nested metrics."""
     if isinstance(figures, dict):
-        return [number for value in figures.values() for number in numbers_of(value)]
+        return [number for value in figures.values() for number in collect_numbers(value)]
     if isinstance(figures, list):
-        return [number for value in figures for number in numbers_of(value)]
+        return [number for value in figures for number in collect_numbers(value)]
     return [float(figures)] if isinstance(figures, (int, float)) else []
 
 
-def by_others(folder: Path) -> None:
+def print_held_out_errors(folder: Path) -> None:
     """Print surface error according to held-out frames, by kind of evidence."""
     frames = read_scan(folder).frames
     mesh = clean(fuse(frames[::2]).mesh).mesh
     found = coverage(mesh, frames[::2])
-    known = found.covered
+    known = found.surface_coverage
     probes, origin = known.probes, known.surface.box.mean(axis=0)
     count, height = np.zeros(len(probes.keys)), np.zeros(len(probes.keys))
     for frame in frames[1::2]:
-        measured = measured_by(read_view(frame, origin), probes, origin, probes.cubes.size)
-        count[measured.rows] += 1
-        height[measured.rows] += measured.heights
-    (asked,) = np.nonzero((count >= LEAST) & (known.evidence.frames[:-1] > 0))
+        measured = measure_probes(read_view(frame, origin), probes, origin, probes.grid.cube_size)
+        count[measured.probe_indices] += 1
+        height[measured.probe_indices] += measured.heights
+    (asked,) = np.nonzero((count >= MIN_FRAMES) & (known.evidence.frame_counts[:-1] > 0))
     off, kinds = 1000 * np.abs(height[asked] / count[asked]), known.kinds[asked]
     print_head(["evidence", "ratio of points", "distance median, mm", "distance 95 %, mm"])
-    for number, name in enumerate(("well observed", *THIN), -1):
+    for number, name in enumerate(("well observed", *WEAK_KINDS), -1):
         if (kinds == number).any():
             some = off[kinds == number]
             median, most = np.percentile(some, (50, 95))
             print_row([name, f"{len(some) / len(off):.1%}", f"{median:.1f}", f"{most:.1f}"])
 
 
-def look_again() -> None:
+def print_recapture() -> None:
     """Print the missing area before and after capturing from suggested viewpoints."""
     sys.path.insert(0, str(SAMPLES))
     from scene import Scene
     from sensors import measure_depth
 
     scan, scene, rng = read_scan(SAMPLES / "rgbd"), Scene(), np.random.default_rng(1)
-    frames = [replace(one, color=None, depth=read_depth(one)) for one in scan.frames[:FIRST]]
+    frames = [replace(one, color=None, depth=read_depth(one)) for one in scan.frames[:START_FRAMES]]
     print_head(["frames", "hole, m²", "hidden, m²", "total, m²"], words=0)
-    for time_ in range(TIMES + 1):
+    for time_ in range(ITERATIONS + 1):
         found = coverage(clean(fuse(frames).mesh).mesh, Scan("again", tuple(frames)))
         hole, hidden = (found.missing_areas[kind] for kind in ("hole", "hidden"))
         print_row([f"{len(frames)}", f"{hole:.3f}", f"{hidden:.3f}", f"{hole + hidden:.3f}"])
-        for number, place in enumerate(found.places[:PLACES]):
-            pose = looking(np.array(place.stand.position), np.array(place.stand.direction))
+        for number, place in enumerate(found.defects[:VIEWPOINT_COUNT]):
+            pose = make_level_pose(np.array(place.viewpoint.position), np.array(place.viewpoint.direction))
             depth = measure_depth(scene, frames[0].camera, pose, rng).astype(np.float32) / 1000
             frames.append(Frame(f"{time_}-{number}", frames[0].camera, depth=depth, world_from_camera=pose))
 
 
-def looking(eye: np.ndarray, forward: np.ndarray) -> np.ndarray:
+def make_level_pose(eye: np.ndarray, forward: np.ndarray) -> np.ndarray:
     """Make the pose (4, 4) of a level camera, z up."""
     right = np.cross(forward, (0, 0, 1) if abs(forward[2]) < 0.99 else (0, 1, 0))
     right /= np.linalg.norm(right)

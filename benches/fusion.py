@@ -31,12 +31,12 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.fusion.fuse import fuse
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.depth import DepthMap, depth_scan
 from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.mesh import Mesh
@@ -49,40 +49,40 @@ from thin_sheet import thin_sheet  # noqa: E402
 MAX_DEPTH = 4.0
 
 
-class Laps:
+class RunTimes:
     """Time stamps of a run: start and completion of its volume.
 
     Each is a pair of wall-clock and CPU seconds.
     """
 
     def __init__(self) -> None:
-        self.started = time.perf_counter(), time.process_time()
-        self.volume = self.started
+        self.start_times = time.perf_counter(), time.process_time()
+        self.volume_times = self.start_times
 
-    def lap(self) -> None:
+    def mark_volume(self) -> None:
         """Record the time at which the volume is complete."""
-        self.volume = time.perf_counter(), time.process_time()
+        self.volume_times = time.perf_counter(), time.process_time()
 
 
-def ours(scan: Scan, voxel_size: float, laps: Laps, backend: str = "own") -> Mesh:
+def fuse_scanloom(scan: Scan, voxel_size: float, times: RunTimes, backend: str = "own") -> Mesh:
     """Fuse as `scanloom run` does."""
 
-    def progress(done: int, total: int) -> None:
+    def record_progress(done: int, total: int) -> None:
         if done == total:
-            laps.lap()
+            times.mark_volume()
 
-    found = fuse(scan, voxel_size=voxel_size, max_depth=MAX_DEPTH, backend=backend, progress=progress)
+    found = fuse(scan, voxel_size=voxel_size, max_depth=MAX_DEPTH, backend=backend, progress=record_progress)
     return found.mesh
 
 
-def ours_in_open3d(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
+def fuse_scanloom_open3d(scan: Scan, voxel_size: float, times: RunTimes) -> Mesh:
     """Fuse as `scanloom run` does, with Open3D's volume as backend."""
-    return ours(scan, voxel_size, laps, "open3d")
+    return fuse_scanloom(scan, voxel_size, times, "open3d")
 
 
-def voxel_block_grid(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
+def fuse_voxel_block_grid(scan: Scan, voxel_size: float, times: RunTimes) -> Mesh:
     """Fuse with Open3D's tensor volume, as in its documentation."""
-    o3d = open3d()
+    o3d = import_open3d()
     f32 = o3d.core.float32
     grid = o3d.t.geometry.VoxelBlockGrid(
         ("tsdf", "weight", "color"), (f32,) * 3, ((1), (1), (3)), voxel_size, 16, 4000
@@ -95,14 +95,14 @@ def voxel_block_grid(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
         )
         blocks = grid.compute_unique_block_coordinates(depth, matrix, extrinsic, 1.0, MAX_DEPTH)
         grid.integrate(blocks, depth, color, matrix, extrinsic, 1.0, MAX_DEPTH)
-    laps.lap()
+    times.mark_volume()
     mesh = grid.extract_triangle_mesh()
     return Mesh(mesh.vertex.positions.numpy().astype(float), mesh.triangle.indices.numpy())
 
 
-def legacy(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
+def fuse_legacy(scan: Scan, voxel_size: float, times: RunTimes) -> Mesh:
     """Fuse with Open3D's legacy volume, whose mesh is empty in Open3D 0.20.0."""
-    o3d = open3d()
+    o3d = import_open3d()
     volume = o3d.pipelines.integration.ScalableTSDFVolume(
         voxel_size, 4 * voxel_size, o3d.pipelines.integration.TSDFVolumeColorType.RGB8
     )
@@ -118,37 +118,37 @@ def legacy(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
             frame.camera.width, frame.camera.height, frame.camera.matrix
         )
         volume.integrate(image, camera, np.linalg.inv(frame.world_from_camera))
-    laps.lap()
+    times.mark_volume()
     mesh = volume.extract_triangle_mesh()
     return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
 
 
-RIVALS: dict[str, Callable[[Scan, float, Laps], Mesh]] = {
-    "scanloom": ours,
-    "scanloom, `backend=open3d`": ours_in_open3d,
-    "Open3D VoxelBlockGrid": voxel_block_grid,
-    "Open3D ScalableTSDFVolume": legacy,
+TOOLS: dict[str, Callable[[Scan, float, RunTimes], Mesh]] = {
+    "scanloom": fuse_scanloom,
+    "scanloom, `backend=open3d`": fuse_scanloom_open3d,
+    "Open3D VoxelBlockGrid": fuse_voxel_block_grid,
+    "Open3D ScalableTSDFVolume": fuse_legacy,
 }
 
 
-def run_one(folder: Path, rival: str, voxel_size: float) -> dict[str, Any]:
+def run_tool(folder: Path, tool: str, voxel_size: float) -> dict[str, Any]:
     """Run one tool at one voxel size in this process.
 
     Returns frames per second, CPU seconds, seconds of mesh extraction, peak memory (MB) and counts of the
     mesh.
     """
     scan = read_scan(folder)
-    if rival != "scanloom":
-        open3d()
-    laps = Laps()
-    mesh = RIVALS[rival](scan, voxel_size, laps)
+    if tool != "scanloom":
+        import_open3d()
+    laps = RunTimes()
+    mesh = TOOLS[tool](scan, voxel_size, laps)
     end = time.perf_counter()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     found = topology(mesh) if len(mesh.triangles) else None
     return {
-        "rate": len(scan.frames) / (laps.volume[0] - laps.started[0]),
-        "processor": laps.volume[1] - laps.started[1],
-        "extraction": end - laps.volume[0],
+        "rate": len(scan.frames) / (laps.volume_times[0] - laps.start_times[0]),
+        "processor": laps.volume_times[1] - laps.start_times[1],
+        "extraction": end - laps.volume_times[0],
         "peak": peak,
         "triangles": len(mesh.triangles),
         "nonmanifold": found.nonmanifold_edges if found else 0,
@@ -166,18 +166,18 @@ def main() -> None:
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
-        print(json.dumps(run_one(options.scan, options.one, options.voxels[0])))
+        print(json.dumps(run_tool(options.scan, options.one, options.voxels[0])))
         return
-    print(f"Open3D {open3d().__version__}, {len(read_scan(options.scan).frames)} frames\n")
+    print(f"Open3D {import_open3d().__version__}, {len(read_scan(options.scan).frames)} frames\n")
     print("| voxel | tool | frames/s | CPU s | mesh s | MB | triangles | components | non-manifold edges |")
     print("|---|---|---|---|---|---|---|---|---|")
     for voxel in options.voxels:
-        rounds: dict[str, list[dict[str, Any]]] = {name: [] for name in RIVALS}
+        runs_by_tool: dict[str, list[dict[str, Any]]] = {name: [] for name in TOOLS}
         for _ in range(options.repeats):
-            for name, runs in rounds.items():
+            for name, runs in runs_by_tool.items():
                 command = [sys.executable, __file__, str(options.scan), "--voxels", str(voxel), "--one", name]
                 runs.append(json.loads(subprocess.run(command, check=True, capture_output=True).stdout))
-        for name, runs in rounds.items():
+        for name, runs in runs_by_tool.items():
             r = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
             print(
                 f"| {voxel * 1000:g} mm | {name} | {r['rate']:.1f} | {r['processor']:.2f} "
@@ -187,10 +187,10 @@ def main() -> None:
             )
     if options.samples:
         print_truth(options.samples)
-    print_thin()
+    print_thin_sheets()
 
 
-def print_thin() -> None:
+def print_thin_sheets() -> None:
     """Print the displacement of both sides of thin sheets, in voxels.
 
     Three frames see one side, twelve frames the other.

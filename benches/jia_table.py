@@ -36,15 +36,15 @@ import numpy as np
 
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.simplification.certified.details import CertifiedDetails
-from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.simplification.simplify import SimplificationResult, simplify
 from scanloom.stages.surface.mesh import Colors, Mesh
 
-PAPER = {4: 0.84, 16: 0.92}
+PAPER_REDUCTIONS = {4: 0.84, 16: 0.92}
 # L (longest edge; None: no limit) and S_max, both over e. The longest possible edge in the unit sphere's
 # bounding box is its diagonal.
 NO_LIMIT = 2 * 3**0.5
 LIMITS: tuple[tuple[float | None, float], ...] = ((None, 0.1), (3.0, 0.3), (5.0, 0.5))
-PROTOTYPE = {"flat": (0.730, 0.830, 0.854), "satellite": (0.491, 0.556, 0.570)}
+PROTOTYPE_REDUCTIONS = {"flat": (0.730, 0.830, 0.854), "satellite": (0.491, 0.556, 0.570)}
 CERTIFIED = "certified"
 RULES = ("paper", "default", CERTIFIED)
 
@@ -57,14 +57,16 @@ class Globe:
     """Globe mesh with the mean length of its edges."""
 
     mesh: Mesh
-    edge: float
+    mean_edge_length: float
 
-    def simplified(self, length: float | None, shape: float, texture: float, rule: str) -> Simplified[Any]:
+    def simplify_within(
+        self, length: float | None, shape: float, texture: float, rule: str
+    ) -> SimplificationResult[Any]:
         """Simplify with bounds relative to the edge length; `texture` is in levels."""
-        bounds = {"max_shape": shape * self.edge, "max_color": texture}
+        bounds = {"max_shape": shape * self.mean_edge_length, "max_color": texture}
         if rule == CERTIFIED:
             return simplify(self.mesh, method="certified", **bounds)
-        resolution = NO_LIMIT if length is None else length * self.edge
+        resolution = NO_LIMIT if length is None else length * self.mean_edge_length
         own = {"resolution": resolution, "paper_rule": rule == "paper"}
         return simplify(self.mesh, method="jia01", jia01=own, **bounds)
 
@@ -73,39 +75,45 @@ def main() -> None:
     """Print the table, and the texture bounds that reach the paper's reductions."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    image = meshes.earth(parser.parse_args().data)
+    image = meshes.read_earth_map(parser.parse_args().data)
     globes = {
-        "flat": made(meshes.globe(meshes.GLOBE_STEPS, flat(image), meshes.nearest)),
-        "satellite": made(meshes.globe(meshes.GLOBE_STEPS, image)),
+        "flat": make_globe(
+            meshes.make_globe(meshes.GLOBE_STEPS, classify_colors(image), meshes.sample_nearest)
+        ),
+        "satellite": make_globe(meshes.make_globe(meshes.GLOBE_STEPS, image)),
     }
-    print(f"Mean edge length e = {globes['flat'].edge:.5f}.")
+    print(f"Mean edge length e = {globes['flat'].mean_edge_length:.5f}.")
     for name, globe in globes.items():
-        print(f"Edges of {name}: {contrasts(globe.mesh)}.")
+        print(f"Edges of {name}: {format_contrasts(globe.mesh)}.")
     print(
         "\n| colours | L/e | S_max/e | T_max | rule | reduction | paper | prototype | RMS/e | max/e "
         "| colour RMSE | colour max | proven | most frequent refusal |"
     )
     print("|---|---:|---:|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|---|")
     for name, globe in globes.items():
-        for row in rows(name, globe):
+        for row in make_rows(name, globe):
             print(row, flush=True)
     print("\nReduction without colours, and the T_max, in levels, that reaches the paper's reductions:\n")
     print("| colours | L/e | S_max/e | no colours | 84 % | 92 % |\n|---|---:|---:|---:|---:|---:|")
     for name, globe in globes.items():
-        plain = Globe(globe.mesh.with_(colors=None), globe.edge)
+        plain = Globe(globe.mesh.with_(colors=None), globe.mean_edge_length)
         for length, shape in LIMITS:
-            most = reduction(plain.simplified(length, shape, 1.0, "paper"))
-            found = " | ".join(texture_for(globe, length, shape, wanted) for wanted in PAPER.values())
-            print(f"| {name} | {shown(length)} | {shape:g} | {most:.1%} | {found} |", flush=True)
-    print(f"\n{WHY}")
+            most = compute_reduction(plain.simplify_within(length, shape, 1.0, "paper"))
+            found = " | ".join(
+                find_texture_bound(globe, length, shape, wanted) for wanted in PAPER_REDUCTIONS.values()
+            )
+            print(
+                f"| {name} | {format_length_limit(length)} | {shape:g} | {most:.1%} | {found} |", flush=True
+            )
+    print(f"\n{DISCUSSION}")
 
 
-def made(mesh: Mesh) -> Globe:
+def make_globe(mesh: Mesh) -> Globe:
     """Make a globe from a mesh by measuring its mean edge length."""
-    return Globe(mesh, float(np.linalg.norm(np.diff(mesh.vertices[sides(mesh)], axis=1), axis=2).mean()))
+    return Globe(mesh, float(np.linalg.norm(np.diff(mesh.vertices[list_sides(mesh)], axis=1), axis=2).mean()))
 
 
-def sides(mesh: Mesh) -> np.ndarray:
+def list_sides(mesh: Mesh) -> np.ndarray:
     """Return the vertex pairs (3 m, 2) of all triangle sides.
 
     In a closed mesh, every edge occurs twice.
@@ -113,15 +121,17 @@ def sides(mesh: Mesh) -> np.ndarray:
     return np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
-def contrasts(mesh: Mesh) -> str:
+def format_contrasts(mesh: Mesh) -> str:
     """Format the ratio of edges above each contrast limit."""
     assert mesh.colors is not None
-    contrast = np.linalg.norm(np.diff(mesh.colors[sides(mesh)].astype(float), axis=1), axis=2)
-    shares = (f"{np.mean(contrast > limit):.1%} have a contrast above {limit}" for limit in (0, *PAPER))
+    contrast = np.linalg.norm(np.diff(mesh.colors[list_sides(mesh)].astype(float), axis=1), axis=2)
+    shares = (
+        f"{np.mean(contrast > limit):.1%} have a contrast above {limit}" for limit in (0, *PAPER_REDUCTIONS)
+    )
     return ", ".join(shares)
 
 
-def flat(image: Colors) -> Colors:
+def classify_colors(image: Colors) -> Colors:
     """Reduce the map to the colours of sea, land and ice."""
     # The map is periodic in longitude: wrap it before blurring.
     margin = int(4 * BLUR_PX)
@@ -132,73 +142,73 @@ def flat(image: Colors) -> Colors:
     return np.where(ice[..., None], ICE, np.where(sea[..., None], SEA, LAND)).astype(np.uint8)
 
 
-def rows(name: str, globe: Globe) -> Iterator[str]:
+def make_rows(name: str, globe: Globe) -> Iterator[str]:
     """Yield the rows of one colouring: each bound with each rule."""
-    for (length, shape), prototype in zip(LIMITS, PROTOTYPE[name], strict=True):
-        for texture, paper in PAPER.items():
+    for (length, shape), prototype in zip(LIMITS, PROTOTYPE_REDUCTIONS[name], strict=True):
+        for texture, paper in PAPER_REDUCTIONS.items():
             for rule in RULES:
-                result = globe.simplified(length, shape, texture, rule)
-                over_edge = "" if rule == CERTIFIED else shown(length)
+                result = globe.simplify_within(length, shape, texture, rule)
+                over_edge = "" if rule == CERTIFIED else format_length_limit(length)
                 yield (
                     f"| {name} | {over_edge} | {shape:g} | {texture} | {rule} "
-                    f"| {reduction(result):.1%} | {paper:.0%} "
-                    f"| {f'{prototype:.1%}' if texture == 16 else ''} | {measured(globe, result)} "
-                    f"| {proven(globe, result)} | {max(result.refused, key=result.refused.__getitem__)} |"
+                    f"| {compute_reduction(result):.1%} | {paper:.0%} "
+                    f"| {f'{prototype:.1%}' if texture == 16 else ''} | {format_errors(globe, result)} "
+                    f"| {format_bounds(globe, result)} | {max(result.refused, key=result.refused.__getitem__)} |"
                 )
 
 
-def measured(globe: Globe, result: Simplified[Any]) -> str:
+def format_errors(globe: Globe, result: SimplificationResult[Any]) -> str:
     """Format the four cells of measured errors."""
     difference = compare(globe.mesh, result.mesh, samples=200_000)
     color = difference.color_a_to_b
     assert color is not None
     distance = difference.symmetric
     return (
-        f"{distance.rms / globe.edge:.4f} | {distance.maximum / globe.edge:.3f} "
+        f"{distance.rms / globe.mean_edge_length:.4f} | {distance.maximum / globe.mean_edge_length:.3f} "
         f"| {color.rmse:.2f} | {color.maximum:.0f}"
     )
 
 
-def proven(globe: Globe, result: Simplified[Any]) -> str:
+def format_bounds(globe: Globe, result: SimplificationResult[Any]) -> str:
     """Format the proven bounds on distance (over e) and colour (levels).
 
     Empty for methods without a proof.
     """
     if not isinstance(result.details, CertifiedDetails):
         return ""
-    return f"{result.details.shape_bound_m / globe.edge:.3f} e, {result.details.color_bound_levels:.1f}"
+    return f"{result.details.shape_bound_m / globe.mean_edge_length:.3f} e, {result.details.color_bound_levels:.1f}"
 
 
-def reduction(result: Simplified[Any]) -> float:
+def compute_reduction(result: SimplificationResult[Any]) -> float:
     """Compute the ratio of removed triangles."""
     return 1 - len(result.mesh.triangles) / result.triangles_before
 
 
-def texture_for(globe: Globe, length: float | None, shape: float, wanted: float) -> str:
+def find_texture_bound(globe: Globe, length: float | None, shape: float, target_reduction: float) -> str:
     """Find the texture bound that reaches a reduction, to within 10 %.
 
     Returns "none" if no bound reaches it, and "any" if the smallest one does.
     """
     low, high = 1.0, 1e5
-    if reduction(globe.simplified(length, shape, high, "paper")) < wanted:
+    if compute_reduction(globe.simplify_within(length, shape, high, "paper")) < target_reduction:
         return "none"
-    if reduction(globe.simplified(length, shape, low, "paper")) >= wanted:
+    if compute_reduction(globe.simplify_within(length, shape, low, "paper")) >= target_reduction:
         return "any"
     while high > 1.1 * low:
         middle = (low * high) ** 0.5
-        if reduction(globe.simplified(length, shape, middle, "paper")) < wanted:
+        if compute_reduction(globe.simplify_within(length, shape, middle, "paper")) < target_reduction:
             low = middle
         else:
             high = middle
     return f"{high:.0f}"
 
 
-def shown(length: float | None) -> str:
+def format_length_limit(length: float | None) -> str:
     """Format L/e."""
     return "no limit" if length is None else f"{length:g}"
 
 
-WHY = """\
+DISCUSSION = """\
 Differences from the paper, measured unless stated otherwise:
 
 - S_max. Relative to the *input's* edges, 0.1 stops even a globe of one colour at about the paper's smaller

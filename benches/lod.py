@@ -52,9 +52,9 @@ from peers import native
 from trimesh.triangles import points_to_barycentric
 
 from scanloom.stages import lod
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.lod import Hierarchy, View
-from scanloom.stages.lod.measures import global_limit
+from scanloom.stages.lod.refinement_measures import compute_global_limit
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
@@ -65,15 +65,15 @@ MESHES = {
     "igea": "igea.ply",
     "kitchen": "redkitchen_fused_vertexcolor.ply",
 }
-BUILT = [
+BUILD_COLUMNS = [
     *("mesh", "triangles", "build CPU s", "Mtri/s", "cells", "nodes", "stored / input", "MB"),
     *("cut to 20,000 ms", "evaluate + adjust ms"),
 ]
-LEVELS = [
+LEVEL_COLUMNS = [
     *("mesh", "level", "proven m", "proven colour levels", "triangles", "whole mesh", "ratio"),
     *("sampled / proven, max", "0.8 or more", "colour: max", "0.8 or more"),
 ]
-CLUSTERS = [
+CLUSTERLOD_COLUMNS = [
     *(
         "mesh",
         "error m",
@@ -86,11 +86,11 @@ CLUSTERS = [
 ]
 # Field parameters and triangle counts of figure 4.
 FIELDS = ((10.6017, 8632), (22.4261, 6553), (37.1169, 4060), (78.9082, 762))
-FIELD = [
+FIELD_COLUMNS = [
     *("parameter", "paper", "full rule, 6 views", "global", "error, angle", "difference"),
     *("error, distance", "difference", "proven / diagonal", "sampled / diagonal"),
 ]
-FRONTS = ["mesh", "fronts", "with non-manifold edges", "with other borders"]
+FRONT_COLUMNS = ["mesh", "fronts", "with non-manifold edges", "with other borders"]
 
 
 def main() -> None:
@@ -108,19 +108,19 @@ def main() -> None:
         return
     meshes = {name: read_mesh(given.data / "meshes" / MESHES[name]) for name in given.mesh}
     hierarchies: dict[str, Hierarchy] = {}
-    print_head(BUILT)
+    print_head(BUILD_COLUMNS)
     for name, mesh in meshes.items():
         before = time.process_time()
         hierarchies[name] = lod.build(mesh, threads=given.threads)
-        print_built(name, mesh, hierarchies[name], time.process_time() - before)
+        print_build(name, mesh, hierarchies[name], time.process_time() - before)
     print()
-    print_head(LEVELS)
+    print_head(LEVEL_COLUMNS)
     for name, mesh in meshes.items():
         print_levels(name, mesh, hierarchies[name], given.samples)
     print()
     print_clusterlod(meshes, hierarchies, given.samples)
     print()
-    print_head(FRONTS)
+    print_head(FRONT_COLUMNS)
     for name, hierarchy in hierarchies.items():
         print_fronts(name, hierarchy, given.fronts)
 
@@ -130,29 +130,33 @@ def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
     # Levels with a small ratio, because bounds are proven for whole levels only.
     hierarchy = lod.build(mesh, ratio=1.2, root_triangles=400, cell_triangles=4000, threads=threads)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    (first, most), (_, least) = FIELDS[0], FIELDS[-1]
+    (first, max_triangles), (_, min_triangles) = FIELDS[0], FIELDS[-1]
     levels = hierarchy.figures()["levels"]
     counts = np.log([level["triangles"] for level in levels])
     bounds = np.log([level["shape_bound_m"] for level in levels])
-    exact = np.interp(np.log(most), counts, bounds)
-    share = (most - least) / (len(mesh.triangles) - least)
+    exact = np.interp(np.log(max_triangles), counts, bounds)
+    share = (max_triangles - min_triangles) / (len(mesh.triangles) - min_triangles)
     far = first / (1 - share)
-    print_head(FIELD)
+    print_head(FIELD_COLUMNS)
     for parameter, paper in FIELDS:
-        letter = [triangles_by_letter(hierarchy, parameter, axis) for axis in (*np.eye(3), *-np.eye(3))]
-        overall = global_limit(len(mesh.triangles), least, parameter, near=0.0, far=far)
+        full_rule_counts = [
+            count_triangles_by_full_rule(hierarchy, parameter, axis) for axis in (*np.eye(3), *-np.eye(3))
+        ]
+        overall = compute_global_limit(len(mesh.triangles), min_triangles, parameter, near=0.0, far=far)
         half, first_half = (np.tan(np.radians(p / 2)) for p in (parameter, first))
         by_angle, count = (
             round(float(np.exp(np.interp(exact + np.log(more), bounds[::-1], counts[::-1]))))
             for more in (half / first_half, parameter / first)
         )
         cut = hierarchy.cut(triangles=count)
-        found = max(farthest(cut.mesh, mesh, samples), farthest(mesh, cut.mesh, samples))
+        found = max(
+            sample_max_deviation(cut.mesh, mesh, samples), sample_max_deviation(mesh, cut.mesh, samples)
+        )
         print_row(
             [
                 f"{parameter:.1f}",
                 f"{paper:,}",
-                f"{min(letter):,} to {max(letter):,}",
+                f"{min(full_rule_counts):,} to {max(full_rule_counts):,}",
                 f"{overall:,.0f}",
                 f"{by_angle:,}",
                 f"{by_angle / paper - 1:+.0%}",
@@ -164,7 +168,7 @@ def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
         )
 
 
-def triangles_by_letter(hierarchy: Hierarchy, field: float, axis: NDArray[np.float64]) -> int:
+def count_triangles_by_full_rule(hierarchy: Hierarchy, field: float, axis: NDArray[np.float64]) -> int:
     """Count triangles by the paper's full rule.
 
     Parameters
@@ -180,7 +184,7 @@ def triangles_by_letter(hierarchy: Hierarchy, field: float, axis: NDArray[np.flo
     return lod.adjust(hierarchy.front(), weights, len(hierarchy.triangles)).triangles
 
 
-def print_built(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> None:
+def print_build(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> None:
     """Print a row of the table of builds."""
     with tempfile.TemporaryDirectory() as folder:
         lod.write_slod(Path(folder) / "m.slod", hierarchy)
@@ -202,13 +206,13 @@ def print_built(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> 
             str(figures["nodes"]),
             f"{figures['stored_per_input']:.2f}",
             f"{size / 1e6:.1f}",
-            f"{best_ms(lambda: hierarchy.cut(triangles=20_000)):.1f}",
-            f"{best_ms(lambda: lod.adjust(front, lod.evaluate(hierarchy, view), 20_000).cut()):.1f}",
+            f"{measure_min_ms(lambda: hierarchy.cut(triangles=20_000)):.1f}",
+            f"{measure_min_ms(lambda: lod.adjust(front, lod.evaluate(hierarchy, view), 20_000).cut()):.1f}",
         ]
     )
 
 
-def best_ms(call: Callable[[], object]) -> float:
+def measure_min_ms(call: Callable[[], object]) -> float:
     """Measure the smallest wall time of five calls, ms."""
     times = []
     for _ in range(5):
@@ -227,12 +231,12 @@ def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> N
         bound = float(hierarchy.shape_bound[nodes].max())
         triangles = int(hierarchy.coarse[nodes].sum())
         whole = len(simplify(mesh, method="certified", max_shape=bound).mesh.triangles)
-        attacks = np.array([attack(hierarchy, int(node), samples) for node in nodes])
+        attacks = np.array([sample_node_deviation(hierarchy, int(node), samples) for node in nodes])
         shares = attacks[:, 0] / hierarchy.shape_bound[nodes]
         colors = ["", "", ""]
         if hierarchy.colors is not None:
             of_colors = attacks[:, 1] / hierarchy.color_bound[nodes]
-            colors = [f"{hierarchy.color_bound[nodes].max():.0f}", *largest_and_share(of_colors)]
+            colors = [f"{hierarchy.color_bound[nodes].max():.0f}", *format_max_and_ratio(of_colors)]
         print_row(
             [
                 name,
@@ -242,28 +246,28 @@ def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> N
                 f"{triangles:,}",
                 f"{whole:,}",
                 f"{triangles / whole:.2f}",
-                *largest_and_share(shares),
+                *format_max_and_ratio(shares),
                 *colors[1:],
             ]
         )
 
 
-def largest_and_share(of_bounds: NDArray[np.float64]) -> list[str]:
+def format_max_and_ratio(ratios: NDArray[np.float64]) -> list[str]:
     """Format the maximum, and the ratio of values of 0.8 or more."""
-    return [f"{of_bounds.max():.3f}", f"{np.mean(of_bounds >= 0.8):.0%}"]
+    return [f"{ratios.max():.3f}", f"{np.mean(ratios >= 0.8):.0%}"]
 
 
 def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy], samples: int) -> None:
     """Print cuts within an error by clusterlod (claimed) and by ours (proven)."""
     try:
-        library = native.clusterlod()
-    except native.Missing as lacking:
+        library = native.load_clusterlod()
+    except native.PeerUnavailable as lacking:
         print(f"clusterlod is skipped: {lacking}.")
         return
-    print_head(CLUSTERS)
+    print_head(CLUSTERLOD_COLUMNS)
     for name, mesh in meshes.items():
         hierarchy = hierarchies[name]
-        clusters = Clusters(library, mesh)
+        clusters = ClusterlodHierarchy(library, mesh)
         print(f"{name}: clusterlod takes {clusters.seconds:.2f} CPU s to build.", file=sys.stderr)
         for level in range(int(hierarchy.level.max()) + 1):
             at = hierarchy.shape_bound[hierarchy.level == level].max(initial=0.0)
@@ -271,7 +275,7 @@ def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy],
                 continue
             claimed, ours = clusters.cut(at), hierarchy.cut(max_shape=at).mesh
             far = [
-                max(farthest(m, mesh, samples)[0], farthest(mesh, m, samples)[0]) / at
+                max(sample_max_deviation(m, mesh, samples)[0], sample_max_deviation(mesh, m, samples)[0]) / at
                 for m in (claimed, ours)
             ]
             counts = [len(m.triangles) for m in (claimed, ours)]
@@ -289,7 +293,7 @@ def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy],
             )
 
 
-class Clusters:
+class ClusterlodHierarchy:
     """clusterlod hierarchy of a mesh's shape, in clusters of 128 triangles."""
 
     def __init__(self, library: ctypes.CDLL, mesh: Mesh) -> None:
@@ -315,27 +319,27 @@ class Clusters:
         return Mesh(self.mesh.vertices, corners.reshape(-1, 3).astype(np.int32))
 
 
-def attack(hierarchy: Hierarchy, node: int, samples: int) -> tuple[float, float]:
+def sample_node_deviation(hierarchy: Hierarchy, node: int, samples: int) -> tuple[float, float]:
     """Sample the largest deviation between a node's coarse mesh and its input.
 
     Returns the two-sided distance in metres and the colour difference in levels.
     """
-    leaves = [leaf for leaf in range(hierarchy.nodes) if is_below(hierarchy, leaf, node)]
+    leaves = [leaf for leaf in range(hierarchy.nodes) if is_descendant(hierarchy, leaf, node)]
     leaves = [leaf for leaf in leaves if not len(hierarchy.children[leaf])]
     base = hierarchy.mesh(leaves, hierarchy.splits[leaves])
     coarse = hierarchy.mesh([node], [0])
-    there, back = farthest(coarse, base, samples), farthest(base, coarse, samples)
+    there, back = sample_max_deviation(coarse, base, samples), sample_max_deviation(base, coarse, samples)
     return max(there[0], back[0]), max(there[1], back[1])
 
 
-def is_below(hierarchy: Hierarchy, node: int, above: int) -> bool:
+def is_descendant(hierarchy: Hierarchy, node: int, ancestor: int) -> bool:
     """Check if a node equals another or is its descendant."""
-    while node > above:
+    while node > ancestor:
         node = int(hierarchy.parent[node])
-    return node == above
+    return node == ancestor
 
 
-def farthest(mesh: Mesh, other: Mesh, samples: int) -> tuple[float, float]:
+def sample_max_deviation(mesh: Mesh, other: Mesh, samples: int) -> tuple[float, float]:
     """Sample the largest distance and colour difference from `mesh` to `other`.
 
     Samples are the vertices, the centroids and random points of the triangles. The distance is in metres, the
@@ -349,7 +353,7 @@ def farthest(mesh: Mesh, other: Mesh, samples: int) -> tuple[float, float]:
     fixed = np.repeat(np.vstack([np.eye(3), np.full((1, 3), 1 / 3)]), len(every), axis=0)
     weights = np.concatenate([fixed, random.dirichlet(np.ones(3), samples)])
     points = np.einsum("ij,ijk->ik", weights, corners[chosen])
-    scene = open3d().t.geometry.RaycastingScene()
+    scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(other.vertices.astype(np.float32), other.triangles.astype(np.uint32))
     found = scene.compute_closest_points(points.astype(np.float32))
     nearest = found["points"].numpy().astype(np.float64)

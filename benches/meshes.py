@@ -24,30 +24,30 @@ Sampler = Callable[[Colors, Floats, Floats], Colors]
 GLOBE_STEPS = 96
 
 
-def horse(data: Path) -> Mesh:
+def read_horse(data: Path) -> Mesh:
     """Read a closed model without colours."""
     return clean(read_mesh(data / "meshes/horse.ply")).mesh.with_(normals=None)
 
 
-def kitchen(data: Path) -> Mesh:
+def read_kitchen(data: Path) -> Mesh:
     """Read a room fused at 2 cm, cleaned to a manifold.
 
     Noise and holes are kept.
     """
-    return scan(data / "meshes/redkitchen_fused_vertexcolor.ply")
+    return read_colored_scan(data / "meshes/redkitchen_fused_vertexcolor.ply")
 
 
-def scan(path: Path) -> Mesh:
+def read_colored_scan(path: Path) -> Mesh:
     """Read a coloured scan and clean it to a manifold."""
     return clean(read_mesh(path)).mesh.with_(normals=None)
 
 
-def painted(data: Path) -> Mesh:
+def read_painted_model(data: Path) -> Mesh:
     """Read a photogrammetric model and project the earth's map onto it."""
-    return projected(data / "meshes/sceaux_mvs_scene_mesh.ply", earth(data))
+    return read_projected(data / "meshes/sceaux_mvs_scene_mesh.ply", read_earth_map(data))
 
 
-def projected(path: Path, image: Colors) -> Mesh:
+def read_projected(path: Path, image: Colors) -> Mesh:
     """Read a model, clean it, and project an image onto its vertices.
 
     The image is stretched over the bounding rectangle of the first two principal axes and projected along the
@@ -61,23 +61,23 @@ def projected(path: Path, image: Colors) -> Mesh:
     at = centred @ axes.T
     low, high = at.min(axis=0), at.max(axis=0)
     x, y = ((at - low) / (high - low) * (image.shape[1] - 1, image.shape[0] - 1)).T
-    return mesh.with_(colors=bilinear(image, x, y), normals=None, texture=None)
+    return mesh.with_(colors=sample_bilinear(image, x, y), normals=None, texture=None)
 
 
-def satellite(data: Path) -> Mesh:
+def make_satellite_globe(data: Path) -> Mesh:
     """Make the unit sphere with the earth's map as vertex colours."""
-    return globe(GLOBE_STEPS, earth(data))
+    return make_globe(GLOBE_STEPS, read_earth_map(data))
 
 
 MESHES: dict[str, Callable[[Path], Mesh]] = {
-    "horse": horse,
-    "globe": satellite,
-    "kitchen": kitchen,
-    "painted": painted,
+    "horse": read_horse,
+    "globe": make_satellite_globe,
+    "kitchen": read_kitchen,
+    "painted": read_painted_model,
 }
 
 
-def earth(data: Path) -> Colors:
+def read_earth_map(data: Path) -> Colors:
     """Read the earth's map.
 
     Rows run from latitude 90° to −90°, columns from longitude −180° to 180°.
@@ -89,7 +89,7 @@ def earth(data: Path) -> Colors:
     return np.ascontiguousarray(image[:, :, ::-1])
 
 
-def globe(steps: int, image: Colors, sample: Sampler | None = None) -> Mesh:
+def make_globe(steps: int, image: Colors, sample: Sampler | None = None) -> Mesh:
     """Make a unit sphere coloured by a map.
 
     The sphere has 8 · steps² triangles. The vertices of the subdivided octahedron |x| + |y| + |z| = steps are
@@ -100,7 +100,7 @@ def globe(steps: int, image: Colors, sample: Sampler | None = None) -> Mesh:
     image : equirectangular map (h, w, 3).
     sample : samples the map at vertices; bilinear by default.
     """
-    corners, turned = octant(steps)
+    corners, turned = make_octant(steps)
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     # Mirroring an octant flips the orientation of its triangles.
     pieces = [(turned if s.prod() < 0 else corners) * s for s in signs]
@@ -111,11 +111,11 @@ def globe(steps: int, image: Colors, sample: Sampler | None = None) -> Mesh:
     x = (longitude / (2 * np.pi) + 0.5) * width - 0.5
     y = (0.5 - latitude / np.pi) * height - 0.5
     around = np.concatenate((image[:, -1:], image, image[:, :1]), axis=1)
-    colors = (sample or bilinear)(around, x + 1, y)
+    colors = (sample or sample_bilinear)(around, x + 1, y)
     return Mesh(vertices, triangles.reshape(-1, 3).astype(np.int32), colors)
 
 
-def octant(steps: int) -> tuple[np.ndarray, np.ndarray]:
+def make_octant(steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Make the integer corners (steps², 3, 3) of one octant's triangles.
 
     Returns them in both orientations.
@@ -123,23 +123,23 @@ def octant(steps: int) -> tuple[np.ndarray, np.ndarray]:
     i, j = (a.ravel() for a in np.mgrid[0:steps, 0:steps])
     upward, downward = i + j < steps, i + j < steps - 1
 
-    def triangles(rows: np.ndarray, shifts: tuple[tuple[int, int], ...]) -> np.ndarray:
+    def make_triangles(rows: np.ndarray, shifts: tuple[tuple[int, int], ...]) -> np.ndarray:
         at = [(i[rows] + di, j[rows] + dj) for di, dj in shifts]
         return np.stack([np.stack((a, b, steps - a - b), axis=-1) for a, b in at], axis=1)
 
     corners = np.concatenate(
-        (triangles(upward, ((0, 0), (1, 0), (0, 1))), triangles(downward, ((1, 0), (1, 1), (0, 1))))
+        (make_triangles(upward, ((0, 0), (1, 0), (0, 1))), make_triangles(downward, ((1, 0), (1, 1), (0, 1))))
     )
     return corners, corners[:, ::-1]
 
 
-def nearest(image: Colors, x: Floats, y: Floats) -> Colors:
+def sample_nearest(image: Colors, x: Floats, y: Floats) -> Colors:
     """Sample the nearest pixels; pixel centres have integer coordinates."""
     row, column = np.rint(y).clip(0, image.shape[0] - 1), np.rint(x).clip(0, image.shape[1] - 1)
     return image[row.astype(int), column.astype(int)]
 
 
-def bilinear(image: Colors, x: Floats, y: Floats) -> Colors:
+def sample_bilinear(image: Colors, x: Floats, y: Floats) -> Colors:
     """Sample an image bilinearly; pixel centres have integer coordinates.
 
     Coordinates outside the image are clamped to its edge.

@@ -47,41 +47,50 @@ from pathlib import Path
 
 import numpy as np
 from markdown_tables import print_head, print_row
-from normal_mesh_pictures import draw
+from normal_mesh_pictures import draw_levels
 from normal_mesh_rates import print_rates
-from simplify import edge_lengths, smallest_angles, unit_normals
-from simplify_speed import hills
+from simplify import compute_edge_lengths, compute_min_angles, compute_unit_normals
+from simplify_speed import make_hills
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION, SCALAR, NormalMesh
 from scanloom.stages.normal_meshes.remesh import remesh
-from scanloom.stages.picturing.viewpoints import viewpoints
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.rendering.viewpoints import viewpoints
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 from scanloom.stages.surface.topology import topology
 
-PARTS = ("models", "folds", "rates", "colors", "growth")
+TABLES = ("models", "folds", "rates", "colors", "growth")
 SIZES = (10_000, 100_000, 1_000_000)
-SHAPE = ["min °", "5 % °", "mean °", "edge spread", "flipped", "degenerate"]
-SIZE = ["bytes", "bits"]
+SHAPE_COLUMNS = ["min °", "5 % °", "mean °", "edge spread", "flipped", "degenerate"]
+SIZE_COLUMNS = ["bytes", "bits"]
 MODEL_COLUMNS = [
     *("model", "triangles", "exceptions", "ratio", "paper", "boundary"),
     *("RMS forward ×1e-5", "backward", "max", "check: RMS forward", "backward", "max"),
-    *(*SHAPE, *SIZE, "CPU s"),
+    *(*SHAPE_COLUMNS, *SIZE_COLUMNS, "CPU s"),
 ]
-LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "distance", *SHAPE, *SIZE]
+LEVEL_COLUMNS = [
+    "model",
+    "level",
+    "triangles",
+    "exceptions",
+    "boundary",
+    "distance",
+    *SHAPE_COLUMNS,
+    *SIZE_COLUMNS,
+]
 FOLD_COLUMNS = ["mesh", "triangles", "base", "finest", "flipped", "folded", "bytes", "CPU s"]
 COLOR_COLUMNS = [
     *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS forward ×1e-5", "backward"),
-    *SIZE,
+    *SIZE_COLUMNS,
 ]
 
 
 @dataclass(frozen=True)
-class Model:
+class RemeshCase:
     """Input mesh and remeshing parameters.
 
     Attributes
@@ -89,39 +98,39 @@ class Model:
     read : reads the mesh from DATA.
     levels : number of refinements.
     base_triangles : triangles of the base mesh; None for a result about as large as the input.
-    paper : number of exceptions reported by the paper.
+    paper_exceptions : number of exceptions reported by the paper.
     """
 
     read: Callable[[Path], Mesh]
     levels: int
     base_triangles: int | None = None
-    paper: str = ""
+    paper_exceptions: str = ""
 
-    def remeshed(self, mesh: Mesh) -> NormalMesh:
+    def run_remesh(self, mesh: Mesh) -> NormalMesh:
         """Remesh with these parameters and defaults for the others."""
         return remesh(mesh, levels=self.levels, base_triangles=self.base_triangles, tolerance=5e-8)
 
 
-def file(name: str) -> Callable[[Path], Mesh]:
+def make_reader(name: str) -> Callable[[Path], Mesh]:
     """Return a function that reads a mesh from DATA."""
     return lambda data: read_mesh(data / "meshes" / name)
 
 
-def kitchen(data: Path) -> Mesh:
+def read_kitchen(data: Path) -> Mesh:
     """Read a coloured room fused at 2 cm, cleaned to a manifold."""
-    return clean(file("redkitchen_fused_vertexcolor.ply")(data)).mesh
+    return clean(make_reader("redkitchen_fused_vertexcolor.ply")(data)).mesh
 
 
-def standing_horse(data: Path) -> Mesh:
+def read_upright_horse(data: Path) -> Mesh:
     """Read the horse for a picture.
 
     The file's horse is on its side and its triangles face inward; both are corrected.
     """
-    mesh = file("horse.ply")(data)
+    mesh = make_reader("horse.ply")(data)
     return Mesh(mesh.vertices[:, [1, 2, 0]], mesh.triangles[:, ::-1].copy())
 
 
-def near_cube() -> Mesh:
+def make_near_cube() -> Mesh:
     """Make a unit cube of 396 triangles.
 
     Its edges are divided into 3, 6 and 9 parts along the three axes.
@@ -145,22 +154,22 @@ def near_cube() -> Mesh:
 
 
 MODELS = {
-    "cow": Model(file("cow.obj"), 2, 426, "43"),
-    "near-cube": Model(lambda _: near_cube(), 2, 68, "6"),
-    "face": Model(file("face.obj"), 3),
-    "camelhead": Model(file("camelhead.off"), 3),
-    "bunny": Model(file("stanford-bunny.obj"), 3),
-    "sceaux": Model(file("sceaux_mvs_scene_mesh.ply"), 3),
-    "igea": Model(file("igea.ply"), 4),
-    "rocker-arm": Model(file("rocker-arm.obj"), 3),
+    "cow": RemeshCase(make_reader("cow.obj"), 2, 426, "43"),
+    "near-cube": RemeshCase(lambda _: make_near_cube(), 2, 68, "6"),
+    "face": RemeshCase(make_reader("face.obj"), 3),
+    "camelhead": RemeshCase(make_reader("camelhead.off"), 3),
+    "bunny": RemeshCase(make_reader("stanford-bunny.obj"), 3),
+    "sceaux": RemeshCase(make_reader("sceaux_mvs_scene_mesh.ply"), 3),
+    "igea": RemeshCase(make_reader("igea.ply"), 4),
+    "rocker-arm": RemeshCase(make_reader("rocker-arm.obj"), 3),
     # A closed surface of genus 0 with 234 vertices has 464 triangles.
-    "horse": Model(file("horse.ply"), 4, 464, "644"),
+    "horse": RemeshCase(make_reader("horse.ply"), 4, 464, "644"),
 }
-KITCHEN = Model(kitchen, 3)
+KITCHEN = RemeshCase(read_kitchen, 3)
 # The scan that the kitchen was fused from: its cameras give the viewpoint of the picture.
 SCAN = "rgbd/7scenes_redkitchen"
-PICTURED = {
-    "horse": replace(MODELS["horse"], read=standing_horse),
+PICTURE_CASES = {
+    "horse": replace(MODELS["horse"], read=read_upright_horse),
     **{name: MODELS[name] for name in ("cow", "face")},
     "kitchen": KITCHEN,
 }
@@ -172,14 +181,14 @@ def main() -> None:
     """Print the tables and draw the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--only", nargs="*", choices=TABLES, default=list(TABLES))
     parser.add_argument("--mesh", nargs="+", choices=[*MODELS, "kitchen"], default=[*MODELS, "kitchen"])
     parser.add_argument("--samples", type=int, default=200_000)
     parser.add_argument("--picture", type=Path, metavar="FOLDER", help="folder for the pictures")
     options = parser.parse_args()
     if "models" in options.only:
         # Warm up: load libraries before anything is timed.
-        MODELS["near-cube"].remeshed(near_cube())
+        MODELS["near-cube"].run_remesh(make_near_cube())
         print_models([name for name in MODELS if name in options.mesh], options.data, options.samples)
     if "folds" in options.only:
         print_folds(options.data)
@@ -194,12 +203,14 @@ def main() -> None:
         print_growth()
     if options.picture:
         options.picture.mkdir(parents=True, exist_ok=True)
-        for name, model in PICTURED.items():
+        for name, model in PICTURE_CASES.items():
             if name in options.mesh:
                 mesh = model.read(options.data)
                 frames = read_scan(options.data / SCAN).frames if name == "kitchen" else ()
                 viewpoint = viewpoints(mesh, 1, frames=frames, width=WIDTH)[0]
-                draw(mesh, model.remeshed(mesh), viewpoint, options.picture / f"normal_mesh_{name}.png")
+                draw_levels(
+                    mesh, model.run_remesh(mesh), viewpoint, options.picture / f"normal_mesh_{name}.png"
+                )
 
 
 def print_models(names: list[str], data: Path, samples: int) -> None:
@@ -210,10 +221,18 @@ def print_models(names: list[str], data: Path, samples: int) -> None:
         model = MODELS[name]
         start = time.process_time()
         mesh = model.read(data)
-        result = model.remeshed(mesh)
+        result = model.run_remesh(mesh)
         seconds = time.process_time() - start
-        cells = [name, *counted(mesh, result, model.paper), *measured(mesh, result.mesh, samples)]
-        cells += [*shaped(mesh, result.mesh), *stored(result, len(result.level_ends) - 1), f"{seconds:.2f}"]
+        cells = [
+            name,
+            *format_counts(mesh, result, model.paper_exceptions),
+            *format_distances(mesh, result.mesh, samples),
+        ]
+        cells += [
+            *format_quality(mesh, result.mesh),
+            *format_size(result, len(result.level_ends) - 1),
+            f"{seconds:.2f}",
+        ]
         print_row(cells)
         later += [[name, *cells] for cells in by_level(mesh, result)]
     print()
@@ -222,7 +241,7 @@ def print_models(names: list[str], data: Path, samples: int) -> None:
         print_row(cells)
 
 
-def counted(mesh: Mesh, result: NormalMesh, paper: str) -> list[str]:
+def format_counts(mesh: Mesh, result: NormalMesh, paper: str) -> list[str]:
     """Format triangle counts of all levels and the kinds of new vertices."""
     stages = " → ".join(f"{len(one.triangles):,}" for one in (mesh, *result.levels))
     kinds = np.concatenate([offsets.kinds for offsets in result.offsets])
@@ -231,29 +250,29 @@ def counted(mesh: Mesh, result: NormalMesh, paper: str) -> list[str]:
     return [stages, f"{exceptions:,}", f"{share:.2%}", paper, f"{boundary:,}"]
 
 
-def measured(mesh: Mesh, light: Mesh, samples: int) -> list[str]:
+def format_distances(mesh: Mesh, result: Mesh, samples: int) -> list[str]:
     """Format distances by `compare` and by PyMeshLab: forward, backward, maximum."""
-    found = compare(mesh, light, samples=samples)
-    there, back = (hausdorff(*pair, samples) for pair in ((mesh, light), (light, mesh)))
+    found = compare(mesh, result, samples=samples)
+    there, back = (measure_hausdorff(*pair, samples) for pair in ((mesh, result), (result, mesh)))
     lengths = (found.a_to_b.rms, found.b_to_a.rms, found.symmetric.maximum)
     checks = (there["RMS"], back["RMS"], max(there["max"], back["max"]))
-    return [cell(1e5 * length / found.diagonal, ".3f") for length in (*lengths, *checks)]
+    return [format_number(1e5 * length / found.diagonal, ".3f") for length in (*lengths, *checks)]
 
 
-def shaped(mesh: Mesh, light: Mesh) -> list[str]:
+def format_quality(mesh: Mesh, result: Mesh) -> list[str]:
     """Format triangle quality."""
-    angles, lengths = smallest_angles(light), edge_lengths(light)
+    angles, lengths = compute_min_angles(result), compute_edge_lengths(result)
     return [
         f"{angles.min():.2f}",
         f"{np.percentile(angles, 5):.1f}",
         f"{angles.mean():.1f}",
         f"{lengths.std() / lengths.mean():.2f}",
-        "{} ({})".format(*turned(mesh, light)),
-        f"{topology(light).degenerate}",
+        "{} ({})".format(*count_flipped(mesh, result)),
+        f"{topology(result).degenerate}",
     ]
 
 
-def stored(result: NormalMesh, level: int) -> list[str]:
+def format_size(result: NormalMesh, level: int) -> list[str]:
     """Format the size of the file that ends with a level."""
     size = result.level_ends[level]
     return [f"{size:,}", f"{8 * size / len(result.levels[level].vertices):.2f}"]
@@ -261,7 +280,7 @@ def stored(result: NormalMesh, level: int) -> list[str]:
 
 def by_level(mesh: Mesh, result: NormalMesh) -> Iterator[list[str]]:
     """Yield the cells of each level: exceptions, distance, triangle quality, size."""
-    diagonal = float(np.linalg.norm(np.diff(bounding_box(mesh), axis=0)))
+    diagonal = float(np.linalg.norm(np.diff(compute_bounding_box(mesh), axis=0)))
     for level, light in enumerate(result.levels):
         kinds = result.offsets[level - 1].kinds if level else np.zeros(0, np.uint8)
         yield [
@@ -269,13 +288,13 @@ def by_level(mesh: Mesh, result: NormalMesh) -> Iterator[list[str]]:
             f"{len(light.triangles):,}",
             f"{np.count_nonzero(kinds == EXCEPTION):,}",
             f"{np.count_nonzero(kinds == BOUNDARY):,}",
-            cell(hausdorff(light, mesh)["max"] / diagonal, ".1e"),
-            *shaped(mesh, light),
-            *stored(result, level),
+            format_number(measure_hausdorff(light, mesh)["max"] / diagonal, ".1e"),
+            *format_quality(mesh, light),
+            *format_size(result, level),
         ]
 
 
-def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
+def measure_hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
     """Measure one-sided distances with PyMeshLab.
 
     Parameters
@@ -304,48 +323,50 @@ def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
     return found
 
 
-def cell(value: float, form: str) -> str:
+def format_number(value: float, form: str) -> str:
     """Format a number; empty if NaN."""
     return "" if math.isnan(value) else f"{value:{form}}"
 
 
-def turned(mesh: Mesh, light: Mesh) -> tuple[int, int]:
+def count_flipped(mesh: Mesh, result: Mesh) -> tuple[int, int]:
     """Count triangles that face away from the original.
 
     A triangle is flipped if its normal is more than 90° from the normal of the original's triangle nearest to
     its centroid. The second count leaves out triangles where the original itself is flipped against the
     surface around it.
     """
-    middles, facing = light.vertices[light.triangles].mean(axis=1), unit_normals(mesh)
-    nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
-    away = (unit_normals(light) * facing[nearest]).sum(axis=1) < 0
+    middles, facing = result.vertices[result.triangles].mean(axis=1), compute_unit_normals(mesh)
+    nearest = (
+        RaycastingSurface(mesh, compute_bounding_box(mesh, result)).find_closest_points(middles).triangles
+    )
+    is_flipped = (compute_unit_normals(result) * facing[nearest]).sum(axis=1) < 0
     around = np.zeros(mesh.vertices.shape)
     for corner in mesh.triangles.T:
         np.add.at(around, corner, facing)
-    straight = (around[mesh.triangles].sum(axis=1) * facing).sum(axis=1) > 0
-    return int(np.count_nonzero(away)), int(np.count_nonzero(away & straight[nearest]))
+    is_consistent = (around[mesh.triangles].sum(axis=1) * facing).sum(axis=1) > 0
+    return int(np.count_nonzero(is_flipped)), int(np.count_nonzero(is_flipped & is_consistent[nearest]))
 
 
 def print_folds(data: Path) -> None:
     """Print a row for each mesh with crumpled regions."""
     print("\n### Folds\n")
     print_head(FOLD_COLUMNS)
-    for name, mesh in {"kitchen": kitchen(data), "pirate": file("pirate.obj")(data)}.items():
+    for name, mesh in {"kitchen": read_kitchen(data), "pirate": make_reader("pirate.obj")(data)}.items():
         start = time.process_time()
         found = remesh(mesh)
         seconds = time.process_time() - start
         sizes = [len(one.triangles) for one in (mesh, found.base, found.mesh)]
-        away = [turned(mesh, level)[1] for level in found.levels]
+        away = [count_flipped(mesh, level)[1] for level in found.levels]
         by_level = [", ".join(map(str, counts)) for counts in (away, found.folded_by_level)]
         print_row(
             [name, *(f"{size:,}" for size in sizes), *by_level, f"{len(found.data):,}", f"{seconds:.1f}"]
         )
 
 
-def print_colors(model: Model, data: Path, samples: int) -> None:
+def print_colors(model: RemeshCase, data: Path, samples: int) -> None:
     """Print colour errors for each level of a coloured mesh."""
     mesh = model.read(data)
-    result = model.remeshed(mesh)
+    result = model.run_remesh(mesh)
     print(f"\n### Colours, {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles\n")
     print_head(COLOR_COLUMNS)
     for level, light in enumerate(result.levels):
@@ -355,7 +376,7 @@ def print_colors(model: Model, data: Path, samples: int) -> None:
         cells += [f"{found.color_a_to_b.psnr:.2f}", f"{found.color_a_to_b.rmse:.2f}"]
         lengths = (found.a_to_b.rms, found.b_to_a.rms)
         cells += [f"{1e5 * length / found.diagonal:.2f}" for length in lengths]
-        print_row([*cells, *stored(result, level)])
+        print_row([*cells, *format_size(result, level)])
 
 
 def print_growth() -> None:
@@ -363,7 +384,7 @@ def print_growth() -> None:
     print("\n### Growth\n")
     print_head(["triangles", "result triangles", "exceptions", "CPU s", "µs per triangle"], words=0)
     for size in SIZES:
-        mesh = hills(size)
+        mesh = make_hills(size)
         start = time.process_time()
         result = remesh(mesh)
         seconds = time.process_time() - start

@@ -27,7 +27,7 @@ from scanloom.stages.surface.texture import Texture
 SIZES = (250_000, 1_000_000)
 
 
-def sheet(count: int) -> Mesh:
+def make_sheet(count: int) -> Mesh:
     """Make a square height field of about `count` vertices."""
     side = round(count**0.5)
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, side)] * 2))
@@ -38,7 +38,7 @@ def sheet(count: int) -> Mesh:
     return Mesh(np.column_stack([x, y, z]), triangles.astype(np.int32))
 
 
-def dressed(mesh: Mesh) -> Mesh:
+def add_attributes(mesh: Mesh) -> Mesh:
     """Add colours, normals and texture coordinates to a mesh."""
     colors = np.random.default_rng(1).integers(0, 256, (len(mesh.vertices), 3))
     normals = mesh.vertices / np.linalg.norm(mesh.vertices + 1, axis=1, keepdims=True)
@@ -47,23 +47,23 @@ def dressed(mesh: Mesh) -> Mesh:
     return mesh.with_(colors=colors.astype(np.uint8), normals=normals, texture=texture)
 
 
-def compared(mesh: Mesh, folder: Path, repeats: int) -> tuple[list[str], bool]:
+def compare_with_trimesh(mesh: Mesh, folder: Path, repeats: int) -> tuple[list[str], bool]:
     """Time writing and reading a mesh.
 
     Returns the cells, and True if the mesh was read back unchanged.
     """
     path, other = folder / "ours.obj", folder / "theirs.obj"
-    write, _ = least(lambda: write_mesh(path, mesh), repeats)
-    read, back = least(lambda: read_mesh(path), repeats)
-    their_read, loaded = least(lambda: trimesh.load(path, process=False), repeats)
-    their_write, _ = least(lambda: loaded.export(other), repeats)
+    write, _ = measure_min_time(lambda: write_mesh(path, mesh), repeats)
+    read, back = measure_min_time(lambda: read_mesh(path), repeats)
+    their_read, loaded = measure_min_time(lambda: trimesh.load(path, process=False), repeats)
+    their_write, _ = measure_min_time(lambda: loaded.export(other), repeats)
     equal = np.array_equal(back.vertices, mesh.vertices) and np.array_equal(back.triangles, mesh.triangles)
     pairs = ((write, their_write), (read, their_read))
     cells = [f"{path.stat().st_size / 1e6:.0f}", *(c for a, b in pairs for c in (f"{a:.2f}", f"{b / a:.2f}"))]
     return cells, equal
 
 
-def least(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
+def measure_min_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
     """Measure the minimum time of a call.
 
     Returns seconds and the result of the call.
@@ -86,9 +86,9 @@ def main() -> None:
     print_head(columns, words=2)
     with tempfile.TemporaryDirectory() as folder:
         for count in arguments.vertices:
-            bare = sheet(count)
-            for name, mesh in (("positions", bare), ("colours, normals, UVs", dressed(bare))):
-                cells, equal = compared(mesh, Path(folder), arguments.repeats)
+            bare = make_sheet(count)
+            for name, mesh in (("positions", bare), ("colours, normals, UVs", add_attributes(bare))):
+                cells, equal = compare_with_trimesh(mesh, Path(folder), arguments.repeats)
                 print_row([f"{len(mesh.vertices):,}", name, *cells, "yes" if equal else "no"])
 
 

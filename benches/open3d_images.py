@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.stages._open3d import open3d
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages._open3d import import_open3d
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame
 
@@ -30,12 +30,12 @@ def read_images(frame: Frame) -> tuple[DepthImage, ColorImage]:
         raise ValueError(f"frame {frame.name} has no depth")
     if frame.color is None:
         return depth, np.full((*depth.shape, 3), _GREY, np.uint8)
-    return depth, read_matching_color(frame, depth)
+    return depth, read_color_aligned_to_depth(frame, depth)
 
 
-def legacy_image(depth: DepthImage, color: ColorImage, truncation: float) -> Any:
+def make_legacy_image(depth: DepthImage, color: ColorImage, truncation: float) -> Any:
     """Make a legacy RGBDImage of grey intensities, depth truncated at `truncation` metres."""
-    o3d = open3d()
+    o3d = import_open3d()
     return o3d.geometry.RGBDImage.create_from_color_and_depth(
         o3d.geometry.Image(color),
         o3d.geometry.Image(depth),
@@ -44,8 +44,8 @@ def legacy_image(depth: DepthImage, color: ColorImage, truncation: float) -> Any
     )
 
 
-def legacy_camera(camera: Camera) -> Any:
+def make_legacy_camera(camera: Camera) -> Any:
     """Convert camera intrinsics for the legacy pipelines."""
-    return open3d().camera.PinholeCameraIntrinsic(
+    return import_open3d().camera.PinholeCameraIntrinsic(
         camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
     )

@@ -27,32 +27,32 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from open3d_images import legacy_camera, legacy_image, read_images
+from open3d_images import make_legacy_camera, make_legacy_image, read_images
 
-from scanloom.stages._open3d import open3d
-from scanloom.stages.registration.odometry import one_thread_each
-from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages._open3d import import_open3d
+from scanloom.stages.registration.surface_alignment import limit_threads
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 _FRAGMENT_FRAMES = 100
-_KEY_FRAMES_EVERY = 5
+_KEY_FRAME_INTERVAL = 5
 # Metres, Open3D's defaults: limits of odometry, voxel and truncation of fusion, voxel and maximum
 # correspondence distance of registration.
 _MAX_DEPTH, _MAX_DEPTH_DIFFERENCE = 3.0, 0.07
-_FUSED_VOXEL, _FUSED_TRUNCATION = 3.0 / 512, 0.04
+_FUSION_VOXEL, _FUSION_TRUNCATION = 3.0 / 512, 0.04
 _VOXEL = 0.05
-_REACH = 1.4 * _VOXEL
+_MAX_CORRESPONDENCE_DISTANCE = 1.4 * _VOXEL
 # Preference for loop closures in pose graph optimisation: within a fragment, and between fragments.
-_ODOMETRY_LOOPS, _REGISTRATION_LOOPS = 0.1, 5.0
-_PRUNED_BELOW = 0.25
+_ODOMETRY_LOOP_PREFERENCE, _REGISTRATION_LOOP_PREFERENCE = 0.1, 5.0
+_PRUNE_THRESHOLD = 0.25
 # Voxel size (m) and iterations of each ICP scale: for neighbouring fragments, and for refinement.
-_FIRST_ICP = ((_VOXEL, 50),)
-_REFINING_ICP = ((_VOXEL, 50), (_VOXEL / 2, 30), (_VOXEL / 4, 14))
+_INITIAL_ICP_SCALES = ((_VOXEL, 50),)
+_REFINEMENT_ICP_SCALES = ((_VOXEL, 50), (_VOXEL / 2, 30), (_VOXEL / 4, 14))
 # Minimum overlap of a loop closure between fragments, relative to the smaller one.
-_LEAST_OVERLAP = 0.3
-_RANSAC_TRIES, _RANSAC_CONFIDENCE, _LEAST_EDGE_RATIO = 1_000_000, 0.999, 0.9
+_MIN_OVERLAP = 0.3
+_RANSAC_TRIES, _RANSAC_CONFIDENCE, _MIN_EDGE_RATIO = 1_000_000, 0.999, 0.9
 # Feature matching: features per image, inlier thresholds in pixels (epipolar line) and metres (rigid motion).
-_FEATURES, _MAX_PIXELS, _MAX_METRES = 100, 1.0, 0.05
+_FEATURE_COUNT, _MAX_PIXELS, _MAX_METRES = 100, 1.0, 0.05
 _MOTION_TRIES, _MOTION_POINTS = 1000, 5
 
 
@@ -81,7 +81,7 @@ class _Fragment:
     cloud: Any
 
 
-def reconstruction_system(
+def run_reconstruction_system(
     frames: Sequence[Frame], *, fragment_frames: int = _FRAGMENT_FRAMES
 ) -> dict[int, Pose]:
     """Estimate world_from_camera of every frame, by index.
@@ -95,12 +95,12 @@ def reconstruction_system(
     """
     # A single thread makes sums, and so poses, reproducible; the legacy odometry gains little from more
     # threads.
-    with one_thread_each():
+    with limit_threads():
         fragments = [
-            _fragment(frames[start : start + fragment_frames])
+            _make_fragment(frames[start : start + fragment_frames])
             for start in range(0, len(frames), fragment_frames)
         ]
-        scene = _scene(fragments)
+        scene = _estimate_fragment_poses(fragments)
     poses = [of @ pose for of, fragment in zip(scene, fragments, strict=True) for pose in fragment.poses]
     return dict(enumerate(poses))
 
@@ -108,52 +108,52 @@ def reconstruction_system(
 # -- fragments -------------------------------------------------------------------------------------------
 
 
-def _fragment(frames: Sequence[Frame]) -> _Fragment:
+def _make_fragment(frames: Sequence[Frame]) -> _Fragment:
     images = [read_images(frame) for frame in frames]
-    rgbd = [legacy_image(*one, _MAX_DEPTH) for one in images]
+    rgbd = [make_legacy_image(*one, _MAX_DEPTH) for one in images]
     camera = frames[0].camera
-    keys = range(0, len(frames), _KEY_FRAMES_EVERY)
-    points = {key: _features(rgbd[key], camera) for key in keys}
+    keys = range(0, len(frames), _KEY_FRAME_INTERVAL)
+    points = {key: _extract_features(rgbd[key], camera) for key in keys}
     edges = []
     for source, target in itertools.pairwise(range(len(frames))):
-        _, motion, information = _odometry(rgbd[source], rgbd[target], camera, np.eye(4))
+        _, motion, information = _run_odometry(rgbd[source], rgbd[target], camera, np.eye(4))
         edges.append(_Edge(source, target, motion, information))
     # Open3D reports success even if no pixel of one frame overlaps the other.
     if edges and not any(edge.information.any() for edge in edges):
         raise RuntimeError(f"no frame overlaps the next within {_MAX_DEPTH:g} m")
     for source, target in itertools.combinations(keys, 2):
-        start = _recognised_motion(points[source], points[target], camera)
+        start = _estimate_feature_motion(points[source], points[target], camera)
         if start is not None:
-            found, motion, information = _odometry(rgbd[source], rgbd[target], camera, start)
+            found, motion, information = _run_odometry(rgbd[source], rgbd[target], camera, start)
             if found:
                 edges.append(_Edge(source, target, motion, information))
-    poses, _ = _optimised(edges, _MAX_DEPTH_DIFFERENCE, _ODOMETRY_LOOPS)
-    return _Fragment(poses, _surface(images, poses, camera))
+    poses, _ = _optimise_poses(edges, _MAX_DEPTH_DIFFERENCE, _ODOMETRY_LOOP_PREFERENCE)
+    return _Fragment(poses, _fuse_surface(images, poses, camera))
 
 
-def _odometry(
+def _run_odometry(
     source: Any, target: Any, camera: Camera, start: Pose
 ) -> tuple[bool, Pose, NDArray[np.float64]]:
-    odometry = open3d().pipelines.odometry
+    odometry = import_open3d().pipelines.odometry
     option = odometry.OdometryOption(depth_diff_max=_MAX_DEPTH_DIFFERENCE)
     hybrid = odometry.RGBDOdometryJacobianFromHybridTerm()
-    return odometry.compute_rgbd_odometry(source, target, legacy_camera(camera), start, hybrid, option)
+    return odometry.compute_rgbd_odometry(source, target, make_legacy_camera(camera), start, hybrid, option)
 
 
-def _surface(images: Iterable[tuple[Any, Any]], poses: Iterable[Pose], camera: Camera) -> Any:
-    o3d = open3d()
+def _fuse_surface(images: Iterable[tuple[Any, Any]], poses: Iterable[Pose], camera: Camera) -> Any:
+    o3d = import_open3d()
     f32, u16 = o3d.core.float32, o3d.core.uint16
     grid = o3d.t.geometry.VoxelBlockGrid(
-        ("tsdf", "weight", "color"), (f32, u16, u16), (1, 1, 3), _FUSED_VOXEL, 16, 4000
+        ("tsdf", "weight", "color"), (f32, u16, u16), (1, 1, 3), _FUSION_VOXEL, 16, 4000
     )
     matrix = o3d.core.Tensor(camera.matrix)
-    cut = 1.0, _MAX_DEPTH, _FUSED_TRUNCATION / _FUSED_VOXEL
+    cut = 1.0, _MAX_DEPTH, _FUSION_TRUNCATION / _FUSION_VOXEL
     for (depth, color), pose in zip(images, poses, strict=True):
         if not ((depth > 0) & (depth < _MAX_DEPTH)).any():
             continue
         metres = o3d.t.geometry.Image(o3d.core.Tensor(depth))
         share = o3d.t.geometry.Image(o3d.core.Tensor(color / np.float32(255)))
-        extrinsic = o3d.core.Tensor(inverted(pose))
+        extrinsic = o3d.core.Tensor(invert_pose(pose))
         blocks = grid.compute_unique_block_coordinates(metres, matrix, extrinsic, *cut)
         grid.integrate(blocks, metres, share, matrix, extrinsic, *cut)
     return grid.extract_point_cloud(weight_threshold=0).to_legacy()
@@ -178,16 +178,18 @@ class _Features:
     points: NDArray[np.float64]
 
 
-def _features(rgbd: Any, camera: Camera) -> _Features:
+def _extract_features(rgbd: Any, camera: Camera) -> _Features:
     grey = np.uint8(np.clip(np.asarray(rgbd.color) * 255, 0, 255))
-    found, descriptors = cv2.ORB_create(nfeatures=_FEATURES).detectAndCompute(grey, None)
+    found, descriptors = cv2.ORB_create(nfeatures=_FEATURE_COUNT).detectAndCompute(grey, None)
     pixels = np.array([point.pt for point in found], np.float32).reshape(-1, 2)
     if descriptors is None:
         descriptors = np.zeros((0, 32), np.uint8)
-    return _Features(pixels, descriptors, _points(pixels, np.asarray(rgbd.depth), camera))
+    return _Features(pixels, descriptors, _unproject_pixels(pixels, np.asarray(rgbd.depth), camera))
 
 
-def _points(pixels: NDArray[np.float32], depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
+def _unproject_pixels(
+    pixels: NDArray[np.float32], depth: NDArray[np.float32], camera: Camera
+) -> NDArray[np.float64]:
     holes = np.where(depth > 0, depth, np.nan)
     x, y = pixels.astype(np.float64).T
     left = np.clip(np.floor(x).astype(int), 0, depth.shape[1] - 2)
@@ -198,7 +200,7 @@ def _points(pixels: NDArray[np.float32], depth: NDArray[np.float32], camera: Cam
     return np.stack([(x - camera.cx) / camera.fx * z, (y - camera.cy) / camera.fy * z, z], axis=1)
 
 
-def _recognised_motion(source: _Features, target: _Features, camera: Camera) -> Pose | None:
+def _estimate_feature_motion(source: _Features, target: _Features, camera: Camera) -> Pose | None:
     """Estimate target_from_source from feature matches; None if too few agree."""
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(source.descriptors, target.descriptors)
     if len(matches) < _MOTION_POINTS:
@@ -217,10 +219,10 @@ def _recognised_motion(source: _Features, target: _Features, camera: Camera) -> 
         return None
     a, b = source.points[of_source], target.points[of_target]
     good = agrees.ravel().astype(bool) & np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-    return rigid_motion(a[good], b[good])
+    return estimate_rigid_motion(a[good], b[good])
 
 
-def rigid_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> Pose | None:
+def estimate_rigid_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> Pose | None:
     """Estimate the rigid motion from `a` to `b` (n, 3) by RANSAC.
 
     Returns None if too few points are inliers.
@@ -248,48 +250,55 @@ def rigid_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> Pose | None:
 # -- the scene -------------------------------------------------------------------------------------------
 
 
-def _scene(fragments: Sequence[_Fragment]) -> list[Pose]:
+def _estimate_fragment_poses(fragments: Sequence[_Fragment]) -> list[Pose]:
     """Estimate world_from_fragment poses, relative to the first fragment."""
-    surfaces = [_described(fragment.cloud) for fragment in fragments]
+    surfaces = [_compute_surface_features(fragment.cloud) for fragment in fragments]
 
-    edges = list(_registered(fragments, surfaces))
-    _, kept = _optimised(edges, _REACH, _REGISTRATION_LOOPS)
+    edges = list(_register_fragments(fragments, surfaces))
+    _, kept = _optimise_poses(edges, _MAX_CORRESPONDENCE_DISTANCE, _REGISTRATION_LOOP_PREFERENCE)
     edges = [
         _Edge(
             edge.source,
             edge.target,
-            *_icp(fragments[edge.source].cloud, fragments[edge.target].cloud, edge.motion, _REFINING_ICP),
+            *_refine_icp(
+                fragments[edge.source].cloud,
+                fragments[edge.target].cloud,
+                edge.motion,
+                _REFINEMENT_ICP_SCALES,
+            ),
         )
         for edge in kept
     ]
-    poses, _ = _optimised(edges, _REACH, _REGISTRATION_LOOPS)
+    poses, _ = _optimise_poses(edges, _MAX_CORRESPONDENCE_DISTANCE, _REGISTRATION_LOOP_PREFERENCE)
     return poses
 
 
-def _registered(fragments: Sequence[_Fragment], surfaces: Sequence[tuple[Any, Any]]) -> Iterator[_Edge]:
+def _register_fragments(
+    fragments: Sequence[_Fragment], surfaces: Sequence[tuple[Any, Any]]
+) -> Iterator[_Edge]:
     for source, target in itertools.combinations(range(len(fragments)), 2):
         if target == source + 1:
             # The next fragment starts close to the last frame of this one.
-            start = inverted(fragments[source].poses[-1])
+            start = invert_pose(fragments[source].poses[-1])
             pair = surfaces[source][0], surfaces[target][0]
-            yield _Edge(source, target, *_icp(*pair, start, _FIRST_ICP))
-        elif (found := _recognised_surface(surfaces[source], surfaces[target])) is not None:
+            yield _Edge(source, target, *_refine_icp(*pair, start, _INITIAL_ICP_SCALES))
+        elif (found := _match_surfaces(surfaces[source], surfaces[target])) is not None:
             yield _Edge(source, target, *found)
 
 
-def _described(cloud: Any) -> tuple[Any, Any]:
+def _compute_surface_features(cloud: Any) -> tuple[Any, Any]:
     """Downsample a cloud and compute its FPFH features."""
-    o3d = open3d()
+    o3d = import_open3d()
     thin = cloud.voxel_down_sample(_VOXEL)
     thin.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=2 * _VOXEL, max_nn=30))
     near = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * _VOXEL, max_nn=100)
     return thin, o3d.pipelines.registration.compute_fpfh_feature(thin, near)
 
 
-def _recognised_surface(
+def _match_surfaces(
     source: tuple[Any, Any], target: tuple[Any, Any]
 ) -> tuple[Pose, NDArray[np.float64]] | None:
-    o3d = open3d()
+    o3d = import_open3d()
     registration = o3d.pipelines.registration
     (a, features_a), (b, features_b) = source, target
     o3d.utility.random.seed(0)
@@ -299,29 +308,31 @@ def _recognised_surface(
         features_a,
         features_b,
         True,
-        _REACH,
+        _MAX_CORRESPONDENCE_DISTANCE,
         registration.TransformationEstimationPointToPoint(False),
         3,
         [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(_LEAST_EDGE_RATIO),
-            registration.CorrespondenceCheckerBasedOnDistance(_REACH),
+            registration.CorrespondenceCheckerBasedOnEdgeLength(_MIN_EDGE_RATIO),
+            registration.CorrespondenceCheckerBasedOnDistance(_MAX_CORRESPONDENCE_DISTANCE),
         ],
         registration.RANSACConvergenceCriteria(_RANSAC_TRIES, _RANSAC_CONFIDENCE),
     ).transformation
     # Open3D returns the identity if RANSAC finds no transformation.
     if np.array_equal(pose, np.eye(4)):
         return None
-    information = registration.get_information_matrix_from_point_clouds(a, b, _REACH, pose)
+    information = registration.get_information_matrix_from_point_clouds(
+        a, b, _MAX_CORRESPONDENCE_DISTANCE, pose
+    )
     # Each correspondence adds an identity to the translation block, so its last entry counts correspondences.
     overlap = information[5, 5] / min(len(a.points), len(b.points))
-    return (pose, information) if overlap >= _LEAST_OVERLAP else None
+    return (pose, information) if overlap >= _MIN_OVERLAP else None
 
 
-def _icp(
+def _refine_icp(
     source: Any, target: Any, start: Pose, scales: Sequence[tuple[float, int]]
 ) -> tuple[Pose, NDArray[np.float64]]:
     """Refine target_from_source by multi-scale coloured ICP; return it and its information."""
-    o3d = open3d()
+    o3d = import_open3d()
     registration = o3d.pipelines.registration
     pose = start
     for voxel, iterations in scales:
@@ -330,7 +341,7 @@ def _icp(
             cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=2 * voxel, max_nn=30))
         pose = registration.registration_colored_icp(
             *pair,
-            _REACH,
+            _MAX_CORRESPONDENCE_DISTANCE,
             pose,
             registration.TransformationEstimationForColoredICP(),
             registration.ICPConvergenceCriteria(1e-6, 1e-6, iterations),
@@ -341,18 +352,20 @@ def _icp(
 # -- pose graphs -----------------------------------------------------------------------------------------
 
 
-def _optimised(edges: Sequence[_Edge], reach: float, loops: float) -> tuple[list[Pose], list[_Edge]]:
+def _optimise_poses(
+    edges: Sequence[_Edge], max_distance: float, loop_preference: float
+) -> tuple[list[Pose], list[_Edge]]:
     """Optimise a pose graph; return its poses and remaining edges.
 
     Initial poses follow from the chain of edges that are not loop closures.
     """
-    registration = open3d().pipelines.registration
+    registration = import_open3d().pipelines.registration
     graph = registration.PoseGraph()
     pose = np.eye(4)
     graph.nodes.append(registration.PoseGraphNode(pose))
     for edge in edges:
         if not edge.is_loop:
-            pose = pose @ inverted(edge.motion)
+            pose = pose @ invert_pose(edge.motion)
             graph.nodes.append(registration.PoseGraphNode(pose))
         graph.edges.append(
             registration.PoseGraphEdge(
@@ -363,7 +376,7 @@ def _optimised(edges: Sequence[_Edge], reach: float, loops: float) -> tuple[list
         graph,
         registration.GlobalOptimizationLevenbergMarquardt(),
         registration.GlobalOptimizationConvergenceCriteria(),
-        registration.GlobalOptimizationOption(reach, _PRUNED_BELOW, loops, 0),
+        registration.GlobalOptimizationOption(max_distance, _PRUNE_THRESHOLD, loop_preference, 0),
     )
     kept = {(edge.source_node_id, edge.target_node_id) for edge in graph.edges}
     return (

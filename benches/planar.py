@@ -15,7 +15,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 from markdown_tables import print_head, print_row
-from revolved import REDUCTIONS
+from surfaces_of_revolution import REDUCTIONS
 
 from scanloom import compare, planar_patches, simplify
 from scanloom.stages.surface.mesh import Mesh
@@ -27,7 +27,7 @@ ANGLES = {"cone": 6, "cup": 40, "bottle": 40}
 SIZES = (50_000, 200_000, 500_000, 1_000_000, 2_500_000)
 
 
-def finer(mesh: Mesh) -> Mesh:
+def subdivide_mesh(mesh: Mesh) -> Mesh:
     """Subdivide each triangle into four at the midpoints of its sides."""
     sides = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keys = sides[:, 0].astype(np.int64) * len(mesh.vertices) + sides[:, 1]
@@ -41,7 +41,7 @@ def finer(mesh: Mesh) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices, middles]), triangles.astype(np.int32))
 
 
-def wall(triangles: int) -> Mesh:
+def make_wall(triangles: int) -> Mesh:
     """Make a noisy wall of about `triangles` triangles.
 
     The wall is 4 m × 3 m and has noise of 1 mm.
@@ -55,7 +55,7 @@ def wall(triangles: int) -> Mesh:
     return Mesh(np.stack([4 * x, 3 * y, z], -1).reshape(-1, 3), rows.astype(np.int32))
 
 
-def timed(mesh: Mesh) -> list[str]:
+def time_mesh(mesh: Mesh) -> list[str]:
     """Time simplification and patches; return a row of the table of times."""
     best = np.full(3, np.inf)
     for _ in range(RUNS):
@@ -79,20 +79,20 @@ def timed(mesh: Mesh) -> list[str]:
     ]
 
 
-def times(data: Path) -> None:
+def print_times(data: Path) -> None:
     """Print the table of times."""
     times_ns = ["CPU ns / triangle", "wall ns / triangle", "patches: CPU ns / triangle"]
     print_head(["mesh", "triangles", "reduction", *times_ns, "M triangles/s"])
-    for name, mesh in (("room", meshes.kitchen(data)), ("horse", meshes.horse(data))):
+    for name, mesh in (("room", meshes.read_kitchen(data)), ("horse", meshes.read_horse(data))):
         mesh = Mesh(mesh.vertices, mesh.triangles)
         while len(mesh.triangles) <= SIZES[-1]:
-            print_row([name, *timed(mesh)])
-            mesh = finer(mesh)
+            print_row([name, *time_mesh(mesh)])
+            mesh = subdivide_mesh(mesh)
     for size in SIZES:
-        print_row(["wall", *timed(wall(size))])
+        print_row(["wall", *time_mesh(make_wall(size))])
 
 
-def reductions() -> None:
+def print_reductions() -> None:
     """Print the paper's reductions and the errors at which we reach them."""
     print_head(["mesh", "points", "paper", "ours", "bound / diagonal", "max / diagonal", "RMS / diagonal"])
     for name, (make, _, *wanted) in REDUCTIONS.items():
@@ -124,6 +124,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("data", type=Path)
     arguments = parser.parse_args()
-    reductions()
+    print_reductions()
     print()
-    times(arguments.data)
+    print_times(arguments.data)

@@ -17,7 +17,7 @@ import meshes
 import numpy as np
 import trimesh
 from markdown_tables import print_head, print_row
-from revolved import bottle, cone, cup
+from surfaces_of_revolution import bottle, cone, cup
 
 from scanloom import simplify
 from scanloom.stages.surface.mesh import Mesh
@@ -38,7 +38,7 @@ def chamfered_box() -> Mesh:
     return Mesh(np.array(made.vertices), np.array(made.faces, np.int32))
 
 
-def ladder(name: str, mesh: Mesh) -> None:
+def print_mesh_row(name: str, mesh: Mesh) -> None:
     """Print the row of one mesh."""
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     cells = []
@@ -56,10 +56,10 @@ def main() -> None:
     data = parser.parse_args().data
     print_head(["mesh", "triangles", *(f"{bound:.1e}" for bound in BOUNDS)])
     for make in (cone, cup, bottle, chamfered_box):
-        ladder(make.__name__.replace("_", " "), make())
-    room = meshes.kitchen(data)
-    ladder("room", room)
-    ladder("room without colours", room.with_(colors=None))
+        print_mesh_row(make.__name__.replace("_", " "), make())
+    room = meshes.read_kitchen(data)
+    print_mesh_row("room", room)
+    print_mesh_row("room without colours", room.with_(colors=None))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from markdown_tables import print_head, print_row
 
 from scanloom import Mesh, stages
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.quality import QUALITIES
+from scanloom.pipeline.quality_presets import QUALITIES
 from scanloom.pipeline.run.run import run
 
 HOLD_OUT = 10
@@ -35,11 +35,11 @@ COLUMNS = (
 )
 
 
-def row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
+def make_row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
     """Run a scan without a cache; return the cells of its row."""
     with tempfile.TemporaryDirectory() as folder:
         out, begun = Path(folder) / "out", time.process_time()
-        report = run(scan, out, Config.of(quality).set([f"scan.hold_out={HOLD_OUT}"])).report
+        report = run(scan, out, Config.from_quality(quality).set([f"scan.hold_out={HOLD_OUT}"])).report
         seconds = time.process_time() - begun
         photos, fused = report["held_out"], report["stages"]["fuse"]["figures"]
         cells = [
@@ -72,7 +72,7 @@ def main() -> None:
     print_head([*COLUMNS, *([] if truth is None else ["truth, RMS mm", "truth, 95 % mm"])], words=2)
     for scan in options.scans:
         for quality in options.quality:
-            print_row(row(scan, quality, truth))
+            print_row(make_row(scan, quality, truth))
 
 
 if __name__ == "__main__":

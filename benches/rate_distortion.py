@@ -11,7 +11,7 @@ import numpy as np
 
 from scanloom.stages.comparing.compare import CompareParams, compare_surfaces
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 
 # Enlarges the original's bounding box on each side, relative to its size, because a coder's result may exceed
 # the box.
@@ -19,7 +19,7 @@ MARGIN = 0.02
 
 
 @dataclass(frozen=True)
-class File:
+class EncodedMesh:
     """Encoded file of a mesh.
 
     Attributes
@@ -39,37 +39,37 @@ class File:
         return -20 * math.log10(self.rms)
 
 
-class Original:
+class ReferenceMesh:
     """Reference mesh for measuring many results."""
 
     def __init__(self, mesh: Mesh, samples: int) -> None:
-        box = bounding_box(mesh)
+        box = compute_bounding_box(mesh)
         self.mesh = mesh
         self._params = CompareParams(samples=samples)
         self._box = box + MARGIN * (box[1] - box[0]) * [[-1], [1]]
-        self._surface = Surface(mesh, self._box)
+        self._surface = RaycastingSurface(mesh, self._box)
 
-    def file(self, size: int, result: Mesh, made: str) -> File:
+    def file(self, size: int, result: Mesh, made: str) -> EncodedMesh:
         """Measure the mesh that a file of `size` bytes decodes to."""
-        found = compare_surfaces(self._surface, Surface(result, self._box), self._params)
-        return File(size, max(found.a_to_b.rms, found.b_to_a.rms) / found.diagonal, made)
+        found = compare_surfaces(self._surface, RaycastingSurface(result, self._box), self._params)
+        return EncodedMesh(size, max(found.a_to_b.rms, found.b_to_a.rms) / found.diagonal, made)
 
 
-def frontier(files: Iterable[File]) -> list[File]:
+def select_pareto_front(files: Iterable[EncodedMesh]) -> list[EncodedMesh]:
     """Select the Pareto-optimal files in size and RMS, smallest first."""
-    best: list[File] = []
+    best: list[EncodedMesh] = []
     for file in sorted(files, key=lambda file: (file.size, file.rms)):
         if not best or file.rms < best[-1].rms:
             best.append(file)
     return best
 
 
-def smallest(files: list[File], rms: float) -> File | None:
+def find_smallest(files: list[EncodedMesh], rms: float) -> EncodedMesh | None:
     """Find the smallest file of a Pareto front within an RMS."""
     return next((file for file in files if file.rms <= rms), None)
 
 
-def size_at(files: list[File], rms: float) -> float | None:
+def interpolate_size(files: list[EncodedMesh], rms: float) -> float | None:
     """Interpolate the size (bytes) that a coder needs for an RMS.
 
     Interpolates logarithms linearly between neighbouring files of its Pareto front. This favours the rival,

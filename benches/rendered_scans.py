@@ -28,19 +28,19 @@ from markdown_tables import print_head, print_row
 
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
-from scanloom.stages.comparing.seen import seen_from
+from scanloom.stages.comparing.mesh_rendering import render_from_pose
 from scanloom.stages.scans.model.images import read_photo
 from scanloom.stages.scans.model.scan import ColorImage
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.surface.color import color_at
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Surface
-from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.surface_color import compute_surface_colors
+from scanloom.stages.surface.topology import compute_areas
 from scanloom.stages.texturing.texture import texture
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
-MOST_LEVELS, PLACES = 10, 400_000
+MAX_LEVELS, SAMPLE_COUNT = 10, 400_000
 
 
 def main() -> None:
@@ -49,17 +49,17 @@ def main() -> None:
     parser.add_argument("--ratio", type=float, default=0.1)
     ratio = parser.parse_args().ratio
     with tempfile.TemporaryDirectory() as folder:
-        scans = {name: made(Path(folder) / name, *words) for name, *words in SCANS}
+        scans = {name: make_scan(Path(folder) / name, *words) for name, *words in SCANS}
         results = {name: Path(folder) / f"{name}-out" for name in scans}
         for name, scan in scans.items():
             run(scan, results[name], Config().set([f"simplify.ratio={ratio}"]))
         print_head(["check", "result", "of", "ratio"], words=2)
-        wanted, *others = tags(scans["tags"], results["tags"])
+        wanted, *others = count_tags(scans["tags"], results["tags"])
         for name, count in zip(("", ", all in renderings", ", shifted photos"), others, strict=True):
             print_row([f"tags{name}", f"{count} decoded", f"{wanted} in photos", f"{count / wanted:.1%}"])
-        differing, places = painted_over(scans, results["plain"])
+        differing, places = count_texture_differences(scans, results["plain"])
         print_row(["visitor", f"{differing} differ", f"{places} points", f"{differing / places:.2%}"])
-        differing, pixels = seen_over(scans["plain"], results["plain"], results["visitor"])
+        differing, pixels = count_picture_differences(scans["plain"], results["plain"], results["visitor"])
         print_row(
             ["visitor, whole run", f"{differing} differ", f"{pixels} pixels", f"{differing / pixels:.2%}"]
         )
@@ -68,7 +68,7 @@ def main() -> None:
 SCANS = (("plain",), ("tags", "--tags"), ("visitor", "--visitor"))
 
 
-def made(folder: Path, *words: str) -> Path:
+def make_scan(folder: Path, *words: str) -> Path:
     """Make an RGB-D scan; return its folder."""
     folder.mkdir()
     script = SAMPLES / "make_samples.py"
@@ -76,21 +76,21 @@ def made(folder: Path, *words: str) -> Path:
     return folder / "rgbd"
 
 
-def pictures(scan: Path, result: Path) -> list[tuple[ColorImage, ColorImage, np.ndarray]]:
+def render_views(scan: Path, result: Path) -> list[tuple[ColorImage, ColorImage, np.ndarray]]:
     """Render a result from each camera of a scan.
 
     Returns photo, rendering (h, w, 3) uint8, and mask (h, w) of the pixels that show the mesh.
     """
-    surface = Surface(read_mesh(result / "textured.glb"))
+    surface = RaycastingSurface(read_mesh(result / "textured.glb"))
     found = []
     for frame in read_scan(scan).frames:
         photo, camera, _ = read_photo(frame)
-        seen = seen_from(surface, camera, np.asarray(frame.world_from_camera))
-        found.append((photo, np.rint(seen.levels).clip(0, 255).astype(np.uint8), seen.hit))
+        seen = render_from_pose(surface, camera, np.asarray(frame.world_from_camera))
+        found.append((photo, np.rint(seen.levels).clip(0, 255).astype(np.uint8), seen.hit_mask))
     return found
 
 
-def tags(scan: Path, result: Path) -> tuple[int, int, int, int]:
+def count_tags(scan: Path, result: Path) -> tuple[int, int, int, int]:
     """Count decoded tags.
 
     Returns counts for photos, photos and renderings, renderings, and shifted photos.
@@ -98,20 +98,20 @@ def tags(scan: Path, result: Path) -> tuple[int, int, int, int]:
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     detector = cv2.aruco.ArucoDetector(family)
 
-    def numbers(image: ColorImage) -> set[int]:
+    def detect_tags(image: ColorImage) -> set[int]:
         _, found, _ = detector.detectMarkers(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
         return set() if found is None else {int(number) for number in found.ravel()}
 
     counts = np.zeros(4, int)
     move = np.array([[1, 0, 0.5], [0, 1, 0.5]])
-    for photo, drawn, _ in pictures(scan, result):
+    for photo, drawn, _ in render_views(scan, result):
         moved = cv2.warpAffine(photo, move, photo.shape[1::-1], flags=cv2.INTER_CUBIC)
-        wanted, found = numbers(photo), numbers(drawn)
-        counts += [len(wanted), len(wanted & found), len(found), len(wanted & numbers(moved))]
+        wanted, found = detect_tags(photo), detect_tags(drawn)
+        counts += [len(wanted), len(wanted & found), len(found), len(wanted & detect_tags(moved))]
     return counts[0], counts[1], counts[2], counts[3]
 
 
-def painted_over(scans: dict[str, Path], plain: Path) -> tuple[int, int]:
+def count_texture_differences(scans: dict[str, Path], plain: Path) -> tuple[int, int]:
     """Count surface samples that differ between textures with and without the visitor.
 
     Returns differing samples and all samples.
@@ -119,24 +119,24 @@ def painted_over(scans: dict[str, Path], plain: Path) -> tuple[int, int]:
     mesh = read_ply(plain / "simplified.ply")
     found = [texture(mesh, read_scan(scans[name]), format="png").mesh for name in ("visitor", "plain")]
     rng = np.random.default_rng(0)
-    area = areas(mesh.vertices, mesh.triangles)
-    chosen = rng.choice(len(area), PLACES, p=area / area.sum())
-    weights = rng.dirichlet((1, 1, 1), PLACES)
-    one, other = (color_at(textured, chosen, weights) for textured in found)
-    return int((np.abs(one - other).max(axis=1) > MOST_LEVELS).sum()), PLACES
+    area = compute_areas(mesh.vertices, mesh.triangles)
+    chosen = rng.choice(len(area), SAMPLE_COUNT, p=area / area.sum())
+    weights = rng.dirichlet((1, 1, 1), SAMPLE_COUNT)
+    one, other = (compute_surface_colors(textured, chosen, weights) for textured in found)
+    return int((np.abs(one - other).max(axis=1) > MAX_LEVELS).sum()), SAMPLE_COUNT
 
 
-def seen_over(scan: Path, plain: Path, visited: Path) -> tuple[int, int]:
+def count_picture_differences(scan: Path, plain: Path, visited: Path) -> tuple[int, int]:
     """Count pixels that differ between renderings of two results.
 
     Returns differing pixels and all pixels that show both meshes.
     """
     differing = pixels = 0
     for (_, one, hit), (_, other, other_hit) in zip(
-        pictures(scan, plain), pictures(scan, visited), strict=True
+        render_views(scan, plain), render_views(scan, visited), strict=True
     ):
         both = hit & other_hit
-        differing += int((np.abs(one.astype(int) - other).max(axis=2)[both] > MOST_LEVELS).sum())
+        differing += int((np.abs(one.astype(int) - other).max(axis=2)[both] > MAX_LEVELS).sum())
         pixels += int(both.sum())
     return differing, pixels
 

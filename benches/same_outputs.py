@@ -35,55 +35,59 @@ from pathlib import Path
 
 from markdown_tables import print_head, print_row
 from outputs import inputs, leaves
-from outputs.differences import Difference, Expected, differences, matches
-from outputs.jobs import QUICK, Job, all_jobs
+from outputs.differences import Difference, ExpectedDifference, find_differences, matches
+from outputs.jobs import QUICK_PATTERNS, Job, list_jobs
 from outputs.leaves import Leaves
 
 # Expected differences: pattern of jobs, pattern of differences as printed ("changed 1 simplify:triangles",
 # "moved 1 simplify:proven -> 1 simplify:details.proven", ...; `*` is any text), and the reason.
-EXPECTED: tuple[Expected, ...] = (
-    Expected("*", "moved * -> *details.*", "results of a single method are under details"),
-    Expected("*", "gone *attribute_scale_m_per_level*", "planar has no colour weight"),
-    Expected("*", "moved *.pinned -> *.locked", "vertices that stay are called locked"),
-    Expected("*", "moved *texture* -> *color*", "a bound on colour is max_color"),
-    Expected("*", "new *schema*", "JSON states the version of its names"),
-    Expected("*", "changed *schema*", "JSON states the version of its names"),
-    Expected("*", "moved *view -> *viewpoint", "views of pictures are called viewpoints"),
-    Expected("*", "moved *views -> *viewpoints", "views of pictures are called viewpoints"),
-    Expected("*", "new *largest_color_change_levels*", "a bound on colour is max_color"),
-    Expected("*", "new *max_color*", "a bound on colour is max_color"),
-    Expected("*", "gone *texture*_levels*", "a bound on colour is max_color"),
-    Expected("*", "new *is called*", "a former name is answered with the new one"),
-    Expected("*", "new *details.largest_patches*", "of two equal values, the moved one is unknown"),
-    Expected("*", "gone *largest_patches*", "of two equal values, the moved one is unknown"),
-    Expected("*", "*is not supported by method*", "the table of methods lists their parameters"),
-    Expected("*", "*collapses no edges*", "the table of methods lists their parameters"),
-    Expected("*", "changed *:error", "the table of methods lists their parameters"),
-    Expected(
+EXPECTED: tuple[ExpectedDifference, ...] = (
+    ExpectedDifference("*", "moved * -> *details.*", "results of a single method are under details"),
+    ExpectedDifference("*", "gone *attribute_scale_m_per_level*", "planar has no colour weight"),
+    ExpectedDifference("*", "moved *.pinned -> *.locked", "vertices that stay are called locked"),
+    ExpectedDifference("*", "moved *texture* -> *color*", "a bound on colour is max_color"),
+    ExpectedDifference("*", "new *schema*", "JSON states the version of its names"),
+    ExpectedDifference("*", "changed *schema*", "JSON states the version of its names"),
+    ExpectedDifference("*", "moved *view -> *viewpoint", "views of pictures are called viewpoints"),
+    ExpectedDifference("*", "moved *views -> *viewpoints", "views of pictures are called viewpoints"),
+    ExpectedDifference("*", "new *largest_color_change_levels*", "a bound on colour is max_color"),
+    ExpectedDifference("*", "new *max_color*", "a bound on colour is max_color"),
+    ExpectedDifference("*", "gone *texture*_levels*", "a bound on colour is max_color"),
+    ExpectedDifference("*", "new *is called*", "a former name is answered with the new one"),
+    ExpectedDifference("*", "new *details.largest_patches*", "of two equal values, the moved one is unknown"),
+    ExpectedDifference("*", "gone *largest_patches*", "of two equal values, the moved one is unknown"),
+    ExpectedDifference("*", "*is not supported by method*", "the table of methods lists their parameters"),
+    ExpectedDifference("*", "*collapses no edges*", "the table of methods lists their parameters"),
+    ExpectedDifference("*", "changed *:error", "the table of methods lists their parameters"),
+    ExpectedDifference(
         "run/*",
         "*simplify.params.simplify.*",
         "each method has a separate default",
     ),
-    Expected("run/*", "changed *reason", "each method has a separate default"),
-    Expected("run/*", "* cache: *", "cache keys depend on the versions of results"),
-    Expected("words/*", "*", "help, configuration and errors use the new names"),
-    Expected("records/*", "*cut.npz*", "all records have one format"),
-    Expected("records/*", "*record.npz*", "all records have one format"),
-    Expected("broken/*", "*light.glb*", "the third command is seams, which uses the common driver"),
-    Expected("broken/*", "* 2 simplify:*", "the third command is seams, which uses the common driver"),
-    Expected("kitchen/*", "* seams.ply*", "seams uses the common driver, region by region"),
-    Expected("kitchen/methods", "* 4 simplify:*", "seams uses the common driver, region by region"),
-    Expected("kitchen/as_it_is", "* 1 simplify:*", "seams uses the common driver, region by region"),
-    Expected("*/seams", "*", "seams uses the common driver, region by region"),
-    Expected("methods/*/auto", "*", "auto takes seams for textured models"),
-    Expected("textures/*", "*", "textured models are simplified by seams"),
+    ExpectedDifference("run/*", "changed *reason", "each method has a separate default"),
+    ExpectedDifference("run/*", "* cache: *", "cache keys depend on the versions of results"),
+    ExpectedDifference("words/*", "*", "help, configuration and errors use the new names"),
+    ExpectedDifference("records/*", "*cut.npz*", "all records have one format"),
+    ExpectedDifference("records/*", "*record.npz*", "all records have one format"),
+    ExpectedDifference("broken/*", "*light.glb*", "the third command is seams, which uses the common driver"),
+    ExpectedDifference(
+        "broken/*", "* 2 simplify:*", "the third command is seams, which uses the common driver"
+    ),
+    ExpectedDifference("kitchen/*", "* seams.ply*", "seams uses the common driver, region by region"),
+    ExpectedDifference("kitchen/methods", "* 4 simplify:*", "seams uses the common driver, region by region"),
+    ExpectedDifference(
+        "kitchen/as_it_is", "* 1 simplify:*", "seams uses the common driver, region by region"
+    ),
+    ExpectedDifference("*/seams", "*", "seams uses the common driver, region by region"),
+    ExpectedDifference("methods/*/auto", "*", "auto takes seams for textured models"),
+    ExpectedDifference("textures/*", "*", "textured models are simplified by seams"),
 )
 
 SNIPPETS = Path(__file__).parent / "outputs" / "snippets"
-_LIMIT_S = 900
-_SHOWN = 25
+_TIMEOUT_S = 900
+_MAX_SHOWN = 25
 # Number of a step in the name of a leaf.
-_NUMBER = re.compile(r"\b\d+(?= \S+(:| exit code| stderr))")
+_STEP_NUMBER = re.compile(r"\b\d+(?= \S+(:| exit code| stderr))")
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Made:
+class JobOutputs:
     """Outputs and duration of a job on one side."""
 
     leaves: Leaves
@@ -114,39 +118,39 @@ class Made:
 
 
 @dataclass(frozen=True)
-class Row:
+class JobComparison:
     """Results of a job on both sides."""
 
     job: Job
-    first: Made
-    second: Made
+    first: JobOutputs
+    second: JobOutputs
     unexpected: tuple[Difference, ...]
-    expected: tuple[tuple[Expected, Difference], ...]
+    expected: tuple[tuple[ExpectedDifference, Difference], ...]
 
 
 def main() -> int:
     """Print the table and the differences; return the exit code."""
-    options = arguments()
-    jobs = [job for job in all_jobs(options.data) if is_wanted(job, options.only, options.quick)]
+    options = parse_arguments()
+    jobs = [job for job in list_jobs(options.data) if is_wanted(job, options.only, options.quick)]
     if not jobs:
         sys.exit(f"no job matches {' or '.join(options.only)}")
     with tempfile.TemporaryDirectory() as scratch:
         kept = options.keep or Path(scratch)
-        first = side(options.first, kept / "first")
-        second = side(options.second, kept / "second")
-        places = {
+        first = make_side(options.first, kept / "first")
+        second = make_side(options.second, kept / "second")
+        folders = {
             "data": options.data,
             "samples": options.first.resolve() / "samples",
-            "inputs": new_folder(kept / "inputs"),
+            "inputs": clear_folder(kept / "inputs"),
         }
-        inputs.make(places["inputs"], places["samples"] / "rgbd")
+        inputs.write_inputs(folders["inputs"], folders["samples"] / "rgbd")
         print_head(["job", "leaves", "first s", "second s", "outputs"])
         with ThreadPoolExecutor(options.jobs) as pool:
-            rows = list(pool.map(lambda job: told(compared(job, first, second, places)), jobs))
+            rows = list(pool.map(lambda job: print_job(compare_job(job, first, second, folders)), jobs))
     return conclude(rows)
 
 
-def arguments() -> argparse.Namespace:
+def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("first", type=Path, help="checkout before the change")
@@ -166,11 +170,11 @@ def arguments() -> argparse.Namespace:
 
 def is_wanted(job: Job, only: Sequence[str], quick: bool) -> bool:
     """Check if a job is selected by the command line."""
-    in_time = not quick or any(matches(pattern, job.name) for pattern in QUICK)
+    in_time = not quick or any(matches(pattern, job.name) for pattern in QUICK_PATTERNS)
     return in_time and any(matches(pattern, job.name) for pattern in only)
 
 
-def side(checkout: Path, work: Path) -> Side:
+def make_side(checkout: Path, work: Path) -> Side:
     """Make a side, after checking that Python imports its code."""
     command = [
         sys.executable,
@@ -179,27 +183,27 @@ def side(checkout: Path, work: Path) -> Side:
     ]
     with tempfile.TemporaryDirectory() as elsewhere:
         found = subprocess.run(
-            command, cwd=elsewhere, env=environment(checkout, work), capture_output=True, text=True
+            command, cwd=elsewhere, env=make_environment(checkout, work), capture_output=True, text=True
         )
     if found.returncode != 0:
         sys.exit(f"{checkout} does not start:\n{found.stderr}")
     for path in found.stdout.split():
         if not Path(path).is_relative_to(checkout):
             sys.exit(f"Python imports {path} instead of {checkout}")
-    return Side(checkout, work, identity(checkout))
+    return Side(checkout, work, compute_identity(checkout))
 
 
-def identity(checkout: Path) -> str | None:
+def compute_identity(checkout: Path) -> str | None:
     """Compute a digest of commit, kernels and installed packages.
 
     Returns None if the working tree differs from the commit.
     """
 
-    def git(*words: str) -> str:
+    def run_git(*words: str) -> str:
         return subprocess.run(["git", "-C", str(checkout), *words], capture_output=True, text=True).stdout
 
-    commit = git("rev-parse", "HEAD")
-    if not commit or git("status", "--porcelain"):
+    commit = run_git("rev-parse", "HEAD")
+    if not commit or run_git("status", "--porcelain"):
         return None
     packages = sorted(f"{one.name}=={one.version}" for one in importlib.metadata.distributions())
     digest = hashlib.sha256("\n".join([commit, sys.version, *packages]).encode())
@@ -208,7 +212,7 @@ def identity(checkout: Path) -> str | None:
     return digest.hexdigest()
 
 
-def environment(checkout: Path, work: Path) -> Mapping[str, str]:
+def make_environment(checkout: Path, work: Path) -> Mapping[str, str]:
     """Make the environment variables of a checkout.
 
     They prevent Python from writing into the checkout.
@@ -222,14 +226,14 @@ def environment(checkout: Path, work: Path) -> Mapping[str, str]:
     }
 
 
-def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) -> Row:
+def compare_job(job: Job, first: Side, second: Side, folders: Mapping[str, Path]) -> JobComparison:
     """Run a job on both sides and compare its outputs."""
-    places = {**places, "first": first.folder_of(job)}
-    work = work_of(job, places)
-    before = kept(job, first, work) or made(job, first, places, work)
-    after = made(job, second, places, work)
+    folders = {**folders, "first": first.folder_of(job)}
+    work = compute_job_digest(job, folders)
+    before = load_outputs(job, first, work) or run_job(job, first, folders, work)
+    after = run_job(job, second, folders, work)
     unexpected, expected = [], []
-    for difference in differences(before.leaves, after.leaves):
+    for difference in find_differences(before.leaves, after.leaves):
         reason = next((one for one in EXPECTED if one.covers(job.name, difference)), None)
         if reason is None:
             unexpected.append(difference)
@@ -237,10 +241,10 @@ def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) ->
             expected.append((reason, difference))
     if not unexpected:
         shutil.rmtree(second.work / job.name)
-    return Row(job, before, after, tuple(unexpected), tuple(expected))
+    return JobComparison(job, before, after, tuple(unexpected), tuple(expected))
 
 
-def kept(job: Job, one: Side, work: str) -> Made | None:
+def load_outputs(job: Job, one: Side, work: str) -> JobOutputs | None:
     """Load outputs of an earlier run of the same code and job.
 
     Returns None without such a run.
@@ -251,38 +255,47 @@ def kept(job: Job, one: Side, work: str) -> Made | None:
     found = json.loads(record.read_text())
     if found["of"] != [one.identity, work]:
         return None
-    return Made(found["leaves"], found["seconds"], is_kept=True)
+    return JobOutputs(found["leaves"], found["seconds"], is_kept=True)
 
 
-def made(job: Job, one: Side, places: Mapping[str, Path], work: str) -> Made:
+def run_job(job: Job, one: Side, folders: Mapping[str, Path], work: str) -> JobOutputs:
     """Run the steps of a job and collect its outputs.
 
     A record of them is stored next to the output folder.
     """
-    folder = new_folder(one.folder_of(job))
+    folder = clear_folder(one.folder_of(job))
     folder.mkdir(parents=True)
     # Placeholders for folder names that differ between the sides. {first} is the job's own folder on the
     # first side.
-    named = {str(path): f"{{{name}}}" for name, path in places.items()}
-    named |= {str(one.checkout): "{checkout}", str(folder): "{folder}", str(places["first"]): "{folder}"}
-    named[str(SNIPPETS)] = "{snippets}"
+    placeholders = {str(path): f"{{{name}}}" for name, path in folders.items()}
+    placeholders |= {
+        str(one.checkout): "{checkout}",
+        str(folder): "{folder}",
+        str(folders["first"]): "{folder}",
+    }
+    placeholders[str(SNIPPETS)] = "{snippets}"
     found: Leaves = {}
     began = time.monotonic()
     for number, step in enumerate(job.steps, 1):
-        found |= step_leaves(step, number, one, folder, places, named)
+        found |= run_step(step, number, one, folder, folders, placeholders)
     seconds = time.monotonic() - began
-    found |= leaves.of_folder(folder, named)
+    found |= leaves.collect_folder_leaves(folder, placeholders)
     record = {"of": [one.identity, work], "seconds": seconds, "leaves": found}
     (folder.parent / "made.json").write_text(json.dumps(record, indent=1))
-    return Made(found, seconds)
+    return JobOutputs(found, seconds)
 
 
-def step_leaves(
-    step: str, number: int, one: Side, folder: Path, places: Mapping[str, Path], named: Mapping[str, str]
+def run_step(
+    step: str,
+    number: int,
+    one: Side,
+    folder: Path,
+    folders: Mapping[str, Path],
+    placeholders: Mapping[str, str],
 ) -> Leaves:
     """Run one step; return the leaves of its output and exit code."""
     words = shlex.split(step)
-    for name, path in places.items():
+    for name, path in folders.items():
         words = [word.replace(f"{{{name}}}", str(path)) for word in words]
     is_snippet = words[:1] and words[0].endswith(".py")
     command = [str(SNIPPETS / words[0]), *words[1:]] if is_snippet else ["-m", "scanloom.cli.app", *words]
@@ -291,27 +304,27 @@ def step_leaves(
         done = subprocess.run(
             [sys.executable, *command],
             cwd=folder,
-            env=environment(one.checkout, one.work),
+            env=make_environment(one.checkout, one.work),
             capture_output=True,
             text=True,
             stdin=subprocess.DEVNULL,
-            timeout=_LIMIT_S,
+            timeout=_TIMEOUT_S,
         )
     except subprocess.TimeoutExpired:
-        return {f"{name} exit code": f"timed out after {_LIMIT_S} s"}
+        return {f"{name} exit code": f"timed out after {_TIMEOUT_S} s"}
     return {
         f"{name} exit code": str(done.returncode),
-        **leaves.of_output(done.stdout, name, named),
-        **leaves.of_lines(done.stderr, f"{name} stderr", named),
+        **leaves.collect_text_leaves(done.stdout, name, placeholders),
+        **leaves.count_lines(done.stderr, f"{name} stderr", placeholders),
     }
 
 
-def work_of(job: Job, places: Mapping[str, Path]) -> str:
+def compute_job_digest(job: Job, folders: Mapping[str, Path]) -> str:
     """Compute a digest of a job's steps, snippets and inputs.
 
     The code of the checkout is not included.
     """
-    digest = hashlib.sha256("\n".join([str(places["data"]), *job.steps]).encode())
+    digest = hashlib.sha256("\n".join([str(folders["data"]), *job.steps]).encode())
     sources = [Path(inputs.__file__), Path(leaves.__file__)]
     for path in [*sources, *(SNIPPETS / word for step in job.steps for word in step.split()[:1])]:
         if path.is_file():
@@ -319,13 +332,13 @@ def work_of(job: Job, places: Mapping[str, Path]) -> str:
     return digest.hexdigest()
 
 
-def new_folder(path: Path) -> Path:
+def clear_folder(path: Path) -> Path:
     """Delete a folder if it exists; return its path."""
     shutil.rmtree(path, ignore_errors=True)
     return path
 
 
-def told(row: Row) -> Row:
+def print_job(row: JobComparison) -> JobComparison:
     """Print the table row of a job; return the row."""
     words = [f"**{len(row.unexpected)} differ**"] if row.unexpected else []
     words += [f"{len(row.expected)} differ as expected"] if row.expected else []
@@ -335,7 +348,7 @@ def told(row: Row) -> Row:
     return row
 
 
-def conclude(rows: Sequence[Row]) -> int:
+def conclude(rows: Sequence[JobComparison]) -> int:
     """Print all differences and totals; return the exit code."""
     different = [row for row in rows if row.unexpected]
     for row in different:
@@ -349,31 +362,33 @@ def conclude(rows: Sequence[Row]) -> int:
     print(
         f"\n{len(rows)} jobs, {sum(len(row.job.steps) for row in rows)} commands, "
         f"{sum(len(row.first.leaves) for row in rows):,} leaves; {len(different)} jobs differ. "
-        f"First {total(row.first for row in rows)}, second {total(row.second for row in rows)}."
+        f"First {format_total(row.first for row in rows)}, second {format_total(row.second for row in rows)}."
     )
     return 1 if different else 0
 
 
-def print_kinds(rows: Iterable[Row]) -> None:
+def print_kinds(rows: Iterable[JobComparison]) -> None:
     """Print the number of jobs for each kind of difference.
 
     The list helps to write EXPECTED.
     """
-    kinds = Counter(kind for row in rows for kind in {_NUMBER.sub("*", str(one)) for one in row.unexpected})
+    kinds = Counter(
+        kind for row in rows for kind in {_STEP_NUMBER.sub("*", str(one)) for one in row.unexpected}
+    )
     print("\nNumber of jobs by kind of difference:")
-    for kind, count in kinds.most_common(_SHOWN):
+    for kind, count in kinds.most_common(_MAX_SHOWN):
         print(f"- {count}: {kind}")
 
 
 def print_differences(found: Iterable[Difference]) -> None:
     """Print differences, one per line, with the values of both sides."""
     lines = [f"- {one}: {one.values}" for one in found]
-    print(*lines[:_SHOWN], sep="\n")
-    if len(lines) > _SHOWN:
-        print(f"- and {len(lines) - _SHOWN} more")
+    print(*lines[:_MAX_SHOWN], sep="\n")
+    if len(lines) > _MAX_SHOWN:
+        print(f"- and {len(lines) - _MAX_SHOWN} more")
 
 
-def total(made: Iterable[Made]) -> str:
+def format_total(made: Iterable[JobOutputs]) -> str:
     """Format the total seconds of one side."""
     return f"{sum(one.seconds for one in made):.0f} s"
 

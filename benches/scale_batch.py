@@ -26,11 +26,11 @@ from typing import Any
 from markdown_tables import print_head, print_row
 
 from scanloom.pipeline.batch.claims import Claims
-from scanloom.pipeline.batch.heartbeat import Watch
-from scanloom.pipeline.batch.queue import Job, Settings, new_queue, standing_queue
-from scanloom.pipeline.batch.records import Records
-from scanloom.pipeline.batch.supply import Supply
-from scanloom.pipeline.cache.digest import file_digest
+from scanloom.pipeline.batch.heartbeat import HeartbeatObserver
+from scanloom.pipeline.batch.job_queue import BatchSettings, Job, create_queue, read_current_queue
+from scanloom.pipeline.batch.job_records import JobRecords
+from scanloom.pipeline.batch.job_scheduler import JobScheduler
+from scanloom.pipeline.cache.digest import compute_file_digest
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "made")]
@@ -40,30 +40,56 @@ from small_scans import write_small_scans  # noqa: E402
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 WORKER = [*SCANLOOM, "worker", "--quiet", "--jobs", "1", "--set", "worker.threads=1"]
 # Range of seconds between two kills.
-SOONEST, LATEST = 2.0, 6.0
-NOT_COMPARED = {"report.json"}
+MIN_KILL_INTERVAL_S, MAX_KILL_INTERVAL_S = 2.0, 6.0
+IGNORED_FILES = {"report.json"}
 
 
-def batch(scans: int, jobs: int, seed: int) -> None:
-    """Print the table of `batch` and the time per claim."""
+def run_batch_bench(scans: int, jobs: int, seed: int) -> None:
+    """Print the table of `run_batch_bench` and the time per claim."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_small_scans(Path(folder) / "scans", scans)
         print_head(("scans", "workers", "kills", "wall", "CPU", "speedup", "same bytes", "finished twice"), 0)
-        told = f"{scans:,}"
-        wall, cpu, one = worked(made, Path(folder) / "one", 1)
-        print_row((told, "1", "0", f"{wall:.0f} s", f"{cpu:.0f} s", "", "", f"{twice(one)}"))
-        results = digests(one)
-        shorter, cpu, two = worked(made, Path(folder) / "two", 2)
+        scan_count = f"{scans:,}"
+        wall, cpu, one = run_workers(made, Path(folder) / "one", 1)
+        print_row(
+            (scan_count, "1", "0", f"{wall:.0f} s", f"{cpu:.0f} s", "", "", f"{count_repeated_jobs(one)}")
+        )
+        results = compute_digests(one)
+        shorter, cpu, two = run_workers(made, Path(folder) / "two", 2)
         faster = f"{wall / shorter:.2f}×"
-        compared = same(results, two)
-        print_row((told, "2", "0", f"{shorter:.0f} s", f"{cpu:.0f} s", faster, compared, f"{twice(two)}"))
-        longer, kills, killed = killed_workers(made, Path(folder) / "killed", seed)
-        compared = same(results, killed)
-        print_row((told, "2", f"{kills}", f"{longer:.0f} s", "", "", compared, f"{twice(killed)}"))
-        print(f"\n{jobs:,} jobs in a queue: {claimed(Path(folder) / 'queue', jobs):.3f} ms per claim")
+        compared = compare_results(results, two)
+        print_row(
+            (
+                scan_count,
+                "2",
+                "0",
+                f"{shorter:.0f} s",
+                f"{cpu:.0f} s",
+                faster,
+                compared,
+                f"{count_repeated_jobs(two)}",
+            )
+        )
+        longer, kills, killed = run_killed_workers(made, Path(folder) / "killed", seed)
+        compared = compare_results(results, killed)
+        print_row(
+            (
+                scan_count,
+                "2",
+                f"{kills}",
+                f"{longer:.0f} s",
+                "",
+                "",
+                compared,
+                f"{count_repeated_jobs(killed)}",
+            )
+        )
+        print(
+            f"\n{jobs:,} jobs in a queue: {measure_claim_ms(Path(folder) / 'queue', jobs):.3f} ms per claim"
+        )
 
 
-def queued(scans: Path, out: Path) -> Path:
+def write_queue(scans: Path, out: Path) -> Path:
     """Write the queue of a batch; return its folder."""
     words = [
         "batch",
@@ -80,15 +106,15 @@ def queued(scans: Path, out: Path) -> Path:
     return out
 
 
-def worked(scans: Path, out: Path, workers: int) -> tuple[float, float, Path]:
+def run_workers(scans: Path, out: Path, workers: int) -> tuple[float, float, Path]:
     """Process a batch with several workers.
 
     Returns wall seconds, CPU seconds, and the output folder.
     """
-    queued(scans, out)
+    write_queue(scans, out)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     started = time.perf_counter()
-    running = [started_worker(out) for _ in range(workers)]
+    running = [start_worker(out) for _ in range(workers)]
     codes = [one.wait() for one in running]
     assert codes == [0] * workers, codes
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -96,22 +122,22 @@ def worked(scans: Path, out: Path, workers: int) -> tuple[float, float, Path]:
     return time.perf_counter() - started, cpu, out
 
 
-def killed_workers(scans: Path, out: Path, seed: int) -> tuple[float, int, Path]:
+def run_killed_workers(scans: Path, out: Path, seed: int) -> tuple[float, int, Path]:
     """Process a batch with two workers that are killed and replaced.
 
     Returns wall seconds, number of kills, and the output folder.
     """
-    queued(scans, out)
+    write_queue(scans, out)
     drawn = random.Random(seed)
     started = time.perf_counter()
-    running = [started_worker(out) for _ in range(2)]
+    running = [start_worker(out) for _ in range(2)]
     kills = 0
     while any(one.poll() is None for one in running):
-        time.sleep(drawn.uniform(SOONEST, LATEST))
+        time.sleep(drawn.uniform(MIN_KILL_INTERVAL_S, MAX_KILL_INTERVAL_S))
         at = drawn.randrange(2)
         if running[at].poll() is not None:
             continue
-        job = children_of(running[at].pid)
+        job = list_children(running[at].pid)
         victim = job[0] if job and drawn.random() < 0.5 else running[at].pid
         try:
             os.kill(victim, signal.SIGKILL)
@@ -120,66 +146,66 @@ def killed_workers(scans: Path, out: Path, seed: int) -> tuple[float, int, Path]
         kills += 1
         if victim == running[at].pid:
             running[at].wait()
-            running[at] = started_worker(out)
+            running[at] = start_worker(out)
     return time.perf_counter() - started, kills, out
 
 
-def started_worker(out: Path) -> subprocess.Popen[bytes]:
+def start_worker(out: Path) -> subprocess.Popen[bytes]:
     """Start a worker process."""
     return subprocess.Popen([*WORKER, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def children_of(process: int) -> list[int]:
+def list_children(process: int) -> list[int]:
     """List the child processes of a process."""
     path = Path(f"/proc/{process}/task/{process}/children")
     return [int(word) for word in path.read_text().split()] if path.exists() else []
 
 
-def digests(out: Path) -> dict[str, str]:
+def compute_digests(out: Path) -> dict[str, str]:
     """Compute the digest of every result, by path."""
     files = [
-        path for path in sorted(out.glob("scan-*/*")) if path.is_file() and path.name not in NOT_COMPARED
+        path for path in sorted(out.glob("scan-*/*")) if path.is_file() and path.name not in IGNORED_FILES
     ]
-    return {path.relative_to(out).as_posix(): file_digest(path) for path in files}
+    return {path.relative_to(out).as_posix(): compute_file_digest(path) for path in files}
 
 
-def same(expected: dict[str, str], out: Path) -> str:
+def compare_results(expected: dict[str, str], out: Path) -> str:
     """Compare the results in a folder with expected digests; format the outcome."""
-    found = digests(out)
+    found = compute_digests(out)
     differ = sum(found.get(name) != content for name, content in expected.items()) + len(
         found.keys() - expected
     )
     return f"all of {len(expected):,}" if differ == 0 else f"{differ} differ of {len(expected):,}"
 
 
-def twice(out: Path) -> int:
+def count_repeated_jobs(out: Path) -> int:
     """Count jobs that were completed more than once."""
-    queue = standing_queue(out)
+    queue = read_current_queue(out)
     assert queue is not None
-    ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
+    ends = Counter(claim.number for claim in JobRecords(queue.folder / "done").list_finished())
     assert len(ends) == len(queue.jobs)
     return sum(count > 1 for count in ends.values())
 
 
-def claimed(out: Path, jobs: int) -> float:
+def measure_claim_ms(out: Path, jobs: int) -> float:
     """Measure the CPU milliseconds per claim in a queue of `jobs` jobs."""
-    queue = new_queue(out, 1, Settings(""), [Job(k, f"../scans/{k}", f"{k}") for k in range(jobs)])
+    queue = create_queue(out, 1, BatchSettings(""), [Job(k, f"../scans/{k}", f"{k}") for k in range(jobs)])
     assert queue is not None
     started = time.process_time()
-    standing = standing_queue(out)
+    standing = read_current_queue(out)
     assert standing is not None
     claims = Claims(standing.folder / "claims", "bench")
-    records, watch = Records(standing.folder / "done"), Watch(standing.folder / "workers")
-    supply = Supply(standing, claims, records, watch, 60.0)
-    numbers = [claim.number for claim in iter(supply.next, None)]
+    records, watch = JobRecords(standing.folder / "done"), HeartbeatObserver(standing.folder / "workers")
+    supply = JobScheduler(standing, claims, records, watch, 60.0)
+    numbers = [claim.number for claim in iter(supply.take_next, None)]
     assert numbers == list(range(jobs))
     return 1e3 * (time.process_time() - started) / jobs
 
 
 def add_to(commands: Any) -> None:
-    """Add the command `batch` to a parser."""
+    """Add the command `run_batch_bench` to a parser."""
     parser = commands.add_parser("batch", description=__doc__)
     parser.add_argument("--scans", type=int, default=1000)
     parser.add_argument("--jobs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=3)
-    parser.set_defaults(bench=batch)
+    parser.set_defaults(bench=run_batch_bench)

@@ -24,15 +24,15 @@ from typing import Any
 from building import make_building
 from markdown_tables import print_head, print_row
 
-from scanloom.pipeline.cache.digest import file_digest
+from scanloom.pipeline.cache.digest import compute_file_digest
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 VOXEL_SIZE = 0.01
 
 
-def bricks(
+def run_bricks_bench(
     building: Path | None,
     frames: list[int],
     killed: list[int],
@@ -41,7 +41,7 @@ def bricks(
     rooms: int,
     plot: Path | None,
 ) -> None:
-    """Print the tables of `bricks`."""
+    """Print the tables of `run_bricks_bench`."""
     with tempfile.TemporaryDirectory() as scratch:
         if building is None:
             building = Path(scratch) / "building"
@@ -49,35 +49,35 @@ def bricks(
         print_head(("frames", "CPU", "CPU per frame", "peak memory", "bricks", "triangles"), 0)
         drawn, contents = [], {}
         for count in frames:
-            scan = first_frames(building, Path(scratch) / f"scan-{count}", count)
-            out, figures, cpu = fused(scan, Path(scratch) / f"quiet-{count}", memory)
-            contents[count] = file_digest(out / "fused.ply")
+            scan = write_first_frames(building, Path(scratch) / f"scan-{count}", count)
+            out, figures, cpu = fuse_undisturbed(scan, Path(scratch) / f"quiet-{count}", memory)
+            contents[count] = compute_file_digest(out / "fused.ply")
             made, peak = figures["figures"], figures["peak_memory_mb"]
             drawn.append((count, 1000 * cpu / count, peak))
             of_mesh = f"{made['bricks']}", f"{made['triangles']:,}"
             print_row(
                 (f"{count:,}", f"{cpu:.0f} s", f"{1000 * cpu / count:.1f} ms", f"{peak:.0f} MB", *of_mesh)
             )
-            remove(out)
+            remove_results(out)
         print()
         print_head(("frames", "kills", "reused bricks", "same bytes"), 0)
         for count in killed:
             scan, out = Path(scratch) / f"scan-{count}", Path(scratch) / f"killed-{count}"
-            kills, taken = fused_under_kills(scan, out, memory, seed)
-            same = "yes" if file_digest(out / "fused.ply") == contents[count] else "NO"
+            kills, taken = fuse_with_kills(scan, out, memory, seed)
+            same = "yes" if compute_file_digest(out / "fused.ply") == contents[count] else "NO"
             print_row((f"{count:,}", f"{kills}", f"{taken}", same))
-            remove(out)
+            remove_results(out)
     if plot is not None:
-        draw(plot, drawn)
+        plot_costs(plot, drawn)
 
 
-def remove(out: Path) -> None:
+def remove_results(out: Path) -> None:
     """Remove results and their cache, which take gigabytes."""
     for folder in (out, Path(f"{out}-cache")):
         shutil.rmtree(folder)
 
 
-def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
+def plot_costs(path: Path, measured: list[tuple[int, float, float]]) -> None:
     """Plot CPU time per frame (ms) and peak memory (MB)."""
     from matplotlib.figure import Figure
 
@@ -92,7 +92,7 @@ def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
     figure.savefig(path, dpi=150)
 
 
-def first_frames(building: Path, folder: Path, count: int) -> Path:
+def write_first_frames(building: Path, folder: Path, count: int) -> Path:
     """Write a scan of a building's first frames, with linked images."""
     folder.mkdir()
     for kind in ("color", "depth"):
@@ -107,7 +107,7 @@ def first_frames(building: Path, folder: Path, count: int) -> Path:
     return folder
 
 
-def command(scan: Path, out: Path, memory: float) -> list[str]:
+def make_command(scan: Path, out: Path, memory: float) -> list[str]:
     """Make the command that fuses a scan in bricks.
 
     Each output folder gets a separate cache.
@@ -134,26 +134,26 @@ def command(scan: Path, out: Path, memory: float) -> list[str]:
     ]
 
 
-def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
+def fuse_undisturbed(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
     """Fuse a scan without disturbance.
 
     Returns the output folder, the stage's part of the report, and CPU seconds.
     """
     before = os.times()
-    subprocess.run(command(scan, out, memory), check=True)
+    subprocess.run(make_command(scan, out, memory), check=True)
     after = os.times()
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
     return out, json.loads((out / "report.json").read_text())["stages"]["fuse"], cpu
 
 
-def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, int]:
+def fuse_with_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, int]:
     """Fuse a scan by randomly killed runs, until one completes.
 
     Returns the number of kills and of bricks that the last run reused.
     """
     draw, kills, longest = random.Random(seed), 0, 4.0
     while True:
-        run = subprocess.Popen(command(scan, out, memory))
+        run = subprocess.Popen(make_command(scan, out, memory))
         limit = draw.uniform(1.0, longest)
         started = time.monotonic()
         while run.poll() is None and time.monotonic() - started < limit:
@@ -170,7 +170,7 @@ def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[
 
 
 def add_to(commands: Any) -> None:
-    """Add the command `bricks` to a parser."""
+    """Add the command `run_bricks_bench` to a parser."""
     parser = commands.add_parser("bricks", description=__doc__)
     parser.add_argument("--building", type=Path, help="made by benches/building.py")
     parser.add_argument("--frames", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000])
@@ -181,4 +181,4 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--memory", type=float, default=500, help="memory for voxels, MB")
     parser.add_argument("--rooms", type=int, default=50)
     parser.add_argument("--seed", type=int, default=3)
-    parser.set_defaults(bench=bricks)
+    parser.set_defaults(bench=run_bricks_bench)

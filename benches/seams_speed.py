@@ -14,24 +14,24 @@ import time
 
 import numpy as np
 from markdown_tables import print_head, print_row
-from simplify_speed import hills
+from simplify_speed import make_hills
 
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Material, Mesh, Texture
 
 SIZES = (10_000, 100_000, 1_000_000)
-_ROWS = 50
+_STRIP_ROWS = 50
 
 
-def strips(triangles: int) -> Mesh:
+def make_strips(triangles: int) -> Mesh:
     """Make a height field whose strips are separate charts.
 
     The charts are rotated by 90° in the image.
     """
-    mesh = hills(triangles)
+    mesh = make_hills(triangles)
     place = mesh.vertices[:, :2] / np.ptp(mesh.vertices[:, :2])
     n = round(len(mesh.vertices) ** 0.5)
-    strip = mesh.triangles.min(axis=1) // n // _ROWS
+    strip = mesh.triangles.min(axis=1) // n // _STRIP_ROWS
     keys, corners = np.unique(
         np.repeat(strip, 3).astype(np.int64) << 32 | mesh.triangles.reshape(-1), return_inverse=True
     )
@@ -51,7 +51,7 @@ def main() -> None:
     """Print the table."""
     print_head(["triangles", "attributes", "collapses/s"], words=2)
     for size in [int(word) for word in sys.argv[1:]] or SIZES:
-        mesh = strips(size)
+        mesh = make_strips(size)
         for name, one in (
             ("texture coordinates", mesh.with_(colors=None)),
             ("texture coordinates, colours", mesh),

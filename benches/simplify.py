@@ -37,18 +37,18 @@ from typing import Any
 
 import meshes
 import numpy as np
-from peers.results import Row, summary, verdicts
-from peers.tools import OURS, TOOLS, Missing, Tool
+from peers.results import SimplifierResult, compare_with_peers, make_summary_table
+from peers.tools import OURS, TOOLS, PeerUnavailable, Tool
 
 from scanloom.stages.comparing.compare import compare
-from scanloom.stages.surface.edges import edges_of
+from scanloom.stages.surface.edges import build_edges
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 from scanloom.stages.surface.topology import Topology, topology
 
 # Seconds after which a call counts as failed.
-PATIENCE_S = 300
-TURNED = math.cos(math.radians(120))
+TIMEOUT_S = 300
+MAX_FLIPPED_COSINE = math.cos(math.radians(120))
 
 
 def main() -> None:
@@ -69,62 +69,68 @@ def main() -> None:
 
     with contextlib.redirect_stdout(sys.stderr if options.summary else sys.stdout):
         rows = run(options)
-        print("\n" + "\n".join(verdicts(rows)))
+        print("\n" + "\n".join(compare_with_peers(rows)))
     if options.summary:
-        print("\n".join(summary(rows)))
+        print("\n".join(make_summary_table(rows)))
     if options.picture:
-        from peers.picture import draw
+        from peers.picture import draw_errors
 
-        draw(rows, options.picture)
+        draw_errors(rows, options.picture)
 
 
-def run(options: argparse.Namespace) -> list[Row]:
+def run(options: argparse.Namespace) -> list[SimplifierResult]:
     """Measure all tools; print a table for each mesh and ratio."""
-    tools = list(installed(options.only))
+    tools = list(find_installed(options.only))
     inputs = {name: meshes.MESHES[name](options.data) for name in options.mesh}
     if options.scan:
-        inputs[options.scan.stem] = meshes.scan(options.scan)
+        inputs[options.scan.stem] = meshes.read_colored_scan(options.scan)
     for path in options.paint or ():
-        inputs[path.stem] = meshes.projected(path, meshes.earth(options.data))
+        inputs[path.stem] = meshes.read_projected(path, meshes.read_earth_map(options.data))
     rows = []
     for name, mesh in inputs.items():
         for ratio in options.ratios:
             print(f"\n### {name}, {len(mesh.triangles):,} triangles to {ratio:.0%}\n\n{HEADER}")
-            part: list[Row] = []
-            for row in measured(name, mesh, ratio, tools, options.samples):
+            part: list[SimplifierResult] = []
+            for row in measure_tools(name, mesh, ratio, tools, options.samples):
                 part.append(row)
-                print(line(row, part[0]), flush=True)
+                print(format_row(row, part[0]), flush=True)
             rows += part
     return rows
 
 
-def installed(only: list[str] | None) -> Iterator[Tool]:
+def find_installed(prefixes: list[str] | None) -> Iterator[Tool]:
     """Yield the available tools; print their versions, and reasons for missing ones."""
     for tool in TOOLS:
-        if only and tool.name != OURS and not tool.name.lower().startswith(tuple(o.lower() for o in only)):
+        if (
+            prefixes
+            and tool.name != OURS
+            and not tool.name.lower().startswith(tuple(o.lower() for o in prefixes))
+        ):
             continue
         try:
             print(f"- {tool.name}: {tool.version()}", flush=True)
             yield tool
-        except Missing as reason:
+        except PeerUnavailable as reason:
             print(f"- {tool.name} is skipped: {reason}", flush=True)
 
 
-def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: int) -> Iterator[Row]:
+def measure_tools(
+    name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: int
+) -> Iterator[SimplifierResult]:
     """Run each tool with each setting and measure its result."""
     before = topology(mesh)
-    for tool, setting, cost, light in results(mesh, ratio, tools):
-        yield Row(
+    for tool, setting, cost, light in run_tools(mesh, ratio, tools):
+        yield SimplifierResult(
             mesh=name,
             ratio=ratio,
             tool=tool.name,
             setting=setting,
             **cost,
-            **quality(mesh, before, light, samples),
+            **measure_quality(mesh, before, light, samples),
         )
 
 
-def results(
+def run_tools(
     mesh: Mesh, ratio: float, tools: list[Tool]
 ) -> Iterator[tuple[Tool, str, dict[str, float], Mesh]]:
     """Run each tool with each setting; print failures.
@@ -134,21 +140,23 @@ def results(
     """
     with tempfile.TemporaryDirectory() as folder:
         given, result = Path(folder, "given.npz"), Path(folder, "result.npz")
-        save(mesh, given)
+        save_mesh(mesh, given)
         for tool in tools:
             settings = list(tool.settings)
             for setting in settings if mesh.colors is not None else settings[:1]:
                 try:
-                    cost = in_own_process(
+                    cost = call_in_subprocess(
                         tool, setting, given, math.floor(ratio * len(mesh.triangles)), result
                     )
-                except (Missing, subprocess.SubprocessError) as error:
+                except (PeerUnavailable, subprocess.SubprocessError) as error:
                     print(f"| {tool.name} | {setting} | failed: {error} |")
                     continue
-                yield tool, setting if mesh.colors is not None else "", cost, load(result)
+                yield tool, setting if mesh.colors is not None else "", cost, load_mesh(result)
 
 
-def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result: Path) -> dict[str, float]:
+def call_in_subprocess(
+    tool: Tool, setting: str, given: Path, triangles: int, result: Path
+) -> dict[str, float]:
     """Call a tool in a new process; return seconds and megabytes.
 
     Raises
@@ -168,19 +176,19 @@ def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result
     ]
     # Some tools read the thread count from these variables and ignore the CPU affinity.
     environment = os.environ | {"OMP_NUM_THREADS": "1", "RAYON_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, env=environment)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, env=environment)
     if done.returncode:
-        raise Missing((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+        raise PeerUnavailable((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def call(name: str, setting: str, given: str, triangles: str, result: str) -> None:
+def call_tool(name: str, setting: str, given: str, triangles: str, result: str) -> None:
     """Call one tool in this process; print its cost as JSON."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     tool = next(tool for tool in TOOLS if tool.name == name)
-    mesh = load(Path(given))
-    small = meshes.globe(12, np.zeros((2, 2, 3), np.uint8)).with_(colors=None)
+    mesh = load_mesh(Path(given))
+    small = meshes.make_globe(12, np.zeros((2, 2, 3), np.uint8)).with_(colors=None)
     if mesh.colors is not None:
         small = small.with_(colors=np.resize(mesh.colors, (len(small.vertices), 3)))
     # Warm up: load libraries before anything is measured.
@@ -189,50 +197,50 @@ def call(name: str, setting: str, given: str, triangles: str, result: str) -> No
     work, unpacked = tool.prepare(mesh, int(triangles), **tool.settings[setting])
     # Linux resets the peak memory of a process on this write; the peak so far is from earlier steps.
     Path("/proc/self/clear_refs").write_text("5")
-    before, start = peak_bytes(), time.process_time()
+    before, start = read_peak_bytes(), time.process_time()
     raw = work()
-    seconds, growth = time.process_time() - start, peak_bytes() - before
-    save(unpacked(raw), Path(result))
+    seconds, growth = time.process_time() - start, read_peak_bytes() - before
+    save_mesh(unpacked(raw), Path(result))
     print("\n" + json.dumps({"seconds": seconds, "megabytes": growth / 1e6}))
 
 
-def peak_bytes() -> int:
+def read_peak_bytes() -> int:
     """Return the peak resident memory of this process since its last reset."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
-def save(mesh: Mesh, path: Path) -> None:
-    """Write a mesh to an NPZ file for `load`."""
+def save_mesh(mesh: Mesh, path: Path) -> None:
+    """Write a mesh to an NPZ file for `load_mesh`."""
     colors = {} if mesh.colors is None else {"colors": mesh.colors}
     np.savez(path, vertices=mesh.vertices, triangles=mesh.triangles, **colors)
 
 
-def load(path: Path) -> Mesh:
-    """Read a mesh written by `save`."""
+def load_mesh(path: Path) -> Mesh:
+    """Read a mesh written by `save_mesh`."""
     with np.load(path) as arrays:
         return Mesh(arrays["vertices"], arrays["triangles"], arrays.get("colors"))
 
 
-def quality(mesh: Mesh, before: Topology, light: Mesh, samples: int) -> dict[str, Any]:
+def measure_quality(mesh: Mesh, before: Topology, result: Mesh, samples: int) -> dict[str, Any]:
     """Measure a result against its input."""
-    difference = compare(mesh, light, samples=samples)
-    after = topology(light)
+    difference = compare(mesh, result, samples=samples)
+    after = topology(result)
     color = difference.color_a_to_b
-    lengths = edge_lengths(light)
-    angles = smallest_angles(light)
+    lengths = compute_edge_lengths(result)
+    angles = compute_min_angles(result)
     diagonal = difference.diagonal
     return {
-        "triangles": len(light.triangles),
+        "triangles": len(result.triangles),
         "rms": difference.symmetric.rms / diagonal,
         "maximum": difference.symmetric.maximum / diagonal,
-        "check": independent_rms(mesh, light, samples // 2, diagonal),
+        "check": measure_pymeshlab_rms(mesh, result, samples // 2, diagonal),
         "color": color and color.rmse,
         "color_note": "" if mesh.colors is None else "dropped",
         "psnr": color and color.psnr,
         "topology": after,
         "euler_change": after.euler - before.euler,
-        "turned": turned(mesh, light),
+        "turned": count_flipped(mesh, result),
         "edge_mean": lengths.mean() / diagonal,
         "edge_spread": lengths.std() / lengths.mean(),
         "angle_low": float(np.percentile(angles, 5)),
@@ -240,7 +248,7 @@ def quality(mesh: Mesh, before: Topology, light: Mesh, samples: int) -> dict[str
     }
 
 
-def independent_rms(mesh: Mesh, light: Mesh, samples: int, diagonal: float) -> float | None:
+def measure_pymeshlab_rms(mesh: Mesh, result: Mesh, samples: int, diagonal: float) -> float | None:
     """Measure the two-sided RMS over the diagonal with PyMeshLab.
 
     Returns None if PyMeshLab is not installed.
@@ -250,7 +258,7 @@ def independent_rms(mesh: Mesh, light: Mesh, samples: int, diagonal: float) -> f
     except ImportError:
         return None
     pair = pymeshlab.MeshSet()
-    for one in (mesh, light):
+    for one in (mesh, result):
         pair.add_mesh(pymeshlab.Mesh(one.vertices, one.triangles))
     squared = [
         pair.get_hausdorff_distance(
@@ -262,13 +270,13 @@ def independent_rms(mesh: Mesh, light: Mesh, samples: int, diagonal: float) -> f
     return math.sqrt(sum(squared) / 2) / diagonal
 
 
-def edge_lengths(mesh: Mesh) -> np.ndarray:
+def compute_edge_lengths(mesh: Mesh) -> np.ndarray:
     """Compute the length of every edge (n,), metres."""
-    ends = edges_of(mesh.triangles, len(mesh.vertices)).ends
+    ends = build_edges(mesh.triangles, len(mesh.vertices)).ends
     return np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
 
 
-def smallest_angles(mesh: Mesh) -> np.ndarray:
+def compute_min_angles(mesh: Mesh) -> np.ndarray:
     """Compute each triangle's smallest angle (m,), degrees; 0 if degenerate."""
     corners = mesh.vertices[mesh.triangles]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
@@ -276,18 +284,20 @@ def smallest_angles(mesh: Mesh) -> np.ndarray:
     return np.degrees(np.arctan2(sines, (one * other).sum(axis=2))).min(axis=1)
 
 
-def turned(mesh: Mesh, light: Mesh) -> int:
+def count_flipped(mesh: Mesh, result: Mesh) -> int:
     """Count triangles that face more than 120° away from the original.
 
     Each is compared with the original's triangle nearest to its centroid.
     """
-    middles = light.vertices[light.triangles].mean(axis=1)
-    nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
-    cosines = (unit_normals(light) * unit_normals(mesh)[nearest]).sum(axis=1)
-    return int(np.count_nonzero(cosines < TURNED))
+    middles = result.vertices[result.triangles].mean(axis=1)
+    nearest = (
+        RaycastingSurface(mesh, compute_bounding_box(mesh, result)).find_closest_points(middles).triangles
+    )
+    cosines = (compute_unit_normals(result) * compute_unit_normals(mesh)[nearest]).sum(axis=1)
+    return int(np.count_nonzero(cosines < MAX_FLIPPED_COSINE))
 
 
-def unit_normals(mesh: Mesh) -> np.ndarray:
+def compute_unit_normals(mesh: Mesh) -> np.ndarray:
     """Compute each triangle's unit normal (m, 3); zero without area."""
     a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
@@ -321,7 +331,7 @@ COLUMNS = {
 HEADER = "\n".join("| " + " | ".join(part) + " |" for part in (COLUMNS, COLUMNS.values()))
 
 
-def line(row: Row, first: Row) -> str:
+def format_row(row: SimplifierResult, first: SimplifierResult) -> str:
     """Format a row in Markdown.
 
     Times are also given relative to `first`, if that is ours.
@@ -355,6 +365,6 @@ def line(row: Row, first: Row) -> str:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--call"]:
-        call(*sys.argv[2:])
+        call_tool(*sys.argv[2:])
     else:
         main()

@@ -85,17 +85,17 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.simplification.simplify import SimplificationResult, simplify
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import bounding_box
+from scanloom.stages.surface.raycasting import compute_bounding_box
 
 SIZES = (10_000, 100_000, 1_000_000, 2_000_000, 5_000_000)
-SHUFFLED = 1_000_000
+SHUFFLED_SIZE = 1_000_000
 # Bounds of "certified": relative to the vertex spacing, and in 8-bit levels.
-MAX_SHAPE, MAX_TEXTURE = 0.3, 16.0
+MAX_SHAPE_SPACINGS, MAX_COLOR_LEVELS = 0.3, 16.0
 
 
-def hills(triangles: int) -> Mesh:
+def make_hills(triangles: int) -> Mesh:
     """Make a noisy, coloured height field.
 
     Vertices and triangles have the row order of a depth image.
@@ -114,16 +114,16 @@ def hills(triangles: int) -> Mesh:
     )
 
 
-def shuffled(triangles: int) -> Mesh:
+def make_shuffled_hills(triangles: int) -> Mesh:
     """Make hills with vertices and triangles in random order."""
-    mesh, random = hills(triangles), np.random.default_rng(1)
+    mesh, random = make_hills(triangles), np.random.default_rng(1)
     order = random.permutation(len(mesh.vertices))
     number = np.argsort(order).astype(np.int32)
     assert mesh.colors is not None
     return Mesh(mesh.vertices[order], number[random.permutation(mesh.triangles)], mesh.colors[order])
 
 
-def sphere(triangles: int) -> Mesh:
+def make_sphere(triangles: int) -> Mesh:
     """Make a sphere without colours, ordered in rings from pole to pole."""
     rings = int((triangles / 4) ** 0.5)
     around = 2 * rings
@@ -141,23 +141,27 @@ def sphere(triangles: int) -> Mesh:
     return Mesh(vertices, np.concatenate([np.stack(p, 1) for p in parts]).astype(np.int32))
 
 
-MESHES: dict[str, Callable[[int], Mesh]] = {"hills": hills, "shuffled": shuffled, "sphere": sphere}
+MESHES: dict[str, Callable[[int], Mesh]] = {
+    "hills": make_hills,
+    "shuffled": make_shuffled_hills,
+    "sphere": make_sphere,
+}
 
 
-def certified(mesh: Mesh, threads: int) -> Simplified[Any]:
-    """Simplify by `certified` within bounds relative to the vertex spacing."""
-    low, high = bounding_box(mesh)
+def simplify_certified(mesh: Mesh, threads: int) -> SimplificationResult[Any]:
+    """Simplify by `simplify_certified` within bounds relative to the vertex spacing."""
+    low, high = compute_bounding_box(mesh)
     spacing = float(np.linalg.norm(high - low)) / len(mesh.triangles) ** 0.5
-    texture = None if mesh.colors is None else MAX_TEXTURE
+    texture = None if mesh.colors is None else MAX_COLOR_LEVELS
     return simplify(
-        mesh, method="certified", max_shape=MAX_SHAPE * spacing, max_color=texture, threads=threads
+        mesh, method="certified", max_shape=MAX_SHAPE_SPACINGS * spacing, max_color=texture, threads=threads
     )
 
 
-MODES: dict[str, Callable[[Mesh, int], Simplified[Any]]] = {
+MODES: dict[str, Callable[[Mesh, int], SimplificationResult[Any]]] = {
     "count": lambda mesh, threads: simplify(mesh, ratio=0.1, threads=threads),
     "jia01": lambda mesh, threads: simplify(mesh, method="jia01", threads=threads),
-    "certified": certified,
+    "certified": simplify_certified,
 }
 
 
@@ -174,8 +178,8 @@ def main() -> None:
     growth: dict[tuple[str, str], dict[int, float]] = {}
     for mode in options.mode:
         for mesh in options.mesh:
-            for size in options.sizes or ((SHUFFLED,) if mesh == "shuffled" else SIZES):
-                one, two = both(mode, mesh, size, options.repeats)
+            for size in options.sizes or ((SHUFFLED_SIZE,) if mesh == "shuffled" else SIZES):
+                one, two = measure_thread_counts(mode, mesh, size, options.repeats)
                 removed, triangles = one["removed"], one["triangles"]
                 growth.setdefault((mode, mesh), {})[triangles] = 1e9 * one["seconds"] / removed
                 print(
@@ -186,17 +190,17 @@ def main() -> None:
                 )
     print("\n| mode | mesh | triangles | ns per removed triangle | n log n |\n|---|---|---:|---:|---:|")
     for (mode, mesh), times in growth.items():
-        for triangles, ratio in over_n_log_n(times).items():
+        for triangles, ratio in compute_growth(times).items():
             print(f"| {mode} | {mesh} | {triangles:,} | {times[triangles]:,.0f} | {ratio:.2f} |")
 
 
-def over_n_log_n(times: dict[int, float]) -> dict[int, float]:
+def compute_growth(times: dict[int, float]) -> dict[int, float]:
     """Divide times per triangle by log n, relative to the smallest n."""
     over = {n: time / math.log(n) for n, time in times.items()}
     return {n: value / over[min(over)] for n, value in over.items()}
 
 
-def both(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, Any]]:
+def measure_thread_counts(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, Any]]:
     """Measure with one and with two threads, alternating.
 
     Yields the best measurement of each.
@@ -206,14 +210,14 @@ def both(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, An
     SystemExit
         If any two results differ.
     """
-    runs = [[in_own_process(mode, mesh, size, threads) for threads in (1, 2)] for _ in range(repeats)]
+    runs = [[measure_in_subprocess(mode, mesh, size, threads) for threads in (1, 2)] for _ in range(repeats)]
     if len({run["digest"] for pair in runs for run in pair}) > 1:
         raise SystemExit(f"{mode}, {mesh}, {size}: results differ between runs or numbers of threads")
     for some in zip(*runs, strict=True):
         yield some[0] | {key: min(run[key] for run in some) for key in ("seconds", "elapsed")}
 
 
-def in_own_process(mode: str, mesh: str, size: int, threads: int) -> dict[str, Any]:
+def measure_in_subprocess(mode: str, mesh: str, size: int, threads: int) -> dict[str, Any]:
     """Run `measure` in a new process."""
     command = [sys.executable, __file__, "--measure", mode, mesh, str(size), str(threads)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
@@ -229,7 +233,7 @@ def measure(mode: str, name: str, triangles: int, threads: int) -> dict[str, Any
     MODES[mode](MESHES[name](1000), threads)  # Warm up: load libraries.
     # Linux resets the peak memory of a process on this write; the peak so far is from making the mesh.
     Path("/proc/self/clear_refs").write_text("5")
-    memory, start, elapsed = peak_bytes(), time.process_time(), time.perf_counter()
+    memory, start, elapsed = read_peak_bytes(), time.process_time(), time.perf_counter()
     result = MODES[mode](mesh, threads)
     elapsed, seconds = time.perf_counter() - elapsed, time.process_time() - start
     return {
@@ -237,18 +241,18 @@ def measure(mode: str, name: str, triangles: int, threads: int) -> dict[str, Any
         "removed": len(mesh.triangles) - len(result.mesh.triangles),
         "seconds": seconds,
         "elapsed": elapsed,
-        "bytes": peak_bytes() - memory,
-        "digest": digest(result),
+        "bytes": read_peak_bytes() - memory,
+        "digest": compute_digest(result),
     }
 
 
-def peak_bytes() -> int:
+def read_peak_bytes() -> int:
     """Return the peak resident memory of this process since its last reset."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
-def digest(result: Simplified[Any]) -> str:
+def compute_digest(result: SimplificationResult[Any]) -> str:
     """Compute an MD5 digest over all arrays of a result."""
     mesh = result.mesh
     arrays = (mesh.vertices, mesh.triangles, mesh.colors, result.vertex_source, result.triangle_source)

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from scanloom.stages.scans.model.scan import Camera, StereoRig
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.depth import depth, depth_scan
 from scanloom.stages.stereo.disparity import stereo_disparity
 
@@ -41,14 +41,14 @@ def main() -> None:
     print(f"OpenCV {cv2.__version__}, {os.cpu_count()} cores\n")
     print("| pair | setting | coverage % | error > 1 px % | > 2 px % | visible > 2 px % | median px | s |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
-    for name, pair in (("Motorcycle", motorcycle(stereo)), ("Cones", cones(stereo))):
-        for setting, run in settings(*pair[:3], words.model).items():
-            print(f"| {name} | {setting} | {row(run, pair[3])} |")
-    reliability(stereo)
-    sequence(stereo / "kitti_sequence_1")
+    for name, pair in (("Motorcycle", read_motorcycle(stereo)), ("Cones", read_cones(stereo))):
+        for setting, run in make_settings(*pair[:3], words.model).items():
+            print(f"| {name} | {setting} | {format_row(run, pair[3])} |")
+    print_reliability(stereo)
+    print_sequence(stereo / "kitti_sequence_1")
 
 
-def settings(
+def make_settings(
     left: Image, right: Image, rig: StereoRig, model: str | None = None
 ) -> dict[str, Callable[[], tuple[Image, Image]]]:
     """Return the compared functions by name.
@@ -56,38 +56,38 @@ def settings(
     Each computes a disparity map (h, w) and the mask of its valid pixels.
     """
 
-    def ours(**changes: object) -> Callable[[], tuple[Image, Image]]:
+    def make_scanloom_setting(**changes: object) -> Callable[[], tuple[Image, Image]]:
         def run() -> tuple[Image, Image]:
             result = depth(left, right, rig, **changes)
             return result.disparity, result.depth > 0
 
         return run
 
-    count = -(-(rig.disparities or 64) // 16) * 16
+    count = -(-(rig.disparity_count or 64) // 16) * 16
     return {
-        "OpenCV SGBM": lambda: opencv(left, right, count, "sgbm"),
-        "OpenCV HH4 + WLS, padded": lambda: opencv(left, right, count, "hh4"),
-        "stereo_disparity": lambda: disparity_of(left, right, count, 0.8),
-        "stereo_disparity, min_confidence=0": lambda: disparity_of(left, right, count, 0),
-        "depth": ours(),
-        "depth, sgbm.left_right=match": ours(sgbm={"left_right": "match"}),
-        "depth, matcher=sgbm": ours(matcher="sgbm"),
-        "depth, matcher=hh4": ours(matcher="hh4"),
-        "depth, matcher=3way": ours(matcher="3way"),
-        "depth, sgbm.block_size=5": ours(sgbm={"block_size": 5}),
-        "depth, min_confidence=1": ours(min_confidence=1),
-        "depth, sgbm.smooth=true": ours(sgbm={"smooth": True}),
-        **({} if model is None else {"depth, model": ours(model=model)}),
+        "OpenCV SGBM": lambda: match_opencv(left, right, count, "sgbm"),
+        "OpenCV HH4 + WLS, padded": lambda: match_opencv(left, right, count, "hh4"),
+        "stereo_disparity": lambda: match_scanloom(left, right, count, 0.8),
+        "stereo_disparity, min_confidence=0": lambda: match_scanloom(left, right, count, 0),
+        "depth": make_scanloom_setting(),
+        "depth, sgbm.left_right=match": make_scanloom_setting(sgbm={"left_right": "match"}),
+        "depth, matcher=sgbm": make_scanloom_setting(matcher="sgbm"),
+        "depth, matcher=hh4": make_scanloom_setting(matcher="hh4"),
+        "depth, matcher=3way": make_scanloom_setting(matcher="3way"),
+        "depth, sgbm.block_size=5": make_scanloom_setting(sgbm={"block_size": 5}),
+        "depth, min_confidence=1": make_scanloom_setting(min_confidence=1),
+        "depth, sgbm.smooth=true": make_scanloom_setting(sgbm={"smooth": True}),
+        **({} if model is None else {"depth, model": make_scanloom_setting(model=model)}),
     }
 
 
-def disparity_of(left: Image, right: Image, count: int, least: float) -> tuple[Image, Image]:
+def match_scanloom(left: Image, right: Image, count: int, min_confidence: float) -> tuple[Image, Image]:
     """Run `stereo_disparity`; return disparity and valid pixels."""
-    found = stereo_disparity(left, right, count - 1, min_confidence=least)
+    found = stereo_disparity(left, right, count - 1, min_confidence=min_confidence)
     return found.disparity, np.isfinite(found.disparity)
 
 
-def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Image]:
+def match_opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Image]:
     """Run OpenCV's matcher; return disparity and valid pixels.
 
     Mode "sgbm" is plain SGBM. Mode "hh4" runs HH4 in both directions on a padded pair, with weighted least
@@ -116,7 +116,7 @@ def pad(image: Image, before: int, after: int) -> Image:
     return cv2.copyMakeBorder(image, 0, 0, before, after, cv2.BORDER_REPLICATE)
 
 
-def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
+def format_row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
     """Measure one function and format its row.
 
     The time is the best of three runs.
@@ -126,7 +126,7 @@ def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
         start = time.process_time()
         disparity, given = run()
         seconds.append(time.process_time() - start)
-    seen = visible(truth)
+    seen = mark_visible(truth)
     error = np.abs(disparity - truth)
     judged, judged_seen = error[given & np.isfinite(truth)], error[given & seen]
     shares = [given[seen], judged > 1, judged > 2, judged_seen > 2]
@@ -134,7 +134,7 @@ def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
     return f"{text} | {np.median(judged):.3f} | {min(seconds):.3f}"
 
 
-def visible(truth: Image) -> Image:
+def mark_visible(truth: Image) -> Image:
     """Mark the pixels whose match in the right image is not occluded."""
     rows, columns = np.nonzero(np.isfinite(truth))
     target = np.round(columns - truth[rows, columns]).astype(int)
@@ -147,16 +147,16 @@ def visible(truth: Image) -> Image:
     return seen
 
 
-def motorcycle(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
+def read_motorcycle(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
     """Read the Motorcycle pair with calibration and true disparity."""
     folder = stereo / "middlebury2014_motorcycle"
     rig = read_scan(folder).rig
     assert rig is not None
     truth = cv2.imread(str(folder / "disp0.pfm"), cv2.IMREAD_UNCHANGED)
-    return rgb(folder / "im0.png"), rgb(folder / "im1.png"), rig, truth
+    return read_rgb(folder / "im0.png"), read_rgb(folder / "im1.png"), rig, truth
 
 
-def cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
+def read_cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
     """Read the Cones pair with its true disparity.
 
     The pair has no calibration, so one is assumed.
@@ -167,28 +167,28 @@ def cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
     right_from_left[0, 3] = -0.1
     truth = cv2.imread(str(folder / "disp2.pgm"), cv2.IMREAD_UNCHANGED) / 4.0
     truth[truth == 0] = np.inf
-    left, right = (rgb(next(folder.glob(f"{name}.*"))) for name in ("im2", "im6"))
-    return left, right, StereoRig(camera, camera, right_from_left, rectified=True), truth
+    left, right = (read_rgb(next(folder.glob(f"{name}.*"))) for name in ("im2", "im6"))
+    return left, right, StereoRig(camera, camera, right_from_left, is_rectified=True), truth
 
 
-def rgb(path: Path) -> Image:
+def read_rgb(path: Path) -> Image:
     """Read an image file as RGB."""
     return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
 
 
-def reliability(stereo: Path) -> None:
+def print_reliability(stereo: Path) -> None:
     """Print the calibration of the confidence.
 
     Compares confidence with the ratio of errors of at most 2 px.
     """
     print("\n| confidence % | pixels % | mean confidence % | correct % |\n|---|---:|---:|---:|")
-    said, right = [], []
-    for left, other, rig, truth in (motorcycle(stereo), cones(stereo)):
-        found = stereo_disparity(left, other, (rig.disparities or 64) - 1, min_confidence=0)
+    confidence, is_correct = [], []
+    for left, other, rig, truth in (read_motorcycle(stereo), read_cones(stereo)):
+        found = stereo_disparity(left, other, (rig.disparity_count or 64) - 1, min_confidence=0)
         known = np.isfinite(truth)
-        said.append(found.confidence[known])
-        right.append(np.abs(found.disparity[known] - truth[known]) <= 2)
-    sure, is_right = np.concatenate(said), np.concatenate(right)
+        confidence.append(found.confidence[known])
+        is_correct.append(np.abs(found.disparity[known] - truth[known]) <= 2)
+    sure, is_right = np.concatenate(confidence), np.concatenate(is_correct)
     edges = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1)
     for low, high in pairwise(edges):
         chosen = (sure >= low) & (sure < high)
@@ -196,7 +196,7 @@ def reliability(stereo: Path) -> None:
         print(f"| {100 * low:g} to {100 * high:g} | " + " | ".join(f"{100 * s:.1f}" for s in shares) + " |")
 
 
-def sequence(folder: Path) -> None:
+def print_sequence(folder: Path) -> None:
     """Print the time of a whole sequence, from files to depth maps."""
     scan = read_scan(folder)
     start, cpu = time.perf_counter(), time.process_time()

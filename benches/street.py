@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.fusion.fuse import fuse
-from scanloom.stages.picturing.render import render, write_png
-from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.rendering.render import render, write_png
+from scanloom.stages.rendering.viewpoints import Viewpoint
 from scanloom.stages.scans.model.images import read_color, read_right
 from scanloom.stages.scans.model.scan import Camera, Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.depth import DepthMap, depth_scan
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import topology
@@ -35,17 +35,17 @@ STRIPS = {"lane": (-1.5, 1.5), "left side": (-6.0, -3.0), "right side": (3.0, 6.
 FIRST_FRAME = 8
 
 
-def ours(scan: Scan, voxel_size: float) -> Mesh:
+def mesh_with_scanloom(scan: Scan, voxel_size: float) -> Mesh:
     """Match and fuse as `scanloom run` does."""
     frames = [frame for frame, measured in depth_scan(scan) if isinstance(measured, DepthMap)]
     return fuse(frames, voxel_size=voxel_size).mesh
 
 
-def script(scan: Scan, voxel_size: float) -> Mesh:
+def mesh_with_script(scan: Scan, voxel_size: float) -> Mesh:
     """Match with OpenCV and fuse with Open3D, with constants of their examples."""
     import cv2
 
-    o3d = open3d()
+    o3d = import_open3d()
     f32 = o3d.core.float32
     assert scan.rig is not None
     mode = cv2.STEREO_SGBM_MODE_SGBM_3WAY
@@ -69,19 +69,21 @@ def script(scan: Scan, voxel_size: float) -> Mesh:
     return Mesh(mesh.vertex.positions.numpy().astype(float), mesh.triangle.indices.numpy(), colors)
 
 
-def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, float]:
+def measure_road(mesh: Mesh, scan: Scan, lateral_range: tuple[float, float]) -> tuple[float, float]:
     """Cast downward rays over a strip.
 
     Returns the ratio of rays that hit the mesh within 2.5 m, and the standard deviation of their lengths in
     metres.
     """
     poses = np.stack([frame.world_from_camera for frame in scan.frames[FIRST_FRAME:]])
-    beside = np.linspace(*across, 60)[None, :, None] * poses[:, None, :3, 0]
-    onward = np.linspace(0, 1, 12)[None, :, None, None] * np.diff(poses[:, :3, 3], axis=0)[:, None, None]
-    start = (poses[:-1, None, None, :3, 3] + onward + beside[:-1, None]).reshape(-1, 3)
+    lateral_offset = np.linspace(*lateral_range, 60)[None, :, None] * poses[:, None, :3, 0]
+    forward_offset = (
+        np.linspace(0, 1, 12)[None, :, None, None] * np.diff(poses[:, :3, 3], axis=0)[:, None, None]
+    )
+    start = (poses[:-1, None, None, :3, 3] + forward_offset + lateral_offset[:-1, None]).reshape(-1, 3)
     down = np.repeat(poses[:-1, :3, 1], 12 * 60, axis=0)
     start += 0.7 * down
-    o3d = open3d()
+    o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
@@ -92,7 +94,7 @@ def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, fl
     return float(hit.mean()), float(np.std(distance[hit]))
 
 
-def views(scan: Scan) -> list[Viewpoint]:
+def make_viewpoints(scan: Scan) -> list[Viewpoint]:
     """Make two viewpoints for pictures.
 
     One is the driver's at the ninth frame, the other is 6 m above the fourth frame.
@@ -116,8 +118,11 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="folder for renderings of the meshes")
     options = parser.parse_args()
     scan = read_scan(options.scan)
-    open3d()
-    rivals: dict[str, Callable[[Scan, float], Mesh]] = {"scanloom": ours, "script": script}
+    import_open3d()
+    rivals: dict[str, Callable[[Scan, float], Mesh]] = {
+        "scanloom": mesh_with_scanloom,
+        "script": mesh_with_script,
+    }
     seconds: dict[str, list[NDArray[np.float64]]] = {name: [] for name in rivals}
     meshes = {}
     for _ in range(options.repeats):
@@ -130,19 +135,19 @@ def main() -> None:
     print("|---" * (7 + len(STRIPS)) + "|")
     for name, mesh in meshes.items():
         wall, processor = np.median(seconds[name], axis=0)
-        measured = [road(mesh, scan, strip) for strip in STRIPS.values()]
+        measured = [measure_road(mesh, scan, strip) for strip in STRIPS.values()]
         closed = " | ".join(f"{share:.1%}" for share, _ in measured)
         print(
             f"| {name} | {wall:.1f} | {processor:.1f} | {len(mesh.triangles)} "
-            f"| {topology(mesh).components} | {largest_piece(mesh):.0%} | {closed} "
+            f"| {topology(mesh).components} | {compute_largest_component_ratio(mesh):.0%} | {closed} "
             f"| {measured[0][1] * 100:.1f} |"
         )
-        for viewpoint in views(scan) if options.pictures else []:
+        for viewpoint in make_viewpoints(scan) if options.pictures else []:
             options.pictures.mkdir(parents=True, exist_ok=True)
             write_png(options.pictures / f"{name}-{viewpoint.name}.png", render(mesh, viewpoint))
 
 
-def largest_piece(mesh: Mesh) -> float:
+def compute_largest_component_ratio(mesh: Mesh) -> float:
     """Compute the ratio of triangles in the largest connected component."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -32,18 +32,18 @@ from typing import Any
 import numpy as np
 from markdown_tables import print_head, print_row
 from peers import native
-from peers.tools import pointer
-from texture_soundness import soundness
+from peers.tools import get_pointer
+from texture_soundness import measure_soundness
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.errors import ScanloomError
-from scanloom.stages.files.image_bytes import decoded_image
+from scanloom.stages.files.image_bytes import decode_image
 from scanloom.stages.simplification.simplify import simplify
-from scanloom.stages.surface.color import has_color
-from scanloom.stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy, with_vertex_colors
 from scanloom.stages.surface.mesh import Image, Material, Mesh
+from scanloom.stages.surface.mesh_conversion import as_mesh, bake_vertex_colors, to_open3d, to_open3d_legacy
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.surface.surface_color import has_color
 from scanloom.stages.texturing.bake import bake
 
 Simplifier = Callable[[Mesh, int], tuple[Callable[[], Any], Callable[[Any], Mesh]]]
@@ -85,7 +85,7 @@ SUMMARY = (
 )
 OURS = "scanloom --keep-uv"
 # A result with more triangles than this multiple of the target cannot be compared.
-TOLERATED = 1.05
+MAX_COUNT_RATIO = 1.05
 
 # Options of meshoptimizer's simplifier, and its flag for protected vertices.
 PERMISSIVE, REGULARIZE_LIGHT = 1 << 5, 1 << 6
@@ -93,7 +93,7 @@ PROTECTED = 1 << 1
 
 
 @dataclass(frozen=True)
-class Row:
+class TexturedResult:
     """Measured result of one tool on one model."""
 
     tool: str
@@ -106,7 +106,7 @@ class Row:
     uv_flips: str
     megabytes: float
 
-    def cells(self) -> list[str]:
+    def format_cells(self) -> list[str]:
         """Format the row for the table."""
         return [
             self.tool,
@@ -142,9 +142,13 @@ def main() -> None:
             rows = []
             for tool, prepare in tools.items():
                 row = measure(tool, mesh, target, prepare, options.samples)
-                if isinstance(row, Row):
+                if isinstance(row, TexturedResult):
                     rows.append(row)
-                print_row(row.cells() if isinstance(row, Row) else [tool, row, *[""] * (len(COLUMNS) - 2)])
+                print_row(
+                    row.format_cells()
+                    if isinstance(row, TexturedResult)
+                    else [tool, row, *[""] * (len(COLUMNS) - 2)]
+                )
             summary.append((name, ratio, target, rows))
     print_summary(summary)
 
@@ -176,14 +180,14 @@ def read_model(path: Path) -> Mesh:
     images = sorted(path.parent.glob("*.png"))
     if mesh.texture is not None and not mesh.texture.images and images and path.suffix.lower() == ".obj":
         # An OBJ file without an MTL file, next to its image.
-        pixels = decoded_image(images[0].read_bytes())
+        pixels = decode_image(images[0].read_bytes())
         materials = (Material(image=Image(given=pixels)),)
         ids = np.zeros(len(mesh.triangles), np.int32)
         mesh = mesh.with_(texture=replace(mesh.texture, materials=materials, material_ids=ids))
     return mesh
 
 
-def measure(tool: str, mesh: Mesh, triangles: int, prepare: Simplifier, samples: int) -> Row | str:
+def measure(tool: str, mesh: Mesh, triangles: int, prepare: Simplifier, samples: int) -> TexturedResult | str:
     """Run a tool and measure its result, or return the reason for its failure."""
     try:
         work, unpack = prepare(mesh, triangles)
@@ -196,9 +200,9 @@ def measure(tool: str, mesh: Mesh, triangles: int, prepare: Simplifier, samples:
     if len(simplified.triangles) == 0:
         return "skipped: nothing is left"
     found = compare(mesh, simplified, samples=samples)
-    damage = soundness(mesh, simplified)
+    damage = measure_soundness(mesh, simplified)
     is_colored = has_color(simplified) and found.color is not None
-    return Row(
+    return TexturedResult(
         tool=tool,
         triangles=len(simplified.triangles),
         seconds=seconds,
@@ -206,12 +210,12 @@ def measure(tool: str, mesh: Mesh, triangles: int, prepare: Simplifier, samples:
         maximum=1e5 * found.symmetric.maximum / found.diagonal,
         psnr=found.color.psnr if is_colored and found.color else None,
         new_border=damage.new_border,
-        uv_flips=f"{damage.uv_flips} of {damage.uv_triangles}" if keeps_layout(mesh, simplified) else "",
-        megabytes=glb_bytes(simplified) / 1e6,
+        uv_flips=f"{damage.uv_flips} of {damage.uv_triangles}" if has_same_images(mesh, simplified) else "",
+        megabytes=measure_glb_bytes(simplified) / 1e6,
     )
 
 
-def glb_bytes(mesh: Mesh) -> int:
+def measure_glb_bytes(mesh: Mesh) -> int:
     """Return the size of a mesh as GLB file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "mesh.glb")
@@ -219,7 +223,7 @@ def glb_bytes(mesh: Mesh) -> int:
         return path.stat().st_size
 
 
-def keeps_layout(mesh: Mesh, simplified: Mesh) -> bool:
+def has_same_images(mesh: Mesh, simplified: Mesh) -> bool:
     """Check if the images are the original's.
 
     In new images, charts may be mirrored.
@@ -229,7 +233,7 @@ def keeps_layout(mesh: Mesh, simplified: Mesh) -> bool:
     return [id(image) for image in simplified.texture.images] == [id(image) for image in mesh.texture.images]
 
 
-def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
+def print_summary(summary: list[tuple[str, float, int, list[TexturedResult]]]) -> None:
     """Print our result with kept coordinates against the best peer."""
     print("\n### Summary: texture coordinates kept, against the best peer in each column\n")
     print_head(SUMMARY)
@@ -276,14 +280,14 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
     )
 
 
-def is_better_in_both(peer: Row, ours: Row) -> bool:
+def is_better_in_both(peer: TexturedResult, ours: TexturedResult) -> bool:
     """Check if a peer is better in shape and colour, as printed."""
     return round(peer.rms, 1) < round(ours.rms, 1) and round(peer.psnr or 0.0, 1) > round(ours.psnr or 0.0, 1)
 
 
-def is_comparable(row: Row, target: int) -> bool:
+def is_comparable(row: TexturedResult, target: int) -> bool:
     """Check if a tool reached the target and kept the texture."""
-    return row.psnr is not None and row.triangles <= max(TOLERATED * target, target + 2)
+    return row.psnr is not None and row.triangles <= max(MAX_COUNT_RATIO * target, target + 2)
 
 
 def run_default(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
@@ -307,7 +311,7 @@ def run_keep_uv(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable
 
 def run_baked(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
     """Collapse with vertex colours, then bake a new texture."""
-    colored = with_vertex_colors(mesh)
+    colored = bake_vertex_colors(mesh)
     return lambda: bake(simplify(colored, triangles=triangles).mesh, mesh), lambda result: result.mesh
 
 
@@ -327,7 +331,7 @@ def run_pymeshlab(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callab
         simplified = meshes.current_mesh()
         corners = simplified.wedge_tex_coord_matrix().reshape(-1, 3, 2)
         ids = mesh.texture.material_ids[simplified.face_scalar_array().astype(int)]
-        return with_texture(mesh, simplified.vertex_matrix(), simplified.face_matrix(), corners, ids)
+        return add_texture(mesh, simplified.vertex_matrix(), simplified.face_matrix(), corners, ids)
 
     return (
         lambda: meshes.meshing_decimation_quadric_edge_collapse_with_texture(targetfacenum=triangles),
@@ -347,7 +351,7 @@ def run_meshoptimizer(weight: float, options: int) -> Simplifier:
     """
 
     def prepare(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Callable[[Any], Mesh]]:
-        library = native.meshoptimizer()
+        library = native.load_meshoptimizer()
         corners = mesh.triangles.reshape(-1)
         # Wedges are split by material, so that triangles keep their material.
         rows = np.column_stack(
@@ -365,21 +369,21 @@ def run_meshoptimizer(weight: float, options: int) -> Simplifier:
 
         def call() -> int:
             return library.simplify_with_options(
-                pointer(indices),
+                get_pointer(indices),
                 ctypes.c_size_t(len(indices)),
-                pointer(positions),
-                pointer(uvs),
+                get_pointer(positions),
+                get_pointer(uvs),
                 ctypes.c_size_t(len(positions)),
-                pointer(weights),
+                get_pointer(weights),
                 ctypes.c_size_t(2),
                 ctypes.c_size_t(triangles),
-                pointer(flags),
+                get_pointer(flags),
                 ctypes.c_uint(options),
             )
 
         def unpack(left: int) -> Mesh:
             chosen = indices[:left]
-            return with_texture(mesh, positions, chosen, uvs[chosen], material[chosen[:, 0]])
+            return add_texture(mesh, positions, chosen, uvs[chosen], material[chosen[:, 0]])
 
         return call, unpack
 
@@ -399,7 +403,7 @@ def run_open3d_tensor(mesh: Mesh, triangles: int) -> tuple[Callable[[], Any], Ca
     return lambda: given.simplify_quadric_decimation(reduction), as_mesh
 
 
-def with_texture(
+def add_texture(
     mesh: Mesh, vertices: np.ndarray, triangles: np.ndarray, uvs: np.ndarray, ids: np.ndarray
 ) -> Mesh:
     """Add materials of the original to a peer's result."""

@@ -26,17 +26,17 @@ import cv2
 import numpy as np
 from markdown_tables import print_head, print_row
 
+from scanloom.stages.fusion.depth_upsampling import upsample_depth
 from scanloom.stages.fusion.fuse import fuse
-from scanloom.stages.fusion.upsampling import upsampled
 from scanloom.stages.scans.model.images import read_color, read_depth
-from scanloom.stages.scans.model.scan import Camera, Frame, Scan, scaled
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, scale_camera
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 PHONE = Camera(256, 192, 187.0, 187.0, 127.5, 95.5)
-TIMES, FRAMES, JUDGED = 3, 20, 4
+FACTOR, FRAMES, TRUTH_FRAMES = 3, 20, 4
 HELD_OUT = {
     "7-Scenes' kitchen": "rgbd/7scenes_redkitchen",
     "TUM fr3/cabinet": "real/freiburg3_cabinet_keyframes",
@@ -51,9 +51,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
-    frames, truths, surface = made_scan()
+    frames, truths, surface = make_phone_scan()
     print_head(["depth of", "method", "smooth mm", "at jumps mm", "wrong %", "between %", "CPU s"], words=2)
-    made = [(read(frame), frame.color, truth) for frame, truth in zip(frames, truths, strict=False)]
+    made = [
+        (read_frame_depth(frame), frame.color, truth) for frame, truth in zip(frames, truths, strict=False)
+    ]
     print_rows("synthetic", made)
     for name, folder in HELD_OUT.items():
         print_rows(name, list(held_out(data / folder)))
@@ -70,43 +72,43 @@ def main() -> None:
         print_mesh("one frame", [frames[8]], surface, asked)
 
 
-def ways() -> dict[str, Callable[[Image, Image], Image]]:
+def make_methods() -> dict[str, Callable[[Image, Image], Image]]:
     """Return the compared methods by name.
 
     Each upsamples a small depth map guided by a large photo.
     """
     return {
-        "nearest": nearest,
-        "bilinear": bilinear,
-        "OpenCV's jointBilateralFilter": filtered(
+        "nearest": upsample_nearest,
+        "bilinear": upsample_bilinear,
+        "OpenCV's jointBilateralFilter": make_guided_filter(
             lambda guide, image: cv2.ximgproc.jointBilateralFilter(guide.astype(np.float32), image, 9, 12, 4)
         ),
-        "OpenCV's guidedFilter": filtered(
+        "OpenCV's guidedFilter": make_guided_filter(
             lambda guide, image: cv2.ximgproc.guidedFilter(guide, image, 4, 20)
         ),
-        "ours, without the photo": lambda depth, _: upsampled(depth, None, TIMES),
-        "ours": lambda depth, color: upsampled(depth, color, TIMES),
+        "ours, without the photo": lambda depth, _: upsample_depth(depth, None, FACTOR),
+        "ours": lambda depth, color: upsample_depth(depth, color, FACTOR),
     }
 
 
-def filtered(smooth: Callable[[Image, Image], Image]) -> Callable[[Image, Image], Image]:
+def make_guided_filter(smooth: Callable[[Image, Image], Image]) -> Callable[[Image, Image], Image]:
     """Return a method that smooths valid inverse depth with a guided filter."""
 
-    def way(depth: Image, color: Image) -> Image:
-        first = bilinear(depth, color)
+    def upsample_guided(depth: Image, color: Image) -> Image:
+        first = upsample_bilinear(depth, color)
         there = (first > 0).astype(np.float32)
         inverse = np.divide(1, first, out=np.zeros_like(first), where=first > 0)
         return there * smooth(color, there) / np.maximum(smooth(color, inverse), 1e-9)
 
-    return way
+    return upsample_guided
 
 
-def nearest(depth: Image, color: Image) -> Image:
+def upsample_nearest(depth: Image, color: Image) -> Image:
     """Upsample by nearest neighbour."""
     return cv2.resize(depth, color.shape[1::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 
-def bilinear(depth: Image, color: Image) -> Image:
+def upsample_bilinear(depth: Image, color: Image) -> Image:
     """Interpolate inverse depth bilinearly between valid samples."""
     there = depth > 0
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=there)
@@ -114,38 +116,40 @@ def bilinear(depth: Image, color: Image) -> Image:
         cv2.resize(image, color.shape[1::-1], interpolation=cv2.INTER_LINEAR)
         for image in (inverse, there.astype(np.float32))
     )
-    return np.where(nearest(depth, color) > 0, share / np.maximum(total, 1e-9), 0).astype(np.float32)
+    return np.where(upsample_nearest(depth, color) > 0, share / np.maximum(total, 1e-9), 0).astype(np.float32)
 
 
 def print_rows(name: str, sets: Sequence[tuple[Image, Image, Image]]) -> None:
     """Print the mean errors of each method over several images."""
-    for way, make in ways().items():
+    for way, make in make_methods().items():
         start = time.process_time()
         found = [make(depth, color) for depth, color, _ in sets]
         seconds = (time.process_time() - start) / len(sets)
-        figures = np.mean([off(one, truth) for one, (*_, truth) in zip(found, sets, strict=True)], axis=0)
+        figures = np.mean(
+            [measure_errors(one, truth) for one, (*_, truth) in zip(found, sets, strict=True)], axis=0
+        )
         print_row([name, way, *(f"{figure:.2f}" for figure in figures), f"{seconds:.2f}"])
 
 
-def off(found: Image, truth: Image) -> list[float]:
+def measure_errors(found: Image, truth: Image) -> list[float]:
     """Measure errors of a depth map.
 
     Returns mean error away from and near discontinuities (mm), and ratios of wrong and in-between pixels (%).
     """
-    window = np.ones((2 * TIMES + 1,) * 2, np.uint8)
+    window = np.ones((2 * FACTOR + 1,) * 2, np.uint8)
     farthest, nearest_there = cv2.dilate(truth, window), cv2.erode(np.where(truth > 0, truth, 99), window)
     judged, jump = (found > 0) & (truth > 0), farthest > 1.05 * nearest_there
-    error, beside = np.abs(found - truth), judged & jump
-    on_some = np.zeros(truth.shape, bool)
+    error, is_at_jump = np.abs(found - truth), judged & jump
+    is_on_surface = np.zeros(truth.shape, bool)
     for row, column in np.ndindex(*window.shape):
-        moved = np.roll(truth, (row - TIMES, column - TIMES), (0, 1))
-        on_some |= np.abs(moved - found) <= 0.02 * found
-    between = (found > 1.02 * nearest_there) & (found < 0.98 * farthest) & ~on_some
+        moved = np.roll(truth, (row - FACTOR, column - FACTOR), (0, 1))
+        is_on_surface |= np.abs(moved - found) <= 0.02 * found
+    between = (found > 1.02 * nearest_there) & (found < 0.98 * farthest) & ~is_on_surface
     return [
         1000 * float(np.mean(error[judged & ~jump])),
-        1000 * float(np.mean(error[beside])),
-        100 * float(np.mean(error[beside] > 0.03 * truth[beside])),
-        100 * float(np.mean(between[beside])),
+        1000 * float(np.mean(error[is_at_jump])),
+        100 * float(np.mean(error[is_at_jump] > 0.03 * truth[is_at_jump])),
+        100 * float(np.mean(between[is_at_jump])),
     ]
 
 
@@ -153,56 +157,56 @@ def held_out(folder: Path) -> Iterator[tuple[Image, Image, Image]]:
     """Yield subsampled depth, photo, and full depth of six frames."""
     frames = read_scan(folder, complete=False).frames
     for frame in frames[:: max(1, len(frames) // 6)][:6]:
-        depth = read(frame)
-        height, width = (side // TIMES * TIMES for side in depth.shape)
+        depth = read_frame_depth(frame)
+        height, width = (side // FACTOR * FACTOR for side in depth.shape)
         color = read_color(frame)[:height, :width]
         whole = np.ascontiguousarray(depth[:height, :width])
-        yield np.ascontiguousarray(whole[1::TIMES, 1::TIMES]), np.ascontiguousarray(color), whole
+        yield np.ascontiguousarray(whole[1::FACTOR, 1::FACTOR]), np.ascontiguousarray(color), whole
 
 
-def read(frame: Frame) -> Image:
+def read_frame_depth(frame: Frame) -> Image:
     """Read the depth of a frame."""
     depth = read_depth(frame)
     assert depth is not None
     return depth
 
 
-def made_scan() -> tuple[list[Frame], list[Image], Mesh]:
+def make_phone_scan() -> tuple[list[Frame], list[Image], Mesh]:
     """Simulate a phone scan of the samples' scene.
 
     Returns frames, true depth maps of some frames, and the true surface.
     """
     sys.path[:0] = [str(SAMPLES)]
     import sensors
-    from make_samples import arc
+    from make_samples import make_arc_poses
     from scene import Scene
 
     # One ray per pixel is enough, because the photos are large and well textured.
-    sensors._FINE = 1
-    scene, photo = Scene(), scaled(PHONE, TIMES * PHONE.width, TIMES * PHONE.height)
+    sensors._RAYS_PER_PIXEL = 1
+    scene, photo = Scene(), scale_camera(PHONE, FACTOR * PHONE.width, FACTOR * PHONE.height)
     frames, truths = [], []
-    for number, pose in enumerate(arc(FRAMES, 104, 1.1)):
+    for number, pose in enumerate(make_arc_poses(FRAMES, 104, 1.1)):
         random = np.random.default_rng((9, number))
         color = sensors.photograph(scene, photo, pose, random)
         raw = sensors.measure_depth(scene, PHONE, pose, random)
         depth = raw.astype(np.float32) / 1000
         frames.append(Frame(str(number), PHONE, color=color, depth=depth, world_from_camera=pose))
-        if number < JUDGED:
-            rays = sensors._rays(photo, *np.meshgrid(np.arange(photo.width), np.arange(photo.height)))
+        if number < TRUTH_FRAMES:
+            rays = sensors._compute_rays(photo, *np.meshgrid(np.arange(photo.width), np.arange(photo.height)))
             distance, _, _ = scene.cast(pose[:3, 3], rays @ pose[:3, :3].T)
             z = np.where(np.isfinite(distance), distance * rays[:, 2], 0)
             truths.append(z.reshape(photo.height, photo.width).astype(np.float32))
     return frames, truths, scene.mesh
 
 
-def print_mesh(name: str, frames: Sequence[Frame], truth: Mesh, asked: dict[str, object]) -> None:
+def print_mesh(name: str, frames: Sequence[Frame], truth: Mesh, parameters: dict[str, object]) -> None:
     """Print the distance of a fused mesh's vertices from the true surface."""
-    found = fuse(Scan("made", frames), **asked)
-    error = Surface(truth).closest(found.mesh.vertices).distances
+    found = fuse(Scan("made", frames), **parameters)
+    error = RaycastingSurface(truth).find_closest_points(found.mesh.vertices).distances
     print_row(
         [
             name,
-            ", ".join(f"{key}={value}" for key, value in asked.items()) or "default",
+            ", ".join(f"{key}={value}" for key, value in parameters.items()) or "default",
             f"{1000 * found.voxel_size:.1f}",
             f"{len(found.mesh.triangles):,}",
             f"{1000 * float(np.sqrt(np.mean(error**2))):.2f}",

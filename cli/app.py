@@ -28,7 +28,7 @@ from scanloom.cli.options import describe_set, set_sections, with_options
 from scanloom.cli.output import add_schema, to_json, to_one_line
 from scanloom.cli.rendering import command_line
 from scanloom.stages import __version__
-from scanloom.stages.diagnostics.errors import ScanloomError, is_lack_of_memory
+from scanloom.stages.diagnostics.errors import ScanloomError, is_out_of_memory
 
 
 @functools.cache
@@ -73,9 +73,9 @@ def _first_command(arguments: Sequence[str]) -> str:
 
 def _print_version(is_wanted: bool) -> None:
     if is_wanted:
-        from scanloom.stages.inspecting.machine import kernels_build
+        from scanloom.stages.inspecting.machine_report import identify_kernels_build
 
-        typer.echo(f"scanloom {__version__}\nkernels {kernels_build()}")
+        typer.echo(f"scanloom {__version__}\nkernels {identify_kernels_build()}")
         raise typer.Exit
 
 
@@ -178,7 +178,7 @@ def _run(arguments: Sequence[str]) -> int:
     ) as error:
         return _report_failure(errors.explain_failure(error), error, arguments)
     except Exception as error:
-        if is_lack_of_memory(error):
+        if is_out_of_memory(error):
             return _report_failure(errors.explain_failure(error), error, arguments)
         bug = (
             errors.explain_failure(KeyboardInterrupt())

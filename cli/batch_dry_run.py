@@ -10,16 +10,21 @@ from scanloom.cli.output import Output, format_size, format_table
 from scanloom.stages.diagnostics.errors import ScanloomError
 
 if TYPE_CHECKING:
-    from scanloom.pipeline.batch.queue import Job, Settings
+    from scanloom.pipeline.batch.job_queue import BatchSettings, Job
     from scanloom.pipeline.config import Config
     from scanloom.pipeline.run.dry_run import DryRun
 
 
 def print_batch_plan(
-    target: Path, what: Settings, queued: tuple[Job, ...], config: Config, more: dict[str, Any], out: Output
+    target: Path,
+    what: BatchSettings,
+    queued: tuple[Job, ...],
+    config: Config,
+    more: dict[str, Any],
+    out: Output,
 ) -> None:
     """Print the stages, time and memory that each scan of a batch needs; unreadable scans are rows, too."""
-    from scanloom.pipeline.run.dry_run import DryRun, foresee
+    from scanloom.pipeline.run.dry_run import DryRun, predict_run
 
     found: list[DryRun | ScanloomError] = []
     with out.progress("scans", "scans") as progress:
@@ -32,7 +37,7 @@ def print_batch_plan(
             }
             try:
                 scan = os.path.normpath(target / job.scan)
-                found.append(foresee(scan, target / job.name, config, **how))
+                found.append(predict_run(scan, target / job.name, config, **how))
             except ScanloomError as error:
                 found.append(error)
             progress(len(found), len(queued))
@@ -50,7 +55,7 @@ def print_batch_plan(
             [job.name, one.layout, *figures, format_size(one.memory_bytes) if one.memory_bytes else ""]
         )
         scans.append({**one.figures(), "scan": job.name, **one.figures()["scan"]})
-        lines += [f"{job.name}: would be refused: {one.refused}"] if one.refused else []
+        lines += [f"{job.name}: would be refused: {one.refusal_reason}"] if one.refusal_reason else []
     runs = [one for one in found if isinstance(one, DryRun)]
     seconds = sum(one.seconds for one in runs)
     most = max((one.memory_bytes for one in runs), default=0)

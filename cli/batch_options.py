@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 from scanloom.cli.codes import BATCH_OPTIONS_CONFLICT
 from scanloom.cli.output import Output, format_size
 from scanloom.cli.run_options import LimitsParams
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 if TYPE_CHECKING:
-    from scanloom.pipeline.batch.queue import Queue
-    from scanloom.pipeline.batch.told import Tell
+    from scanloom.pipeline.batch.job_queue import BatchQueue
     from scanloom.pipeline.batch.worker import Worker
+    from scanloom.pipeline.batch.worker_events import WorkerEventHandler
 
 AUTO = "auto"
 # Seconds. A limit that shall never be reached has another value for that.
@@ -59,7 +59,7 @@ class WorkerParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         _ = self.job_count
 
     @property
@@ -78,7 +78,7 @@ class WorkerParams:
             raise UsageError(
                 BATCH_OPTIONS_CONFLICT,
                 "is {jobs}; it must be a number from 1 to 1024, or {auto}.",
-                Where(parameter="jobs"),
+                DiagnosticLocation(parameter="jobs"),
                 jobs=jobs,
                 auto=AUTO,
             )
@@ -86,7 +86,13 @@ class WorkerParams:
 
 
 def create_worker(
-    queue: Queue, params: WorkerParams, limits: LimitsParams, tell: Tell, out: Output, *, stay: bool = True
+    queue: BatchQueue,
+    params: WorkerParams,
+    limits: LimitsParams,
+    tell: WorkerEventHandler,
+    out: Output,
+    *,
+    stay: bool = True,
 ) -> Worker:
     """Create a worker on a queue, as parameters say.
 
@@ -94,15 +100,21 @@ def create_worker(
     ----------
     stay : wait for the scans of other workers at the end.
     """
-    from scanloom.pipeline.batch.sizing import expected_needs, jobs_at_once, memory_to_use
+    from scanloom.pipeline.batch.job_concurrency import (
+        compute_concurrency,
+        estimate_job_memory,
+        get_usable_memory,
+    )
     from scanloom.pipeline.batch.worker import Worker
-    from scanloom.stages.scans.model.threads import threads_to_use
+    from scanloom.stages.scans.model.threads import get_thread_count
 
-    cores = threads_to_use()
-    available = limits.memory_bytes if limits.memory is not None else memory_to_use()
+    cores = get_thread_count()
+    available = limits.memory_bytes if limits.memory is not None else get_usable_memory()
     slots = params.job_count
     if slots is None:
-        slots = min(jobs_at_once(expected_needs(queue), available, cores), max(len(queue.numbers), 1))
+        slots = min(
+            compute_concurrency(estimate_job_memory(queue), available, cores), max(len(queue.numbers), 1)
+        )
         memory = "" if available is None else f", in {format_size(available)} of memory"
         out.remark(f"{slots} at a time{memory}")
     return Worker(
@@ -114,8 +126,8 @@ def create_worker(
         disk=limits.disk_bytes,
         take_over_after=params.worker_timeout,
         timeout=params.timeout,
-        stay=stay,
-        tell=tell,
+        wait_for_others=stay,
+        on_event=tell,
     )
 
 

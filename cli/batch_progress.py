@@ -8,14 +8,22 @@ from contextlib import contextmanager
 from scanloom.cli.output import Output, format_table
 from scanloom.cli.rendering import as_typed
 from scanloom.cli.transient_progress import TransientProgress
-from scanloom.pipeline.batch.records import DONE, RUNNING, WAITING, Record
-from scanloom.pipeline.batch.summary import Summary
-from scanloom.pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
+from scanloom.pipeline.batch.job_records import DONE, RUNNING, WAITING, JobRecord
+from scanloom.pipeline.batch.summary import BatchSummary
+from scanloom.pipeline.batch.worker_events import (
+    JobEnded,
+    JobProgress,
+    JobStarted,
+    Notice,
+    QueueProgress,
+    WorkerEvent,
+    WorkerEventHandler,
+)
 from scanloom.stages.diagnostics.diagnostic import Severity
 
 
 @contextmanager
-def show_batch_progress(out: Output) -> Iterator[Tell]:
+def show_batch_progress(out: Output) -> Iterator[WorkerEventHandler]:
     """Show progress, and yield the callback for the events of a worker."""
     watcher = _Watcher(out)
     try:
@@ -30,41 +38,41 @@ class _Watcher:
         self.bar = TransientProgress(out)
         self._counted = (0, 0)
 
-    def __call__(self, told: Told) -> None:
-        match told:
-            case Counted():
-                self._counted = (told.ended, told.total)
+    def __call__(self, event: WorkerEvent) -> None:
+        match event:
+            case QueueProgress():
+                self._counted = (event.ended, event.total)
                 self._show()
             case JobEnded():
-                self._out.remark(format_record(told.record))
-                report_warnings(self._out, told.record)
-            case Noted():
-                self._out.remark(told.text)
-            case JobBegun():
-                if told.attempt:
-                    self._out.remark(f"{told.name}: begun again, from what is in the cache")
-            case JobAt():
+                self._out.remark(format_record(event.record))
+                report_warnings(self._out, event.record)
+            case Notice():
+                self._out.remark(event.text)
+            case JobStarted():
+                if event.attempt:
+                    self._out.remark(f"{event.name}: restarted from the cache")
+            case JobProgress():
                 self._show()
 
     def _show(self) -> None:
         self.bar.show("scans", "scans")(*self._counted)
 
 
-def report_warnings(out: Output, record: Record) -> None:
+def report_warnings(out: Output, record: JobRecord) -> None:
     """Report the warnings of a scan, each with the name of the scan."""
     for diagnostic in record.diagnostics:
         if diagnostic.severity is Severity.WARNING:
-            out.report(diagnostic.within(scan=record.name))
+            out.report(diagnostic.replace_location_fields(scan=record.name))
 
 
-def format_record(record: Record) -> str:
+def format_record(record: JobRecord) -> str:
     """Return the line of a finished scan."""
     triangles = record.figures.get("triangles")
     came_out = record.reason or ("" if triangles is None else f"{triangles:,} triangles")
     return as_typed(f"{record.name}  {record.state}, {record.seconds:.1f} s  {came_out}".rstrip())
 
 
-def format_summary(summary: Summary, places: list[str]) -> str:
+def format_summary(summary: BatchSummary, places: list[str]) -> str:
     """Return the table of a batch, the reasons of failures, and the location of the results."""
     rows = [["scan", "state", "seconds", "frames", "triangles", "warnings"]]
     for one in summary.records:

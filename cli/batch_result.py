@@ -14,10 +14,10 @@ from scanloom.pipeline.batch.codes import BATCH_SCANS_NOT_DONE
 from scanloom.stages.diagnostics.collector import emit
 
 if TYPE_CHECKING:
-    from scanloom.pipeline.batch.queue import Queue
+    from scanloom.pipeline.batch.job_queue import BatchQueue
 
 
-def report_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
+def report_batch(queue: BatchQueue, out: Output, more: Mapping[str, Any]) -> None:
     """Write the tables and the page of a batch, and print its summary.
 
     Parameters
@@ -29,10 +29,10 @@ def report_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
     typer.Exit
         With the code for bad input, if no scan can be read.
     """
-    from scanloom.pipeline.batch.outputs import write_outputs
-    from scanloom.pipeline.batch.summary import summary_of
+    from scanloom.pipeline.batch.summary import summarize_batch
+    from scanloom.pipeline.batch.summary_files import write_outputs
 
-    summary = summary_of(queue)
+    summary = summarize_batch(queue)
     written = [path.name for path in write_outputs(summary, queue.out.resolve().name)]
     for record in summary.records:
         report_warnings(out, record)

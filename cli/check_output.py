@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scanloom.cli.mesh_arguments import write_mesh_file
 from scanloom.cli.output import Output
-from scanloom.stages import Checked, Mesh
+from scanloom.stages import CheckResult, Mesh
 from scanloom.stages.cleaning.check import CLASSES
 
 SavePlaces = Annotated[
@@ -51,26 +51,26 @@ COLORS = {
 _REGULAR = (190, 190, 190)
 
 
-def list_places(found: Checked) -> dict[str, Any]:
+def list_places(found: CheckResult) -> dict[str, Any]:
     """Return all defects of each class by their indices, with a point of each in metres."""
     return {
         name: {
             "kind": CLASSES[name][0],
             "treatment": CLASSES[name][1],
-            "places": found.places[name].tolist(),
-            "points_m": found.points[name].tolist(),
+            "places": found.defects[name].tolist(),
+            "points_m": found.defect_points[name].tolist(),
         }
         for name in CLASSES
     }
 
 
-def write_colored_classes(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
+def write_colored_classes(path: Path, mesh: Mesh, found: CheckResult, out: Output) -> None:
     """Write a mesh with its triangles coloured by class of defect, and remark the colours."""
     triangles = mesh.triangles
     colors = np.full((len(triangles), 3), _REGULAR, np.uint8)
     for name, color in COLORS.items():
         colors[_triangles_at(found, name)] = color
-        if count := len(found.places[name]):
+        if count := len(found.defects[name]):
             out.remark(f"{path}: {name.replace('_', ' ')} ({count:,}) are rgb{color}")
     corners = triangles.reshape(-1)
     apart = Mesh(
@@ -81,9 +81,9 @@ def write_colored_classes(path: Path, mesh: Mesh, found: Checked, out: Output) -
     write_mesh_file(path, apart, out)
 
 
-def _triangles_at(found: Checked, name: str) -> NDArray[np.bool_]:
+def _triangles_at(found: CheckResult, name: str) -> NDArray[np.bool_]:
     """Return a mask (m,) of the triangles that are, or touch, a defect of a class."""
-    places, kind = found.places[name], CLASSES[name][0]
+    places, kind = found.defects[name], CLASSES[name][0]
     triangles = found.triangles.astype(np.int64)
     if kind == "triangle":
         return np.isin(np.arange(len(triangles)), places)

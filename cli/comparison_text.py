@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from scanloom.cli.output import format_table
-from scanloom.stages.printing import place_in_words
+from scanloom.stages.printing import format_position
 
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 _MEASURES = {"maximum": "maximum", "mean": "mean", "rms": "RMS"}
@@ -59,7 +59,7 @@ def _fitting(value: float) -> str:
 
 
 def _place(point: Any) -> str:
-    return f"({place_in_words(point)}) m"
+    return f"({format_position(point)}) m"
 
 
 def _compared(name: str, cloud: Mapping[str, Any] | None, samples: int) -> str:
@@ -117,10 +117,10 @@ def _deviation_text(figures: Mapping[str, Any], length: Length) -> str:
             "normals, which would tell sides" if figures["reference_spacing_m"] else "side that it looks to"
         )
         text += f"\n\nWithout signs: A has no {lacks}."
-    if figures["share_within"] is not None:
-        text += f"\n\n{figures['share_within']:.2%} within {figures['tolerance_m']:g} m"
+    if figures["within_ratio"] is not None:
+        text += f"\n\n{figures['within_ratio']:.2%} within {figures['tolerance_m']:g} m"
         if figures["is_signed"]:
-            text += f", {figures['share_over']:.2%} over, {figures['share_under']:.2%} under"
+            text += f", {figures['over_ratio']:.2%} over, {figures['under_ratio']:.2%} under"
         text += "."
     if figures["delta_e_2000"] is not None:
         of_color = figures["delta_e_2000"]
@@ -143,8 +143,8 @@ def _places(count: int) -> str:
 
 def _change_text(figures: Mapping[str, Any], length: Length) -> str:
     text = (
-        f"New in B: {figures['new_area_m2']:.4g} m² in {_places(figures['new_places'])}; gone of A: "
-        f"{figures['gone_area_m2']:.4g} m² in {_places(figures['gone_places'])}; farther than "
+        f"New in B: {figures['new_area_m2']:.4g} m² in {_places(figures['new_regions'])}; gone of A: "
+        f"{figures['gone_area_m2']:.4g} m² in {_places(figures['gone_regions'])}; farther than "
         f"{length(figures['distance_m'])} from the other."
     )
     if not figures["largest"]:

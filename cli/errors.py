@@ -18,8 +18,8 @@ from scanloom.stages.diagnostics.errors import (
     InputError,
     ScanloomError,
     UsageError,
-    bug_explained,
-    is_lack_of_memory,
+    format_bug_report,
+    is_out_of_memory,
 )
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 
@@ -66,7 +66,7 @@ def explain_failure(error: BaseException) -> Failure:
     if isinstance(error, ScanloomError):
         code = next((code for kind, code in _EXIT_CODES.items() if isinstance(error, kind)), FAILED)
         return Failure(render(error.diagnostic), code, error.diagnostic)
-    if is_lack_of_memory(error):
+    if is_out_of_memory(error):
         advice = "choose a larger voxel size, or run on a machine with more memory"
         return _failure(MACHINE_OUT_OF_MEMORY, FAILED, f"There is not enough memory; {advice}.")
     if isinstance(error, OSError):
@@ -76,7 +76,7 @@ def explain_failure(error: BaseException) -> Failure:
 
 def explain_bug(error: BaseException) -> Failure:
     """Return the failure for an unexpected exception."""
-    return _failure(MACHINE_BUG, FAILED, bug_explained(error))
+    return _failure(MACHINE_BUG, FAILED, format_bug_report(error))
 
 
 def _usage_sentence(error: Exception) -> str:

@@ -13,12 +13,12 @@ from scanloom import stages
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_file
 from scanloom.stages import Mesh, MeshError
-from scanloom.stages.diagnostics.collector import changing, emit
-from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
-from scanloom.stages.surface.cloud import is_cloud
-from scanloom.stages.surface.cloud_files import read_mesh_or_cloud
+from scanloom.stages.diagnostics.collector import emit, transform_diagnostics
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.surface.codes import MESH_LEFT_OUT
-from scanloom.stages.surface.mesh_files import lost_with, standing
+from scanloom.stages.surface.mesh_files import list_unsupported_data, set_default_up
+from scanloom.stages.surface.point_cloud import is_cloud
+from scanloom.stages.surface.point_cloud_files import read_mesh_or_cloud
 
 MeshFile = Annotated[
     Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)
@@ -46,7 +46,7 @@ def read_mesh_or_cloud_file(path: Path, out: Output) -> Mesh:
 
 def read_with_up(path: Path) -> Mesh:
     """Read a mesh with its up direction; glTF files are y-up unless they state another."""
-    return standing(path, read_mesh_file(path))
+    return set_default_up(path, read_mesh_file(path))
 
 
 @contextmanager
@@ -54,16 +54,16 @@ def locate_diagnostics(path: Path, called: str = "mesh") -> Iterator[None]:
     """Name the file in diagnostics about the mesh read from it, which a stage calls `called`."""
 
     def locate(diagnostic: Diagnostic) -> Diagnostic:
-        is_about_mesh = diagnostic.where is None or diagnostic.where == Where(called)
-        return diagnostic.at(path) if is_about_mesh else diagnostic
+        is_about_mesh = diagnostic.where is None or diagnostic.where == DiagnosticLocation(called)
+        return diagnostic.replace_location(path) if is_about_mesh else diagnostic
 
     try:
-        with changing(locate):
+        with transform_diagnostics(locate):
             yield
     except MeshError as error:
-        if error.diagnostic.where != Where(called):
+        if error.diagnostic.where != DiagnosticLocation(called):
             raise
-        raise error.at(path) from error
+        raise error.replace_location(path) from error
 
 
 def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
@@ -73,7 +73,7 @@ def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None =
     ----------
     original : mesh whose colours are reported as lost if the format holds none; `mesh` by default.
     """
-    if lost := lost_with(path.suffix.lower(), mesh if original is None else original):
+    if lost := list_unsupported_data(path.suffix.lower(), mesh if original is None else original):
         emit(
             MESH_LEFT_OUT.warning(
                 "{format} holds the shape alone: the {lost} are left out",

@@ -24,16 +24,16 @@ from scanloom.cli.output import Output
 from scanloom.cli.rendering import CommandParameters, option_name, use_parameters
 from scanloom.pipeline.sections import Assignment, located, read_assignments
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from scanloom.stages.diagnostics.collector import listening
+from scanloom.stages.diagnostics.collector import listen_to_diagnostics
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import (
-    Described,
+    ParameterInfo,
     describe_all,
+    get_allowed_types,
     get_default,
     get_hint,
-    kinds_of,
+    get_row_length,
     resolve,
-    row_length,
 )
 
 SCAN_PANEL = "Scan options"
@@ -161,7 +161,7 @@ def with_options(
     @functools.wraps(function)
     def command(**values: Any) -> None:
         out = _output(values)
-        with listening(out.report), _count_library_warnings(out):
+        with listen_to_diagnostics(out.report), _count_library_warnings(out):
             assignments = reader.read(values, values.get("set_words") or ())
             built = {name: build(group, values, assignments) for name, group in groups.items()}
             built |= {
@@ -324,14 +324,14 @@ def _pick(params: Any, names: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def help_of(about: Described, default: Any) -> str:
+def help_of(about: ParameterInfo, default: Any) -> str:
     """Return the text of a parameter with unit, range and default."""
     facts = ", ".join(_facts(about, default))
     text = about.text.rstrip().removesuffix(".").replace("`", "")
     return f"{text}. [{facts}]" if facts else f"{text}."
 
 
-def _facts(about: Described, default: Any) -> Iterator[str]:
+def _facts(about: ParameterInfo, default: Any) -> Iterator[str]:
     if about.unit:
         yield about.unit
     if bounds := _bounds(about):
@@ -342,7 +342,7 @@ def _facts(about: Described, default: Any) -> Iterator[str]:
         yield f"default: {default:g}" if isinstance(default, float) else f"default: {default}"
 
 
-def _bounds(about: Described) -> str:
+def _bounds(about: ParameterInfo) -> str:
     low, high = about.low, about.high
     if low is None and high is None:
         return ""
@@ -366,7 +366,7 @@ def _options(group: ParameterGroup) -> list[inspect.Parameter]:
     ]
 
 
-def _option(name: str, about: Described, hint: Any, default: Any, panel: str | None) -> Any:
+def _option(name: str, about: ParameterInfo, hint: Any, default: Any, panel: str | None) -> Any:
     kind = _plain_type(hint)
     names = [option_name(name)]
     if kind is bool:
@@ -384,10 +384,10 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str | N
     ]
 
 
-def _metavar(about: Described, hint: Any, kind: Any) -> str | None:
+def _metavar(about: ParameterInfo, hint: Any, kind: Any) -> str | None:
     if about.choices:
         return "|".join(about.choices)
-    if count := row_length(hint):
+    if count := get_row_length(hint):
         return " ".join(count * ["X"])
     if about.is_path or kind is Path:
         return "FILE"
@@ -396,8 +396,8 @@ def _metavar(about: Described, hint: Any, kind: Any) -> str | None:
 
 def _plain_type(hint: Any) -> Any:
     """Return the type that an option is read as: the widest number type, without None."""
-    kinds = kinds_of(hint)
-    if row_length(hint):
+    kinds = get_allowed_types(hint)
+    if get_row_length(hint):
         return kinds[0]
     for wide in (Path, float, int, bool, str):
         if wide in kinds:

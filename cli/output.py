@@ -17,8 +17,8 @@ from scanloom.cli.exit_codes import DONE, FAILED
 from scanloom.cli.rendering import render
 from scanloom.pipeline.run.schema import SCHEMA
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
-from scanloom.stages.printing import counted, name_and_value
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.printing import format_count, format_metric
+from scanloom.stages.progress import Progress, ignore_progress
 
 # Control characters, among them line breaks and terminal escapes, and the line separators of Unicode.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
@@ -100,7 +100,7 @@ class Output:
         warnings = self._count(Severity.WARNING)
         if self._strict and warnings and not self._count(Severity.UNMET):
             makes = "makes" if warnings == 1 else "make"
-            count = counted(warnings, "warning")
+            count = format_count(warnings, "warning")
             self._print(f"scanloom: with --strict, {count} {makes} the exit code 1; the result is written.")
 
     def _count(self, severity: Severity) -> int:
@@ -115,7 +115,7 @@ class Output:
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
         """Return a progress callback, which draws a bar with rate and time left in a terminal."""
         if self.quiet or not sys.stderr.isatty():
-            yield silent
+            yield ignore_progress
             return
         from scanloom.cli.progress_bar import draw_progress_bar
 
@@ -160,7 +160,7 @@ def _plain(value: Any) -> Any:
 
 def format_lines(figures: Mapping[str, Any], indent: str = "") -> str:
     """Return metrics as aligned lines; nested metrics are indented under their name."""
-    single = {key: name_and_value(key, value) for key, value in figures.items() if not _is_nested(value)}
+    single = {key: format_metric(key, value) for key, value in figures.items() if not _is_nested(value)}
     width = max((len(name) for name, _ in single.values()), default=0)
     lines = []
     for key, value in figures.items():
@@ -168,7 +168,7 @@ def format_lines(figures: Mapping[str, Any], indent: str = "") -> str:
             name, text = single[key]
             lines.append(f"{indent}{name:<{width}}  {text}")
         else:
-            lines.append(f"{indent}{name_and_value(key, None)[0]}")
+            lines.append(f"{indent}{format_metric(key, None)[0]}")
             nested = [value] if isinstance(value, Mapping) else value
             lines += [format_lines(item, indent + "  ") for item in nested]
     return "\n".join(lines)

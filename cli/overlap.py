@@ -6,13 +6,13 @@ from pathlib import Path
 
 from scanloom.stages import Mesh
 from scanloom.stages.comparing.codes import COMPARE_MESHES_APART
-from scanloom.stages.comparing.measurable import gap_of_unrelated
+from scanloom.stages.comparing.comparison_inputs import measure_unrelated_gap
 from scanloom.stages.diagnostics.collector import emit
 
 
 def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh) -> None:
     """Report meshes that should overlap but do not; the exit code is then 1."""
-    gap = gap_of_unrelated(mesh, other)
+    gap = measure_unrelated_gap(mesh, other)
     if gap is not None:
         emit(
             COMPARE_MESHES_APART.unmet(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,7 +14,7 @@ class PageParams:
     size: float = param(5.0, "Size of the page; its models are simplified to fit.", unit="MB", low=1.2)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
     @property
     def max_bytes(self) -> int:

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.atomic_rename import rename_atomically
 from scanloom.stages.files.codes import FILE_PATH_INVALID
-from scanloom.stages.files.moving import move
 from scanloom.stages.surface.codes import USAGE_EXTENSION_UNKNOWN
 
 # Extensions that `write_mesh` can write.
@@ -91,7 +91,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     try:
         yield draft
         draft.chmod(0o777 & ~_umask())  # mkdtemp gives access to the owner only
-        move(draft, path)
+        rename_atomically(draft, path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 

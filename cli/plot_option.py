@@ -24,7 +24,7 @@ def require_plot(path: Path | None) -> None:
     """Check that a plot can be drawn and written to a path; None is no plot."""
     if path is None:
         return
-    from scanloom.stages.picturing.plots import SUFFIXES, require_plots
+    from scanloom.stages.rendering.plots import SUFFIXES, require_plots
 
     require_new_file(path, SUFFIXES)
     require_plots()

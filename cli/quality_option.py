@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scanloom.pipeline.quality import QUALITIES, STANDARD
+from scanloom.pipeline.quality_presets import QUALITIES, STANDARD
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.params import flatten, get_value
@@ -37,7 +37,7 @@ def load_config(file: Path | None, quality: str | None) -> Config:
     from scanloom.pipeline.config import Config
 
     if file is None:
-        return Config.of(STANDARD if quality is None else quality)
+        return Config.from_quality(STANDARD if quality is None else quality)
     config = Config.load(file, quality)
     kept = [
         f"{name} of {section}"

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, CONFIG_UNREADABLE
-from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
-from scanloom.stages.params import describe_all, get_hint, kinds_of
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
+from scanloom.stages.params import describe_all, get_allowed_types, get_hint
 
 # A key of a parameter, perhaps with a value, but no part of a path or of a longer word. A "set" before the
 # key is part of the match, because `--set` says the same.
@@ -88,7 +88,11 @@ def _replace_key(found: re.Match[str]) -> str:
         return found[0]
     typed = name_as_typed(key)
     give = {"S": "Give ", "s": "give "}[found["set"][0]] if found["set"] else ""
-    if switch and not typed.startswith("--set") and bool in kinds_of(get_hint(cls, key.partition(".")[2])):
+    if (
+        switch
+        and not typed.startswith("--set")
+        and bool in get_allowed_types(get_hint(cls, key.partition(".")[2]))
+    ):
         return give + (typed if switch == "true" else option_name(f"no_{typed[2:]}"))
     return f"{give}{typed}{found['equals'] or ''}{switch}"
 
@@ -98,19 +102,19 @@ def _class_of(key: str) -> type | None:
     from scanloom.pipeline.config import Config
 
     section, _, name = key.partition(".")
-    cls = _running.sections.get(section) or Config.types().get(section)
+    cls = _running.sections.get(section) or Config.get_types().get(section)
     return cls if cls is not None and name in describe_all(cls) else None
 
 
 def render(diagnostic: Diagnostic) -> str:
     """Return a diagnostic as one sentence that names parameters as the user types them."""
-    sentence = str(diagnostic.at(None))
+    sentence = str(diagnostic.replace_location(None))
     if diagnostic.code not in _OF_KEYS:
         sentence = as_typed(sentence)
     return sentence if diagnostic.where is None else _location(diagnostic.where) + sentence
 
 
-def _location(where: Where) -> str:
+def _location(where: DiagnosticLocation) -> str:
     """Return a location, with the parameter as it is typed; in a file it is a key."""
     if where.parameter is None or (where.file is not None and where.section is not None):
         return str(where)

@@ -13,9 +13,9 @@ from scanloom.cli import completion
 from scanloom.cli.codes import BATCH_OPTIONS_CONFLICT
 from scanloom.cli.options import SetWords
 from scanloom.cli.quality_option import load_config
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 if TYPE_CHECKING:
     from scanloom.pipeline.config import Config
@@ -77,7 +77,7 @@ class LimitsParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         _parse_size(self.memory, "memory")
         _parse_size(self.disk, "disk")
 
@@ -101,7 +101,7 @@ class RunParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
     @property
     def forced(self) -> tuple[str, ...]:
@@ -118,7 +118,7 @@ def config_sections() -> Mapping[str, Any]:
     """Return the parameters of each section of a run's configuration, with their defaults."""
     from scanloom.pipeline.config import Config
 
-    return {name: getattr(Config(), name) for name in Config.types()}
+    return {name: getattr(Config(), name) for name in Config.get_types()}
 
 
 ConfigWords = Annotated[list[str], SetWords(config_sections)]
@@ -134,12 +134,12 @@ def load_run_config(
     words : of `--set`.
     scan : parameters of the section `scan`, from options.
     """
-    from scanloom.stages.simplification.auto import chosen
+    from scanloom.stages.simplification.method_selection import select_method
 
     config = load_config(file, quality).set(words)
     config = replace(config, scan=replace(config.scan, **(scan or {})))
     # A conflict of parameters of `simplify` is an error now, not after hours of fusion.
-    chosen(config.simplify)
+    select_method(config.simplify)
     return config
 
 
@@ -151,16 +151,16 @@ def _parse_size(size: str | None, name: str) -> int | None:
     UsageError
         If the text is no size, or 0.
     """
-    from scanloom.pipeline.cache.cache_size import bytes_of
+    from scanloom.pipeline.cache.cache_size import parse_size
 
     if size is None:
         return None
-    count = bytes_of(size, name)
+    count = parse_size(size, name)
     if count == 0:
         raise UsageError(
             BATCH_OPTIONS_CONFLICT,
             "is {size}, which would exclude every scan",
-            Where(parameter=name),
+            DiagnosticLocation(parameter=name),
             remedy="omit it for no limit.",
             size=size,
         )

@@ -12,15 +12,15 @@ from scanloom.cli.output import Output
 from scanloom.cli.transient_progress import TransientProgress
 from scanloom.pipeline.graph import find_stage
 from scanloom.pipeline.run.events import (
-    Event,
-    Events,
+    RunEvent,
+    RunEventHandler,
     RunStarted,
+    RunWaiting,
     StageFinished,
     StageProgress,
     StageStarted,
-    Waiting,
 )
-from scanloom.stages.printing import at_most
+from scanloom.stages.printing import format_upper_bound
 from scanloom.stages.progress import Progress
 
 # A figure in metres in such a line.
@@ -28,7 +28,7 @@ _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
 
 
 @contextmanager
-def show_run_progress(out: Output) -> Iterator[Events]:
+def show_run_progress(out: Output) -> Iterator[RunEventHandler]:
     """Show progress, and yield the callback for the events of a run."""
     watcher = _Watcher(out)
     try:
@@ -43,7 +43,7 @@ class _Watcher:
         self.bar = TransientProgress(out)
         self._is_metric = True
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: RunEvent) -> None:
         match event:
             case RunStarted():
                 self._started(event)
@@ -53,7 +53,7 @@ class _Watcher:
                 self._bar_of(event.stage)(event.done, event.total)
             case StageFinished():
                 self._out.remark(format_stage(event, is_metric=self._is_metric))
-            case Waiting():
+            case RunWaiting():
                 self._out.remark(event.text)
 
     def _started(self, event: RunStarted) -> None:
@@ -96,4 +96,4 @@ class _Figures(string.Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         if value is None:
             return "–"
-        return at_most(value) if format_spec == "at_most" else format(value, format_spec)
+        return format_upper_bound(value) if format_spec == "at_most" else format(value, format_spec)

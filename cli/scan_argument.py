@@ -9,7 +9,7 @@ import typer
 
 from scanloom import stages
 from scanloom.cli.paths import require_scan
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.stages import Scan, ScanParams
 
 ScanFolder = Annotated[
@@ -30,5 +30,5 @@ def read_scan(folder: Path, params: ScanParams, *, complete: bool = True) -> Sca
     complete : refuse a scan that lacks poses, depth or other data of its layout.
     """
     scan = stages.read_scan(require_scan(folder), params, complete=complete)
-    emit_skipped([one.figures() for one in scan.skipped])
+    warn_skipped_frames([one.figures() for one in scan.skipped_frames])
     return scan

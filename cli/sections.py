@@ -33,7 +33,10 @@ def all_sections() -> dict[str, type]:
     from scanloom.pipeline.config import Config
 
     commands = {one.name: one.cls for one in command_sections()}
-    return {**Config.types(), **{name: cls for name, cls in commands.items() if name not in Config.types()}}
+    return {
+        **Config.get_types(),
+        **{name: cls for name, cls in commands.items() if name not in Config.get_types()},
+    }
 
 
 def complete_sections(incomplete: str) -> list[tuple[str, str]]:
@@ -51,7 +54,7 @@ def command_sections(name: str | None = None) -> Iterator[CommandSection]:
     """
     from scanloom.pipeline.config import Config
 
-    types: dict[str, Any] = dict(Config.types())
+    types: dict[str, Any] = dict(Config.get_types())
     seen = set()
     for words in iterate_commands():
         for group in parameter_groups(load_command(words)):

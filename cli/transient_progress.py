@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from scanloom.cli.output import Output
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.progress import Progress, ignore_progress
 
 
 class TransientProgress:
@@ -15,7 +15,7 @@ class TransientProgress:
         self._out = out
         self._shown = ExitStack()
         self._label = ""
-        self._update: Progress = silent
+        self._update: Progress = ignore_progress
         out.before_line = self.close
 
     def show(self, label: str, unit: str) -> Progress:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
-from making import finder, written  # noqa: E402
+from making import message_list, page_blocks  # noqa: E402
 
 from scanloom import __version__  # noqa: E402
 
@@ -62,5 +62,5 @@ html_theme_options: dict[str, Any] = {"navigation_with_keys": True}
 
 def setup(app: Sphinx) -> None:
     """Connect the generators of page content."""
-    app.connect("source-read", written.fill_in)
-    app.connect("build-finished", finder.write_list)
+    app.connect("source-read", page_blocks.fill_page)
+    app.connect("build-finished", message_list.write_list)

@@ -18,28 +18,28 @@ from pathlib import Path
 PACKAGE = "scanloom"
 
 
-def in_one_package(wheel: bytes) -> bytes:
+def move_packages(wheel: bytes) -> bytes:
     """Move all packages of a wheel into `scanloom`; return the new wheel."""
     written = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(wheel)) as old, zipfile.ZipFile(written, "w") as new:
         for entry in old.infolist():
             content = old.read(entry)
             if entry.filename.endswith(".dist-info/RECORD"):
-                content = renamed_record(content)
-            entry.filename = renamed(entry.filename)
+                content = rename_record(content)
+            entry.filename = rename_path(entry.filename)
             new.writestr(entry, content)
     return written.getvalue()
 
 
-def renamed_record(record: bytes) -> bytes:
+def rename_record(record: bytes) -> bytes:
     """Rename the paths in a wheel's RECORD."""
     written = io.StringIO()
     rows = csv.reader(io.StringIO(record.decode()))
-    csv.writer(written, lineterminator="\n").writerows([renamed(name), *rest] for name, *rest in rows)
+    csv.writer(written, lineterminator="\n").writerows([rename_path(name), *rest] for name, *rest in rows)
     return written.getvalue().encode()
 
 
-def renamed(name: str) -> str:
+def rename_path(name: str) -> str:
     """Return the new path of a file in the wheel."""
     top = name.partition("/")[0]
     if top.endswith(".libs"):
@@ -52,7 +52,7 @@ def main() -> None:
     folder, *wheels = map(Path, sys.argv[1:])
     folder.mkdir(parents=True, exist_ok=True)
     for wheel in wheels:
-        (folder / wheel.name).write_bytes(in_one_package(wheel.read_bytes()))
+        (folder / wheel.name).write_bytes(move_packages(wheel.read_bytes()))
 
 
 if __name__ == "__main__":

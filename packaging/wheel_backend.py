@@ -16,7 +16,7 @@ from maturin import (
     prepare_metadata_for_build_editable,
     prepare_metadata_for_build_wheel,
 )
-from one_package import in_one_package
+from one_package import move_packages
 
 __all__ = [
     "build_editable",
@@ -38,5 +38,5 @@ def build_wheel(
     """Build a wheel with maturin, and move its packages into `scanloom`."""
     name = maturin.build_wheel(wheel_directory, config_settings, metadata_directory)
     wheel = Path(wheel_directory) / name
-    wheel.write_bytes(in_one_package(wheel.read_bytes()))
+    wheel.write_bytes(move_packages(wheel.read_bytes()))
     return name

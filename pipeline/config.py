@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from scanloom.pipeline.cache.cache_size import CacheParams
 from scanloom.pipeline.evaluation.params import ReportParams
-from scanloom.pipeline.quality import QUALITIES
+from scanloom.pipeline.quality_presets import QUALITIES
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.steps.bake import BakeSection
 from scanloom.pipeline.steps.coverage import CoverageSection

@@ -59,7 +59,7 @@ STAGES: tuple[AnyStage, ...] = (
 )
 
 # Inputs without a value: they only enter the cache keys of stages whose results contain them. See
-# `scanloom.pipeline.cache.digest.label_digests`.
+# `scanloom.pipeline.cache.digest.compute_label_digests`.
 LABELS = ("names", "times", "world")
 
 
@@ -68,23 +68,23 @@ def find_stage(name: str) -> AnyStage | None:
     return next((stage for stage in STAGES if stage.name == name), None)
 
 
-def source_name(scan: Scan, config: Sections) -> str:
+def get_scan_input_name(scan: Scan, config: Sections) -> str:
     """Return the input name of the scan: "scan" if depth is computed, else "frames"."""
     return "scan" if depth.needs_depth(scan, config) else "frames"
 
 
-def skip_reasons(scan: Scan, config: Sections) -> Mapping[str, str]:
+def list_skip_reasons(scan: Scan, config: Sections) -> Mapping[str, str]:
     """Return the skipped stages of a scan with the reasons."""
     reasons = {stage.name: stage.skip_reason(scan, config) for stage in STAGES}
     return {name: reason for name, reason in reasons.items() if reason is not None}
 
 
-def plan_for(scan: Scan, config: Sections) -> Sequence[AnyStage]:
+def plan_stages(scan: Scan, config: Sections) -> Sequence[AnyStage]:
     """Plan the stages of a scan, each with its available inputs."""
-    skipped = skip_reasons(scan, config)
+    skipped = list_skip_reasons(scan, config)
     stages = [stage for stage in STAGES if stage.name not in skipped]
-    scan_name = source_name(scan, config)
-    available = {scan_name, *(stage.writes.NAME for stage in stages)}
+    scan_name = get_scan_input_name(scan, config)
+    available = {scan_name, *(stage.artifact.NAME for stage in stages)}
     if scan.held_out:
         available.add("held_out")
     if config.get(DepthParams).model is not None:
@@ -93,9 +93,9 @@ def plan_for(scan: Scan, config: Sections) -> Sequence[AnyStage]:
         available.add("photos")
     plan = []
     for stage in stages:
-        reads = [name for name in stage.reads if name not in stage.unread(config)]
+        reads = [name for name in stage.input_names if name not in stage.ignored_inputs(config)]
         # Frames written by the depth stage are numbered and have no time stamps, so labels do not apply.
         labels = LABELS if scan_name in reads else ()
         reads = [name for name in reads if name in available or name in labels]
-        plan.append(replace(stage, reads=tuple(reads)))
+        plan.append(replace(stage, input_names=tuple(reads)))
     return plan

@@ -16,21 +16,21 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
 from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, CONFIG_UNREADABLE, USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.files.documents import parse_toml
-from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.input_files import read_input_text
 from scanloom.stages.params import (
-    Described,
+    ParameterInfo,
     apply_changes,
     describe_all,
     describe_kinds,
-    described,
+    describe_own,
     find_nested,
+    get_allowed_types,
     get_default,
-    hints_of,
-    kinds_of,
-    row_length,
+    get_row_length,
+    resolve_hints,
 )
 
 _MAX_BYTES = 1 << 22
@@ -47,7 +47,7 @@ class Sections:
     QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {}
 
     @classmethod
-    def of(cls: type[S], quality: str) -> S:
+    def from_quality(cls: type[S], quality: str) -> S:
         """Create the configuration of a quality preset.
 
         Raises
@@ -59,19 +59,19 @@ class Sections:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {quality!r}; it must be one of {qualities}.",
-                Where(parameter="quality"),
+                DiagnosticLocation(parameter="quality"),
                 quality=quality,
                 qualities=", ".join(cls.QUALITIES),
             )
         config = cls()
         for section, values in cls.QUALITIES[quality].items():
-            config = config._with(section, values, f"quality {quality}")
+            config = config._apply_values(section, values, f"quality {quality}")
         return config
 
     @classmethod
-    def types(cls) -> dict[str, type]:
+    def get_types(cls) -> dict[str, type]:
         """Return the parameter class of each section, in order."""
-        hints = hints_of(cls)
+        hints = resolve_hints(cls)
         return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
@@ -92,7 +92,7 @@ class Sections:
         try:
             if path.stat().st_size > _MAX_BYTES:
                 raise UsageError(CONFIG_UNREADABLE, "the file is too large for a configuration.", where=path)
-            text = text_in(path, "utf-8")
+            text = read_input_text(path, "utf-8")
         except OSError as error:
             raise UsageError(
                 CONFIG_UNREADABLE,
@@ -115,13 +115,13 @@ class Sections:
             ) from error
         named = data.pop("quality", None) if cls.QUALITIES else None
         try:
-            config = cls() if named is None else cls.of(named)
+            config = cls() if named is None else cls.from_quality(named)
         except UsageError as error:
-            raise UsageError.of(error.diagnostic.within(file=where)) from error
+            raise UsageError.from_diagnostic(error.diagnostic.replace_location_fields(file=where)) from error
         if quality is not None:
-            config = cls.of(quality)
+            config = cls.from_quality(quality)
         for section, values in data.items():
-            _require_section(section, cls.types(), where)
+            _require_section(section, cls.get_types(), where)
             if not isinstance(values, dict):
                 raise UsageError(
                     CONFIG_UNREADABLE,
@@ -130,25 +130,25 @@ class Sections:
                     where=where,
                     section=section,
                 )
-            config = config._with(section, values, where)
+            config = config._apply_values(section, values, where)
         return config
 
     def set(self: S, assignments: Iterable[str]) -> S:
         """Return the configuration with words `section.parameter=value` applied; see `read_assignments`."""
         config = self
-        for one in read_assignments(assignments, self.types()):
-            config = config._with(one.section, one.changes, None)
+        for one in read_assignments(assignments, self.get_types()):
+            config = config._apply_values(one.section, one.changes, None)
         return config
 
     def dumps(self) -> str:
         """Write every parameter as commented TOML that `loads` reads back to the same configuration."""
-        return "\n".join(section_toml(name, getattr(self, name)) for name in self.types())
+        return "\n".join(section_toml(name, getattr(self, name)) for name in self.get_types())
 
     def get(self, kind: type[P]) -> P:
         """Return the first section with parameters of a class."""
-        return next(params for name in self.types() if isinstance(params := getattr(self, name), kind))
+        return next(params for name in self.get_types() if isinstance(params := getattr(self, name), kind))
 
-    def canonical(self, section: str) -> dict[str, Any]:
+    def to_canonical(self, section: str) -> dict[str, Any]:
         """Return the result-relevant parameters of a section as JSON values, for the cache key.
 
         Raises
@@ -158,8 +158,8 @@ class Sections:
         """
         return _canonicalise(getattr(self, section), section)
 
-    def _with(self: S, section: str, values: Mapping[str, Any], where: str | None) -> S:
-        changes = _convert_section(values, section, self.types(), where)
+    def _apply_values(self: S, section: str, values: Mapping[str, Any], where: str | None) -> S:
+        changes = _convert_section(values, section, self.get_types(), where)
         with located(section, where):
             changed = apply_changes(getattr(self, section), changes)
         return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
@@ -214,7 +214,9 @@ def located(section: str, where: str | None = None) -> Iterator[None]:
     try:
         yield
     except UsageError as error:
-        raise UsageError.of(error.diagnostic.within(section=section, file=where)) from error
+        raise UsageError.from_diagnostic(
+            error.diagnostic.replace_location_fields(section=section, file=where)
+        ) from error
 
 
 def _require_section(section: str, types: Mapping[str, type], where: str) -> None:
@@ -224,15 +226,15 @@ def _require_section(section: str, types: Mapping[str, type], where: str) -> Non
             "there is no section {section!r}; {advice}",
             where=where,
             section=section,
-            advice=_did_you_mean(section, types),
+            advice=_suggest_name(section, types),
         )
 
 
-def _kind(section: str, key: str, cls: type, types: Mapping[str, type], where: str | None) -> Any:
+def _get_kind(section: str, key: str, cls: type, types: Mapping[str, type], where: str | None) -> Any:
     """Return the type of a parameter of a section."""
     if key in find_nested(cls):
-        raise _section_error(f"{section}.{key}", where)
-    if key not in described(cls):
+        raise _make_section_error(f"{section}.{key}", where)
+    if key not in describe_own(cls):
         raise UsageError(
             CONFIG_PARAMETER_UNKNOWN,
             "{section} has no parameter {key!r}; {advice}",
@@ -241,7 +243,7 @@ def _kind(section: str, key: str, cls: type, types: Mapping[str, type], where: s
             key=key,
             advice=_suggest_key(section, key, cls, types),
         )
-    return hints_of(cls)[key]
+    return resolve_hints(cls)[key]
 
 
 def _suggest_key(section: str, key: str, cls: type, types: Mapping[str, type]) -> str:
@@ -253,12 +255,12 @@ def _suggest_key(section: str, key: str, cls: type, types: Mapping[str, type]) -
     equal = [f"{other}.{word}" for other, its in types.items() if word in describe_all(its)]
     keys = list(dict.fromkeys([*(f"{section}.{name}" for name in similar), *equal]))
     if not keys:
-        return f"known are {', '.join([*described(cls), *find_nested(cls)])}."
+        return f"known are {', '.join([*describe_own(cls), *find_nested(cls)])}."
     *others, last = keys[:4]
     return f"did you mean {', '.join(others) + ' or ' if others else ''}{last}?"
 
 
-def _section_error(section: str, where: str | None) -> UsageError:
+def _make_section_error(section: str, where: str | None) -> UsageError:
     return UsageError(
         CONFIG_UNREADABLE,
         "{section} is a section",
@@ -282,11 +284,11 @@ def _convert(
     for key, value in values.items():
         nested = find_nested(cls).get(key)
         if nested is None:
-            typed[key] = _typed(value, _kind(section, key, cls, types, where))
+            typed[key] = _convert_value(value, _get_kind(section, key, cls, types, where))
         elif isinstance(value, Mapping):
             typed[key] = _convert(value, f"{section}.{key}", nested, types, where)
         else:
-            raise _section_error(f"{section}.{key}", where)
+            raise _make_section_error(f"{section}.{key}", where)
     return typed
 
 
@@ -298,10 +300,10 @@ def _nest_value(
     nested = find_nested(cls).get(first)
     if dot and nested is not None:
         return {first: _nest_value([*sections, first], rest, nested, text, types, where)}
-    return {key: _read_value(text, _kind(".".join(sections), key, cls, types, where))}
+    return {key: _read_value(text, _get_kind(".".join(sections), key, cls, types, where))}
 
 
-def _did_you_mean(word: str, known: Iterable[str]) -> str:
+def _suggest_name(word: str, known: Iterable[str]) -> str:
     names = list(known)
     near = difflib.get_close_matches(word, names, n=1)
     return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}."
@@ -311,22 +313,22 @@ def _is_optional(hint: Any) -> bool:
     return type(None) in get_args(hint)
 
 
-def _typed(value: Any, hint: Any) -> Any:
+def _convert_value(value: Any, hint: Any) -> Any:
     # TOML integers are accepted for floats; 1 and 1.0 must give the same cache key.
-    if float in kinds_of(hint) and type(value) is int:
+    if float in get_allowed_types(hint) and type(value) is int:
         return float(value)
-    if row_length(hint) and isinstance(value, (list, tuple)):
-        return tuple(_typed(number, float) for number in value)
-    return Path(value) if Path in kinds_of(hint) and isinstance(value, str) else value
+    if get_row_length(hint) and isinstance(value, (list, tuple)):
+        return tuple(_convert_value(number, float) for number in value)
+    return Path(value) if Path in get_allowed_types(hint) and isinstance(value, str) else value
 
 
 def _read_value(text: str, hint: Any) -> Any:
     """Return the value that text is for a parameter's type; text of another form as it is."""
     if text.lower() == "none" and _is_optional(hint):
         return None
-    kinds = kinds_of(hint)
-    if row_length(hint):
-        return tuple(_number(word) for word in re.split(r"[\s,]+", text.strip("[]() ")))
+    kinds = get_allowed_types(hint)
+    if get_row_length(hint):
+        return tuple(_parse_number(word) for word in re.split(r"[\s,]+", text.strip("[]() ")))
     if bool in kinds and text.lower() in _WORDS:
         return _WORDS[text.lower()]
     for kind in (int, float):
@@ -338,7 +340,7 @@ def _read_value(text: str, hint: Any) -> Any:
     return text
 
 
-def _number(word: str) -> Any:
+def _parse_number(word: str) -> Any:
     # Text that is not a number is rejected with the other range checks of the parameter.
     try:
         return float(word)
@@ -349,10 +351,10 @@ def _number(word: str) -> Any:
 def _canonicalise(params: Any, section: str) -> dict[str, Any]:
     """Return the result-relevant parameters as JSON values; nested sections become objects."""
     cls = type(params)
-    hints = hints_of(cls)
+    hints = resolve_hints(cls)
     values: dict[str, Any] = {
-        name: _canonical_value(getattr(params, name), hints[name], f"{section}.{name}")
-        for name, about in described(cls).items()
+        name: _canonicalise_value(getattr(params, name), hints[name], f"{section}.{name}")
+        for name, about in describe_own(cls).items()
         if about.invalidates
     }
     for name in find_nested(cls):
@@ -360,31 +362,37 @@ def _canonicalise(params: Any, section: str) -> dict[str, Any]:
     return values
 
 
-def _canonical_value(value: Any, hint: Any, where: str) -> Any:
+def _canonicalise_value(value: Any, hint: Any, where: str) -> Any:
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
         raise UsageError(
             USAGE_VALUE_INVALID, "{place} is infinite", remedy="give a number, or leave it out.", place=where
         )
     if isinstance(value, Path):
         raise TypeError(f"{where} is a path; a result must depend on the file's content, not on its name")
-    typed = _typed(value, hint)
+    typed = _convert_value(value, hint)
     if isinstance(typed, tuple):
         return [number + 0.0 for number in typed]
     return typed + 0.0 if isinstance(typed, float) else typed  # converts -0.0 to 0.0
 
 
-def section_toml(name: str, params: Any, *, is_shown: Callable[[Described], bool] = lambda _: True) -> str:
+def section_toml(
+    name: str, params: Any, *, is_shown: Callable[[ParameterInfo], bool] = lambda _: True
+) -> str:
     """Write the parameters of a section as commented TOML, or only those that are to be shown."""
     summary = (type(params).__doc__ or "").strip().split("\n")[0]
-    lines = [f"[{name}]", *_comment(summary)]
-    hints = hints_of(type(params))
-    for key, about in described(type(params)).items():
+    lines = [f"[{name}]", *_format_comment(summary)]
+    hints = resolve_hints(type(params))
+    for key, about in describe_own(type(params)).items():
         if not is_shown(about):
             continue
         default = get_default(type(params), key)
-        lines += ["", *_comment(about.text), *_comment(facts_of(about, default, hints[key]))]
+        lines += [
+            "",
+            *_format_comment(about.text),
+            *_format_comment(describe_parameter(about, default, hints[key])),
+        ]
         value = getattr(params, key)
-        lines.append(f"# {key} =" if value is None else f"{key} = {_toml(value)}")
+        lines.append(f"# {key} =" if value is None else f"{key} = {_format_value(value)}")
     nested = [
         section_toml(f"{name}.{key}", getattr(params, key), is_shown=is_shown)
         for key, cls in find_nested(type(params)).items()
@@ -393,23 +401,23 @@ def section_toml(name: str, params: Any, *, is_shown: Callable[[Described], bool
     return "\n".join(["\n".join(lines) + "\n", *nested])
 
 
-def _comment(text: str) -> list[str]:
+def _format_comment(text: str) -> list[str]:
     return textwrap.wrap(text, 100, initial_indent="# ", subsequent_indent="# ")
 
 
-def facts_of(about: Described, default: Any, hint: Any) -> str:
+def describe_parameter(about: ParameterInfo, default: Any, hint: Any) -> str:
     """Return kind, unit, range and default of a parameter in words; `hint` is its type."""
-    kind = f"one of {', '.join(about.choices)}" if about.choices else describe_kinds(kinds_of(hint))
+    kind = f"one of {', '.join(about.choices)}" if about.choices else describe_kinds(get_allowed_types(hint))
     facts = [f"{kind} in {about.unit}" if about.unit else kind]
     if about.low is not None:
         facts.append(f"{'more than' if about.low_open else 'at least'} {about.low:g}")
     if about.high is not None:
         facts.append(f"at most {about.high:g}")
-    facts.append("not set by default" if default is None else f"default: {_toml(default)}")
+    facts.append("not set by default" if default is None else f"default: {_format_value(default)}")
     return "; ".join(facts)
 
 
-def _toml(value: Any) -> str:
+def _format_value(value: Any) -> str:
     # TOML strings, numbers and booleans use JSON syntax, except for infinities.
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
         return "inf" if value > 0 else "-inf"

@@ -5,7 +5,7 @@ scans, noisy cameras (sensors.py) move along an arc around the corner of a room 
 have fixed seeds.
 
 - stereo/: 14 pairs of 480×360 from a rig with a baseline of 12 cm, not rectified: the right camera is rotated
-  by about one degree, and both lenses distort. `calibration.toml`, `poses.txt` (left camera to world).
+  by about one degree, and both lenses distort. `format_calibration.toml`, `poses.txt` (left camera to world).
 - rgbd/: 24 frames of 320×240 with registered depth in millimetres; `scan.json` with camera and poses.
 - truth.ply: the true surface, with the scene's colours at its vertices.
 
@@ -36,20 +36,20 @@ RIGHT_TURN = np.deg2rad((0.5, -1.2, 0.4))  # rotation vector of the right camera
 BASELINE = 0.12
 DEPTH_CAMERA = Camera(320, 240, 291.0, 291.0, 159.2, 119.6)
 PAIRS, DEPTH_FRAMES = 14, 24
-VISIT = 4  # index within every ten frames
+VISITOR_FRAME = 4  # index within every ten frames
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92]
 
 
-def rig() -> StereoRig:
+def make_rig() -> StereoRig:
     """Make the calibrated stereo rig."""
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = cv2.Rodrigues(RIGHT_TURN)[0]
     # As in a real rig, the right camera's centre is slightly off the x axis of the left camera.
     right_from_left[:3, 3] = -right_from_left[:3, :3] @ np.array((BASELINE, 0.0012, -0.0008))
-    return StereoRig(LEFT, RIGHT, right_from_left, rectified=False)
+    return StereoRig(LEFT, RIGHT, right_from_left, is_rectified=False)
 
 
-def arc(count: int, sweep: float, phase: float) -> Iterator[Pose]:
+def make_arc_poses(count: int, sweep: float, phase: float) -> Iterator[Pose]:
     """Yield world-from-camera poses along an arc in front of the corner.
 
     Parameters
@@ -78,18 +78,18 @@ def make_stereo(scene: Scene, folder: Path) -> None:
     """Write the stereo scan."""
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
-    pair, lines = rig(), []
-    for i, pose in enumerate(arc(PAIRS, 104, 0.4)):
+    pair, lines = make_rig(), []
+    for i, pose in enumerate(make_arc_poses(PAIRS, 104, 0.4)):
         rng = np.random.default_rng((SEED, 0, i))
         right_pose = pose @ np.linalg.inv(pair.right_from_left)
         write_image(folder / "left" / f"{i:04d}.jpg", photograph(scene, pair.left, pose, rng))
         write_image(folder / "right" / f"{i:04d}.jpg", photograph(scene, pair.right, right_pose, rng))
         lines.append(" ".join(f"{value:.9f}" for value in pose[:3].ravel()))
     (folder / "poses.txt").write_text("\n".join(lines) + "\n")
-    (folder / "calibration.toml").write_text(calibration(pair))
+    (folder / "calibration.toml").write_text(format_calibration(pair))
 
 
-def calibration(pair: StereoRig) -> str:
+def format_calibration(pair: StereoRig) -> str:
     """Format the rig as TOML."""
     rotation, translation = pair.right_from_left[:3, :3], pair.right_from_left[:3, 3]
     lines = [
@@ -106,20 +106,20 @@ def calibration(pair: StereoRig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def make_rgbd(scene: Scene, folder: Path, visited: Callable[[int], Scene] | None = None) -> None:
+def make_rgbd(scene: Scene, folder: Path, visited_scene: Callable[[int], Scene] | None = None) -> None:
     """Write the RGB-D scan.
 
     Parameters
     ----------
-    visited : returns the scene for a frame index; replaces `scene` in every tenth frame.
+    visited_scene : returns the scene for a frame index; replaces `scene` in every tenth frame.
     """
     frames = []
     for kind in ("color", "depth"):
         (folder / kind).mkdir(parents=True)
-    for i, pose in enumerate(arc(DEPTH_FRAMES, 116, 2.0)):
+    for i, pose in enumerate(make_arc_poses(DEPTH_FRAMES, 116, 2.0)):
         rng = np.random.default_rng((SEED, 1, i))
         color, depth = folder / "color" / f"{i:04d}.jpg", folder / "depth" / f"{i:04d}.png"
-        shown = visited(i) if visited is not None and i % 10 == VISIT else scene
+        shown = visited_scene(i) if visited_scene is not None and i % 10 == VISITOR_FRAME else scene
         write_image(color, photograph(shown, DEPTH_CAMERA, pose, rng))
         write_image(depth, measure_depth(shown, DEPTH_CAMERA, pose, rng))
         frames.append(
@@ -147,7 +147,7 @@ def main() -> None:
     folder: Path = options.folder
     scene = Scene(tags=options.tags)
 
-    def visited(number: int) -> Scene:
+    def make_visited_scene(number: int) -> Scene:
         return Scene(tags=options.tags, visitor=(0.05 * np.cos(number), -0.02 + 0.1 * np.sin(number)))
 
     if options.only != "rgbd":
@@ -155,7 +155,7 @@ def main() -> None:
         make_stereo(scene, folder / "stereo")
     if options.only != "stereo":
         shutil.rmtree(folder / "rgbd", ignore_errors=True)
-        make_rgbd(scene, folder / "rgbd", visited if options.visitor else None)
+        make_rgbd(scene, folder / "rgbd", make_visited_scene if options.visitor else None)
     write_ply(folder / "truth.ply", scene.mesh)
 
 

@@ -14,17 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Paint = Callable[[Floats], Floats]
 # Adds tags to a paint. Arguments: paint, axes of its plane, centres of the tags, number of the first tag.
-Tagged = Callable[[Paint, tuple[int, int], Floats, int], Paint]
+TagPainter = Callable[[Paint, tuple[int, int], Floats, int], Paint]
 
-HALF = 0.45  # half the side of the floor, metres
-WALL = 0.42  # height of the walls, metres
+HALF_SIDE = 0.45  # half the side of the floor, metres
+WALL_HEIGHT = 0.42  # height of the walls, metres
 GLOBE, GLOBE_RADIUS = np.array((0.17, -0.12, 0.095)), 0.095
 RING, RING_RADII = np.array((-0.14, -0.20, 0.034)), (0.085, 0.034)
 VASE = np.array((0.14, 0.20, 0.0))
@@ -100,9 +100,9 @@ class Scene:
     def __init__(
         self, spacing: float = 0.0091, *, tags: bool = False, visitor: tuple[float, float] | None = None
     ) -> None:
-        self._parts = _parts(spacing, _with_tags if tags else _without_tags)
+        self._parts = _make_parts(spacing, _add_tags if tags else _keep_paint)
         if visitor is not None:
-            self._parts.append(_visitor(np.array((*visitor, 0.0)), spacing))
+            self._parts.append(_make_visitor(np.array((*visitor, 0.0)), spacing))
         counts = [len(part.vertices) for part in self._parts]
         offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
         vertices = np.concatenate([part.vertices for part in self._parts])
@@ -110,8 +110,8 @@ class Scene:
         triangles = [part.triangles + offset for part, offset in zip(self._parts, offsets, strict=True)]
         self._part_of = np.repeat(np.arange(len(triangles)), [len(t) for t in triangles])
         self._triangles = np.concatenate(triangles)
-        core = open3d().core
-        self._rays = open3d().t.geometry.RaycastingScene()
+        core = import_open3d().core
+        self._rays = import_open3d().t.geometry.RaycastingScene()
         self._rays.add_triangles(
             core.Tensor(vertices.astype(np.float32)), core.Tensor(self._triangles.astype(np.uint32))
         )
@@ -125,7 +125,7 @@ class Scene:
         """
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3], rays[:, 3:] = origin, directions
-        hits = self._rays.cast_rays(open3d().core.Tensor(rays))
+        hits = self._rays.cast_rays(import_open3d().core.Tensor(rays))
         distance = hits["t_hit"].numpy().astype(np.float64)
         triangle = np.where(np.isfinite(distance), hits["primitive_ids"].numpy(), 0).astype(np.int64)
         u, v = hits["primitive_uvs"].numpy().astype(np.float64).T
@@ -148,22 +148,26 @@ class Scene:
             towards = lamp - points
             towards /= np.linalg.norm(towards, axis=1, keepdims=True)
             rays = np.concatenate([points + 1e-3 * normals, towards], axis=1).astype(np.float32)
-            blocked = self._rays.test_occlusions(open3d().core.Tensor(rays)).numpy()
+            blocked = self._rays.test_occlusions(import_open3d().core.Tensor(rays)).numpy()
             facing = np.einsum("kx,kx->k", normals, towards).clip(0, 1)
             light += np.where(blocked, 0, facing) * (1 - _AMBIENT) * 1.3 / len(_LIGHTS)
         return np.asarray((albedo**2.2 * light[:, None]).clip(0, 1) ** (1 / 2.2))
 
 
-def _parts(spacing: float, tagged: Tagged) -> list[Part]:
+def _make_parts(spacing: float, add_tags: TagPainter) -> list[Part]:
     x, y, z = np.eye(3)
-    corner = np.array((-HALF, HALF, 0.0))
-    floor_paint = tagged(_paint_floor, (0, 1), _FLOOR_TAGS, 0)
-    left_paint = tagged(_paint_left_wall, (1, 2), _LEFT_TAGS, len(_FLOOR_TAGS))
-    back_paint = tagged(_paint_back_wall, (0, 2), _BACK_TAGS, len(_FLOOR_TAGS) + len(_LEFT_TAGS))
-    floor = _patch(corner - 2 * HALF * y, 2 * HALF * x, 2 * HALF * y, spacing, floor_paint)
-    left = _patch(corner - 2 * HALF * y, 2 * HALF * y, WALL * z, spacing, left_paint)
-    back = _patch(corner, 2 * HALF * x, WALL * z, spacing, back_paint)
-    globe = _swept(
+    corner = np.array((-HALF_SIDE, HALF_SIDE, 0.0))
+    floor_paint = add_tags(_paint_floor, (0, 1), _FLOOR_TAGS, 0)
+    left_paint = add_tags(_paint_left_wall, (1, 2), _LEFT_TAGS, len(_FLOOR_TAGS))
+    back_paint = add_tags(_paint_back_wall, (0, 2), _BACK_TAGS, len(_FLOOR_TAGS) + len(_LEFT_TAGS))
+    floor = _make_rectangle(
+        corner - 2 * HALF_SIDE * y, 2 * HALF_SIDE * x, 2 * HALF_SIDE * y, spacing, floor_paint
+    )
+    left = _make_rectangle(
+        corner - 2 * HALF_SIDE * y, 2 * HALF_SIDE * y, WALL_HEIGHT * z, spacing, left_paint
+    )
+    back = _make_rectangle(corner, 2 * HALF_SIDE * x, WALL_HEIGHT * z, spacing, back_paint)
+    globe = _make_revolution(
         lambda t: (GLOBE_RADIUS * np.sin(np.pi * t), -GLOBE_RADIUS * np.cos(np.pi * t)),
         GLOBE,
         (np.pi * GLOBE_RADIUS, 2 * np.pi * GLOBE_RADIUS),
@@ -171,22 +175,22 @@ def _parts(spacing: float, tagged: Tagged) -> list[Part]:
         _paint_globe,
     )
     wide, thin = RING_RADII
-    ring = _swept(
+    ring = _make_revolution(
         lambda t: (wide + thin * np.cos(2 * np.pi * t), thin * np.sin(2 * np.pi * t)),
         RING,
         (2 * np.pi * thin, 2 * np.pi * wide),
         spacing * 0.8,
         _paint_ring,
     )
-    vase = _swept(_vase_outline, VASE, (0.42, 0.4), spacing * 0.8, _paint_vase)
-    return [floor, left, back, globe, ring, vase, *_box(spacing)]
+    vase = _make_revolution(_compute_vase_outline, VASE, (0.42, 0.4), spacing * 0.8, _paint_vase)
+    return [floor, left, back, globe, ring, vase, *_make_box(spacing)]
 
 
-def _without_tags(paint: Paint, _axes: tuple[int, int], _middles: Floats, _first: int) -> Paint:
+def _keep_paint(paint: Paint, _axes: tuple[int, int], _middles: Floats, _first: int) -> Paint:
     return paint
 
 
-def _with_tags(paint: Paint, axes: tuple[int, int], middles: Floats, first: int) -> Paint:
+def _add_tags(paint: Paint, axes: tuple[int, int], middles: Floats, first: int) -> Paint:
     import cv2
 
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -195,7 +199,7 @@ def _with_tags(paint: Paint, axes: tuple[int, int], middles: Floats, first: int)
         for n in range(len(middles))
     ]
 
-    def painted(p: Floats) -> Floats:
+    def paint_with_tags(p: Floats) -> Floats:
         color = paint(p)
         for middle, cell in zip(middles, cells, strict=True):
             column, row = np.floor(((p[:, axes] - middle) * (1, -1) / _TAG + 0.5) * _TAG_CELLS).astype(int).T
@@ -203,21 +207,23 @@ def _with_tags(paint: Paint, axes: tuple[int, int], middles: Floats, first: int)
             color[inside] = 0.05 + 0.85 * cell[row[inside], column[inside], None] / 255
         return color
 
-    return painted
+    return paint_with_tags
 
 
-def _visitor(place: Floats, spacing: float) -> Part:
-    def outline(t: Floats) -> tuple[Floats, Floats]:
+def _make_visitor(place: Floats, spacing: float) -> Part:
+    def compute_outline(t: Floats) -> tuple[Floats, Floats]:
         # Profile of a coat with a head on top.
         height = 0.3 * t
         coat = 0.05 * np.sqrt(np.clip(1 - (np.minimum(height, 0.22) / 0.24) ** 4, 0, 1))
         head = np.sqrt(np.clip(0.035**2 - (height - 0.265) ** 2, 0, None))
         return np.where(t <= 0, 0, np.maximum(np.where(height < 0.23, coat, 0.0), head)), height
 
-    return _swept(outline, place, (0.4, 0.32), spacing * 0.8, lambda p: _paint_visitor(p - place))
+    return _make_revolution(
+        compute_outline, place, (0.4, 0.32), spacing * 0.8, lambda p: _paint_visitor(p - place)
+    )
 
 
-def _patch(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Paint) -> Part:
+def _make_rectangle(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Paint) -> Part:
     """Make a rectangle spanned by `u` and `v`, normal u × v."""
     i, j = (max(2, round(float(np.linalg.norm(side)) / spacing) + 1) for side in (u, v))
     s, t = (
@@ -225,20 +231,20 @@ def _patch(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Paint) -
     )
     normal = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     vertices = corner + s * u + t * v
-    return Part(vertices, np.tile(normal, (len(vertices), 1)), _grid(i, j), paint)
+    return Part(vertices, np.tile(normal, (len(vertices), 1)), _make_grid(i, j), paint)
 
 
-def _box(spacing: float) -> list[Part]:
+def _make_box(spacing: float) -> list[Part]:
     c, s = np.cos(BOX_TURN), np.sin(BOX_TURN)
     turn = np.array(((c, -s, 0), (s, c, 0), (0, 0, 1)))
     width, depth, height = BOX_SIZE
     x, y, z = width * turn[:, 0], depth * turn[:, 1], height * turn[:, 2]
     low = BOX - (x + y) / 2
     sides = [(low, x, z), (low + x, y, z), (low + x + y, -x, z), (low + y, -y, z), (low + z, x, y)]
-    return [_patch(corner, u, v, spacing, _paint_box) for corner, u, v in sides]
+    return [_make_rectangle(corner, u, v, spacing, _paint_box) for corner, u, v in sides]
 
 
-def _swept(
+def _make_revolution(
     outline: Callable[[Floats], tuple[Floats, Floats]],
     center: Floats,
     lengths: tuple[float, float],
@@ -264,7 +270,7 @@ def _swept(
         for r, h in ((radius, height), slope)
     )
     # The first and last column coincide. Triangles at the poles have no area and are removed.
-    triangles = _grid(i, j, wrap=True)
+    triangles = _make_grid(i, j, wrap=True)
     flat = vertices.reshape(-1, 3)
     a, b, c = (flat[triangles[:, k]] for k in range(3))
     triangles = triangles[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12]
@@ -272,7 +278,7 @@ def _swept(
     return Part(flat[used] + center, normals.reshape(-1, 3)[used], triangles.reshape(-1, 3), paint)
 
 
-def _vase_outline(t: Floats) -> tuple[Floats, Floats]:
+def _compute_vase_outline(t: Floats) -> tuple[Floats, Floats]:
     from scipy.interpolate import PchipInterpolator
 
     steps = np.linalg.norm(np.diff(VASE_OUTLINE, axis=0), axis=1)
@@ -281,7 +287,7 @@ def _vase_outline(t: Floats) -> tuple[Floats, Floats]:
     return radius, height
 
 
-def _grid(i: int, j: int, *, wrap: bool = False) -> Ints:
+def _make_grid(i: int, j: int, *, wrap: bool = False) -> Ints:
     """Make the triangles of a grid of i × j points.
 
     With `wrap`, the last and the first column are joined.
@@ -294,7 +300,7 @@ def _grid(i: int, j: int, *, wrap: bool = False) -> Ints:
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
-def _noise(points: Floats, wavelength: float, seed: int) -> Floats:
+def _compute_noise(points: Floats, wavelength: float, seed: int) -> Floats:
     """Compute smooth value noise (n,), -1..1, on a cubic lattice.
 
     Parameters
@@ -319,7 +325,7 @@ def _hash(cell: Ints, seed: int) -> Floats:
     return ((h ^ (h >> 16)) & 0xFFFF) / 32767.5 - 1
 
 
-def _grain(points: Floats, seed: int) -> Floats:
+def _compute_grain(points: Floats, seed: int) -> Floats:
     """Compute noise (n, 1), about -1..1, of several wavelengths.
 
     The wavelengths range from 5 mm to 5 cm.
@@ -327,7 +333,7 @@ def _grain(points: Floats, seed: int) -> Floats:
     octaves = [(0.05, 0.3), (0.022, 0.35), (0.011, 0.45), (0.0055, 0.4)]
     grain = np.zeros(len(points))
     for k, (wavelength, weight) in enumerate(octaves):
-        grain += weight * _noise(points, wavelength, seed + k)
+        grain += weight * _compute_noise(points, wavelength, seed + k)
     return grain[:, None]
 
 
@@ -336,55 +342,55 @@ def _mix(mask: NDArray[np.bool_] | Floats, inside: Floats, outside: Floats) -> F
     return np.asarray(share * inside + (1 - share) * outside)
 
 
-def _rgb(*levels: int) -> Floats:
+def _to_rgb(*levels: int) -> Floats:
     return np.array(levels) / 255
 
 
 def _paint_floor(p: Floats) -> Floats:
     tile = np.floor(p[:, :2] / 0.15)
     tone = _hash(np.concatenate([tile, tile[:, :1]], axis=1).astype(np.int64), 5)[:, None]
-    color = _mix((tile.sum(axis=1) % 2) == 0, _rgb(196, 164, 122), _rgb(150, 92, 68)) + 0.05 * tone
+    color = _mix((tile.sum(axis=1) % 2) == 0, _to_rgb(196, 164, 122), _to_rgb(150, 92, 68)) + 0.05 * tone
     grout = (np.abs((p[:, :2] / 0.15) % 1 - 0.5) > 0.5 - 0.02).any(axis=1)
-    return np.asarray((_mix(grout, _rgb(92, 86, 80), color) + 0.15 * _grain(p, 11)).clip(0.02, 1))
+    return np.asarray((_mix(grout, _to_rgb(92, 86, 80), color) + 0.15 * _compute_grain(p, 11)).clip(0.02, 1))
 
 
 def _paint_left_wall(p: Floats) -> Floats:
     stripe = np.sin(2 * np.pi * p[:, 1] / 0.09) > 0.2
-    color = _mix(stripe, _rgb(176, 198, 178), _rgb(206, 214, 190))
+    color = _mix(stripe, _to_rgb(176, 198, 178), _to_rgb(206, 214, 190))
     panel = p[:, 2] < 0.13
-    color = _mix(panel, _rgb(112, 132, 118), color)
-    return np.asarray((color + 0.13 * _grain(p, 23)).clip(0.02, 1))
+    color = _mix(panel, _to_rgb(112, 132, 118), color)
+    return np.asarray((color + 0.13 * _compute_grain(p, 23)).clip(0.02, 1))
 
 
 def _paint_back_wall(p: Floats) -> Floats:
-    color = np.broadcast_to(_rgb(196, 192, 206), (len(p), 3))
+    color = np.broadcast_to(_to_rgb(196, 192, 206), (len(p), 3))
     # A poster that shows rings around a sun over hills.
     x, z = p[:, 0] + 0.05, p[:, 2] - 0.25
     poster = (np.abs(x) < 0.2) & (np.abs(z) < 0.13)
     rings = np.sin(np.hypot(x - 0.06, z - 0.03) * 2 * np.pi / 0.04) > 0
-    picture = _mix(rings, _rgb(240, 188, 72), _rgb(84, 126, 190))
+    picture = _mix(rings, _to_rgb(240, 188, 72), _to_rgb(84, 126, 190))
     hills = z < -0.05 + 0.03 * np.sin(x * 30) + 0.012 * np.sin(x * 95)
-    picture = _mix(hills, _rgb(58, 110, 70), picture)
+    picture = _mix(hills, _to_rgb(58, 110, 70), picture)
     frame = poster & ((np.abs(x) > 0.188) | (np.abs(z) > 0.118))
-    color = _mix(frame, _rgb(70, 48, 36), _mix(poster, picture, color))
-    return np.asarray((color + 0.12 * _grain(p, 31)).clip(0.02, 1))
+    color = _mix(frame, _to_rgb(70, 48, 36), _mix(poster, picture, color))
+    return np.asarray((color + 0.12 * _compute_grain(p, 31)).clip(0.02, 1))
 
 
 def _paint_globe(p: Floats) -> Floats:
     q = p - GLOBE
-    land = _noise(p, 0.06, 41) + 0.5 * _noise(p, 0.025, 42)
-    color = _mix(land > 0.1, _rgb(96, 148, 70), _rgb(52, 96, 170))
-    color = _mix(land > 0.55, _rgb(176, 148, 96), color)
-    color = _mix(np.abs(q[:, 2]) > 0.083, _rgb(236, 240, 244), color)
-    return np.asarray((color + 0.12 * _grain(p, 43)).clip(0.02, 1))
+    land = _compute_noise(p, 0.06, 41) + 0.5 * _compute_noise(p, 0.025, 42)
+    color = _mix(land > 0.1, _to_rgb(96, 148, 70), _to_rgb(52, 96, 170))
+    color = _mix(land > 0.55, _to_rgb(176, 148, 96), color)
+    color = _mix(np.abs(q[:, 2]) > 0.083, _to_rgb(236, 240, 244), color)
+    return np.asarray((color + 0.12 * _compute_grain(p, 43)).clip(0.02, 1))
 
 
 def _paint_ring(p: Floats) -> Floats:
     q = p - RING
     angle = np.arctan2(q[:, 1], q[:, 0])
     turn = np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]) - RING_RADII[0])
-    color = _mix(np.sin(6 * angle + turn) > 0, _rgb(206, 60, 52), _rgb(240, 206, 92))
-    return np.asarray((color + 0.13 * _grain(p, 53)).clip(0.02, 1))
+    color = _mix(np.sin(6 * angle + turn) > 0, _to_rgb(206, 60, 52), _to_rgb(240, 206, 92))
+    return np.asarray((color + 0.13 * _compute_grain(p, 53)).clip(0.02, 1))
 
 
 def _paint_vase(p: Floats) -> Floats:
@@ -392,20 +398,22 @@ def _paint_vase(p: Floats) -> Floats:
     angle = np.arctan2(q[:, 1], q[:, 0])
     zigzag = np.abs((angle * 8 / np.pi) % 2 - 1) * 0.016
     band = np.sin((q[:, 2] + zigzag) * 2 * np.pi / 0.05)
-    color = _mix(band > 0.1, _rgb(44, 72, 140), _rgb(228, 224, 212))
-    color = _mix(np.abs(band - 0.1) < 0.25, _rgb(196, 120, 60), color)
-    return np.asarray((color + 0.11 * _grain(p, 61)).clip(0.02, 1))
+    color = _mix(band > 0.1, _to_rgb(44, 72, 140), _to_rgb(228, 224, 212))
+    color = _mix(np.abs(band - 0.1) < 0.25, _to_rgb(196, 120, 60), color)
+    return np.asarray((color + 0.11 * _compute_grain(p, 61)).clip(0.02, 1))
 
 
 def _paint_box(p: Floats) -> Floats:
     q = (p - BOX) / 0.042
     dot = np.linalg.norm(q - np.round(q), axis=1) < 0.33
     kind = _hash(np.round(q).astype(np.int64), 71)
-    spots = _mix(kind > 0, _rgb(232, 96, 120), _rgb(74, 170, 176))
-    return np.asarray((_mix(dot, spots, _rgb(222, 206, 176)) + 0.13 * _grain(p, 73)).clip(0.02, 1))
+    spots = _mix(kind > 0, _to_rgb(232, 96, 120), _to_rgb(74, 170, 176))
+    return np.asarray((_mix(dot, spots, _to_rgb(222, 206, 176)) + 0.13 * _compute_grain(p, 73)).clip(0.02, 1))
 
 
 def _paint_visitor(q: Floats) -> Floats:
     buttons = np.sin(q[:, 2] * 2 * np.pi / 0.03) > 0.8
-    coat = _mix(buttons, _rgb(250, 240, 60), _rgb(210, 20, 40))
-    return np.asarray((_mix(q[:, 2] > 0.23, _rgb(236, 188, 160), coat) + 0.05 * _grain(q, 83)).clip(0.02, 1))
+    coat = _mix(buttons, _to_rgb(250, 240, 60), _to_rgb(210, 20, 40))
+    return np.asarray(
+        (_mix(q[:, 2] > 0.23, _to_rgb(236, 188, 160), coat) + 0.05 * _compute_grain(q, 83)).clip(0.02, 1)
+    )

@@ -8,11 +8,11 @@ from scene import Floats, Scene
 
 from scanloom.stages.scans.model.scan import Camera, Pose
 
-_FINE = 2  # rays per pixel and direction, against aliasing of fine texture
+_RAYS_PER_PIXEL = 2  # rays per pixel and direction, against aliasing of fine texture
 _BLUR = 0.55  # standard deviation of the lens blur, pixels
 _FULL_WELL = 9000.0  # electrons at white; shot noise is their square root
 _READ_NOISE = 12.0  # electrons
-_CORNER = 0.82  # relative brightness in the corners of the image (vignetting)
+_CORNER_BRIGHTNESS = 0.82  # relative brightness in the corners of the image (vignetting)
 
 
 def photograph(
@@ -22,19 +22,19 @@ def photograph(
     import cv2
 
     height, width = camera.height, camera.width
-    fine_u = (np.arange(width * _FINE) + 0.5) / _FINE - 0.5
-    fine_v = (np.arange(height * _FINE) + 0.5) / _FINE - 0.5
-    rays = _rays(camera, *np.meshgrid(fine_u, fine_v))
+    fine_u = (np.arange(width * _RAYS_PER_PIXEL) + 0.5) / _RAYS_PER_PIXEL - 0.5
+    fine_v = (np.arange(height * _RAYS_PER_PIXEL) + 0.5) / _RAYS_PER_PIXEL - 0.5
+    rays = _compute_rays(camera, *np.meshgrid(fine_u, fine_v))
     distance, normals, parts = scene.cast(world_from_camera[:3, 3], rays @ world_from_camera[:3, :3].T)
     hit = np.flatnonzero(np.isfinite(distance))
     # Outside the scene there is a uniform grey background, without texture to match.
     color = np.full((len(rays), 3), 0.36)
     points = world_from_camera[:3, 3] + distance[hit, None] * (rays[hit] @ world_from_camera[:3, :3].T)
     color[hit] = scene.color(points, normals[hit], parts[hit])
-    linear = (color**2.2).reshape(height, _FINE, width, _FINE, 3).mean(axis=(1, 3))
+    linear = (color**2.2).reshape(height, _RAYS_PER_PIXEL, width, _RAYS_PER_PIXEL, 3).mean(axis=(1, 3))
     linear = cv2.GaussianBlur(linear, (0, 0), _BLUR)
     u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-    linear *= (1 - (1 - _CORNER) * (u * u + v * v) / 2)[:, :, None]
+    linear *= (1 - (1 - _CORNER_BRIGHTNESS) * (u * u + v * v) / 2)[:, :, None]
     electrons = rng.poisson(linear * _FULL_WELL) + rng.normal(0, _READ_NOISE, linear.shape)
     return np.asarray(np.rint(255 * (electrons / _FULL_WELL).clip(0, 1) ** (1 / 2.2)), np.uint8)
 
@@ -53,7 +53,7 @@ def measure_depth(
 
     height, width = camera.height, camera.width
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    rays = _rays(camera, *(a + 0.4 * rng.standard_normal(a.shape) for a in (u, v)))
+    rays = _compute_rays(camera, *(a + 0.4 * rng.standard_normal(a.shape) for a in (u, v)))
     directions = rays @ world_from_camera[:3, :3].T
     distance, normals, _ = scene.cast(world_from_camera[:3, 3], directions)
     z = np.where(np.isfinite(distance), distance * rays[:, 2], 0).reshape(height, width)
@@ -70,7 +70,7 @@ def measure_depth(
     return np.asarray(np.where(lost, 0, np.rint(measured * 1000)), np.uint16)
 
 
-def _rays(camera: Camera, u: Floats, v: Floats) -> Floats:
+def _compute_rays(camera: Camera, u: Floats, v: Floats) -> Floats:
     """Compute unit viewing directions (k, 3) of pixels of a distorted image."""
     bent_x, bent_y = (u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy
     k1, k2, p1, p2 = camera.distortion or (0.0, 0.0, 0.0, 0.0)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("stages", "pipeline", "cli")
 # Modules of public names that are not in `scanloom.stages`.
-_MODULE_OF = dict.fromkeys(("Page", "show"), "pipeline.report.page.show")
+_PIPELINE_NAMES = dict.fromkeys(("Page", "show"), "pipeline.report.page.show")
 
 _FOLDER = path.dirname(__file__)
 if not path.isdir(path.join(_FOLDER, "stages")):
@@ -47,9 +47,9 @@ if not TYPE_CHECKING:
             return import_module(f"{__name__}.{name}")
         stages = import_module(f"{__name__}.stages")
         if name == "__all__":
-            value = sorted([*stages.__all__, *_MODULE_OF])
-        elif name in _MODULE_OF:
-            value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+            value = sorted([*stages.__all__, *_PIPELINE_NAMES])
+        elif name in _PIPELINE_NAMES:
+            value = getattr(import_module(f"{__name__}.{_PIPELINE_NAMES[name]}"), name)
         elif name in stages.__all__:
             value = getattr(stages, name)
         else:
@@ -78,7 +78,7 @@ class _AliasFinder:
 
     def find_spec(self, name: str, _path: object = None, _target: object = None) -> ModuleSpec | None:
         is_ours = sys.modules.get(self._package) is sys.modules.get(f"{__name__}.{self._package}")
-        if not (is_ours and name.startswith(f"{self._package}.") and _spec_of(name)):
+        if not (is_ours and name.startswith(f"{self._package}.") and _find_module_spec(name)):
             return None
         from importlib.util import spec_from_loader
 
@@ -96,14 +96,14 @@ class _AliasFinder:
 
     def get_code(self, name: str) -> CodeType | None:
         """Return the code of a module for `python -m`."""
-        spec = _spec_of(name)
+        spec = _find_module_spec(name)
         if spec is None or spec.loader is None:
             return None
         code: CodeType | None = spec.loader.get_code(spec.name)  # type: ignore[attr-defined]
         return code
 
 
-def _spec_of(name: str) -> ModuleSpec | None:
+def _find_module_spec(name: str) -> ModuleSpec | None:
     from importlib.util import find_spec
 
     return find_spec(f"{__name__}.{name}")

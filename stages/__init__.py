@@ -22,10 +22,10 @@ if __name__ == "stages":
 # `__all__` from `_NAMES_OF`, from which names are fetched while the program runs.
 if TYPE_CHECKING:
     from scanloom.stages.adjusting.adjust import AdjustParams, adjust
-    from scanloom.stages.adjusting.adjusted import Adjusted
-    from scanloom.stages.cleaning.check import Checked, CheckParams, check
-    from scanloom.stages.cleaning.clean import Cleaned, CleanParams, clean
-    from scanloom.stages.cleaning.repair import Repaired, RepairParams, repair
+    from scanloom.stages.adjusting.adjustment_result import Adjustment
+    from scanloom.stages.cleaning.check import CheckParams, CheckResult, check
+    from scanloom.stages.cleaning.clean import CleaningResult, CleanParams, clean
+    from scanloom.stages.cleaning.repair import RepairParams, RepairResult, repair
     from scanloom.stages.comparing.align import Alignment, align
     from scanloom.stages.comparing.certify import Certificate, CertifyParams, certify
     from scanloom.stages.comparing.change import ChangeParams, Changes, changes
@@ -40,63 +40,69 @@ if TYPE_CHECKING:
         StageError,
         UsageError,
     )
-    from scanloom.stages.exporting.export import Exported, ExportParams, export
+    from scanloom.stages.exporting.export import ExportParams, ExportResult, export
     from scanloom.stages.exporting.presets import preset
-    from scanloom.stages.fusion.fuse import Fused, fuse
+    from scanloom.stages.fusion.fuse import FusionResult, fuse
     from scanloom.stages.fusion.params import FuseParams
     from scanloom.stages.inspecting.coverage.coverage import coverage
-    from scanloom.stages.inspecting.coverage.covered import Coverage
+    from scanloom.stages.inspecting.coverage.coverage_result import Coverage
+    from scanloom.stages.inspecting.coverage.defect import CoverageDefect
     from scanloom.stages.inspecting.coverage.params import CoverageParams
-    from scanloom.stages.inspecting.coverage.place import Place
     from scanloom.stages.inspecting.inspect import inspect
     from scanloom.stages.inspecting.inspection import Inspection
     from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
     from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
-    from scanloom.stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
-    from scanloom.stages.picturing.render import Viewpoint, render
-    from scanloom.stages.picturing.viewpoints import viewpoints
     from scanloom.stages.registration.params import RegisterParams
     from scanloom.stages.registration.register import register
-    from scanloom.stages.registration.registered import Registration
+    from scanloom.stages.registration.registration_result import Registration
+    from scanloom.stages.rendering.image_comparison import ViewComparison, ViewsParams, compare_views
+    from scanloom.stages.rendering.render import Viewpoint, render
+    from scanloom.stages.rendering.viewpoints import viewpoints
     from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
     from scanloom.stages.scans.params import ScanParams
-    from scanloom.stages.scans.read import read_scan
+    from scanloom.stages.scans.reader import read_scan
     from scanloom.stages.simplification.certified.params import CertifiedParams
     from scanloom.stages.simplification.jia01.params import Jia01Params
     from scanloom.stages.simplification.planar.params import PatchParams, PlanarParams
     from scanloom.stages.simplification.planar.patches import Patches
     from scanloom.stages.simplification.planar.run import planar_patches
+    from scanloom.stages.simplification.records.collapse_steps import ReplayParams
     from scanloom.stages.simplification.records.load import load_record
     from scanloom.stages.simplification.records.record import CollapseRecord
-    from scanloom.stages.simplification.records.steps import ReplayParams
     from scanloom.stages.simplification.regions import Box, Sphere
     from scanloom.stages.simplification.seams.params import SeamsParams
-    from scanloom.stages.simplification.simplify import Simplified, SimplifyParams, simplify
+    from scanloom.stages.simplification.simplify import SimplificationResult, SimplifyParams, simplify
     from scanloom.stages.simplification.tradeoff import Tradeoff, TradeoffParams, tradeoff
-    from scanloom.stages.stereo.completed_scan import completed_scan
     from scanloom.stages.stereo.depth import DepthParams, depth, depth_scan
+    from scanloom.stages.stereo.depth_completion import completed_scan
     from scanloom.stages.stereo.depth_map import DepthMap
     from scanloom.stages.stereo.disparity import Disparity, stereo_disparity
     from scanloom.stages.stereo.params import SgbmParams
     from scanloom.stages.stereo.views_depth import views_depth
-    from scanloom.stages.surface.cloud_files import read_cloud
-    from scanloom.stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
     from scanloom.stages.surface.mesh import Mesh
+    from scanloom.stages.surface.mesh_conversion import (
+        MeshLike,
+        as_mesh,
+        to_open3d,
+        to_open3d_legacy,
+        to_trimesh,
+    )
     from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+    from scanloom.stages.surface.point_cloud_files import read_cloud
     from scanloom.stages.surface.texture import Image, Material, Texture
     from scanloom.stages.surface.topology import Topology, topology
-    from scanloom.stages.texturing.bake import Baked, BakeParams, bake
-    from scanloom.stages.texturing.texture import Textured, TextureParams, texture
+    from scanloom.stages.texturing.bake import BakeParams, BakeResult, bake
+    from scanloom.stages.texturing.texture import TextureParams, TextureResult, texture
 
     __version__: str
 
 # Public names by module.
 _NAMES_OF = {
     "adjusting.adjust": ("AdjustParams", "adjust"),
-    "adjusting.adjusted": ("Adjusted",),
-    "cleaning.check": ("CheckParams", "Checked", "check"),
-    "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
-    "cleaning.repair": ("RepairParams", "Repaired", "repair"),
+    "adjusting.adjustment_result": ("Adjustment",),
+    "cleaning.check": ("CheckParams", "CheckResult", "check"),
+    "cleaning.clean": ("CleaningResult", "CleanParams", "clean"),
+    "cleaning.repair": ("RepairParams", "RepairResult", "repair"),
     "comparing.align": ("Alignment", "align"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.change": ("ChangeParams", "Changes", "changes"),
@@ -104,28 +110,28 @@ _NAMES_OF = {
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
     "simplification.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
     "inspecting.coverage.coverage": ("coverage",),
-    "inspecting.coverage.covered": ("Coverage",),
+    "inspecting.coverage.coverage_result": ("Coverage",),
     "inspecting.coverage.params": ("CoverageParams",),
-    "inspecting.coverage.place": ("Place",),
+    "inspecting.coverage.defect": ("CoverageDefect",),
     "diagnostics.collector": ("DiagnosticWarning", "collecting"),
     "diagnostics.diagnostic": ("Diagnostic", "Severity"),
     "diagnostics.errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
-    "exporting.export": ("ExportParams", "Exported", "export"),
+    "exporting.export": ("ExportParams", "ExportResult", "export"),
     "exporting.presets": ("preset",),
-    "fusion.fuse": ("Fused", "fuse"),
+    "fusion.fuse": ("FusionResult", "fuse"),
     "fusion.params": ("FuseParams",),
     "inspecting.inspect": ("inspect",),
     "inspecting.inspection": ("Inspection",),
     "normal_meshes.normal_mesh": ("NormalMesh", "Offsets", "decode"),
     "normal_meshes.remesh": ("RemeshParams", "remesh"),
-    "picturing.compare_views": ("ViewComparison", "ViewsParams", "compare_views"),
-    "picturing.render": ("Viewpoint", "render"),
-    "picturing.viewpoints": ("viewpoints",),
+    "rendering.image_comparison": ("ViewComparison", "ViewsParams", "compare_views"),
+    "rendering.render": ("Viewpoint", "render"),
+    "rendering.viewpoints": ("viewpoints",),
     "registration.params": ("RegisterParams",),
     "registration.register": ("register",),
-    "registration.registered": ("Registration",),
+    "registration.registration_result": ("Registration",),
     "scans.params": ("ScanParams",),
-    "scans.read": ("read_scan",),
+    "scans.reader": ("read_scan",),
     "scans.model.scan": ("Camera", "Frame", "Scan", "StereoRig"),
     "simplification.certified.params": ("CertifiedParams",),
     "simplification.jia01.params": ("Jia01Params",),
@@ -134,18 +140,18 @@ _NAMES_OF = {
     "simplification.planar.run": ("planar_patches",),
     "simplification.records.load": ("load_record",),
     "simplification.records.record": ("CollapseRecord",),
-    "simplification.records.steps": ("ReplayParams",),
+    "simplification.records.collapse_steps": ("ReplayParams",),
     "simplification.regions": ("Box", "Sphere"),
     "simplification.seams.params": ("SeamsParams",),
-    "simplification.simplify": ("Simplified", "SimplifyParams", "simplify"),
-    "stereo.completed_scan": ("completed_scan",),
+    "simplification.simplify": ("SimplificationResult", "SimplifyParams", "simplify"),
+    "stereo.depth_completion": ("completed_scan",),
     "stereo.depth": ("DepthParams", "depth", "depth_scan"),
     "stereo.depth_map": ("DepthMap",),
     "stereo.disparity": ("Disparity", "stereo_disparity"),
     "stereo.params": ("SgbmParams",),
     "stereo.views_depth": ("views_depth",),
-    "surface.cloud_files": ("read_cloud",),
-    "surface.convert": (
+    "surface.point_cloud_files": ("read_cloud",),
+    "surface.mesh_conversion": (
         "MeshLike",
         "as_mesh",
         "to_open3d",
@@ -156,17 +162,17 @@ _NAMES_OF = {
     "surface.mesh_files": ("read_mesh", "write_mesh"),
     "surface.texture": ("Image", "Material", "Texture"),
     "surface.topology": ("Topology", "topology"),
-    "texturing.bake": ("Baked", "BakeParams", "bake"),
-    "texturing.texture": ("TextureParams", "Textured", "texture"),
+    "texturing.bake": ("BakeResult", "BakeParams", "bake"),
+    "texturing.texture": ("TextureParams", "TextureResult", "texture"),
 }
 _MODULE_OF = {name: f"scanloom.stages.{module}" for module, names in _NAMES_OF.items() for name in names}
 
 __all__ = [
     "AdjustParams",
-    "Adjusted",
+    "Adjustment",
     "Alignment",
     "BakeParams",
-    "Baked",
+    "BakeResult",
     "Box",
     "Camera",
     "Certificate",
@@ -175,13 +181,14 @@ __all__ = [
     "ChangeParams",
     "Changes",
     "CheckParams",
-    "Checked",
+    "CheckResult",
     "CleanParams",
-    "Cleaned",
+    "CleaningResult",
     "CollapseRecord",
     "CompareParams",
     "Comparison",
     "Coverage",
+    "CoverageDefect",
     "CoverageParams",
     "DepthMap",
     "DepthParams",
@@ -191,10 +198,10 @@ __all__ = [
     "DiagnosticWarning",
     "Disparity",
     "ExportParams",
-    "Exported",
+    "ExportResult",
     "Frame",
     "FuseParams",
-    "Fused",
+    "FusionResult",
     "Image",
     "InputError",
     "Inspection",
@@ -207,13 +214,12 @@ __all__ = [
     "Offsets",
     "PatchParams",
     "Patches",
-    "Place",
     "PlanarParams",
     "RegisterParams",
     "Registration",
     "RemeshParams",
     "RepairParams",
-    "Repaired",
+    "RepairResult",
     "ReplayParams",
     "Scan",
     "ScanParams",
@@ -221,14 +227,14 @@ __all__ = [
     "SeamsParams",
     "Severity",
     "SgbmParams",
-    "Simplified",
+    "SimplificationResult",
     "SimplifyParams",
     "Sphere",
     "StageError",
     "StereoRig",
     "Texture",
     "TextureParams",
-    "Textured",
+    "TextureResult",
     "Topology",
     "Tradeoff",
     "TradeoffParams",
@@ -286,7 +292,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":
-            value = import_module("scanloom.stages.files.written_by").installed_version()
+            value = import_module("scanloom.stages.files.version").installed_version()
         elif name in _MODULE_OF:
             value = getattr(import_module(_MODULE_OF[name]), name)
         else:

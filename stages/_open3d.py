@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from scanloom.stages.diagnostics.codes import MACHINE_LIBRARY_MISSING
-from scanloom.stages.diagnostics.errors import StageError, is_lack_of_memory
-from scanloom.stages.files.room import require_room
+from scanloom.stages.diagnostics.errors import StageError, is_out_of_memory
+from scanloom.stages.files.memory_check import check_memory_available
 
 # System libraries that Open3D links to, and the Debian package of each.
 _DEBIAN_PACKAGES = {
@@ -38,10 +38,10 @@ _DEBIAN_PACKAGES = {
 
 
 # Stack of a TBB thread, bytes.
-_THREAD_BYTES = 1 << 24
+_THREAD_STACK_BYTES = 1 << 24
 
 
-def open3d() -> Any:
+def import_open3d() -> Any:
     """Import Open3D and start its threads.
 
     The import takes about 0.5 s, once per process. TBB, Open3D's thread library, aborts the process if it
@@ -50,9 +50,9 @@ def open3d() -> Any:
     Raises
     ------
     StageError, MemoryError
-        As `imported`; MemoryError also if there is too little memory for the threads.
+        As `import_without_threads`; MemoryError also if there is too little memory for the threads.
     """
-    module = imported()
+    module = import_without_threads()
     # The cache is per process id: a forked process inherits no threads.
     _start_threads(os.getpid())
     return module
@@ -60,13 +60,13 @@ def open3d() -> Any:
 
 @functools.cache
 def _start_threads(process: int) -> None:  # noqa: ARG001
-    require_room(_THREAD_BYTES * (os.cpu_count() or 1))
-    ones = imported().core.Tensor(np.ones(1 << 16, np.float32))
+    check_memory_available(_THREAD_STACK_BYTES * (os.cpu_count() or 1))
+    ones = import_without_threads().core.Tensor(np.ones(1 << 16, np.float32))
     _ = ones + ones
 
 
 @functools.cache
-def imported() -> Any:
+def import_without_threads() -> Any:
     """Import Open3D without starting its threads.
 
     For processes that fork: each forked process starts its own threads.
@@ -81,7 +81,7 @@ def imported() -> Any:
     if sys.platform == "linux":
         _provide_libusb()
     try:
-        with warnings.catch_warnings(), _dash_later():
+        with warnings.catch_warnings(), _defer_dash():
             # Some builds warn about a missing GPU although none was requested.
             warnings.simplefilter("ignore", ImportWarning)
             import open3d  # noqa: TID251
@@ -89,7 +89,7 @@ def imported() -> Any:
         # Ctrl-C during the imports of a compiled module surfaces as an ImportError.
         if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
-        if is_lack_of_memory(error):
+        if is_out_of_memory(error):
             raise MemoryError from error
         raise StageError(MACHINE_LIBRARY_MISSING, _explain(str(error))) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
@@ -97,7 +97,7 @@ def imported() -> Any:
 
 
 @contextmanager
-def _dash_later() -> Iterator[None]:
+def _defer_dash() -> Iterator[None]:
     """Defer imports of Dash inside the block until first use.
 
     Open3D imports Dash, with 600 modules, for a single function that draws plots in a browser.
@@ -105,37 +105,37 @@ def _dash_later() -> Iterator[None]:
     if "dash" in sys.modules:
         yield
         return
-    sys.modules["dash"] = _Dash("dash")
+    sys.modules["dash"] = _DashStandIn("dash")
     try:
         yield
     finally:
         del sys.modules["dash"]
 
 
-class _Dash(ModuleType):
+class _DashStandIn(ModuleType):
     """Stand-in for the module `dash`; its attributes are deferred imports."""
 
     def __getattr__(self, name: str) -> Any:
         # The import system probes for dunder attributes, which the stand-in does not have.
         if name.startswith("__"):
             raise AttributeError(name)
-        return _Later(name)
+        return _DeferredAttribute(name)
 
 
-class _Later:
+class _DeferredAttribute:
     """Deferred attribute of Dash: imports Dash on first access or call."""
 
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def _it(self) -> Any:
+    def _resolve(self) -> Any:
         return getattr(importlib.import_module("dash"), self._name)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._it(), name)
+        return getattr(self._resolve(), name)
 
     def __call__(self, *args: Any, **options: Any) -> Any:
-        return self._it()(*args, **options)
+        return self._resolve()(*args, **options)
 
 
 def _provide_libusb() -> None:

@@ -19,5 +19,5 @@ class Progress(Protocol):
         """
 
 
-def silent(done: int, total: int) -> None:
+def ignore_progress(done: int, total: int) -> None:
     """Ignore progress; the default callback."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import topology
 
@@ -45,9 +45,9 @@ def speed() -> ModuleType:
 
 @pytest.fixture
 def at_a_bound() -> ModuleType:
-    import at_a_bound
+    import equal_deviation
 
-    return at_a_bound
+    return equal_deviation
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def results() -> ModuleType:
 
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_the_globe_is_a_closed_unit_sphere_facing_outward(meshes: ModuleType, steps: int):
-    globe = meshes.globe(steps, MAP)
+    globe = meshes.make_globe(steps, MAP)
 
     assert len(globe.triangles) == 8 * steps**2
     shape = topology(globe)
@@ -87,7 +87,7 @@ def test_the_globe_is_a_closed_unit_sphere_facing_outward(meshes: ModuleType, st
 
 
 def test_the_globe_s_map_closes_at_the_date_line_and_ends_at_the_poles(meshes: ModuleType):
-    globe = meshes.globe(2, MAP)
+    globe = meshes.make_globe(2, MAP)
 
     def at(*direction: float) -> Any:
         return globe.colors[(globe.vertices @ direction).argmax()].astype(float)
@@ -106,7 +106,7 @@ def test_flat_colours_are_sea_land_and_ice():
     image = np.empty((64, 90, 3), np.uint8)
     image[:, :30], image[:, 30:60], image[:, 60:] = (10, 30, 80), (120, 110, 60), (230, 235, 240)
 
-    flat = jia_table.flat(image)
+    flat = jia_table.classify_colors(image)
 
     for column, expected in ((15, jia_table.SEA), (45, jia_table.LAND), (75, jia_table.ICE)):
         assert (flat[:, column] == expected).all()
@@ -116,7 +116,7 @@ def test_flat_colours_are_sea_land_and_ice():
 def test_a_tool_s_result_is_a_mesh_of_the_wanted_size(meshes: ModuleType, name: str):
     from peers.tools import TOOLS
 
-    globe = meshes.globe(12, MAP)
+    globe = meshes.make_globe(12, MAP)
     (tool,) = [tool for tool in TOOLS if tool.name == name]
 
     call, unpacked = tool.prepare(globe, 400, **next(iter(tool.settings.values())))
@@ -128,22 +128,22 @@ def test_a_tool_s_result_is_a_mesh_of_the_wanted_size(meshes: ModuleType, name: 
 
 
 def test_turned_triangles_and_small_angles_are_counted(meshes: ModuleType, bench: ModuleType):
-    globe = meshes.globe(4, MAP)
+    globe = meshes.make_globe(4, MAP)
     turned = globe.triangles.copy()
     turned[[3, 50]] = turned[[3, 50], ::-1]
 
-    assert bench.turned(globe, globe) == 0
-    assert bench.turned(globe, globe.with_(triangles=turned)) == 2
+    assert bench.count_flipped(globe, globe) == 0
+    assert bench.count_flipped(globe, globe.with_(triangles=turned)) == 2
 
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], float)
     pair = Mesh(corners, np.array([[0, 1, 2], [0, 1, 3]], np.int32))
-    np.testing.assert_allclose(bench.smallest_angles(pair), [45, 0])
+    np.testing.assert_allclose(bench.compute_min_angles(pair), [45, 0])
 
 
 @pytest.fixture
 def row(results: ModuleType):
-    base = results.Row(
-        **{field.name: 0 for field in dataclasses.fields(results.Row)}
+    base = results.SimplifierResult(
+        **{field.name: 0 for field in dataclasses.fields(results.SimplifierResult)}
         | {"mesh": "globe", "ratio": 0.1, "triangles": 1000, "rms": 1.0, "color": 5.0, "setting": "default"}
         | {"seconds": 1.0, "tool": "scanloom", "topology": topology(Mesh(np.zeros((0, 3)), NO_TRIANGLES))}
     )
@@ -168,7 +168,7 @@ def test_a_setting_beats_another_only_in_both_errors_and_on_no_more_triangles(re
         row(tool="Open3D tensor", setting="", rms=0.8, color=None),
         row(tool="CGAL Lindstrom–Turk", setting="", rms=0.5, color=None),
     ]
-    text = "\n".join(results.verdicts([*own, *peers]))
+    text = "\n".join(results.compare_with_peers([*own, *peers]))
 
     assert "VTK: 1 of 2 beaten (weight 1 ← light; weight 2 ← none)" in text
     assert "default is 2.50 times that of Open3D tensor, the best quadric tool" in text
@@ -189,7 +189,7 @@ def test_the_summary_takes_each_tool_at_its_best_and_leaves_out_meshes_without_c
         row(mesh="horse", setting="", color=None),
     ]
 
-    assert list(results.summary(rows)) == [
+    assert list(results.make_summary_table(rows)) == [
         "|  | globe 10% | non-manifold edges | CPU time |",
         "|---|---:|---:|---:|",
         "| scanloom | 2.0 / 5.0 | 0 | 1 |",
@@ -201,7 +201,7 @@ def test_the_summary_takes_each_tool_at_its_best_and_leaves_out_meshes_without_c
 
 
 def test_shuffled_hills_are_the_same_hills_in_another_order(speed: ModuleType):
-    mesh, shuffled = speed.hills(200), speed.shuffled(200)
+    mesh, shuffled = speed.make_hills(200), speed.make_shuffled_hills(200)
 
     def parts(mesh: Mesh) -> set[Any]:
         corners = np.concatenate([mesh.vertices, mesh.colors], axis=1)[mesh.triangles]
@@ -216,22 +216,22 @@ def test_shuffled_hills_are_the_same_hills_in_another_order(speed: ModuleType):
 def test_a_result_that_depends_on_the_number_of_threads_is_an_error(
     speed: ModuleType, monkeypatch: pytest.MonkeyPatch
 ):
-    mesh = speed.hills(200)
-    same = speed.digest(speed.MODES["count"](mesh, 1))
-    other = speed.digest(speed.MODES["count"](mesh.with_(colors=mesh.colors[::-1].copy()), 1))
+    mesh = speed.make_hills(200)
+    same = speed.compute_digest(speed.MODES["count"](mesh, 1))
+    other = speed.compute_digest(speed.MODES["count"](mesh.with_(colors=mesh.colors[::-1].copy()), 1))
     runs = {1: {"digest": same, "seconds": 2.0, "elapsed": 3.0}}
-    monkeypatch.setattr(speed, "in_own_process", lambda *run: runs[run[-1]])
+    monkeypatch.setattr(speed, "measure_in_subprocess", lambda *run: runs[run[-1]])
 
     runs[2] = runs[1] | {"elapsed": 1.5}
-    one, two = speed.both("count", "hills", 200, 2)
+    one, two = speed.measure_thread_counts("count", "hills", 200, 2)
     assert one["elapsed"] / two["elapsed"] == 2
     runs[2] = runs[1] | {"digest": other}
     with pytest.raises(SystemExit, match="differ"):
-        list(speed.both("count", "hills", 200, 2))
+        list(speed.measure_thread_counts("count", "hills", 200, 2))
 
 
 def test_growth_is_relative_to_n_log_n(speed: ModuleType):
-    ratios = speed.over_n_log_n({10_000: 40.0, 100: 10.0, 1_000_000: 30.0})
+    ratios = speed.compute_growth({10_000: 40.0, 100: 10.0, 1_000_000: 30.0})
 
     assert ratios == pytest.approx({100: 1, 10_000: 2, 1_000_000: 1})
 
@@ -241,11 +241,11 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
 ):
     from scanloom.stages.simplification.simplify import simplify
 
-    globe = meshes.globe(12, MAP)
+    globe = meshes.make_globe(12, MAP)
     light = simplify(globe, ratio=0.2).mesh
     one = SimpleNamespace(name="one")
     peers = [(one, "weight 1", {}, light), (one, "weight 0", {}, light.with_(colors=None))]
-    monkeypatch.setattr(at_a_bound, "results", lambda *_: peers)
+    monkeypatch.setattr(at_a_bound, "run_tools", lambda *_: peers)
     asked = []
 
     def spied(*args: Any, **changes: Any) -> Any:
@@ -253,9 +253,9 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
         return simplify(*args, **changes)
 
     monkeypatch.setattr(at_a_bound, "simplify", spied)
-    rows = list(at_a_bound.compared(globe, "globe", 0.2, [], 1000))
+    rows = list(at_a_bound.compare_at_deviation(globe, "globe", 0.2, [], 1000))
 
-    distance, levels = at_a_bound.worst(globe, light, 1000)
+    distance, levels = at_a_bound.find_two_sided_maximum(globe, light, 1000)
     assert asked == [(distance, None), (distance, levels), (distance, None)]
     assert rows[0][1] == rows[2][1]
     assert "| one weight 1 |" in rows[0][0]
@@ -265,18 +265,18 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
 def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound: ModuleType):
     from scanloom.stages.simplification.simplify import simplify
 
-    globe = meshes.globe(12, MAP)
+    globe = meshes.make_globe(12, MAP)
     ours = simplify(globe, max_shape=0.02, max_color=40)
 
-    assert 0 < at_a_bound.measured_over_proven(globe, ours, 1000) <= 1
+    assert 0 < at_a_bound.compute_proof_ratio(globe, ours, 1000) <= 1
     for less in ({"shape_bound_m": 1e-4}, {"color_bound_levels": 1.0}):
         wrong = dataclasses.replace(ours, details=dataclasses.replace(ours.details, **less))
         with pytest.raises(SystemExit, match="proof is wrong"):
-            at_a_bound.measured_over_proven(globe, wrong, 1000)
+            at_a_bound.compute_proof_ratio(globe, wrong, 1000)
 
 
 def test_the_near_cube_is_a_closed_unit_cube_facing_outward(normal_mesh: ModuleType):
-    cube = normal_mesh.near_cube()
+    cube = normal_mesh.make_near_cube()
 
     assert len(cube.triangles) == 396
     shape = topology(cube)
@@ -290,62 +290,68 @@ def test_the_near_cube_is_a_closed_unit_cube_facing_outward(normal_mesh: ModuleT
 
 
 def test_triangles_beyond_a_right_angle_are_turned(normal_mesh: ModuleType):
-    cube = normal_mesh.near_cube()
+    cube = normal_mesh.make_near_cube()
     other = cube.triangles.copy()
     other[[7, 300]] = other[[7, 300], ::-1]
 
-    assert normal_mesh.turned(cube, cube) == (0, 0)
-    assert normal_mesh.turned(cube, cube.with_(triangles=other)) == (2, 2)
-    assert normal_mesh.turned(cube.with_(triangles=other), cube) == (2, 0)
+    assert normal_mesh.count_flipped(cube, cube) == (0, 0)
+    assert normal_mesh.count_flipped(cube, cube.with_(triangles=other)) == (2, 2)
+    assert normal_mesh.count_flipped(cube.with_(triangles=other), cube) == (2, 0)
 
 
 def test_a_file_is_worth_having_if_none_is_smaller_and_nearer(rates: ModuleType):
-    small, middle, large = (rates.File(*values, "") for values in ((100, 4e-3), (200, 2e-3), (400, 1e-3)))
-    worse = [rates.File(150, 4e-3, ""), rates.File(200, 3e-3, ""), rates.File(500, 1e-3, "")]
+    small, middle, large = (
+        rates.EncodedMesh(*values, "") for values in ((100, 4e-3), (200, 2e-3), (400, 1e-3))
+    )
+    worse = [
+        rates.EncodedMesh(150, 4e-3, ""),
+        rates.EncodedMesh(200, 3e-3, ""),
+        rates.EncodedMesh(500, 1e-3, ""),
+    ]
 
-    assert rates.frontier([large, *worse, small, middle]) == [small, middle, large]
+    assert rates.select_pareto_front([large, *worse, small, middle]) == [small, middle, large]
 
 
 def test_ours_is_a_file_that_exists_and_a_rival_s_lies_between_two(rates: ModuleType):
-    files = [rates.File(*values, "") for values in ((100, 4e-3), (200, 2e-3), (800, 1e-3))]
+    files = [rates.EncodedMesh(*values, "") for values in ((100, 4e-3), (200, 2e-3), (800, 1e-3))]
 
-    assert rates.smallest(files, 2.5e-3) is files[1]
-    assert rates.smallest(files, 2e-3) is files[1]
-    assert rates.smallest(files, 0.9e-3) is None
-    assert rates.size_at(files, 4e-3) == pytest.approx(100)
-    assert rates.size_at(files, 2e-3) == pytest.approx(200)
+    assert rates.find_smallest(files, 2.5e-3) is files[1]
+    assert rates.find_smallest(files, 2e-3) is files[1]
+    assert rates.find_smallest(files, 0.9e-3) is None
+    assert rates.interpolate_size(files, 4e-3) == pytest.approx(100)
+    assert rates.interpolate_size(files, 2e-3) == pytest.approx(200)
     # Halfway in logarithms.
-    assert rates.size_at(files, 2e-3 / 2**0.5) == pytest.approx(400)
-    assert rates.size_at(files, 4.1e-3) is None
-    assert rates.size_at(files, 0.9e-3) is None
+    assert rates.interpolate_size(files, 2e-3 / 2**0.5) == pytest.approx(400)
+    assert rates.interpolate_size(files, 4.1e-3) is None
+    assert rates.interpolate_size(files, 0.9e-3) is None
 
 
 def test_a_file_s_distance_is_the_larger_of_both_directions(normal_mesh: ModuleType, rates: ModuleType):
-    cube = normal_mesh.near_cube()
+    cube = normal_mesh.make_near_cube()
     shifted = cube.with_(vertices=cube.vertices + np.array((0, 0, 0.01)))
     half = cube.with_(triangles=cube.triangles[:198])
-    original = rates.Original(cube, 20_000)
+    original = rates.ReferenceMesh(cube, 20_000)
 
     # Two of six sides move off the surface, four along it.
     assert original.file(1, shifted, "").rms == pytest.approx(0.01 / 3, rel=0.05)
     assert original.file(1, cube, "").rms < 1e-9
     # All of a part lies on the whole, but the whole is far from the part.
     assert original.file(1, half, "").rms > 0.1
-    assert rates.File(1, 1e-3, "").decibels == pytest.approx(60)
+    assert rates.EncodedMesh(1, 1e-3, "").decibels == pytest.approx(60)
 
 
 def test_draco_keeps_all_vertices_within_its_grid(normal_mesh: ModuleType):
     pytest.importorskip("DracoPy")
-    from peers.draco import decoded, encoded
+    from peers.draco import decode_draco, encode_draco
 
-    cube = normal_mesh.near_cube()
-    found = decoded(encoded(cube, 9))
+    cube = normal_mesh.make_near_cube()
+    found = decode_draco(encode_draco(cube, 9))
 
     assert len(found.triangles) == len(cube.triangles)
     gaps = np.linalg.norm(found.vertices[:, None] - cube.vertices, axis=2)
     # Half a step of the grid along each axis.
     assert gaps.min(axis=1).max() <= 3**0.5 / 2 / (2**9 - 1) * (1 + 1e-6)
-    assert len(encoded(cube, 12)) > len(encoded(cube, 9))
+    assert len(encode_draco(cube, 12)) > len(encode_draco(cube, 9))
 
 
 @pytest.fixture
@@ -361,21 +367,21 @@ def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
     rates: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
 ):
-    cube = normal_mesh.near_cube()
-    setting = normal_mesh_rates.Settings(68, 2, (1e-3, 1e-4))
-    monkeypatch.setattr(normal_mesh_rates, "LEVELS", {"cube": (setting,)})
-    monkeypatch.setattr(normal_mesh_rates, "ALONE_SHARES", {"cube": (0.5,)})
-    original = rates.Original(cube, 2000)
+    cube = normal_mesh.make_near_cube()
+    setting = normal_mesh_rates.RemeshSettings(68, 2, (1e-3, 1e-4))
+    monkeypatch.setattr(normal_mesh_rates, "LEVEL_SETTINGS", {"cube": (setting,)})
+    monkeypatch.setattr(normal_mesh_rates, "NO_LEVEL_RATIOS", {"cube": (0.5,)})
+    original = rates.ReferenceMesh(cube, 2000)
 
-    coarse, fine = np.array_split(list(normal_mesh_rates.normal_meshes("cube", original)), 2)
+    coarse, fine = np.array_split(list(normal_mesh_rates.make_files_with_levels("cube", original)), 2)
     assert [file.made.split(", ")[1] for file in coarse] == [f"level {level} of 2" for level in range(3)]
     for files in (coarse, fine):
         assert np.diff([file.size for file in files]).min() > 0
     assert all(a.size < b.size for a, b in zip(coarse, fine, strict=True))
 
-    whole = list(normal_mesh_rates.without_levels("cube", original))
-    assert len(whole) == len(normal_mesh_rates.ALONE_TOLERANCES)
-    for file, tolerance in zip(whole, normal_mesh_rates.ALONE_TOLERANCES, strict=True):
+    whole = list(normal_mesh_rates.make_files_without_levels("cube", original))
+    assert len(whole) == len(normal_mesh_rates.NO_LEVEL_TOLERANCES)
+    for file, tolerance in zip(whole, normal_mesh_rates.NO_LEVEL_TOLERANCES, strict=True):
         assert "198 triangles" in file.made
         # Half a triangulated cube is the cube; only rounding moves it, along three axes.
         assert file.rms < 3**0.5 * tolerance
@@ -383,11 +389,11 @@ def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
 
 
 def test_a_target_is_missed_above_1(normal_mesh_rates: ModuleType, rates: ModuleType):
-    file = rates.File(300, 1e-3, "")
+    file = rates.EncodedMesh(300, 1e-3, "")
 
-    assert normal_mesh_rates.over(file, 200) == "1.50"
-    assert normal_mesh_rates.over(file, None) == ""
-    assert normal_mesh_rates.over(None, 200) == ""
+    assert normal_mesh_rates.format_target_ratio(file, 200) == "1.50"
+    assert normal_mesh_rates.format_target_ratio(file, None) == ""
+    assert normal_mesh_rates.format_target_ratio(None, 200) == ""
 
 
 SAMPLE = ROOT / "samples" / "rgbd"
@@ -409,11 +415,11 @@ def reconstruction() -> ModuleType:
 
 def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
     """Largest distance, metres, and angle, radians, to true poses, in the first camera's world."""
-    from scanloom.stages.registration.motion import angle
+    from scanloom.stages.registration.motion import compute_rotation_angle
 
-    first = inverted(truth[0].world_from_camera)
-    off = [inverted(poses[i]) @ first @ frame.world_from_camera for i, frame in enumerate(truth)]
-    return max(np.linalg.norm(one[:3, 3]) for one in off), max(angle(one) for one in off)
+    first = invert_pose(truth[0].world_from_camera)
+    off = [invert_pose(poses[i]) @ first @ frame.world_from_camera for i, frame in enumerate(truth)]
+    return max(np.linalg.norm(one[:3, 3]) for one in off), max(compute_rotation_angle(one) for one in off)
 
 
 @pytest.mark.slow
@@ -421,10 +427,10 @@ def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float
 def test_open3d_s_reconstruction_system_finds_the_sample_s_poses(
     registration: ModuleType, reconstruction: ModuleType, fragment_frames: int
 ):
-    truth = registration.frames_of(SAMPLE)[::2]
-    hidden = [registration.hidden_pose(frame, depth_only=False) for frame in truth]
+    truth = registration.read_frames(SAMPLE)[::2]
+    hidden = [registration.hide_pose(frame, depth_only=False) for frame in truth]
 
-    poses = reconstruction.reconstruction_system(hidden, fragment_frames=fragment_frames)
+    poses = reconstruction.run_reconstruction_system(hidden, fragment_frames=fragment_frames)
 
     assert sorted(poses) == list(range(len(truth)))
     shift, turn = worst_shift_and_turn(poses, truth)
@@ -435,14 +441,14 @@ def test_open3d_s_reconstruction_system_finds_the_sample_s_poses(
 def test_a_scan_beyond_the_reconstruction_system_s_depth_fails(
     registration: ModuleType, reconstruction: ModuleType
 ):
-    near = registration.frames_of(SAMPLE)[:2]
+    near = registration.read_frames(SAMPLE)[:2]
     far = [
         dataclasses.replace(frame, depth=np.full((240, 320), 3.5, np.float32), world_from_camera=None)
         for frame in near
     ]
 
     with pytest.raises(RuntimeError, match="no frame overlaps the next within 3 m"):
-        reconstruction.reconstruction_system(far)
+        reconstruction.run_reconstruction_system(far)
 
 
 def test_points_that_do_not_agree_do_not_move_a_rigid_motion(reconstruction: ModuleType):
@@ -454,19 +460,19 @@ def test_points_that_do_not_agree_do_not_move_a_rigid_motion(reconstruction: Mod
     b = a @ motion[:3, :3].T + motion[:3, 3]
     b[::3] += rng.uniform(0.5, 1, (10, 3))
 
-    np.testing.assert_allclose(reconstruction.rigid_motion(a, b), motion, atol=1e-9)
-    assert reconstruction.rigid_motion(a[:4], b[:4]) is None
-    assert reconstruction.rigid_motion(a, rng.uniform(-1, 1, (30, 3))) is None
+    np.testing.assert_allclose(reconstruction.estimate_rigid_motion(a, b), motion, atol=1e-9)
+    assert reconstruction.estimate_rigid_motion(a[:4], b[:4]) is None
+    assert reconstruction.estimate_rigid_motion(a, rng.uniform(-1, 1, (30, 3))) is None
     half_a_turn = a * (-1, -1, 1)
-    assert reconstruction.rigid_motion(a, half_a_turn) is None
+    assert reconstruction.estimate_rigid_motion(a, half_a_turn) is None
 
 
 def test_open3d_s_dense_slam_follows_the_sample(registration: ModuleType):
-    from open3d_slam import dense_slam
+    from open3d_slam import run_dense_slam
 
-    truth = registration.frames_of(SAMPLE)[:4]
+    truth = registration.read_frames(SAMPLE)[:4]
 
-    poses = dense_slam([registration.hidden_pose(frame, depth_only=True) for frame in truth])
+    poses = run_dense_slam([registration.hide_pose(frame, depth_only=True) for frame in truth])
 
     shift, turn = worst_shift_and_turn(poses, truth)
     assert shift < 0.01
@@ -476,14 +482,14 @@ def test_open3d_s_dense_slam_follows_the_sample(registration: ModuleType):
 def test_rivals_see_every_nth_frame_without_pose_or_colour(
     registration: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    truth = registration.frames_of(SAMPLE)[::8]
+    truth = registration.read_frames(SAMPLE)[::8]
     seen = []
 
     def spied(frames: Any) -> Any:
         seen.extend(frames)
         return [{i: frame.world_from_camera for i, frame in enumerate(truth[:2])}, {2: np.eye(4)}]
 
-    monkeypatch.setitem(registration.RIVALS, "spy", spied)
+    monkeypatch.setitem(registration.TOOLS, "spy", spied)
     options = ["--every", "8", "--depth-only", "--only", "spy"]
     monkeypatch.setattr("sys.argv", ["registration.py", str(SAMPLE), *options])
     registration.main()
@@ -502,7 +508,7 @@ def test_a_rival_s_failure_is_a_row_that_says_why(
             "\x1b[1;31m[Open3D Error] (void a::b(int)) /c/d.cpp:7: Singular 6x6 system.\n\x1b[0;m"
         )
 
-    monkeypatch.setitem(registration.RIVALS, "spy", failing)
+    monkeypatch.setitem(registration.TOOLS, "spy", failing)
     monkeypatch.setattr("sys.argv", ["registration.py", str(SAMPLE), "--every", "12", "--only", "spy"])
     registration.main()
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hostile_folders import CODE, make_hostile
+from clashing_project import CODE, write_clashing_project
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -26,7 +26,7 @@ def run_python(folder: Path, *words: object, path: str = str(ROOT)) -> str:
 
 
 def test_a_script_beside_modules_of_the_same_names_works(tmp_path: Path) -> None:
-    folder = make_hostile(tmp_path)
+    folder = write_clashing_project(tmp_path)
     told = run_python(folder, CODE).splitlines()
     assert told == [
         str(ROOT / "scanloom" / "__init__.py"),
@@ -36,14 +36,14 @@ def test_a_script_beside_modules_of_the_same_names_works(tmp_path: Path) -> None
 
 
 def test_the_command_works_beside_modules_of_the_same_names(tmp_path: Path) -> None:
-    folder = make_hostile(tmp_path)
+    folder = write_clashing_project(tmp_path)
     # The script of an installation; Python finds the folder's own modules first.
     script = "import sys; from scanloom.cli.start import main; sys.argv = ['scanloom', '--version']; main()"
     assert run_python(folder, "-c", script, path=os.pathsep.join([".", str(ROOT)])).startswith("scanloom ")
 
 
 def test_a_process_that_runs_jobs_finds_scanloom_in_a_relative_path() -> None:
-    code = "from scanloom.pipeline.batch.process import _ROOT; print(_ROOT.resolve())"
+    code = "from scanloom.pipeline.batch.process_handle import _ROOT; print(_ROOT.resolve())"
     assert run_python(ROOT, "-c", code, path=".").strip() == str(ROOT)
 
 
@@ -55,8 +55,8 @@ IN_A_CHECKOUT = {
     "short names second": "import scanloom.stages.surface.mesh as ours, stages.surface.mesh\n"
     "assert stages.surface.mesh is ours",
     "names": "from scanloom import Mesh\nfrom stages import Mesh as same\nassert Mesh is same",
-    "specs": "import stages.files.opening as opening\n"
-    "assert (opening.__name__, opening.__spec__.name) == ('scanloom.stages.files.opening', opening.__name__)",
+    "specs": "import stages.files.input_files as opening\n"
+    "assert (opening.__name__, opening.__spec__.name) == ('scanloom.stages.files.input_files', opening.__name__)",
     "no copies": "import sys, stages, cli.app, pipeline.run.run\ncli.app.app()\n"
     "files = {id(one): one.__file__ for one in sys.modules.values() if getattr(one, '__file__', None)}\n"
     "ours = [path for path in files.values() if path.startswith(sys.argv[1])]\n"
@@ -99,6 +99,6 @@ if __name__ == "__main__":
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         print(type(pool.submit(simplified, mesh).result()) is scanloom.Simplified)
 """
-    folder = make_hostile(tmp_path)
+    folder = write_clashing_project(tmp_path)
     (folder / "program.py").write_text(program)
     assert run_python(folder, "program.py") == "True\n"

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from import_graphs import Graph, circles, python_graph, rust_graph
+from import_graphs import Graph, build_python_graph, build_rust_graph, find_cycles
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -34,13 +34,13 @@ LATER = {"compression", "tomllib"}
 TYPES_ONLY = {"typing_extensions"}
 # Files that import what only an extra brings, and say so where it is missing.
 OF_EXTRAS = {
-    "pipeline/batch/dask.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
+    "pipeline/batch/dask_executor.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
     "pipeline/batch/summary.py": {"pyarrow": "pyarrow"},
     "stages/exporting/usd.py": {"pxr": "usd-core"},
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},
-    "stages/stereo/networks/serving.py": {"onnxruntime": "onnxruntime"},
-    "stages/picturing/plots.py": {"matplotlib": "matplotlib"},
+    "stages/stereo/networks/worker.py": {"onnxruntime": "onnxruntime"},
+    "stages/rendering/plots.py": {"matplotlib": "matplotlib"},
 }
 # Generated; no module imports it while the program runs.
 KEYWORDS = "scanloom.stages.params.keywords"
@@ -51,7 +51,7 @@ HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 def graph() -> Graph:
     """Who imports whom in our own Python."""
     # Type checkers alone read the generated module of keywords, which has the types of all rooms.
-    return python_graph(ROOT, ROOMS, inside="scanloom") | {KEYWORDS: set()}
+    return build_python_graph(ROOT, ROOMS, inside="scanloom") | {KEYWORDS: set()}
 
 
 def imported(path: Path) -> set[str]:
@@ -95,15 +95,15 @@ def test_imports_go_one_way_and_are_declared(path):
 
 def test_python_has_no_circle_of_files_or_rooms(graph: Graph):
     assert len(graph["scanloom.stages"]) > 20
-    found = circles(graph)
+    found = find_cycles(graph)
     assert not found, "\n".join(["a circle of imports", *found])
 
 
 def test_rust_has_no_circle_of_files_or_rooms():
-    graph = rust_graph(ROOT / "kernels" / "src")
+    graph = build_rust_graph(ROOT / "kernels" / "src")
 
     assert len(graph["crate"]) > 10
-    found = circles(graph)
+    found = find_cycles(graph)
     assert not found, "\n".join(["a circle of imports", *found])
 
 
@@ -152,13 +152,13 @@ PYTHON = {
 
 
 def test_imports_of_python_are_found(tmp_path: Path):
-    graph = python_graph(tree(tmp_path, PYTHON), ["a", "b"])
+    graph = build_python_graph(tree(tmp_path, PYTHON), ["a", "b"])
 
     assert graph["a"] == {"a.fusing.fuse"}
     assert graph["a.surface.mesh"] == {"a._compiled", "a.words"}
     assert graph["a.fusing.fuse"] == {"a.surface.mesh", "a.fusing.plan"}
     assert graph["b.run"] == {"a", "a.fusing.fuse"}
-    assert circles(graph) == []
+    assert find_cycles(graph) == []
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_imports_of_python_are_found(tmp_path: Path):
 def test_a_circle_of_python_is_seen_and_drawn(tmp_path: Path, file: str, line: str, told: str | None):
     changed = PYTHON | {"a/surface/sheets.py": "", file: f"{PYTHON.get(file, '')}{line}\n"}
 
-    found = circles(python_graph(tree(tmp_path, changed), ["a", "b"]))
+    found = find_cycles(build_python_graph(tree(tmp_path, changed), ["a", "b"]))
 
     assert (told is None) == (not found)
     assert told is None or any(told in circle for circle in found), found
@@ -205,7 +205,7 @@ RUST = {
 
 
 def test_imports_of_rust_are_found(tmp_path: Path):
-    graph = rust_graph(tree(tmp_path, RUST))
+    graph = build_rust_graph(tree(tmp_path, RUST))
 
     assert graph == {
         "crate": {"crate.base", "crate.mesh", "crate.snm"},
@@ -219,7 +219,7 @@ def test_imports_of_rust_are_found(tmp_path: Path):
         "crate.snm.coder": {"crate.snm.coder.bits"},
         "crate.snm.coder.bits": {"crate.mesh"},
     }
-    assert circles(graph) == []
+    assert find_cycles(graph) == []
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_imports_of_rust_are_found(tmp_path: Path):
 def test_a_circle_of_rust_is_seen_and_drawn(tmp_path: Path, file: str, line: str, told: str):
     changed = RUST | {file: f"{RUST.get(file, '')}{line}\n"}
 
-    found = circles(rust_graph(tree(tmp_path, changed)))
+    found = find_cycles(build_rust_graph(tree(tmp_path, changed)))
 
     assert any(told in circle for circle in found), found
 

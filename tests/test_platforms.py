@@ -43,10 +43,10 @@ for name in sorted(names):
 assert all(sys.modules[name] is None for name in MISSING_MODULES)
 assert "scanloom.pipeline.cache.windows" in sys.modules and "scanloom.pipeline.cache.posix" not in sys.modules
 print(len(names))
-from scanloom.stages.inspecting.machine import machine
+from scanloom.stages.inspecting.machine_report import machine
 told = machine()
 assert told["memory_total_bytes"] == 8 << 30 and told["memory_available_bytes"] == 5 << 30
-assert ["Linux" in told["oddities"][0], "260 characters" in told["oddities"][1]] == [True, True], told
+assert ["Linux" in told["platform_notes"][0], "260 characters" in told["platform_notes"][1]] == [True, True], told
 """
 
 
@@ -71,7 +71,7 @@ def test_locks_and_the_cache_do_on_windows_what_they_do_here() -> None:
     told = as_windows(
         *("-m", "pytest", "-p", "pretend_windows", "-q", "tests/pipeline/test_locks.py"),
         *(f"tests/pipeline/test_{name}.py" for name in ("cache", "cache_shared", "cache_places")),
-        "tests/stages/files/test_replacing_folder.py",
+        "tests/stages/files/test_atomic_folders.py",
     )
     passed = re.search(r"(\d+) passed", told)
     assert passed is not None

@@ -20,7 +20,7 @@ ROOMS = r"(?:cli|pipeline|stages|kernels|tests|benches|samples)"
 
 
 def test_every_parameter_it_names_exists():
-    known = {name: set(describe_all(cls)) for name, cls in Config.types().items()}
+    known = {name: set(describe_all(cls)) for name, cls in Config.get_types().items()}
     for one in command_sections():
         known[one.name] = known.get(one.name, set()) | one.names
     sections = "|".join(known)

@@ -32,19 +32,19 @@ def deform() -> ModuleType:
 
 @pytest.mark.slow
 def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tmp_path: Path) -> None:
-    mesh = deform.bar()
+    mesh = deform.make_bar()
     write_mesh(tmp_path / "bar.ply", mesh)
     found = deform.main([str(tmp_path / "out"), "--mesh", str(tmp_path / "bar.ply")])
     handle = deform.Handle((0.0, 0.0, 2.0), 0.35, 1.4, (0.75, 0.0, -0.3), 70.0)
 
     front = found.front.vertices
-    marked, held = handle.region.holds(front), handle.held(front)
+    marked, held = handle.region.contains(front), handle.mark_fixed(front)
     exact = {tuple(vertex) for vertex in read_mesh(tmp_path / "bar.ply").vertices}
     assert all(tuple(vertex) in exact for vertex in front[marked])
     assert len(found.front.triangles) < len(mesh.triangles) / 2
     # The handle is where it was moved to, and what is held stays, but for what iterations leave.
     after = found.deformed.vertices
-    np.testing.assert_allclose(after[marked], handle.moved(front[marked]), atol=1e-6)
+    np.testing.assert_allclose(after[marked], handle.move_points(front[marked]), atol=1e-6)
     np.testing.assert_allclose(after[held], front[held], atol=1e-6)
 
     assert found.bends[1] < found.bends[0]
@@ -52,7 +52,7 @@ def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tm
         assert topology(step).is_closed
         assert topology(step).is_manifold
     assert found.irregular[1] <= found.irregular[0]
-    assert found.moved_m < 0.05
+    assert found.repair_bound_m < 0.05
     for name in ("front", "deformed", "adjusted", "repaired"):
         written = read_mesh(tmp_path / "out" / f"{name}.ply")
         assert len(written.triangles) == len(getattr(found, name).triangles)
@@ -62,7 +62,7 @@ def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tm
 def test_a_handle_that_holds_nothing_is_refused(deform: ModuleType) -> None:
     away = deform.Handle((9.0, 0.0, 0.0), 0.1, 0.4, (0.0, 0.0, 1.0), 0.0)
     with pytest.raises(UsageError, match="no vertex is within the radius of the handle"):
-        deform.as_rigid_as_possible(deform.bar(12, 12), away)
+        deform.deform_as_rigid_as_possible(deform.make_bar(12, 12), away)
 
 
 def test_bends_are_how_much_neighbours_turn(deform: ModuleType) -> None:
@@ -72,7 +72,7 @@ def test_bends_are_how_much_neighbours_turn(deform: ModuleType) -> None:
     )
     corner = (0.5, 0.5, np.sqrt(0.5))
     folded = flat.with_(vertices=np.vstack([flat.vertices[:3], corner]))
-    np.testing.assert_allclose(deform.bends(flat, folded), (0, 90, 90, 0), atol=1e-9)
+    np.testing.assert_allclose(deform.measure_bends(flat, folded), (0, 90, 90, 0), atol=1e-9)
 
 
 @pytest.mark.slow

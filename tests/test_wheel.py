@@ -10,7 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from hostile_folders import CODE, make_hostile
+from clashing_project import CODE, write_clashing_project
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +78,7 @@ def test_the_installed_wheel_works_beside_modules_of_the_same_names(wheel: Path,
     installed = tmp_path / "installed"
     words = ["--no-deps", "--disable-pip-version-check", "--quiet", "--target", str(installed), str(wheel)]
     subprocess.run([sys.executable, "-m", "pip", "install", *words], check=True)
-    folder = make_hostile(tmp_path / "project")
+    folder = write_clashing_project(tmp_path / "project")
 
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     done = subprocess.run(

@@ -11,7 +11,7 @@ from outputs.leaves import Leaves
 
 _DIGEST = re.compile(r"\b([0-9a-f]{12})[0-9a-f]{52}\b")
 # Last non-numeric part of a dotted name with its indices: `size.0` for `camera.size.0`.
-_LAST = re.compile(r".*?([^.]*[^.\d][^.]*(?:\.\d+)*)$")
+_LAST_PART = re.compile(r".*?([^.]*[^.\d][^.]*(?:\.\d+)*)$")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedDifference:
     """Expected difference.
 
     Attributes
@@ -64,7 +64,7 @@ def matches(pattern: str, text: str) -> bool:
     return re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), text, re.DOTALL) is not None
 
 
-def differences(first: Leaves, second: Leaves) -> list[Difference]:
+def find_differences(first: Leaves, second: Leaves) -> list[Difference]:
     """Compare the leaves of both sides; return differences, files first.
 
     A value that is gone under one name and new under another counts as moved (equal value) or changed (other
@@ -76,7 +76,9 @@ def differences(first: Leaves, second: Leaves) -> list[Difference]:
     new = {name for name in second if name not in first}
     found = [Difference("changed", name, first[name], second[name]) for name in changed]
     for parts in (("last", "value"), ("last",), ("value",)):
-        for before, after in _pairs(_by(parts, gone, first), _by(parts, new, second)):
+        for before, after in _find_unique_pairs(
+            _group_names(parts, gone, first), _group_names(parts, new, second)
+        ):
             gone.remove(before)
             new.remove(after)
             kind = "moved" if first[before] == second[after] else "changed"
@@ -86,7 +88,7 @@ def differences(first: Leaves, second: Leaves) -> list[Difference]:
     return sorted(found, key=lambda one: (":" in one.where, one.where))
 
 
-def _pairs(
+def _find_unique_pairs(
     gone: Mapping[tuple[str, ...], Sequence[str]], new: Mapping[tuple[str, ...], Sequence[str]]
 ) -> Iterator[tuple[str, str]]:
     """Yield pairs of names whose key is unique on both sides."""
@@ -96,7 +98,9 @@ def _pairs(
             yield befores[0], afters[0]
 
 
-def _by(parts: Sequence[str], names: Iterable[str], leaves: Leaves) -> dict[tuple[str, ...], list[str]]:
+def _group_names(
+    parts: Sequence[str], names: Iterable[str], leaves: Leaves
+) -> dict[tuple[str, ...], list[str]]:
     """Group names of document values by document and `parts`.
 
     Names of files and text lines are left out, because they cannot be paired.
@@ -109,6 +113,6 @@ def _by(parts: Sequence[str], names: Iterable[str], leaves: Leaves) -> dict[tupl
     for name in sorted(names):
         document, colon, place = name.partition(":")
         if colon and not place.startswith(" "):
-            known = {"last": _LAST.sub(r"\1", place), "value": leaves[name]}
+            known = {"last": _LAST_PART.sub(r"\1", place), "value": leaves[name]}
             grouped[(document, *(known[part] for part in parts))].append(name)
     return grouped

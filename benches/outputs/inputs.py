@@ -14,10 +14,10 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "made"))
 from recordings import COLOR, DEPTH, Image, Recording, Stream
 
 _FRAMES = 6
-_START = 1_700_000_000_000_000_000
-_INTERVAL = 33_000_000
-_COLOR_LATER = 1_000_000
-_CUTS = (0.02, 0.5, 0.9, 0.999)
+_START_NS = 1_700_000_000_000_000_000
+_INTERVAL_NS = 33_000_000
+_COLOR_DELAY_NS = 1_000_000
+_TRUNCATION_RATIOS = (0.02, 0.5, 0.9, 0.999)
 
 _PARAMETERS = """
 [fuse]
@@ -40,21 +40,21 @@ width = 300
 """
 
 
-def make(folder: Path, sample: Path) -> None:
+def write_inputs(folder: Path, sample: Path) -> None:
     """Write all inputs into a new folder; `sample` is the RGB-D sample."""
     folder.mkdir(parents=True)
     (folder / "run.toml").write_text(_PARAMETERS)
-    _realsense(folder, sample)
-    _ros(folder, sample)
+    _write_realsense(folder, sample)
+    _write_ros(folder, sample)
     for name in ("realsense.bag", "ros2.db3", "ros2.mcap"):
         whole = (folder / name).read_bytes()
-        for cut in _CUTS:
+        for cut in _TRUNCATION_RATIOS:
             (folder / f"cut_{cut}_{name}").write_bytes(whole[: int(cut * len(whole))])
 
 
-def _realsense(folder: Path, sample: Path) -> None:
+def _write_realsense(folder: Path, sample: Path) -> None:
     """Write RealSense recordings in the ROS 1 and db3 formats."""
-    known, depths, colors, unit = _frames(sample)
+    known, depths, colors, unit = _read_frames(sample)
     depth = Stream(DEPTH, [Image(*one, "mono16", unit=unit) for one in depths], **known)
     color = Stream(COLOR, [Image(*one, "rgb8") for one in colors], **known)
     recording = Recording([depth, color], units=(unit,))
@@ -63,9 +63,9 @@ def _realsense(folder: Path, sample: Path) -> None:
         recording.write_db3(folder / f"realsense_{form}.db3", form)
 
 
-def _ros(folder: Path, sample: Path) -> None:
+def _write_ros(folder: Path, sample: Path) -> None:
     """Write ROS 1 and ROS 2 recordings with each supported compression."""
-    known, depths, colors, _ = _frames(sample)
+    known, depths, colors, _ = _read_frames(sample)
     known |= {"model": "plumb_bob", "from_reference": None, "info": "/camera_info"}
     of_ros: dict[str, Any] = {"unit": None, "frame": "optical"}
     depth = Stream(
@@ -93,7 +93,7 @@ def _ros(folder: Path, sample: Path) -> None:
         written.rename(folder / f"ros2{'' if packed == 'none' else '_zstd'}{written.suffix}")
 
 
-def _frames(sample: Path) -> tuple[dict[str, Any], list[Any], list[Any], float]:
+def _read_frames(sample: Path) -> tuple[dict[str, Any], list[Any], list[Any], float]:
     """Read the first frames of a sample.
 
     Returns camera parameters, time-stamped depth images, time-stamped colour images, and metres per depth
@@ -107,8 +107,8 @@ def _frames(sample: Path) -> tuple[dict[str, Any], list[Any], list[Any], float]:
     }
     depths, colors = [], []
     for n, frame in enumerate(scan["frames"][:_FRAMES]):
-        moment = _START + n * _INTERVAL
+        moment = _START_NS + n * _INTERVAL_NS
         depths.append((moment, cv2.imread(str(sample / frame["depth"]), cv2.IMREAD_UNCHANGED)))
         image = cv2.imread(str(sample / frame["color"]))
-        colors.append((moment + _COLOR_LATER, np.ascontiguousarray(image[:, :, ::-1])))
+        colors.append((moment + _COLOR_DELAY_NS, np.ascontiguousarray(image[:, :, ::-1])))
     return known, depths, colors, 1 / scan["depth_scale"]

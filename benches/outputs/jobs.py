@@ -30,7 +30,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Model:
+class TestMesh:
     """Mesh for which all methods run; `shape` is a bound in metres."""
 
     path: str
@@ -39,17 +39,17 @@ class Model:
 
 
 MODELS = {
-    "horse": Model("horse.ply", 0.001),
-    "camelhead": Model("camelhead.off", 0.005),
-    "spot": Model("spot/spot_triangulated.obj", 0.02),
-    "fuze": Model("fuze/fuze.obj", 0.002),
-    "duck": Model("Duck.glb", 0.02),
-    "airplane": Model("colored_airplane.ply", 0.01, is_colored=True),
+    "horse": TestMesh("horse.ply", 0.001),
+    "camelhead": TestMesh("camelhead.off", 0.005),
+    "spot": TestMesh("spot/spot_triangulated.obj", 0.02),
+    "fuze": TestMesh("fuze/fuze.obj", 0.002),
+    "duck": TestMesh("Duck.glb", 0.02),
+    "airplane": TestMesh("colored_airplane.ply", 0.01, is_colored=True),
 }
 KITCHEN = "{data}/meshes/redkitchen_fused_vertexcolor.ply"
 
 # Jobs of --quick: some of each kind.
-QUICK = (
+QUICK_PATTERNS = (
     "run/rgbd",
     "stages/*",
     "methods/spot/*",
@@ -68,7 +68,7 @@ QUICK = (
 )
 
 
-def all_jobs(data: Path) -> list[Job]:
+def list_jobs(data: Path) -> list[Job]:
     """List all jobs, those on small inputs first.
 
     Parameters
@@ -76,30 +76,30 @@ def all_jobs(data: Path) -> list[Job]:
     data : its file names determine some of the jobs.
     """
     return [
-        *_words(),
-        *_methods(),
-        *_controlled(),
-        *_records(),
-        *_normal_meshes(),
-        *_textures(),
-        *_measures(),
-        *_pictures(),
-        *_cleaning(data),
-        *_formats(data),
-        *_broken(data),
-        *_recordings(),
-        *_scans(data),
-        *_stages(),
-        *_kitchen(),
-        *_runs(),
+        *_make_message_jobs(),
+        *_make_method_jobs(),
+        *_make_region_jobs(),
+        *_make_record_jobs(),
+        *_make_normal_mesh_jobs(),
+        *_make_texture_jobs(),
+        *_make_measurement_jobs(),
+        *_make_rendering_jobs(),
+        *_make_cleaning_jobs(data),
+        *_make_format_jobs(data),
+        *_make_damaged_file_jobs(data),
+        *_make_recording_jobs(),
+        *_make_scan_jobs(data),
+        *_make_stage_jobs(),
+        *_make_kitchen_jobs(),
+        *_make_run_jobs(),
     ]
 
 
-def _mesh(name: str) -> str:
+def _get_mesh_path(name: str) -> str:
     return f"{{data}}/meshes/{MODELS[name].path}"
 
 
-def _methods() -> Iterator[Job]:
+def _make_method_jobs() -> Iterator[Job]:
     """Yield each method on each model: count, bounds, both, own parameters."""
     for name, model in MODELS.items():
         shape = f"--max-shape {model.shape}"
@@ -110,7 +110,7 @@ def _methods() -> Iterator[Job]:
                 shape,
                 bounds,
                 f"--ratio 0.3 {bounds}",
-                f"--max-shape {2 * model.shape} --set simplify.certified.close_bounds=true --save-bounds "
+                f"--max-shape {2 * model.shape} --set simplify.certified.tight_bounds=true --save-bounds "
                 "bounds.ply",
             ),
             "seams": (
@@ -120,8 +120,8 @@ def _methods() -> Iterator[Job]:
                 "--ratio 0.1 --set simplify.seams.max_seam_drift=0.002",
                 "--ratio 0.3 --set simplify.seams.texture_weight=2 --set simplify.seams.normal_weight=0.2 "
                 "--set simplify.seams.shape_weight=0.5 --set simplify.seams.valence_penalty=1 "
-                "--set simplify.seams.set_penalty=1 --set simplify.seams.across_textures=1 --set "
-                "simplify.seams.across_parts=1",
+                "--set simplify.seams.duplicate_penalty=1 --set simplify.seams.material_border_penalty=1 --set "
+                "simplify.seams.part_border_penalty=1",
                 f"--ratio 0.1 --set simplify.seams.similar_distance={model.shape / 4}",
             ),
             "jia01": (
@@ -145,13 +145,13 @@ def _methods() -> Iterator[Job]:
             yield Job(
                 f"methods/{name}/{method}",
                 tuple(
-                    f"simplify {_mesh(name)} {n}.{ending} --method {method} {variant} --json"
+                    f"simplify {_get_mesh_path(name)} {n}.{ending} --method {method} {variant} --json"
                     for n, variant in enumerate(variants)
                 ),
             )
 
 
-def _controlled() -> Iterator[Job]:
+def _make_region_jobs() -> Iterator[Job]:
     """Yield simplification with regions, locks and importance, by command and API."""
     sphere = '--region "sphere 0 0.3 0.3 0.3 20"'
     box = '--region "box -9 -9 -9 9 0 9 lock"'
@@ -166,15 +166,15 @@ def _controlled() -> Iterator[Job]:
         yield Job(
             f"controlled/{method}",
             (
-                f"simplify {_mesh('spot')} sphere.ply --method {method} {options} {sphere} --json",
-                f"simplify {_mesh('spot')} box.ply --method {method} {options} {box} --json",
-                f"simplify {_mesh('airplane')} both.ply --method {method} {options} {sphere} {box} --json",
-                f"controlled.py {_mesh('spot')} {method} {named}",
+                f"simplify {_get_mesh_path('spot')} sphere.ply --method {method} {options} {sphere} --json",
+                f"simplify {_get_mesh_path('spot')} box.ply --method {method} {options} {box} --json",
+                f"simplify {_get_mesh_path('airplane')} both.ply --method {method} {options} {sphere} {box} --json",
+                f"controlled.py {_get_mesh_path('spot')} {method} {named}",
             ),
         )
 
 
-def _records() -> Iterator[Job]:
+def _make_record_jobs() -> Iterator[Job]:
     """Yield records of each method that writes them, replayed at several counts.
 
     The record of the first checkout is also replayed by the second.
@@ -191,7 +191,7 @@ def _records() -> Iterator[Job]:
         yield Job(
             f"records/{name}/{method}",
             (
-                f"simplify {_mesh(name)} light.ply --method {method} {options} --json "
+                f"simplify {_get_mesh_path(name)} light.ply --method {method} {options} --json "
                 "--save-record record.npz",
                 "mesh replay record.npz half.ply --ratio 0.5 --json",
                 "mesh replay record.npz count.glb --triangles 3000 --json",
@@ -207,27 +207,41 @@ def _records() -> Iterator[Job]:
     yield Job(
         "records/none",
         (
-            f"simplify {_mesh('spot')} light.ply --method planar --save-record record.npz --json",
+            f"simplify {_get_mesh_path('spot')} light.ply --method planar --save-record record.npz --json",
             "mesh replay record.npz half.ply --ratio 0.5 --json",
         ),
     )
-    yield Job("records/api/quadric", (f"recorded.py {_mesh('airplane')} quadric ratio=0.1",))
-    yield Job("records/api/seams", (f"recorded.py {_mesh('duck')} seams ratio=0.1",))
-    yield Job("records/api/jia01", (f"recorded.py {_mesh('airplane')} jia01 ratio=0.3",))
-    yield Job("records/api/certified", (f"recorded.py {_mesh('airplane')} certified max_shape=0.01",))
+    yield Job("records/api/quadric", (f"recorded.py {_get_mesh_path('airplane')} quadric ratio=0.1",))
+    yield Job("records/api/seams", (f"recorded.py {_get_mesh_path('duck')} seams ratio=0.1",))
+    yield Job("records/api/jia01", (f"recorded.py {_get_mesh_path('airplane')} jia01 ratio=0.3",))
+    yield Job(
+        "records/api/certified", (f"recorded.py {_get_mesh_path('airplane')} certified max_shape=0.01",)
+    )
 
 
-def _normal_meshes() -> Iterator[Job]:
+def _make_normal_mesh_jobs() -> Iterator[Job]:
     """Yield normal meshes: encoding, all levels, and truncated files."""
     for name, path, options in (
-        ("horse", _mesh("horse"), ""),
-        ("camelhead", _mesh("camelhead"), "--set remesh.scheme=butterfly --set remesh.tolerance=1e-4"),
-        ("camelhead_base", _mesh("camelhead"), "--base-triangles 300 --levels 2 --set remesh.relaxations=0"),
-        ("camelhead_error", _mesh("camelhead"), "--set remesh.base_error=0.01 --set remesh.max_error=0.002"),
-        ("airplane", _mesh("airplane"), "--set remesh.color_tolerance=4"),
-        ("airplane_coder", _mesh("airplane"), "--levels 0"),
+        ("horse", _get_mesh_path("horse"), ""),
+        (
+            "camelhead",
+            _get_mesh_path("camelhead"),
+            "--set remesh.scheme=butterfly --set remesh.tolerance=1e-4",
+        ),
+        (
+            "camelhead_base",
+            _get_mesh_path("camelhead"),
+            "--base-triangles 300 --levels 2 --set remesh.relaxations=0",
+        ),
+        (
+            "camelhead_error",
+            _get_mesh_path("camelhead"),
+            "--set remesh.base_error=0.01 --set remesh.max_error=0.002",
+        ),
+        ("airplane", _get_mesh_path("airplane"), "--set remesh.color_tolerance=4"),
+        ("airplane_coder", _get_mesh_path("airplane"), "--levels 0"),
         ("cow", "{data}/meshes/cow.obj", ""),
-        ("spot", _mesh("spot"), ""),
+        ("spot", _get_mesh_path("spot"), ""),
         ("scan", "{data}/meshes/sceaux_mvs_scene_mesh.ply", "--set remesh.tolerance=1e-3"),
     ):
         yield Job(
@@ -244,10 +258,10 @@ def _normal_meshes() -> Iterator[Job]:
         )
 
 
-def _textures() -> Iterator[Job]:
+def _make_texture_jobs() -> Iterator[Job]:
     """Yield simplified meshes with baked textures."""
     for name in ("duck", "airplane", "fuze"):
-        original = _mesh(name)
+        original = _get_mesh_path(name)
         yield Job(
             f"textures/{name}",
             (
@@ -261,10 +275,10 @@ def _textures() -> Iterator[Job]:
         )
 
 
-def _measures() -> Iterator[Job]:
+def _make_measurement_jobs() -> Iterator[Job]:
     """Yield distances, certificates and planar patches."""
     for name, model in MODELS.items():
-        original = _mesh(name)
+        original = _get_mesh_path(name)
         max_color = "--max-color 60" if model.is_colored else ""
         patch_color = "--set patches.max_color=20" if model.is_colored else ""
         yield Job(
@@ -287,22 +301,22 @@ def _measures() -> Iterator[Job]:
         yield Job(f"measures/{name}", (f"mesh patches {{data}}/meshes/{name} patches.ply --json",))
 
 
-def _pictures() -> Iterator[Job]:
+def _make_rendering_jobs() -> Iterator[Job]:
     """Yield renderings of textured, coloured and plain meshes."""
     for name in MODELS:
         yield Job(
             f"pictures/{name}",
             tuple(
-                f"render {_mesh(name)} {shading}.png --shading {shading} --viewpoint {view} --width 640 "
+                f"render {_get_mesh_path(name)} {shading}.png --shading {shading} --viewpoint {view} --width 640 "
                 "--json"
                 for shading, view in (("color", 1), ("plain", 2), ("edges", 3))
             ),
         )
 
 
-def _cleaning(data: Path) -> Iterator[Job]:
+def _make_cleaning_jobs(data: Path) -> Iterator[Job]:
     """Yield cleaning of each mesh, and of two meshes with each option."""
-    for path in _mesh_files(data):
+    for path in _find_mesh_files(data):
         yield Job(f"cleaning/{path.name}", (f"clean '{{data}}/{path}' clean.ply --json",))
     for name, path in {
         "scan": "{data}/meshes/sceaux_mvs_scene_mesh.ply",
@@ -320,13 +334,13 @@ def _cleaning(data: Path) -> Iterator[Job]:
         )
 
 
-def _formats(data: Path) -> Iterator[Job]:
+def _make_format_jobs(data: Path) -> Iterator[Job]:
     """Yield each mesh written in all formats and read back."""
-    for path in _mesh_files(data):
+    for path in _find_mesh_files(data):
         yield Job(f"formats/{path.name}", (f"formats.py '{{data}}/{path}'",))
 
 
-def _broken(data: Path) -> Iterator[Job]:
+def _make_damaged_file_jobs(data: Path) -> Iterator[Job]:
     """Yield damaged files: their errors, or results if they can be repaired."""
     for path in sorted((data / "broken").iterdir()):
         yield Job(
@@ -338,13 +352,13 @@ def _broken(data: Path) -> Iterator[Job]:
         )
 
 
-def _mesh_files(data: Path) -> list[Path]:
+def _find_mesh_files(data: Path) -> list[Path]:
     folder = data / "meshes"
     known = {".ply", ".obj", ".off", ".stl", ".glb", ".gltf"}
     return sorted(path.relative_to(data) for path in folder.rglob("*") if path.suffix in known)
 
 
-def _recordings() -> Iterator[Job]:
+def _make_recording_jobs() -> Iterator[Job]:
     """Yield recordings in every format, complete and truncated."""
     whole = ("realsense.bag", "realsense_raw.db3", "realsense_png.db3", "realsense_zstd.db3")
     whole += ("ros1_none.bag", "ros1_bz2.bag", "ros1_lz4.bag", "ros1_png.bag")
@@ -365,7 +379,7 @@ def _recordings() -> Iterator[Job]:
         )
 
 
-def _scans(data: Path) -> Iterator[Job]:
+def _make_scan_jobs(data: Path) -> Iterator[Job]:
     """Yield inspections of each scan folder."""
     for sample in ("rgbd", "stereo"):
         scan = f"{{samples}}/{sample}"
@@ -407,7 +421,7 @@ def _scans(data: Path) -> Iterator[Job]:
     )
 
 
-def _stages() -> Iterator[Job]:
+def _make_stage_jobs() -> Iterator[Job]:
     """Yield single stages that read scans."""
     stereo, rgbd = "{samples}/stereo", "{samples}/rgbd"
     yield Job(
@@ -456,7 +470,7 @@ def _stages() -> Iterator[Job]:
     yield Job("register/rpy", (f"register {{data}}/real/rgbd_dataset_freiburg1_rpy found {few} --json",))
 
 
-def _kitchen() -> Iterator[Job]:
+def _make_kitchen_jobs() -> Iterator[Job]:
     """Yield a fused room with colours, holes and islands."""
     yield Job(
         "kitchen/methods",
@@ -485,7 +499,7 @@ def _kitchen() -> Iterator[Job]:
     )
 
 
-def _runs() -> Iterator[Job]:
+def _make_run_jobs() -> Iterator[Job]:
     """Yield complete runs.
 
     A second run in the same folder reports the stages that it repeats and the reasons.
@@ -510,9 +524,9 @@ def _runs() -> Iterator[Job]:
     )
 
 
-def _words() -> Iterator[Job]:
+def _make_message_jobs() -> Iterator[Job]:
     """Yield text for people: output without --json, and usage errors."""
-    spot, duck = _mesh("spot"), _mesh("duck")
+    spot, duck = _get_mesh_path("spot"), _get_mesh_path("duck")
     yield Job(
         "words/text",
         (
@@ -571,7 +585,7 @@ def _words() -> Iterator[Job]:
     )
     alone = {
         "quadric": "--set simplify.fit=true",
-        "certified": "--set simplify.certified.close_bounds=true",
+        "certified": "--set simplify.certified.tight_bounds=true",
         "jia01": "--set simplify.jia01.paper_rule=true",
         "seams": "--set simplify.seams.texture_weight=1",
         "planar": "--set simplify.planar.patch_angle=30",

@@ -18,28 +18,28 @@ from typing import Any
 Leaves = dict[str, str]
 
 # JSON keys whose values differ in every run.
-VOLATILE = {"created", "last_used", "made_in_s", "peak_memory_mb", "seconds"}
+VOLATILE = {"created", "last_used", "compute_seconds", "peak_memory_mb", "seconds"}
 # Files of the cache that are not results: locks, keys, and lists of the entries that runs used.
 _BOOKKEEPING = {"CACHEDIR.TAG", "manifest.json", "names.lock", "in-use.lock", "runs"}
 _KEY = re.compile("[0-9a-f]{64}")
 _SECONDS = re.compile(r"\b\d+(\.\d+)? (s|ms|min)\b")
 
 
-def of_folder(folder: Path, places: Mapping[str, str]) -> Leaves:
+def collect_folder_leaves(folder: Path, placeholders: Mapping[str, str]) -> Leaves:
     """Collect the leaves of all files in a folder.
 
     Cache entries are named by their stage instead of their key.
 
     Parameters
     ----------
-    places : placeholder for each folder name in texts, because folders differ between the two sides.
+    placeholders : placeholder for each folder name in texts, because folders differ between the two sides.
     """
     found: dict[str, list[Leaves]] = defaultdict(list)
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
         if path.is_file() and not _BOOKKEEPING.intersection(parts):
             name = "/".join("KEY" if _KEY.fullmatch(part) else part for part in parts)
-            found[name].append(of_file(path, name, places))
+            found[name].append(collect_file_leaves(path, name, placeholders))
     leaves: Leaves = {}
     for name, entries in found.items():
         if len(entries) == 1:
@@ -53,53 +53,59 @@ def of_folder(folder: Path, places: Mapping[str, str]) -> Leaves:
     return leaves
 
 
-def of_file(path: Path, name: str, places: Mapping[str, str]) -> Leaves:
+def collect_file_leaves(path: Path, name: str, placeholders: Mapping[str, str]) -> Leaves:
     """Collect a file's leaves: JSON values, archive members, or a digest."""
     if path.suffix == ".json":
-        return of_output(path.read_text(), name, places)
+        return collect_text_leaves(path.read_text(), name, placeholders)
     if path.suffix in (".npz", ".zip") and zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
-            return {f"{name}:{member}": _digest(archive.read(member)) for member in archive.namelist()}
-    return {name: _digest(path.read_bytes())}
+            return {f"{name}:{member}": _format_digest(archive.read(member)) for member in archive.namelist()}
+    return {name: _format_digest(path.read_bytes())}
 
 
-def of_output(text: str, name: str, places: Mapping[str, str]) -> Leaves:
+def collect_text_leaves(text: str, name: str, placeholders: Mapping[str, str]) -> Leaves:
     """Collect the leaves of printed text: JSON values, or lines."""
     try:
-        return of_json(json.loads(text), name, places)
+        return collect_json_leaves(json.loads(text), name, placeholders)
     except ValueError:
-        return of_lines(text, name, places)
+        return count_lines(text, name, placeholders)
 
 
-def of_json(document: Any, name: str, places: Mapping[str, str]) -> Leaves:
+def collect_json_leaves(document: Any, name: str, placeholders: Mapping[str, str]) -> Leaves:
     """Collect the values of a document by path: `report.json:mesh.edges.count`."""
-    return {f"{name}:{'.'.join(keys)}": _placed(value, places) for keys, value in _values(document)}
+    return {
+        f"{name}:{'.'.join(keys)}": _insert_placeholders(value, placeholders)
+        for keys, value in _walk_values(document)
+    }
 
 
-def _values(document: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+def _walk_values(document: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
     if isinstance(document, Mapping) and document:
         for key, value in document.items():
             if key not in VOLATILE:
-                yield from _values(value, (*keys, key))
+                yield from _walk_values(value, (*keys, key))
     elif isinstance(document, list) and document:
         for number, value in enumerate(document):
-            yield from _values(value, (*keys, str(number)))
+            yield from _walk_values(value, (*keys, str(number)))
     else:
         yield keys, json.dumps(document, ensure_ascii=False)
 
 
-def of_lines(text: str, name: str, places: Mapping[str, str]) -> Leaves:
+def count_lines(text: str, name: str, placeholders: Mapping[str, str]) -> Leaves:
     """Count the lines of a text, with durations masked."""
-    lines = (_SECONDS.sub("SECONDS", line.rstrip()) for line in _placed(text, places).splitlines())
+    lines = (
+        _SECONDS.sub("SECONDS", line.rstrip())
+        for line in _insert_placeholders(text, placeholders).splitlines()
+    )
     return {f"{name}: {line}": str(count) for line, count in Counter(lines).items() if line}
 
 
-def _placed(text: str, places: Mapping[str, str]) -> str:
+def _insert_placeholders(text: str, placeholders: Mapping[str, str]) -> str:
     # Longest first, because one folder may contain another.
-    for folder in sorted(places, key=len, reverse=True):
-        text = text.replace(folder, places[folder])
+    for folder in sorted(placeholders, key=len, reverse=True):
+        text = text.replace(folder, placeholders[folder])
     return text
 
 
-def _digest(data: bytes) -> str:
+def _format_digest(data: bytes) -> str:
     return f"{len(data):,} bytes, {hashlib.sha256(data).hexdigest()}"

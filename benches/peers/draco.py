@@ -13,7 +13,7 @@ from scanloom.stages.surface.mesh import Mesh
 LEVELS = (7, 10)
 
 
-def encoded(mesh: Mesh, bits: int) -> bytes:
+def encode_draco(mesh: Mesh, bits: int) -> bytes:
     """Encode a mesh without colours; `bits` per coordinate."""
     import DracoPy
 
@@ -25,7 +25,7 @@ def encoded(mesh: Mesh, bits: int) -> bytes:
     return min(files, key=len)
 
 
-def decoded(data: bytes) -> Mesh:
+def decode_draco(data: bytes) -> Mesh:
     """Decode a Draco file."""
     import DracoPy
 

@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib import ticker
 from matplotlib.figure import Figure
 
-from peers.results import Row, colored, of, parts
+from peers.results import SimplifierResult, group_by_mesh, select_colored, select_tool
 from peers.tools import OURS, TOOLS, Tool
 
 OUR_COLOR = "#d62728"
@@ -28,16 +28,16 @@ STYLES: dict[str, tuple[str, Any]] = {
 }
 
 
-def draw(rows: list[Row], path: Path) -> None:
+def draw_errors(rows: list[SimplifierResult], path: Path) -> None:
     """Draw all coloured meshes; tools that drop colours are vertical lines."""
-    panels = parts(colored(rows))
+    panels = group_by_mesh(select_colored(rows))
     ratios = list(dict.fromkeys(ratio for _, ratio in panels))
     names = list(dict.fromkeys(name for name, _ in panels))
     figure = Figure(figsize=(3.1 * len(names), 2.7 * len(ratios) + 0.7))
     axes = figure.subplots(len(ratios), len(names), squeeze=False)
     for (name, ratio), part in panels.items():
         axis = axes[ratios.index(ratio)][names.index(name)]
-        panel(axis, part)
+        draw_panel(axis, part)
         axis.set_title(f"{name}, {ratio:.0%} of the triangles", fontsize=10)
     for axis in axes[-1]:
         axis.set_xlabel("shape: RMS, 1e-5 of the diagonal", fontsize=9)
@@ -53,17 +53,17 @@ def draw(rows: list[Row], path: Path) -> None:
     figure.savefig(path, dpi=130, metadata={"Software": None})
 
 
-def panel(axis: Any, rows: list[Row]) -> None:
+def draw_panel(axis: Any, rows: list[SimplifierResult]) -> None:
     """Draw the panel of one mesh at one ratio."""
     for tool in TOOLS:
-        points = sorted(of(rows, tool.name), key=lambda row: weight(tool, row))
+        points = sorted(select_tool(rows, tool.name), key=lambda row: get_color_weight(tool, row))
         if not points:
             continue
         shape = [1e5 * row.rms for row in points]
         if tool.name == OURS:
             errors = [row.color for row in points]
             axis.plot(shape, errors, "o-", color=OUR_COLOR, linewidth=2.5, markersize=5, label=OURS, zorder=4)
-            default = of(rows, OURS)[0]
+            default = select_tool(rows, OURS)[0]
             axis.plot(
                 1e5 * default.rms, default.color, "*", color=OUR_COLOR, markeredgecolor="black",
                 markersize=14, label=f"{OURS}, default", zorder=5, linestyle="none",
@@ -86,6 +86,6 @@ def panel(axis: Any, rows: list[Row]) -> None:
     axis.grid(alpha=0.3)
 
 
-def weight(tool: Tool, row: Row) -> float:
+def get_color_weight(tool: Tool, row: SimplifierResult) -> float:
     """Return the colour weight that a result was made with."""
     return tool.settings[row.setting].get("weight", 0.0)

@@ -13,7 +13,7 @@ from scanloom.cli.paths import new_folder
 from scanloom.cli.scan_argument import ScanFolder, read_scan
 from scanloom.stages import AdjustParams, InputError, ScanParams
 from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
-from scanloom.stages.scans.read import require_complete
+from scanloom.stages.scans.reader import require_complete
 
 
 def adjust(
@@ -33,7 +33,7 @@ def adjust(
     The files of the scan are not changed.
 
     `scanloom run` includes this stage. Other commands use its result by --set
-    scan.adjusted=OUTDIR/cameras.json.
+    scan.adjusted_cameras=OUTDIR/cameras.json.
 
     Example: scanloom adjust my_scan better
     """

@@ -32,10 +32,10 @@ from scanloom.cli.run_options import (
 )
 from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_SCANS_NOT_DONE
 from scanloom.stages.diagnostics.errors import InputError, UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 if TYPE_CHECKING:
-    from scanloom.pipeline.batch.finding import NoScan
+    from scanloom.pipeline.batch.scan_discovery import FolderWithoutScan
     from scanloom.pipeline.config import Config
 
 
@@ -54,7 +54,7 @@ class BatchParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 def batch(
@@ -99,11 +99,11 @@ def batch(
 
     Example: scanloom batch scans -o out --memory '16 GB' --set simplify.max_shape=0.005
     """
-    from scanloom.pipeline.batch.opening import open_queue
-    from scanloom.pipeline.batch.outputs import require_replaceable, withdraw_outputs
-    from scanloom.pipeline.batch.queue import Settings, jobs_of
-    from scanloom.pipeline.own_paths import from_there
-    from scanloom.pipeline.run.run import cache_folder
+    from scanloom.pipeline.batch.job_queue import BatchSettings, make_jobs
+    from scanloom.pipeline.batch.open_batch import open_queue
+    from scanloom.pipeline.batch.summary_files import check_outputs_replaceable, remove_outputs
+    from scanloom.pipeline.relative_paths import get_relative_path
+    from scanloom.pipeline.run.run import get_cache_folder
 
     if queue_only and (dry_run or worker.jobs != AUTO or worker.threads or limits != LimitsParams()):
         raise UsageError(
@@ -114,7 +114,7 @@ def batch(
     config = _portable(load_run_config(config_file, quality, words))
     _require_stages(until, run.forced)
     folder, target = folder.resolve(), target.resolve()
-    where = cache_folder(target, cache)
+    where = get_cache_folder(target, cache)
     if where == folder or target == folder:
         raise UsageError(
             BATCH_ALREADY_EXISTS,
@@ -126,24 +126,24 @@ def batch(
     scans, others = _find_scans(folder, config, include or (), exclude, [target, where])
     require_writable(target)
     if not overwrite:
-        require_replaceable(target)
+        check_outputs_replaceable(target)
     _remark_others(others, out)
-    queued = jobs_of(scans, target)
-    what = Settings(
+    queued = make_jobs(scans, target)
+    what = BatchSettings(
         config=config.dumps(),
         until=until,
         force=run.forced,
         overwrite=overwrite,
-        cache=from_there(where, target),
+        cache=get_relative_path(where, target),
         **({} if worker.worker_timeout is None else {"take_over_after": worker.worker_timeout}),
         **({} if worker.timeout is None else {"timeout": worker.timeout}),
     )
-    more = {"no_scans": [{"folder": str(one.place), "reason": one.reason} for one in others]}
+    more = {"no_scans": [{"folder": str(one.path), "reason": one.reason} for one in others]}
     if dry_run:
         print_batch_plan(target, what, queued, config, more, out)
         return
     queue = open_queue(target, what, queued)
-    withdraw_outputs(target)
+    remove_outputs(target)
     if queue_only:
         figures = {"out": str(target), "queued": len(queued), **more}
         text = f"{len(queued):,} scans queued; start on each machine: scanloom worker {target}"
@@ -151,9 +151,9 @@ def batch(
         return
     with sigterm_as_interrupt(), show_batch_progress(out) as tell:
         if batch.dask is not None:
-            from scanloom.pipeline.batch.dask import work_by_dask
+            from scanloom.pipeline.batch.dask_executor import run_with_dask
 
-            work_by_dask(
+            run_with_dask(
                 queue,
                 batch.dask,
                 workers=worker.job_count,
@@ -161,18 +161,18 @@ def batch(
                 memory=limits.memory_bytes,
                 disk=limits.disk_bytes,
                 take_over_after=worker.worker_timeout,
-                tell=tell,
+                on_event=tell,
             )
         else:
-            create_worker(queue, worker, limits, tell, out).work()
+            create_worker(queue, worker, limits, tell, out).run()
     report_batch(queue, out, more)
 
 
 def _portable(config: Config) -> Config:
     """Return the configuration with absolute paths of existing files; workers run in other folders."""
     named = {
-        "scan": ("poses", "calibration", "masks", "adjusted"),
-        "photos": ("poses", "calibration", "masks", "adjusted"),
+        "scan": ("poses", "calibration", "masks", "adjusted_cameras"),
+        "photos": ("poses", "calibration", "masks", "adjusted_cameras"),
         "texture": ("images",),
         "depth": ("model",),
     }
@@ -186,9 +186,9 @@ def _portable(config: Config) -> Config:
 
 
 def _require_stages(until: str | None, force: Sequence[str]) -> None:
-    from scanloom.pipeline.run.run import require_stages
+    from scanloom.pipeline.run.run import check_stages
 
-    require_stages([*force, *([until] if until is not None else [])])
+    check_stages([*force, *([until] if until is not None else [])])
 
 
 def _find_scans(
@@ -197,25 +197,25 @@ def _find_scans(
     include: Sequence[str],
     exclude: Sequence[str],
     besides: list[Path],
-) -> tuple[list[tuple[Path, str]], list[NoScan]]:
-    from scanloom.pipeline.batch.finding import find_scans
+) -> tuple[list[tuple[Path, str]], list[FolderWithoutScan]]:
+    from scanloom.pipeline.batch.scan_discovery import find_scans
 
     found, others = find_scans(
         folder,
         layout=config.scan.layout,
         include=include,
         exclude=exclude,
-        besides=besides,
+        excluded_folders=besides,
     )
     if not found:
-        why = f"; {others[0].place.name}: {others[0].reason}" if others else ""
+        why = f"; {others[0].path.name}: {others[0].reason}" if others else ""
         which = " that is asked for" if include or exclude else ""
         raise InputError(
             BATCH_SCANS_NOT_DONE, "there is no scan{which} in it{why}.", folder, which=which, why=why
         )
-    return [(one.place, one.name) for one in found], others
+    return [(one.path, one.name) for one in found], others
 
 
-def _remark_others(others: list[NoScan], out: Output) -> None:
+def _remark_others(others: list[FolderWithoutScan], out: Output) -> None:
     for one in others:
-        out.remark(f"no scan: {one.place}: {one.reason}")
+        out.remark(f"no scan: {one.path}: {one.reason}")

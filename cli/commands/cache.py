@@ -14,10 +14,10 @@ from scanloom.cli.exit_codes import FAILED
 from scanloom.cli.output import Output, format_size, format_table
 from scanloom.pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
 from scanloom.stages import InputError, UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 if TYPE_CHECKING:
-    from scanloom.pipeline.cache.store import Cache, Listed
+    from scanloom.pipeline.cache.store import Cache, ListedEntry
 
 
 CacheFolder = Annotated[
@@ -54,7 +54,7 @@ class PruneParams:
     dry_run: bool = param(False, "Print what would be removed, and remove nothing.", common=True)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 def ls(out: Output, folder: CacheFolder = None) -> None:
@@ -85,13 +85,13 @@ def prune(prune: PruneParams, out: Output, folder: CacheFolder = None) -> None:
 
     Example: scanloom cache prune --max-size "20 GB"
     """
-    from scanloom.pipeline.cache.cache_size import bytes_of
+    from scanloom.pipeline.cache.cache_size import parse_size
 
     cache = _open_cache(folder)
     removed = cache.prune(
         unused=prune.max_size is None,
         older_than=0.0 if prune.all else None if prune.older_than is None else prune.older_than * _DAY,
-        max_size=None if prune.max_size is None else bytes_of(prune.max_size, "max_size"),
+        max_size=None if prune.max_size is None else parse_size(prune.max_size, "max_size"),
         dry_run=prune.dry_run,
         everywhere=True,
     )
@@ -100,7 +100,7 @@ def prune(prune: PruneParams, out: Output, folder: CacheFolder = None) -> None:
 
 def _open_cache(folder: Path | None) -> Cache:
     from scanloom.pipeline.cache.store import Cache
-    from scanloom.pipeline.run.run import CACHE_VARIABLE, cache_folder
+    from scanloom.pipeline.run.run import CACHE_VARIABLE, get_cache_folder
 
     if folder is None and CACHE_VARIABLE not in os.environ:
         raise UsageError(
@@ -109,13 +109,13 @@ def _open_cache(folder: Path | None) -> Cache:
             cache_variable=CACHE_VARIABLE,
         )
     chosen = Path(os.environ[CACHE_VARIABLE]) if folder is None else folder
-    for place in (chosen, cache_folder(chosen)) if chosen.is_dir() else ():
+    for place in (chosen, get_cache_folder(chosen)) if chosen.is_dir() else ():
         if (place / "CACHEDIR.TAG").is_file():
             return Cache(place)
     raise InputError(MACHINE_CACHE_UNUSABLE, "there is no cache here.", chosen)
 
 
-def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: str = "kept") -> None:
+def _print_entries(folder: Path, entries: Sequence[ListedEntry], out: Output, done: str = "kept") -> None:
     total = sum(entry.size for entry in entries)
     figures = {
         "cache": str(folder),

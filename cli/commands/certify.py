@@ -15,7 +15,7 @@ from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import require_new_file
 from scanloom.stages import CertifyParams
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.printing import at_least, at_most
+from scanloom.stages.printing import format_lower_bound, format_upper_bound
 from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 
 
@@ -34,7 +34,7 @@ def certify(
     """Prove the maximum deviation of a mesh from another.
 
     The bounds on shape (both ways) and colour hold at every point. With --max-shape or --max-color, the exit
-    code is 1 if these limits are not proven; --only-decide stops as soon as that is clear, which is much
+    code is 1 if these limits are not proven; --check-only stops as soon as that is clear, which is much
     faster.
 
     Example: scanloom mesh certify simplified.ply clean.ply --max-shape 0.005 --max-color 20
@@ -58,7 +58,9 @@ def _certificate_text(figures: Mapping[str, Any]) -> str:
     for name, key, unit in measures:
         found, bound = (figures[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
         if found is not None:
-            rows.append([name, at_least(found), "no bound" if bound is None else at_most(bound)])
+            rows.append(
+                [name, format_lower_bound(found), "no bound" if bound is None else format_upper_bound(bound)]
+            )
     text = format_table(rows)
     if figures["within_limits"] is not None:
         text += f"\n\nLimits {'are kept' if figures['within_limits'] else 'are not proven to be kept'}."

@@ -12,10 +12,10 @@ from scanloom.cli.check_output import SavePlaces, SavePly, list_places, write_co
 from scanloom.cli.mesh_arguments import MeshFile, locate_diagnostics, read_mesh_file
 from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import require_new_file
-from scanloom.stages import Checked, CheckParams
-from scanloom.stages.cleaning.check import CLASSES, REQUIREMENTS, require_answerable
+from scanloom.stages import CheckParams, CheckResult
+from scanloom.stages.cleaning.check import CLASSES, REQUIREMENTS, validate_requirements
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.atomic_files import write_file_atomically
 
 
 def check(
@@ -43,7 +43,7 @@ def check(
     Example: scanloom check simplified.ply --require watertight,no-intersecting-triangles
     """
     wanted = [word for part in require.split(",") if (word := part.strip())]
-    require_answerable(wanted, check.min_thickness)
+    validate_requirements(wanted, check.min_thickness)
     for path, suffix in ((save_places, ".json"), (save_ply, ".ply")):
         if path is not None:
             require_new_file(path, (suffix,))
@@ -52,30 +52,30 @@ def check(
         found = stages.check(mesh, check, progress=progress)
     if save_places is not None:
         save_places.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(save_places) as draft:
+        with write_file_atomically(save_places) as draft:
             draft.write_text(json.dumps(list_places(found)) + "\n", encoding="utf-8", newline="\n")
     if save_ply is not None:
         write_colored_classes(save_ply, mesh, found, out)
     with locate_diagnostics(source):
-        emit(*found.unmet(wanted))
+        emit(*found.find_unmet(wanted))
     out.result(found.figures(), None if out.as_json else _text(found))
 
 
-def _text(found: Checked) -> str:
+def _text(found: CheckResult) -> str:
     topology, figures = found.topology, found.figures()
     words = ("watertight", "is_closed", "is_manifold", "is_oriented")
     holds = (found.is_watertight, topology.is_closed, topology.is_manifold, topology.is_oriented)
     rows = [["", ""]]
     rows += [[w.removeprefix("is_"), "yes" if h else "no"] for w, h in zip(words, holds, strict=True)]
     rows += [[name, f"{getattr(topology, name):,}"] for name in ("vertices", "triangles", "components")]
-    rows += [["pieces that look inwards", f"{found.inside_out:,}"]]
-    if figures["thickness_least_m"] is not None:
-        keys = ("thickness_least_m", "thickness_5_percent_of_triangles_m", "thickness_median_m")
+    rows += [["pieces that look inwards", f"{found.inside_out_count:,}"]]
+    if figures["thickness_min_m"] is not None:
+        keys = ("thickness_min_m", "thickness_5_percent_of_triangles_m", "thickness_median_m")
         rows += [["thickness: least, 5 %, median", ", ".join(f"{figures[key]:.4g}" for key in keys) + " m"]]
     text = format_table(rows) + "\n\n"
     irregular: list[list[str]] = [["class", "places", "first at (m)"]]
     for name, (_, _, what) in CLASSES.items():
-        points: Any = found.points[name]
+        points: Any = found.defect_points[name]
         where = ", ".join(f"{x:.4g}" for x in points[0]) if len(points) else ""
         irregular.append([f"{name.replace('_', ' ')}: {what}", f"{len(points):,}", where])
     return text + format_table(irregular)

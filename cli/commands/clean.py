@@ -26,7 +26,7 @@ def clean(source: MeshFile, target: NewMesh, clean: CleanParams, out: Output) ->
         cleaned = stages.clean(mesh, clean)
     write_mesh_file(target, cleaned.mesh, out)
     figures = {"output": str(target), **cleaned.figures()}
-    with_table = cleaned.repaired is not None and not out.as_json
+    with_table = cleaned.repair_result is not None and not out.as_json
     out.result(figures, _text(figures) if with_table else None)
 
 

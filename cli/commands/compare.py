@@ -17,7 +17,7 @@ from scanloom.cli.output import Output
 from scanloom.cli.overlap import require_overlap
 from scanloom.cli.page_params import PageParams
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file, require_writable
-from scanloom.pipeline.report.comparison_page import page_of_comparison
+from scanloom.pipeline.report.comparison_page import make_comparison_page
 from scanloom.stages import (
     ChangeParams,
     CompareParams,
@@ -28,19 +28,19 @@ from scanloom.stages import (
     ViewsParams,
 )
 from scanloom.stages._opencv import require_opencv
-from scanloom.stages.comparing.palette import colors_of
+from scanloom.stages.comparing.deviation_palette import colorize_distances
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from scanloom.stages.files.replacing import replacing
-from scanloom.stages.picturing.render import Model, write_png
-from scanloom.stages.picturing.spots import spots
-from scanloom.stages.picturing.viewpoints import viewpoints
-from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.files.atomic_files import write_file_atomically
+from scanloom.stages.rendering.point_splats import make_point_splats
+from scanloom.stages.rendering.render import RenderModel, write_png
+from scanloom.stages.rendering.viewpoints import viewpoints
 from scanloom.stages.surface.codes import COMPARE_POINT_CLOUD
-from scanloom.stages.surface.mesh_files import SHAPE_ALONE, standing
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.mesh_files import GEOMETRY_ONLY_EXTENSIONS, set_default_up
+from scanloom.stages.surface.point_cloud import is_cloud
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 # Formats that keep the colours of a change.
-COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SHAPE_ALONE)
+COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in GEOMETRY_ONLY_EXTENSIONS)
 # Points of a cloud that are drawn.
 _MAX_SPOTS = 400_000
 # The picture of deviations, px: each view, the bar of colours, and the scale that the bar is part of.
@@ -155,7 +155,7 @@ def compare(
     for path, suffix in ((save_ply, ".ply"), (picture, ".png"), (page_file, ".html")):
         if path is not None:
             require_new_file(path, (suffix,))
-    a, b = (standing(path, read_mesh_or_cloud_file(path, out)) for path in (reference, other))
+    a, b = (set_default_up(path, read_mesh_or_cloud_file(path, out)) for path in (reference, other))
     _require_surfaces({"--change": show_change, "views.views": viewpoints > 0}, {reference: a, other: b})
     if save_aligned is not None and is_cloud(b):
         require_new_file(save_aligned, (".ply",))
@@ -170,18 +170,18 @@ def compare(
     if save_aligned is not None:
         write_mesh_file(save_aligned, b, out)
     if save_ply is not None:
-        write_mesh_file(save_ply, found.painted, out)
+        write_mesh_file(save_ply, found.painted_mesh, out)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         _write_picture(picture, found, deviation.palette)
     changed = stages.changes(a, b, change) if show_change else None
     if changed is not None and save_change is not None:
-        write_mesh_file(save_change, changed.painted, out)
+        write_mesh_file(save_change, changed.painted_mesh, out)
     drawn = stages.compare_views(a, b, replace(views, views=viewpoints)) if viewpoints else None
     if drawn is not None and save_views is not None:
         save_views.mkdir(parents=True, exist_ok=True)
         for one in drawn.scores:
-            write_png(save_views / f"{one.name}.png", one.picture)
+            write_png(save_views / f"{one.name}.png", one.image)
     figures |= {
         "change": None if changed is None else changed.figures(),
         "deviation": found.figures(),
@@ -190,11 +190,11 @@ def compare(
     }
     if page_file is not None:
         names = reference.name, other.name
-        content = page_of_comparison(
+        content = make_comparison_page(
             names, (a, b), found, changed, figures, page.max_bytes, deviation.palette
         )
         page_file.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(page_file) as draft:
+        with write_file_atomically(page_file) as draft:
             draft.write_bytes(content)
     out.result(figures, None if out.as_json else comparison_text(figures))
 
@@ -215,9 +215,13 @@ def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:
 
 def _write_picture(path: Path, found: Deviations, palette: str) -> None:
     """Write a picture of the deviations: the mesh from two sides and a colour scale."""
-    painted = spots(found.painted, _MAX_SPOTS) if is_cloud(found.painted) else found.painted
+    painted = (
+        make_point_splats(found.painted_mesh, _MAX_SPOTS)
+        if is_cloud(found.painted_mesh)
+        else found.painted_mesh
+    )
     views = viewpoints(painted, 4, width=_VIEW_WIDTH)
-    model = Model(Surface(painted))
+    model = RenderModel(RaycastingSurface(painted))
     drawn = [model.draw(view, "color") for view in (views[0], views[2])]
     height = drawn[0].shape[0]
     write_png(path, np.ascontiguousarray(np.hstack([*drawn, _draw_scale(found, palette, height)])))
@@ -231,7 +235,9 @@ def _draw_scale(found: Deviations, palette: str, height: int) -> NDArray[np.uint
     top, bottom = 50, height - 30
     most, lowest = found.color_range, -found.color_range if found.is_signed else 0.0
     values = np.linspace(most, lowest, bottom - top)
-    panel[top:bottom, 20 : 20 + _BAR] = colors_of(values, found.within, most, palette)[:, None]
+    panel[top:bottom, 20 : 20 + _BAR] = colorize_distances(values, found.in_tolerance_limit, most, palette)[
+        :, None
+    ]
     cv2.putText(panel, "mm", (20, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
     for value in np.linspace(most, lowest, _STEPS):
         row = round(top + (most - value) / (most - lowest) * (bottom - top - 1))

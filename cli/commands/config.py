@@ -17,7 +17,7 @@ from scanloom.cli.sections import all_sections, command_sections, complete_secti
 from scanloom.pipeline.sections import section_toml
 from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import Described, describe_all
+from scanloom.stages.params import ParameterInfo, describe_all
 
 if TYPE_CHECKING:
     from scanloom.pipeline.config import Config
@@ -71,7 +71,7 @@ def config(
 def _run_sections(configuration: Config, *, is_whole: bool) -> tuple[list[str], dict[str, Any]]:
     """Return the sections of a run as TOML and as values; only common parameters if not `is_whole`."""
     parts, values, others = [], {}, []
-    for name in configuration.types():
+    for name in configuration.get_types():
         params = getattr(configuration, name)
         if is_whole:
             parts.append(section_toml(name, params).rstrip())
@@ -87,11 +87,11 @@ def _run_sections(configuration: Config, *, is_whole: bool) -> tuple[list[str], 
     return parts, values
 
 
-def _is_common(about: Described) -> bool:
+def _is_common(about: ParameterInfo) -> bool:
     return about.common
 
 
-def _is_one_of(shown: Sequence[Described], about: Described) -> bool:
+def _is_one_of(shown: Sequence[ParameterInfo], about: ParameterInfo) -> bool:
     return any(about is one for one in shown)
 
 
@@ -102,7 +102,7 @@ def _common_names(cls: type) -> list[str]:
 def _section_texts(configuration: Config, name: str) -> list[str]:
     """Return all parameters of a section as TOML; those of commands are comments."""
     texts = []
-    if name in configuration.types():
+    if name in configuration.get_types():
         texts.append(section_toml(name, getattr(configuration, name)).rstrip())
     for one in command_sections(name):
         shown = [about for key, about in describe_all(one.cls).items() if key in one.names]
@@ -116,7 +116,7 @@ def _values(configuration: Config, name: str) -> Mapping[str, Any]:
     values: dict[str, Any] = {}
     for one in command_sections(name):
         values |= asdict(one.cls())
-    return values | (asdict(getattr(configuration, name)) if name in configuration.types() else {})
+    return values | (asdict(getattr(configuration, name)) if name in configuration.get_types() else {})
 
 
 def _require_sections(names: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from scanloom.cli.paths import require_scan
 from scanloom.cli.rendering import as_typed
 from scanloom.cli.run_progress import show_run_progress
 from scanloom.stages import CoverageParams
-from scanloom.stages.printing import counted, place_in_words
+from scanloom.stages.printing import format_count, format_position
 
 
 def coverage(
@@ -48,13 +48,13 @@ def coverage(
     Example: scanloom coverage my_mesh
     """
     from scanloom.pipeline.artifacts.file_names import COVERAGE
-    from scanloom.pipeline.run.again import run_again
+    from scanloom.pipeline.run.resume import continue_run
     from scanloom.stages.files.documents import read_json
 
     if scan is not None:
         require_scan(scan)
     with show_run_progress(out) as events:
-        result = run_again(folder, "coverage", coverage, scan=scan, cache_dir=cache, events=events)
+        result = continue_run(folder, "coverage", coverage, scan=scan, cache_dir=cache, events=events)
     figures: Any = read_json(result.out / COVERAGE)
     files = [str(path) for stage in result.stages if stage.stage == "coverage" for path in stage.results]
     is_metric = bool(result.report["scan"]["metric"])
@@ -75,23 +75,23 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
                 str(number),
                 one["why"],
                 _area(one["area_m2"]),
-                place_in_words(one["point_m"]),
-                place_in_words(one["look_from_m"]),
+                format_position(one["point_m"]),
+                format_position(one["viewpoint_m"]),
                 nearest["frame"],
                 nearest["why"],
             ]
         )
     lines = [format_table(rows), ""]
-    if figures["places_left_out"]:
+    if figures["places_omitted"]:
         lines.append(
-            f"{figures['places_left_out']:,} smaller places are not listed; see coverage.places and "
-            "coverage.least_area."
+            f"{figures['places_omitted']:,} smaller places are not listed; see coverage.max_defects and "
+            "coverage.min_area."
         )
-    missing, thin = sum(figures["missing_m2"].values()), sum(figures["thin_m2"].values())
+    missing, thin = sum(figures["missing_m2"].values()), sum(figures["weakly_observed_m2"].values())
     surface = figures["surface_m2"]
     lines.append(
         f"{_area(missing)} {m2} open to what no frame saw, beside {_area(surface)} {m2} of surface, of which "
-        f"{thin / surface:.0%} was hardly seen; {counted(figures['frames_used'], 'frame')}"
+        f"{thin / surface:.0%} was hardly seen; {format_count(figures['frames_used'], 'frame')}"
     )
     lines.append(
         f"frames are within {figures['spread_median_m']:.2g} {m} of half of what they measured, RMS, "

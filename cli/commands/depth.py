@@ -11,7 +11,7 @@ from scanloom import stages
 from scanloom.cli.output import Output
 from scanloom.cli.paths import new_folder
 from scanloom.cli.scan_argument import ScanFolder, read_scan
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.stages import DepthParams, ScanParams
 
 
@@ -39,5 +39,5 @@ def depth(
     measure = stages.depth_scan if depth.model is None and not source.is_views else choose_matcher(source)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, measure(source, depth, progress), source)
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -15,10 +15,10 @@ from scanloom.cli.paths import require_new_file
 from scanloom.pipeline.report.file_names import REPORT
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.files.codes import FILE_PATH_INVALID
-from scanloom.stages.files.opening import text_in
-from scanloom.stages.files.replacing import replacing
-from scanloom.stages.inspecting.machine import machine
+from scanloom.stages.files.input_files import read_input_text
+from scanloom.stages.inspecting.machine_report import describe_machine
 
 
 def doctor(
@@ -43,7 +43,7 @@ def doctor(
 
     Example: scanloom doctor --bundle report.zip --run my_mesh
     """
-    found = machine()
+    found = describe_machine()
     if bundle is None:
         if of_run is not None:
             raise UsageError(USAGE_OPTIONS_CONFLICT, "--run needs --bundle: it says which run goes into it.")
@@ -62,12 +62,12 @@ def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
             raise InputError(
                 FILE_PATH_INVALID, "holds no {report}", of_run, remedy="give the OUT of a run.", report=REPORT
             )
-        texts[REPORT] = text_in(report, "utf-8")
+        texts[REPORT] = read_input_text(report, "utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     home = str(Path.home())
     # As it is, and as JSON has it: where folders are parted by \, or names are of other letters than English.
     homes = dict.fromkeys((json.dumps(home)[1:-1], json.dumps(home, ensure_ascii=False)[1:-1], home))
-    with replacing(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as packed:
+    with write_file_atomically(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, text in texts.items():
             # A home of "/" would make every path start with ~.
             for written in homes if len(home) > 1 else ():
@@ -78,7 +78,7 @@ def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
 def _text(found: Mapping[str, Any]) -> str:
     rows = [["", ""]]
     for name, value in found.items():
-        if name == "oddities":
+        if name == "platform_notes":
             continue
         if isinstance(value, dict):
             rows += [[key, "not installed" if version is None else version] for key, version in value.items()]
@@ -89,4 +89,4 @@ def _text(found: Mapping[str, Any]) -> str:
         else:
             words = ", ".join(value) if isinstance(value, list) else str(value)
             rows.append([name.replace("_", " "), words])
-    return "\n".join([format_table(rows), *(f"odd: {sentence}" for sentence in found["oddities"])])
+    return "\n".join([format_table(rows), *(f"odd: {sentence}" for sentence in found["platform_notes"])])

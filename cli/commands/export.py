@@ -15,7 +15,7 @@ from scanloom.cli.output import Output
 from scanloom.cli.paths import require_writable
 from scanloom.stages import ExportParams
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.exporting.export import SUFFIXES, require_fitting
+from scanloom.stages.exporting.export import EXPORT_SUFFIXES, require_supported_params
 from scanloom.stages.exporting.presets import PRESETS, preset
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 
@@ -24,7 +24,9 @@ def export(
     source: MeshFile,
     target: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help=f"File to write ({', '.join(SUFFIXES)}).", show_default=False),
+        typer.Argument(
+            metavar="OUT", help=f"File to write ({', '.join(EXPORT_SUFFIXES)}).", show_default=False
+        ),
     ],
     export: Changes[ExportParams],
     out: Output,
@@ -46,7 +48,7 @@ def export(
     Example: scanloom export out/textured.glb web.glb --preset web
     """
     wanted = replace(ExportParams() if intent is None else preset(intent, target.suffix), **export)
-    require_fitting(target, wanted)
+    require_supported_params(target, wanted)
     if target.is_dir():
         raise InputError(FILE_PATH_INVALID, "this is a folder", target, remedy="give the name of a file.")
     require_writable(target.parent)

@@ -12,9 +12,9 @@ from scanloom.cli.mesh_arguments import write_mesh_file
 from scanloom.cli.output import Output
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.cli.scan_argument import ScanFolder, read_scan
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.stages import FuseParams, InputError, ScanParams
-from scanloom.stages.inspecting.sanity import require_poses
+from scanloom.stages.inspecting.consistency_checks import require_poses
 from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
 
 
@@ -59,5 +59,5 @@ def fuse(
         fused = stages.fuse(source, fuse, progress=progress)
     write_mesh_file(target, fused.mesh, out)
     figures = fused.figures()
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -13,9 +13,9 @@ from scanloom.cli.paths import require_new_file, require_scan
 from scanloom.cli.rendering import as_typed
 from scanloom.cli.scan_argument import ScanFolder
 from scanloom.stages import ScanParams
-from scanloom.stages.diagnostics.collector import listening
-from scanloom.stages.inspecting.picture import inspection_picture
-from scanloom.stages.picturing.render import write_png
+from scanloom.stages.diagnostics.collector import listen_to_diagnostics
+from scanloom.stages.inspecting.overview_image import draw_inspection
+from scanloom.stages.rendering.render import write_png
 
 
 def inspect(
@@ -41,10 +41,10 @@ def inspect(
     if picture is not None:
         require_new_file(picture, (".png",))
     # The diagnostics are printed with the result.
-    with listening(out.count, forward=False):
+    with listen_to_diagnostics(out.count, forward=False):
         source = stages.read_scan(require_scan(folder), scan, complete=False)
         inspection = stages.inspect(source)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
-        write_png(picture, inspection_picture(source))
-    out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))
+        write_png(picture, draw_inspection(source))
+    out.result(inspection.figures(), as_typed("\n".join(inspection.format_lines())))

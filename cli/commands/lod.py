@@ -27,8 +27,8 @@ from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.lod import Hierarchy, LodParams
 from scanloom.stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
-from scanloom.stages.params import check, param
-from scanloom.stages.printing import at_most
+from scanloom.stages.params import check_parameters, param
+from scanloom.stages.printing import format_upper_bound
 from scanloom.stages.simplification.regions import parse_region
 
 Slod = Annotated[
@@ -52,7 +52,7 @@ class ViewParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 def build(
@@ -165,7 +165,7 @@ def cut(
             LEVELS_LEVEL_MISSING.unmet(
                 "the finest level is proven within {bound} m alone.",
                 source,
-                bound=at_most(figures["shape_bound_m"]),
+                bound=format_upper_bound(figures["shape_bound_m"]),
             )
         )
     baked = None
@@ -199,8 +199,8 @@ def _text(figures: Mapping[str, Any]) -> str:
                 f"{level['nodes']:,}",
                 f"{level['triangles']:,}",
                 f"{level['largest_node_triangles']:,}",
-                at_most(level["shape_bound_m"]),
-                "" if color is None else at_most(color),
+                format_upper_bound(level["shape_bound_m"]),
+                "" if color is None else format_upper_bound(color),
             ]
         )
     base = figures["base_shape_bound_m"]
@@ -210,7 +210,7 @@ def _text(figures: Mapping[str, Any]) -> str:
             f"{figures['leaves']:,}",
             f"{figures['base_triangles']:,}",
             "",
-            at_most(base) if base else "0",
+            format_upper_bound(base) if base else "0",
             "",
         ]
     )
@@ -231,8 +231,8 @@ def _cut_text(figures: Mapping[str, Any]) -> str:
     proven = "proven" if figures["proven"] else "of the next coarser level, between two that are proven"
     if figures["one_sided"]:
         proven += ", but for the loose pieces that were dropped"
-    colors = "" if color is None else f" and {at_most(color)} levels"
+    colors = "" if color is None else f" and {format_upper_bound(color)} levels"
     return (
         f"{figures['triangles']:,} triangles of {figures['nodes']:,} cells, "
-        f"within {at_most(figures['shape_bound_m'])} m{colors}: {proven}."
+        f"within {format_upper_bound(figures['shape_bound_m'])} m{colors}: {proven}."
     )

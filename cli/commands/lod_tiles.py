@@ -12,14 +12,14 @@ import typer
 from scanloom.cli.mesh_arguments import locate_diagnostics, read_mesh_file
 from scanloom.cli.output import Output, format_size
 from scanloom.cli.paths import require_file, require_writable
-from scanloom.pipeline.report.page.files import write_tiles_page
+from scanloom.pipeline.report.page.tileset_page import write_tileset_page
 from scanloom.stages import lod
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.files.replacing_folder import require_replaceable_folder
+from scanloom.stages.files.atomic_folders import require_replaceable_folder
 from scanloom.stages.lod import TileImageParams, TilesParams
-from scanloom.stages.lod.tiles import TILESET, WHAT, is_tileset
+from scanloom.stages.lod.tiles import TILESET, TILESET_DESCRIPTION, is_tileset
 from scanloom.stages.params import param
-from scanloom.stages.printing import at_most
+from scanloom.stages.printing import format_upper_bound
 
 # In place of a model: no texture.
 NO_TEXTURE = "none"
@@ -71,7 +71,7 @@ def tiles(
 
     Example: scanloom lod tiles clean.slod clean_tiles --texture textured.glb
     """
-    require_replaceable_folder(target, is_tileset, WHAT)
+    require_replaceable_folder(target, is_tileset, TILESET_DESCRIPTION)
     require_writable(target.parent)
     model_file = None if texture in (None, NO_TEXTURE) else Path(str(texture))
     hierarchy = lod.read_slod(require_file(source))
@@ -82,8 +82,8 @@ def tiles(
     with locate_diagnostics(model_file or source, "model"), out.progress("tiles", "tiles") as progress:
         written = lod.write_tiles(hierarchy, target, tiles, texture=model, images=tiles, progress=progress)
     if tiles.page:
-        write_tiles_page(target)
-    full = sum(image.is_full for image in written.images)
+        write_tileset_page(target)
+    full = sum(image.is_coarser_than_requested for image in written.images)
     if full:
         out.remark(
             f"{target}: {full:,} images have coarser texels than requested, because their side is limited to "
@@ -99,7 +99,7 @@ def _text(figures: Mapping[str, Any]) -> str:
         f"the root {format_size(figures['root_bytes'])}, the median {format_size(figures['median_bytes'])}, "
         f"the largest {format_size(figures['largest_bytes'])}.\n"
         f"Positions have {figures['positions']}, on a grid of {figures['grid_step_m']:.3g} m, which moves "
-        f"them by at most {at_most(figures['grid_share_m'])} m; this is in each geometricError."
+        f"them by at most {format_upper_bound(figures['grid_displacement_m'])} m; this is in each geometricError."
         + ("" if figures["images"] is None else f"\n{_images_text(figures['images'])}")
     )
 

@@ -19,7 +19,7 @@ from scanloom.cli.mesh_arguments import (
 from scanloom.cli.output import Output, format_table
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.stages import PatchParams
-from scanloom.stages.simplification.planar.patches import colored_by_patch
+from scanloom.stages.simplification.planar.patches import color_by_patch
 from scanloom.stages.surface.formats.ply import write_ply
 
 
@@ -35,7 +35,7 @@ def patches(source: MeshFile, target: NewMesh, patches: PatchParams, out: Output
     mesh = read_mesh_file(source)
     with locate_diagnostics(source), out.progress("patches", "triangles") as progress:
         found = stages.planar_patches(mesh, patches, progress=progress)
-    colored = colored_by_patch(mesh, found.triangle_patch)
+    colored = color_by_patch(mesh, found.triangle_patch)
     if target.suffix.lower() == ".ply":
         kept = found.triangle_patch[found.triangle_patch >= 0]
         target.parent.mkdir(parents=True, exist_ok=True)

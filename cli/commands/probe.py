@@ -11,10 +11,10 @@ from scanloom.cli.output import Output
 from scanloom.cli.paths import require_file
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID, DEPTH_NETWORK_UNIDENTIFIED
-from scanloom.stages.stereo.networks.probe import probe_network
-from scanloom.stages.stereo.networks.sidecar import sidecar_of, written
+from scanloom.stages.stereo.networks.sidecar import format_sidecar, get_sidecar_path
+from scanloom.stages.stereo.networks.sidecar_guessing import probe_network
 
 
 def probe(
@@ -38,7 +38,7 @@ def probe(
 
     Example: scanloom lab probe my_network.onnx --write
     """
-    target = sidecar_of(require_file(network))
+    target = get_sidecar_path(require_file(network))
     if write and target.exists():
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
@@ -48,7 +48,7 @@ def probe(
         )
     with out.progress("probe", "ways") as progress:
         found = probe_network(network, progress=progress)
-    text = written(found.sidecar)
+    text = format_sidecar(found.sidecar)
     if found.error_px is None:
         emit(
             DEPTH_NETWORK_UNIDENTIFIED.warning(
@@ -56,10 +56,10 @@ def probe(
                 remedy="compare them with the documentation of the network",
             )
         )
-    if found.alike:
-        out.remark(f"the pair does not tell it apart from {'; '.join(found.alike)}")
+    if found.alternatives:
+        out.remark(f"the pair does not tell it apart from {'; '.join(found.alternatives)}")
     if write:
-        with replacing(target) as draft:
+        with write_file_atomically(target) as draft:
             draft.write_text(text, encoding="utf-8", newline="\n")
     output = {"output": str(target)} if write else {}
     out.result({**output, **found.figures()}, None if out.as_json or write else text)

@@ -11,10 +11,10 @@ from scanloom import stages
 from scanloom.cli.output import Output
 from scanloom.cli.paths import new_folder
 from scanloom.cli.scan_argument import ScanFolder, read_scan
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.stages import InputError, RegisterParams, ScanParams
 from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
-from scanloom.stages.scans.read import require_complete
+from scanloom.stages.scans.reader import require_complete
 
 
 def register(
@@ -53,5 +53,5 @@ def register(
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
         figures = write_poses(draft, stages.register(source, register, progress=progress))
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -18,19 +18,19 @@ from scanloom.cli.scan_argument import read_scan
 from scanloom.stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.diagnostics.diagnostic import Where
-from scanloom.stages.params import check, param
-from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from scanloom.stages.picturing.lettering import ScaleBar
-from scanloom.stages.picturing.panels import Panels
-from scanloom.stages.picturing.render import write_png
-from scanloom.stages.picturing.turntable import turntable as turntable_views
-from scanloom.stages.picturing.video import CODECS, write_video
-from scanloom.stages.picturing.viewpoints import looking_at, up_or_own
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.progress import Progress
-from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.rendering.annotations import ScaleBar
+from scanloom.stages.rendering.codes import RENDER_NOTHING_TO_DRAW
+from scanloom.stages.rendering.panels import Panels
+from scanloom.stages.rendering.render import write_png
+from scanloom.stages.rendering.turntable import choose_turntable_viewpoints as turntable_views
+from scanloom.stages.rendering.video import CODECS, write_video
+from scanloom.stages.rendering.viewpoints import look_at, resolve_up
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import ColorImage
-from scanloom.stages.surface.upright import direction_of
+from scanloom.stages.surface.up_direction import parse_up_direction
 
 _PICTURE, _VIDEO = ".png", ".mp4"
 _SUFFIXES = (_PICTURE, _VIDEO)
@@ -94,15 +94,15 @@ class PictureParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.up == "none":
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is none, but a picture needs an up axis.",
-                Where(parameter="up"),
+                DiagnosticLocation(parameter="up"),
             )
         if self.up is not None:
-            direction_of(self.up)
+            parse_up_direction(self.up)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +119,7 @@ class TurntableParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 def render(
@@ -184,12 +184,12 @@ def render(
     elif free is not None:
         size = (picture.width, picture.height or round(picture.width * 3 / 4))
         angle = picture.field_of_view or _FIELD_OF_VIEW
-        view = looking_at(*free, up_or_own(meshes[0], _up(picture)), *size, field=angle)
+        view = look_at(*free, resolve_up(meshes[0], _up(picture)), *size, field=angle)
         views = [replace(view, cull=picture.inside)]
     else:
         views = [_chosen(meshes[0], picture, frames)]
     panels = Panels(meshes, texts)
-    bar = panels.scale_bar(views[0]) if picture.scale_bar else None
+    bar = panels.choose_scale_bar(views[0]) if picture.scale_bar else None
     if picture.scale_bar and bar is None:
         emit(RENDER_NOTHING_TO_DRAW.warning("there is no scale bar, because the picture is empty."))
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -273,7 +273,7 @@ def _texts(sources: Sequence[Path], meshes: Sequence[Mesh], labels: str) -> list
 
 
 def _up(params: PictureParams) -> list[float] | None:
-    direction = None if params.up is None else direction_of(params.up)
+    direction = None if params.up is None else parse_up_direction(params.up)
     return None if direction is None else direction.tolist()
 
 
@@ -319,8 +319,11 @@ def _write_video(
     out: Output,
 ) -> None:
     def draw(progress: Progress) -> Iterator[ColorImage]:
-        images = read_ahead(
-            lambda view: panels.draw(view, shading, bar), views, threads=workers(), ahead=2 * workers()
+        images = map_ordered(
+            lambda view: panels.draw(view, shading, bar),
+            views,
+            threads=get_worker_count(),
+            max_pending=2 * get_worker_count(),
         )
         for number, image in enumerate(images, 1):
             yield image

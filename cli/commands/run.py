@@ -77,7 +77,7 @@ def run(
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
-    from scanloom.pipeline.run.dry_run import foresee
+    from scanloom.pipeline.run.dry_run import predict_run
     from scanloom.pipeline.run.limits import Limits
     from scanloom.pipeline.run.run import run as run_pipeline
 
@@ -97,7 +97,7 @@ def run(
         "overwrite": overwrite,
     }
     if dry_run:
-        _print_plan(foresee(folder, target, config, **how), out)
+        _print_plan(predict_run(folder, target, config, **how), out)
         return
     with show_run_progress(out) as events:
         result = run_pipeline(
@@ -115,9 +115,9 @@ def run(
 
 def _plot(path: Path, result: RunResult) -> None:
     """Draw the seconds of each stage."""
-    from scanloom.stages.picturing.plots import plot_seconds
+    from scanloom.stages.rendering.plots import plot_seconds
 
-    seconds = {one.stage: float(one.made["seconds"]) for one in result.stages}
+    seconds = {one.stage: float(one.compute_cost["seconds"]) for one in result.stages}
     path.parent.mkdir(parents=True, exist_ok=True)
     plot_seconds(path, seconds, {one.stage for one in result.stages if one.cached})
 
@@ -127,7 +127,7 @@ def _print_plan(found: DryRun, out: Output) -> None:
     figures = found.figures()
     rows = [["stage", "", "seconds", "memory", "expected from"]]
     for one in found.stages:
-        take = one.expected
+        take = one.estimate
         rows.append(
             [one.stage, "cached", "", "", ""]
             if take is None
@@ -178,7 +178,7 @@ def _summary(result: RunResult) -> str:
         lines.append(
             f"{held_out['photos']} photos held out: PSNR {held_out['psnr_affine_db']:.1f} dB "
             f"({held_out['psnr_raw_db']:.1f} raw), SSIM {held_out['ssim']:.3f}, sharpness "
-            f"{held_out['sharpness']:.2f}, {held_out['coverage_share']:.0%} of their pixels"
+            f"{held_out['sharpness']:.2f}, {held_out['coverage_ratio']:.0%} of their pixels"
         )
     placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
     names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)

@@ -25,18 +25,18 @@ from scanloom.cli.mesh_arguments import (
 from scanloom.cli.output import Output, format_lines
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.cli.rendering import option_name
-from scanloom.stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
+from scanloom.stages import ExportParams, Mesh, SimplificationResult, SimplifyParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.exporting.export import GLTF
-from scanloom.stages.exporting.same_packing import same_packing, stored_bytes
+from scanloom.stages.exporting.export import GLTF_SUFFIXES
+from scanloom.stages.exporting.packing_detection import detect_packing, measure_stored_bytes
 from scanloom.stages.params import resolve
-from scanloom.stages.printing import at_most
-from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.printing import format_upper_bound
 from scanloom.stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
+from scanloom.stages.simplification.method_selection import select_method
 from scanloom.stages.simplification.methods import METHODS
 from scanloom.stages.simplification.regions import parse_region
-from scanloom.stages.surface.formats.gltf_packing import lattice_of
+from scanloom.stages.surface.formats.gltf_packing import make_quantization_grid
 
 
 def simplify(
@@ -104,7 +104,7 @@ def simplify(
         require_new_file(save_record, (".npz",))
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
-        if not chosen(simplify).proves:
+        if not select_method(simplify).proves_bounds:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "--save-bounds is for bounds that are proven; {how_to_prove}.",
@@ -112,7 +112,7 @@ def simplify(
             )
     regions = [parse_region(text) for text in region or ()]
     mesh = read_mesh_file(source)
-    packing = same_packing(source, mesh) if target.suffix.lower() in GLTF else ExportParams()
+    packing = detect_packing(source, mesh) if target.suffix.lower() in GLTF_SUFFIXES else ExportParams()
     simplify, packing = _fit_packing(mesh, simplify, packing)
     with (
         locate_diagnostics(source),
@@ -124,14 +124,14 @@ def simplify(
             simplify,
             regions=regions,
             record=save_record is not None,
-            partial=keep_on_interrupt,
+            keep_on_interrupt=keep_on_interrupt,
             progress=progress,
         )
     with locate_diagnostics(source):
         # `write_mesh_file` warns about formats without textures.
         emit(*(one for one in diagnostics if holds_texture or one.code != SIMPLIFY_TEXTURE_LEFT_OUT.name))
     rounding = 0.0
-    source_bytes = stored_bytes(source, mesh)
+    source_bytes = measure_stored_bytes(source, mesh)
     if packing.compress == "none":
         write_mesh_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
     else:
@@ -144,7 +144,7 @@ def simplify(
     if save_bounds is not None:
         proven = simplified.details
         write_bounds(save_bounds, simplified.mesh, proven.shape_bound, proven.color_bound, out)
-    target_bytes = stored_bytes(target, simplified.mesh)
+    target_bytes = measure_stored_bytes(target, simplified.mesh)
     figures = {
         "output": str(target),
         **simplified.figures(),
@@ -175,14 +175,14 @@ def simplify(
     if rounding:
         text += (
             f"\n\nOUT is compressed as IN is ({packing.compress}): positions are rounded by at most "
-            f"{at_most(rounding)} m."
+            f"{format_upper_bound(rounding)} m."
         )
     if simplified.details.text():
         text += f"\n\n{simplified.details.text()}"
     out.result(figures, text)
 
 
-def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
+def _text(simplified: SimplificationResult[Any], figures: Mapping[str, Any]) -> str:
     """Return the metrics without warnings and tables."""
     shown = {**figures, **simplified.details.figures()}
     for name in ("details", "baked", "default_max_shape_m"):
@@ -201,18 +201,20 @@ def _fit_packing(
         return params, packing
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     margin = params.max_shape
-    rounding = lattice_of(np.stack([low - margin, high + margin]), packing.position_bits).farthest
+    rounding = make_quantization_grid(
+        np.stack([low - margin, high + margin]), packing.position_bits
+    ).max_error
     if rounding >= params.max_shape:
         return params, ExportParams()
     return resolve(SimplifyParams, params, {"max_shape": params.max_shape - rounding}), packing
 
 
-def _default_bound(simplified: Simplified[Any]) -> str:
+def _default_bound(simplified: SimplificationResult[Any]) -> str:
     assert simplified.default_max_shape is not None
-    goal, details = at_most(simplified.default_max_shape), simplified.details
+    goal, details = format_upper_bound(simplified.default_max_shape), simplified.details
     kept = f"the shape stays within {goal} m, 1/1000 of the model's size"
     if not details.proven:
-        proven = at_most(details.shape_bound_m)
+        proven = format_upper_bound(details.shape_bound_m)
         kept = f"the goal is {goal} m, 1/1000 of the model's size, and {proven} m are proven"
     return f"No number and no bound was given: {kept}. Give --max-shape or --ratio for another goal."
 
@@ -223,7 +225,12 @@ def _is_table(value: Any) -> bool:
 
 def _how_to_prove() -> str:
     """Return advice on options that lead to a method with proven bounds."""
-    proving = [method for method in METHODS if method.proves]
-    options = [option_name(name) for method in proving if method.needs for name in method.needs.names]
+    proving = [method for method in METHODS if method.proves_bounds]
+    options = [
+        option_name(name)
+        for method in proving
+        if method.requirement
+        for name in method.requirement.parameters
+    ]
     names = " or ".join(method.name for method in proving)
     return f"give {' or '.join(options)}, and what leads to no other method than {names}"

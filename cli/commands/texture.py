@@ -15,10 +15,10 @@ from scanloom.cli.mesh_arguments import locate_diagnostics, read_mesh_file, writ
 from scanloom.cli.output import Output
 from scanloom.cli.paths import new_folder, require_new_file
 from scanloom.cli.scan_argument import ScanFolder, read_scan
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.stages import Mesh, Scan, ScanParams, TextureParams
-from scanloom.stages.surface.upright import direction_of
-from scanloom.stages.texturing.maps import write_maps
+from scanloom.stages.surface.up_direction import parse_up_direction
+from scanloom.stages.texturing.provenance_maps import write_maps
 
 
 def texture(
@@ -66,7 +66,7 @@ def texture(
     Example: scanloom texture my_scan light.ply light.glb
     """
     require_new_file(target, TEXTURED_SUFFIXES)
-    given = None if up is None else direction_of(up)
+    given = None if up is None else parse_up_direction(up)
     mesh = read_mesh_file(mesh_file)
     source = read_scan(folder, scan)
     with out.progress("texture", "‰") as progress, locate_diagnostics(mesh_file):
@@ -79,7 +79,7 @@ def texture(
         with new_folder(maps) as draft:
             write_maps(draft, textured)
     figures = textured.figures()
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     up_axis = None if direction is None else direction.tolist()
     out.result({"output": str(target), **figures, "up": up_axis})
 
@@ -88,7 +88,7 @@ def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
     """Return the up direction of the mesh, or of the scan; None if both are unknown."""
     if mesh.up is not None:
         return np.array(mesh.up)
-    from scanloom.pipeline.steps.upright import up_in
+    from scanloom.pipeline.steps.upright import estimate_scan_up
 
-    found = up_in(mesh, scan)
+    found = estimate_scan_up(mesh, scan)
     return None if found is None else found.direction

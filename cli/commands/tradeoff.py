@@ -51,7 +51,7 @@ def tradeoff(
 
     Example: scanloom mesh tradeoff clean.ply --plot curve.png
 
-    Example: scanloom mesh tradeoff model.glb --within 0.001 --save light.glb
+    Example: scanloom mesh tradeoff model.glb --max-distance 0.001 --save light.glb
     """
     require_plot(plot)
     if save is not None:
@@ -62,22 +62,22 @@ def tradeoff(
     mesh = read_mesh_file(source)
     with locate_diagnostics(source), out.progress("tradeoff", "meshes") as progress:
         found = stages.tradeoff(mesh, tradeoff, counts=wanted, progress=progress)
-    if save is not None and found.suggested is not None:
+    if save is not None and found.suggested_triangles is not None:
         write_mesh_file(save, found.mesh, out)
     if save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         found.record.save(save_record)
     if plot is not None:
-        from scanloom.stages.picturing.plots import plot_tradeoff
+        from scanloom.stages.rendering.plots import plot_tradeoff
 
         plot.parent.mkdir(parents=True, exist_ok=True)
         plot_tradeoff(plot, found)
-    if found.suggested is None and tradeoff.within is not None:
+    if found.suggested_triangles is None and tradeoff.max_distance is not None:
         emit(
             SIMPLIFY_TRADEOFF.unmet(
                 "none of these numbers keeps {bound}",
                 remedy="give more triangles with --counts.",
-                bound=found.why,
+                bound=found.criterion,
             )
         )
     out.result(found.figures(), _text(found))
@@ -96,6 +96,6 @@ def _count(word: str) -> int:
 
 
 def _text(found: Tradeoff) -> str:
-    if found.suggested is None:
-        return format_table(found.rows())
-    return f"{format_table(found.rows())}\n\nsuggested: {found.suggested:,} triangles; {found.why}"
+    if found.suggested_triangles is None:
+        return format_table(found.to_rows())
+    return f"{format_table(found.to_rows())}\n\nsuggested: {found.suggested_triangles:,} triangles; {found.criterion}"

@@ -14,13 +14,13 @@ from scanloom.cli.mesh_arguments import read_with_up
 from scanloom.cli.output import Output
 from scanloom.cli.page_params import PageParams
 from scanloom.cli.paths import require_new_file
-from scanloom.pipeline.report.page.files import tiles_page
-from scanloom.pipeline.report.page.serving import FolderServer
-from scanloom.pipeline.report.run_page import page_of_mesh, page_of_run
+from scanloom.pipeline.report.page.folder_server import FolderServer
+from scanloom.pipeline.report.page.tileset_page import make_tileset_page
+from scanloom.pipeline.report.run_page import make_mesh_page, make_run_page
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.files.codes import FILE_PATH_INVALID
-from scanloom.stages.files.replacing import replacing
 from scanloom.stages.lod.tiles import PAGE_INDEX, TILESET
 
 
@@ -76,18 +76,18 @@ def view(
             USAGE_OPTIONS_CONFLICT, "tiles are many files; lod tiles --page writes their page beside them."
         )
     if is_tiles:
-        _serve(what, tiles_page(), port, open_browser, out)
+        _serve(what, make_tileset_page(), port, open_browser, out)
         return
     if what.is_dir():
-        content = page_of_run(what, page.max_bytes)
+        content = make_run_page(what, page.max_bytes)
     else:
-        content = page_of_mesh(what.resolve().stem, read_with_up(what), page.max_bytes)
+        content = make_mesh_page(what.resolve().stem, read_with_up(what), page.max_bytes)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
             _serve(Path(empty), {PAGE_INDEX: content}, port, open_browser, out)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(target) as draft:
+    with write_file_atomically(target) as draft:
         draft.write_bytes(content)
     out.result({"output": str(target), "bytes": len(content)})
 

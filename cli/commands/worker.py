@@ -44,10 +44,10 @@ def worker(
 
     Example: scanloom worker shared/out --jobs 4
     """
-    from scanloom.pipeline.batch.queue import standing_queue
+    from scanloom.pipeline.batch.job_queue import read_current_queue
 
     # Jobs run in other folders, so the path is made absolute.
-    queue = standing_queue(target.resolve()) if target.is_dir() else None
+    queue = read_current_queue(target.resolve()) if target.is_dir() else None
     if queue is None:
         raise InputError(
             BATCH_ALREADY_EXISTS,
@@ -59,7 +59,7 @@ def worker(
     with sigterm_as_interrupt(), show_batch_progress(out) as tell:
         working = create_worker(queue, worker, limits, tell, out, stay=wait)
         out.remark(f"worker {working.name}, {len(queue.numbers):,} scans")
-        working.work()
+        working.run()
     report_batch(queue, out, {})
 
 

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from scanloom.stages.diagnostics.diagnostic import Code, declared_codes
+from scanloom.stages.diagnostics.diagnostic import Code, get_declared_codes
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("cli", "pipeline", "stages")
+PACKAGES = ("cli", "pipeline", "stages")
 PAGES = ROOT / "docs" / "when-it-goes-wrong"
 
 
@@ -37,7 +37,7 @@ class Page:
     text: str
 
 
-TABLE = {
+PAGE_TABLE = {
     "words": Page(
         ("usage", "config"),
         "Options, configuration, arguments",
@@ -147,18 +147,18 @@ class Message:
 
 def find_codes() -> list[Code]:
     """List all codes in the order of their declarations."""
-    for path in _sources():
+    for path in _find_sources():
         if path.name == "codes.py":
             importlib.import_module(".".join(("scanloom", *path.relative_to(ROOT).with_suffix("").parts)))
-    # `declared_codes` has the order of imports, which is arbitrary.
-    codes = declared_codes()
+    # `get_declared_codes` has the order of imports, which is arbitrary.
+    codes = get_declared_codes()
     return [codes[name] for name in find_constants().values()]
 
 
 def find_constants() -> dict[str, str]:
     """Map the constant of each code to the code's name."""
     names = {}
-    for path in _sources():
+    for path in _find_sources():
         if path.name == "codes.py":
             for node in ast.parse(path.read_text(encoding="utf-8")).body:
                 match node:
@@ -172,7 +172,7 @@ def find_constants() -> dict[str, str]:
 def find_messages() -> Iterator[Message]:
     """Yield the messages of all calls with a diagnostic code."""
     constants = find_constants()
-    for path in _sources():
+    for path in _find_sources():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             match node:
                 # InputError(CODE, "…") and the like.
@@ -185,11 +185,11 @@ def find_messages() -> Iterator[Message]:
                     pass
                 case _:
                     continue
-            for form in _forms(text):
+            for form in _expand_texts(text):
                 yield Message(form, constant, path.relative_to(ROOT).as_posix(), node.lineno)
 
 
-def page_of(name: str) -> str:
+def find_page(name: str) -> str:
     """Return the name of the page that explains a code.
 
     Raises
@@ -198,7 +198,7 @@ def page_of(name: str) -> str:
         If no page has the topic of the code.
     """
     topic = name.partition(".")[0]
-    for page, about in TABLE.items():
+    for page, about in PAGE_TABLE.items():
         if topic in about.topics:
             return page
     raise KeyError(topic)
@@ -206,7 +206,7 @@ def page_of(name: str) -> str:
 
 def write_page(name: str) -> str:
     """Write the Markdown of a page."""
-    page = TABLE[name]
+    page = PAGE_TABLE[name]
     codes = [one for topic in page.topics for one in find_codes() if one.name.partition(".")[0] == topic]
     sections = [
         f"## {one.title}\n\n**{one.name}**\n\n```text\n{one.example}\n```\n\n{one.explanation.strip()}\n"
@@ -215,12 +215,12 @@ def write_page(name: str) -> str:
     return "\n".join([f"# {page.title}\n\n{page.text}\n", *sections])
 
 
-def _sources() -> list[Path]:
-    found = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+def _find_sources() -> list[Path]:
+    found = [path for room in PACKAGES for path in sorted((ROOT / room).rglob("*.py"))]
     return [path for path in found if "node_modules" not in path.parts]
 
 
-def _forms(node: ast.expr) -> Iterator[str]:
+def _expand_texts(node: ast.expr) -> Iterator[str]:
     """Yield the possible texts of an expression, with `…` for values."""
     match node:
         case ast.Constant(str(text)):
@@ -228,10 +228,10 @@ def _forms(node: ast.expr) -> Iterator[str]:
         case ast.JoinedStr(parts):
             yield "".join(str(one.value) if isinstance(one, ast.Constant) else "…" for one in parts)
         case ast.IfExp(body=one, orelse=other):
-            yield from _forms(one)
-            yield from _forms(other)
+            yield from _expand_texts(one)
+            yield from _expand_texts(other)
 
 
 if __name__ == "__main__":
-    for page in TABLE:
+    for page in PAGE_TABLE:
         (PAGES / f"{page}.md").write_text(write_page(page), encoding="utf-8", newline="\n")

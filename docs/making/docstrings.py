@@ -9,24 +9,24 @@ import re
 from collections.abc import Iterator
 from inspect import cleandoc
 
-from making.markdown import code, definitions, escaped
+from making.markdown import escape_markdown, format_code, format_definitions
 
 # Sections whose entries have names.
-_LISTS = ("Parameters", "Attributes", "Raises", "Returns", "Yields")
+_LIST_SECTIONS = ("Parameters", "Attributes", "Raises", "Returns", "Yields")
 _HEADING = re.compile(r"^([A-Z]\w+)\n-+\n", flags=re.MULTILINE)
 
 
-def as_markdown(docstring: str | None) -> str:
+def convert_docstring(docstring: str | None) -> str:
     """Convert a docstring to Markdown, sections to definition lists."""
     before, *sections = _HEADING.split(cleandoc(docstring or ""))
-    written = [_prose(before)]
+    written = [_convert_prose(before)]
     for name, text in zip(sections[::2], sections[1::2], strict=True):
         written.append(f"**{name}**")
-        written.append(_entries(text) if name in _LISTS else _prose(text))
+        written.append(_convert_entries(text) if name in _LIST_SECTIONS else _convert_prose(text))
     return "\n\n".join(part for part in written if part)
 
 
-def _prose(text: str) -> str:
+def _convert_prose(text: str) -> str:
     """Escape paragraphs; turn examples and indented text into code blocks."""
     written = []
     for paragraph in re.split(r"\n\s*\n", text.strip()):
@@ -35,19 +35,19 @@ def _prose(text: str) -> str:
         elif re.match(r"^    ", paragraph):
             written.append(f"```text\n{cleandoc(paragraph)}\n```")
         else:
-            written.append(escaped(paragraph))
+            written.append(escape_markdown(paragraph))
     return "\n\n".join(written)
 
 
-def _entries(text: str) -> str:
-    entries = list(_split(text))
+def _convert_entries(text: str) -> str:
+    entries = list(_split_entries(text))
     if not all(meaning for _, meaning in entries):
         # A single type or text without a name.
-        return "\n\n".join(escaped(f"{name} {meaning}".strip()) for name, meaning in entries)
-    return definitions((code(name), escaped(meaning), "") for name, meaning in entries)
+        return "\n\n".join(escape_markdown(f"{name} {meaning}".strip()) for name, meaning in entries)
+    return format_definitions((format_code(name), escape_markdown(meaning), "") for name, meaning in entries)
 
 
-def _split(text: str) -> Iterator[tuple[str, str]]:
+def _split_entries(text: str) -> Iterator[tuple[str, str]]:
     """Yield name and meaning of each entry, joining indented continuation lines."""
     for entry in re.split(r"\n(?=\S)", text.strip()):
         first, *more = entry.split("\n")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from scanloom import stages
-from scanloom.stages.params import described, find_nested
+from scanloom.stages.params import describe_own, find_nested
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYWORDS = ROOT / "stages" / "params" / "keywords.py"
@@ -59,7 +59,7 @@ def find_classes() -> list[type]:
         parts = ("scanloom", *path.relative_to(ROOT).with_suffix("").parts)
         module = importlib.import_module(".".join(parts).removesuffix(".__init__"))
         for name, cls in vars(module).items():
-            if _is_declared_in(cls, module.__name__) and (described(cls) or find_nested(cls)):
+            if _is_declared_in(cls, module.__name__) and (describe_own(cls) or find_nested(cls)):
                 if name in found:
                     raise ValueError(f"two parameter classes are called {name}")
                 found[name] = cls

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 
 
-def escaped(text: str) -> str:
+def escape_markdown(text: str) -> str:
     """Escape plain text for Markdown, keeping code in backticks."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(
@@ -14,7 +14,7 @@ def escaped(text: str) -> str:
     )
 
 
-def code(text: str) -> str:
+def format_code(text: str) -> str:
     """Format text as inline code, whatever backticks it contains."""
     longest = max((len(run) for run in re.findall("`+", text)), default=0)
     fence = "`" * (longest + 1)
@@ -22,7 +22,7 @@ def code(text: str) -> str:
     return f"{fence}{space}{text}{space}{fence}"
 
 
-def definitions(entries: Iterable[tuple[str, str, str]]) -> str:
+def format_definitions(entries: Iterable[tuple[str, str, str]]) -> str:
     """Format a definition list.
 
     Parameters

@@ -14,13 +14,13 @@ from typing import Any
 
 import scanloom
 from making import parameters
-from making.docstrings import as_markdown
-from making.markdown import code, definitions, escaped
+from making.docstrings import convert_docstring
+from making.markdown import escape_markdown, format_code, format_definitions
 from scanloom.stages import lod
 from scanloom.stages.params import describe_all
 
 # Packages in the order of the pipeline, with their headings.
-ROOMS = {
+PACKAGE_HEADINGS = {
     "scans": "Scans",
     "inspecting": "Inspection",
     "stereo": "Depth",
@@ -42,16 +42,18 @@ ROOMS = {
 _WIDTH = 88
 
 
-def reference() -> str:
+def write_reference() -> str:
     """Write a section for each package, functions first."""
     written = []
-    for room, entries in groupby(sorted(named(), key=_place), key=lambda entry: _room(entry[1])):
-        written.append(f"## {ROOMS[room]}")
-        written += [f"### {code(name)}\n\n{_text(name, thing)}" for name, thing in entries]
+    for room, entries in groupby(
+        sorted(list_public_names(), key=_get_sort_key), key=lambda entry: _get_package(entry[1])
+    ):
+        written.append(f"## {PACKAGE_HEADINGS[room]}")
+        written += [f"### {format_code(name)}\n\n{_describe_object(name, thing)}" for name, thing in entries]
     return "\n\n".join(written)
 
 
-def named() -> Iterator[tuple[str, Any]]:
+def list_public_names() -> Iterator[tuple[str, Any]]:
     """Yield every public name with its object: `simplify`, `lod.build`."""
     for prefix, package in (("", scanloom), ("lod.", lod)):
         for name in package.__all__:
@@ -60,66 +62,69 @@ def named() -> Iterator[tuple[str, Any]]:
                 yield f"{prefix}{name}", thing
 
 
-def _place(entry: tuple[str, Any]) -> tuple[int, bool, str]:
+def _get_sort_key(entry: tuple[str, Any]) -> tuple[int, bool, str]:
     name, thing = entry
-    return list(ROOMS).index(_room(thing)), inspect.isclass(thing), name
+    return list(PACKAGE_HEADINGS).index(_get_package(thing)), inspect.isclass(thing), name
 
 
-def _room(thing: Any) -> str:
+def _get_package(thing: Any) -> str:
     package, *below = thing.__module__.removeprefix("scanloom.").split(".")
     # The only type alias is the union of mesh types, whose `__module__` is typing; it belongs to `surface`.
     return str(below[0]) if package in ("stages", "pipeline") else "surface"
 
 
-def _text(name: str, thing: Any) -> str:
+def _describe_object(name: str, thing: Any) -> str:
     if inspect.isfunction(thing):
-        return f"{_signature(name, thing)}\n\n{as_markdown(thing.__doc__)}"
+        return f"{_format_signature(name, thing)}\n\n{convert_docstring(thing.__doc__)}"
     if not inspect.isclass(thing):
         kinds = ", ".join(
             kind.__forward_arg__ if hasattr(kind, "__forward_arg__") else str(kind) for kind in thing.__args__
         )
-        return f"One of {escaped(kinds)}."
-    written = [as_markdown(thing.__doc__)]
+        return f"One of {escape_markdown(kinds)}."
+    written = [convert_docstring(thing.__doc__)]
     if is_dataclass(thing) and describe_all(thing):
-        about = parameters.entries_of(thing())
+        about = parameters.list_entries(thing())
         written.append(
-            definitions((code(own), escaped(told.text), escaped(facts)) for own, told, facts in about)
+            format_definitions(
+                (format_code(own), escape_markdown(description.text), escape_markdown(facts))
+                for own, description, facts in about
+            )
         )
     for own, member in vars(thing).items():
         if not own.startswith("_"):
-            written.append(_member(own, member))
+            written.append(_describe_member(own, member))
     return "\n\n".join(part for part in written if part)
 
 
-def _member(name: str, member: Any) -> str:
+def _describe_member(name: str, member: Any) -> str:
     if isinstance(member, property):
-        return f"{code(name)}\n: {_set_in(as_markdown(member.__doc__))}"
+        return f"{format_code(name)}\n: {_indent_text(convert_docstring(member.__doc__))}"
     function = getattr(member, "__func__", member)
     if isinstance(function, FunctionType) and function.__doc__:
-        return f"{code(_words(name, function))}\n: {_set_in(as_markdown(function.__doc__))}"
+        return f"{format_code(_format_call(name, function))}\n: {_indent_text(convert_docstring(function.__doc__))}"
     return ""
 
 
-def _set_in(text: str) -> str:
+def _indent_text(text: str) -> str:
     return text.replace("\n", "\n  ")
 
 
-def _signature(name: str, function: Any) -> str:
-    words = _words(name, function)
+def _format_signature(name: str, function: Any) -> str:
+    words = _format_call(name, function)
     if len(words) > _WIDTH:
         *_, returned = words.rpartition(")")
-        given = "".join(f"    {part},\n" for part in _arguments(function))
+        given = "".join(f"    {part},\n" for part in _format_arguments(function))
         words = f"{name}(\n{given}){returned}"
     return f"```python\n{words}\n```"
 
 
-def _words(name: str, function: Any) -> str:
+def _format_call(name: str, function: Any) -> str:
     returned = inspect.signature(function).return_annotation
     arrow = "" if returned is inspect.Signature.empty else f" -> {returned}"
-    return f"{name}({', '.join(part for part in _arguments(function) if part != 'self')}){arrow}"
+    return f"{name}({', '.join(part for part in _format_arguments(function) if part != 'self')}){arrow}"
 
 
-def _arguments(function: Any) -> list[str]:
+def _format_arguments(function: Any) -> list[str]:
     """List the arguments as written in a signature.
 
     Defaults that are functions are shown by name.

@@ -21,21 +21,21 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from scanloom.stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_mesh, render, repair, write_mesh
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.lod import measures
+from scanloom.stages.lod import refinement_measures
 from scanloom.stages.lod.front import Region
-from scanloom.stages.picturing.render import write_png
+from scanloom.stages.rendering.render import write_png
 
 Floats = NDArray[np.float64]
 
 # Degrees. The front is too coarse if neighbouring triangles turn by more than this.
-MOST_BEND = 6.0
+MAX_BEND_DEG = 6.0
 # Degrees. Triangles with a smaller angle are repaired.
-LEAST_ANGLE = 3.0
+MIN_ANGLE_DEG = 3.0
 # Maximum number of triangles of a front.
-LIMIT = 20_000
+MAX_TRIANGLES = 20_000
 ITERATIONS = 40
 
 
@@ -64,18 +64,18 @@ class Handle:
         """Marked region, which moves rigidly."""
         return Sphere(center=self.center, radius=self.radius, lock=True)
 
-    def held(self, points: Floats) -> NDArray[np.bool_]:
+    def mark_fixed(self, points: Floats) -> NDArray[np.bool_]:
         """Select the points (n, 3) that stay."""
         return np.asarray(np.linalg.norm(points - self.center, axis=1) > self.reach)
 
-    def moved(self, points: Floats) -> Floats:
+    def move_points(self, points: Floats) -> Floats:
         """Move points (n, 3) with the handle."""
         turn = Rotation.from_rotvec(np.radians(self.turn) * np.array(self.axis))
         return np.asarray(turn.apply(points - self.center) + self.center + self.move)
 
 
 @dataclass(frozen=True)
-class Bent:
+class BentRegion:
     """Region of the undeformed mesh that bends."""
 
     tree: cKDTree
@@ -88,7 +88,7 @@ class Bent:
 
 
 @dataclass(frozen=True)
-class Deformed:
+class DeformationResult:
     """Meshes and metrics of each step.
 
     Attributes
@@ -99,7 +99,7 @@ class Deformed:
     repaired : the adjusted mesh after repairs.
     bends : maximum change of the angle between neighbouring triangles, degrees, of deformed and adjusted.
     irregular : number of caps, needles, folds and spikes, of adjusted and repaired.
-    moved_m : proven bound on the motion of the surface by repairs.
+    repair_bound_m : proven bound on the motion of the surface by repairs.
     """
 
     front: Mesh
@@ -108,39 +108,41 @@ class Deformed:
     repaired: Mesh
     bends: tuple[float, float]
     irregular: tuple[int, int]
-    moved_m: float
+    repair_bound_m: float
 
 
-def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deformed:
+def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> DeformationResult:
     """Refine the marked part, deform, refine the bends, deform again, and repair."""
     hierarchy = lod.build(mesh, cell_triangles=cell_triangles, root_triangles=cell_triangles // 4)
-    view = view_of(mesh)
-    front = lod.adjust(hierarchy.front(), urgency(hierarchy, view, handle.region, in_full=True), LIMIT)
+    view = make_view(mesh)
+    front = lod.adjust(
+        hierarchy.front(), compute_urgency(hierarchy, view, handle.region, in_full=True), MAX_TRIANGLES
+    )
     before = front.cut().mesh
-    deformed = as_rigid_as_possible(before, handle)
+    deformed = deform_as_rigid_as_possible(before, handle)
 
-    bend = bends(before, deformed)
-    bent = Bent(cKDTree(before.vertices), bend > MOST_BEND)
-    lod.adjust(front, urgency(hierarchy, view, bent), LIMIT)
+    bend = measure_bends(before, deformed)
+    bent = BentRegion(cKDTree(before.vertices), bend > MAX_BEND_DEG)
+    lod.adjust(front, compute_urgency(hierarchy, view, bent), MAX_TRIANGLES)
     finer = front.cut().mesh
-    adjusted = as_rigid_as_possible(finer, handle)
+    adjusted = deform_as_rigid_as_possible(finer, handle)
 
     edge = np.linalg.norm(np.diff(finer.vertices[finer.triangles[:, :2]], axis=1), axis=2)
-    repaired = repair(adjusted, corner_angle=LEAST_ANGLE, max_shape=0.25 * float(np.median(edge)))
-    return Deformed(
+    repaired = repair(adjusted, corner_angle=MIN_ANGLE_DEG, max_shape=0.25 * float(np.median(edge)))
+    return DeformationResult(
         before,
         deformed,
         adjusted,
         repaired.mesh,
-        (float(bend.max()), float(bends(finer, adjusted).max())),
-        (irregular(adjusted), irregular(repaired.mesh)),
+        (float(bend.max()), float(measure_bends(finer, adjusted).max())),
+        (count_irregular(adjusted), count_irregular(repaired.mesh)),
         repaired.bound_m,
     )
 
 
-def urgency(
+def compute_urgency(
     hierarchy: lod.Hierarchy, view: lod.View, region: Region, *, in_full: bool = False
-) -> measures.Weights:
+) -> refinement_measures.RefinementWeights:
     """Compute the paper's measures for a region, without the outline measure.
 
     Parameters
@@ -150,13 +152,13 @@ def urgency(
     found = lod.evaluate(hierarchy, view, region)
     nothing = np.zeros(hierarchy.nodes)
     marked = np.ceil(found.marked) if in_full else found.marked
-    local = measures.local_measure(found.frustum, nothing, found.error_px, marked)
+    local = refinement_measures.compute_local_measure(found.frustum, nothing, found.error_px, marked)
     for node in range(hierarchy.nodes - 1, 0, -1):
         local[hierarchy.parent[node]] = max(local[hierarchy.parent[node]], local[node])
     return replace(found, local=local)
 
 
-def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
+def deform_as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
     """Deform a mesh by moving its handle.
 
     Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
@@ -167,16 +169,16 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
         If no vertex is in the handle, or no vertex stays.
     """
     points = mesh.vertices
-    inside, held = handle.region.holds(points), handle.held(points)
-    if not inside.any() or not held.any():
+    is_handle, is_fixed = handle.region.contains(points), handle.mark_fixed(points)
+    if not is_handle.any() or not is_fixed.any():
         raise UsageError(
             MACHINE_BUG,
             "no vertex is within the radius of the handle, or none is beyond its reach. "
             "Change --center, --radius or --reach.",
         )
-    constrained = np.flatnonzero(inside | held)
-    goals = np.where(inside[:, None], handle.moved(points), points)[constrained]
-    o3d: Any = open3d()
+    constrained = np.flatnonzero(is_handle | is_fixed)
+    goals = np.where(is_handle[:, None], handle.move_points(points), points)[constrained]
+    o3d: Any = import_open3d()
     given = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(points), o3d.utility.Vector3iVector(mesh.triangles)
     )
@@ -186,7 +188,7 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
     return mesh.with_(vertices=np.asarray(found.vertices).copy())
 
 
-def bends(before: Mesh, after: Mesh) -> Floats:
+def measure_bends(before: Mesh, after: Mesh) -> Floats:
     """Compute the maximum change of the angle between triangles at each vertex (n,), degrees."""
     sides = np.concatenate([before.triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     triangle = np.tile(np.arange(len(before.triangles)), 3)
@@ -194,15 +196,16 @@ def bends(before: Mesh, after: Mesh) -> Floats:
     same = (np.sort(sides, axis=1)[order][1:] == np.sort(sides, axis=1)[order][:-1]).all(axis=1)
     first, second = order[:-1][same], order[1:][same]
     turned = np.abs(
-        angles(after, triangle[first], triangle[second]) - angles(before, triangle[first], triangle[second])
+        compute_normal_angles(after, triangle[first], triangle[second])
+        - compute_normal_angles(before, triangle[first], triangle[second])
     )
-    most = np.zeros(len(before.vertices))
+    max_bend = np.zeros(len(before.vertices))
     for corner in range(2):
-        np.maximum.at(most, sides[first, corner], turned)
-    return most
+        np.maximum.at(max_bend, sides[first, corner], turned)
+    return max_bend
 
 
-def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> Floats:
+def compute_normal_angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> Floats:
     """Compute angles (k,) between the normals of triangle pairs, degrees."""
     corners = mesh.vertices[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -211,13 +214,13 @@ def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> F
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-def irregular(mesh: Mesh) -> int:
+def count_irregular(mesh: Mesh) -> int:
     """Count the defects that repairs can remove: caps, needles, folds, spikes and the like."""
-    found = check(mesh, corner_angle=LEAST_ANGLE).figures()["classes"]
+    found = check(mesh, corner_angle=MIN_ANGLE_DEG).figures()["classes"]
     return sum(one["count"] for one in found.values() if one["treatment"] == "marking")
 
 
-def view_of(mesh: Mesh) -> lod.View:
+def make_view(mesh: Mesh) -> lod.View:
     """Return a small view of the whole mesh from the front, for low detail outside the region."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
@@ -225,7 +228,7 @@ def view_of(mesh: Mesh) -> lod.View:
     return lod.View(tuple(eye), tuple(middle), (0.0, 0.0, 1.0), 150, 150)
 
 
-def bar(around: int = 48, along: int = 90) -> Mesh:
+def make_bar(around: int = 48, along: int = 90) -> Mesh:
     """Make a grooved bar along z, 2 m long."""
     angle, height = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.linspace(0, 2, along))
     radius = 0.25 * (1 + 0.06 * np.sin(8 * angle + 3 * height) + 0.02 * np.sin(20 * height))
@@ -244,7 +247,7 @@ def bar(around: int = 48, along: int = 90) -> Mesh:
     return Mesh(vertices, np.concatenate([sides, *caps]).astype(np.int32))
 
 
-def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
+def render_steps(found: DeformationResult, along: str) -> NDArray[np.uint8]:
     """Render the four meshes side by side, with their triangles, along x or y, z up."""
     steps = (found.front, found.deformed, found.adjusted, found.repaired)
     points = np.concatenate([mesh.vertices for mesh in steps])
@@ -262,7 +265,7 @@ def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
     return np.hstack([render(mesh, viewpoint, shading="edges") for mesh in steps])
 
 
-def main(words: Sequence[str] | None = None) -> Deformed:
+def main(words: Sequence[str] | None = None) -> DeformationResult:
     """Deform, write meshes and picture, print a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("out", type=Path)
@@ -278,19 +281,19 @@ def main(words: Sequence[str] | None = None) -> Deformed:
     handle = Handle(
         tuple(given.center), given.radius, given.reach or 4 * given.radius, tuple(given.move), given.turn
     )
-    mesh = bar() if given.mesh is None else read_mesh(given.mesh)
+    mesh = make_bar() if given.mesh is None else read_mesh(given.mesh)
     found = deform(mesh, handle, cell_triangles=given.cell_triangles)
     given.out.mkdir(parents=True, exist_ok=True)
     for name in ("front", "deformed", "adjusted", "repaired"):
         write_mesh(given.out / f"{name}.ply", getattr(found, name))
-    write_png(given.out / "deform.png", picture(found, given.along))
+    write_png(given.out / "deform.png", render_steps(found, given.along))
     sys.stdout.write(
         f"triangles: {len(mesh.triangles):,}; front refined in the marked region: "
         f"{len(found.front.triangles):,}; adjusted to the bend: {len(found.adjusted.triangles):,}\n"
         f"largest bend between neighbours: {found.bends[0]:.1f}° before adjusting, {found.bends[1]:.1f}° "
         "after\n"
         f"irregular triangles: {found.irregular[0]:,} before repair, {found.irregular[1]:,} after; it "
-        f"moved the surface by at most {found.moved_m:.2g} m\n"
+        f"moved the surface by at most {found.repair_bound_m:.2g} m\n"
     )
     return found
 

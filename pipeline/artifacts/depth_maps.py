@@ -26,18 +26,18 @@ from scanloom.pipeline.stage import Artifact
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
-from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.prefetch import map_ordered
 from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
-from scanloom.stages.scans.model.threads import threads_to_use
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.stereo.completed_scan import completed_scan
+from scanloom.stages.scans.model.threads import get_thread_count
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.depth import DepthMap, depth_scan
+from scanloom.stages.stereo.depth_completion import completed_scan
 from scanloom.stages.stereo.views_depth import views_depth
 from scanloom.stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud of a scan: dense enough to inspect, small enough for any viewer (15 bytes per point).
 MAX_POINTS = 1_000_000
-_LARGEST = np.iinfo(np.uint16).max
+_MAX_UINT16 = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class DepthMaps(Artifact):
 
 
 @dataclass(frozen=True, eq=False)
-class _Written:
+class _WrittenFrame:
     frame: Frame
     points: NDArray[np.float32]
     colors: ColorImage
@@ -87,20 +87,20 @@ def write_depth_maps(
         (folder / name).mkdir()
     skipped: list[SkippedFrame] = []
     count = len(scan.frames)
-    budget = max(1, MAX_POINTS // max(1, count))
+    max_points = max(1, MAX_POINTS // max(1, count))
 
-    def usable() -> Iterator[tuple[int, Frame, DepthMap]]:
+    def iterate_usable() -> Iterator[tuple[int, Frame, DepthMap]]:
         for number, (frame, result) in enumerate(measured):
             if isinstance(result, SkippedFrame):
                 skipped.append(result)
             else:
                 yield number, frame, result
 
-    def write(item: tuple[int, Frame, DepthMap]) -> _Written:
-        return _write(folder, *item, budget)
+    def write(item: tuple[int, Frame, DepthMap]) -> _WrittenFrame:
+        return _write(folder, *item, max_points)
 
-    threads = threads_to_use()
-    written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
+    threads = get_thread_count()
+    written = list(map_ordered(write, iterate_usable(), threads=threads, max_pending=threads + 1))
     if not written:
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""
         raise InputError(
@@ -115,19 +115,19 @@ def write_depth_maps(
     return {
         "frames_used": len(written),
         "frames_skipped": [one.figures() for one in skipped],
-        **_summary([one.figures for one in written]),
+        **_average_metrics([one.figures for one in written]),
         "points": len(points),
     }
 
 
-def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: int) -> _Written:
-    scale = depth_scale(result.max_depth)
+def _write(folder: Path, number: int, frame: Frame, result: DepthMap, max_points: int) -> _WrittenFrame:
+    scale = choose_depth_scale(result.max_depth)
     raw = np.rint(result.depth * np.float32(scale))
-    raw[raw > _LARGEST] = 0
+    raw[raw > _MAX_UINT16] = 0
     name = f"{number:06d}.png"
     # A separate colour camera keeps its full photo; `result.color` only has colours at depth resolution.
     photo = frame.color if isinstance(frame.color, np.ndarray) else result.color
-    _write_png(folder / "color" / name, _grey_or_bgr(photo))
+    _write_png(folder / "color" / name, _to_grey_or_bgr(photo))
     _write_png(folder / "depth" / name, raw.astype(np.uint16))
     _write_png(folder / "confidence" / name, result.confidence)
     if isinstance(frame.mask, np.ndarray):
@@ -135,7 +135,7 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
         _write_png(folder / "mask" / name, frame.mask)
         frame = replace(frame, mask=folder / "mask" / name)
     if result.filled is not None:
-        # The confidence map lets users exclude filled-in depth: scan.least_confidence=2.
+        # The confidence map lets users exclude filled-in depth: scan.min_confidence=2.
         frame = replace(frame, confidence=folder / "confidence" / name)
     kept = replace(
         frame,
@@ -146,15 +146,17 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
         depth_missing=(),
         timestamp=None,
     )
-    return _Written(kept, *cloud_of(result.depth, result.color, frame, budget), result.figures())
+    return _WrittenFrame(
+        kept, *sample_point_cloud(result.depth, result.color, frame, max_points), result.figures()
+    )
 
 
-def depth_scale(max_depth: float) -> float:
+def choose_depth_scale(max_depth: float) -> float:
     """Choose the depth units per metre that use the full 16-bit range.
 
     `max_depth` is the largest depth to encode, in metres.
     """
-    scale = _LARGEST / max_depth
+    scale = _MAX_UINT16 / max_depth
     # Round to an integer if the loss is at most 1 %: other programs expect an integer scale.
     return float(math.floor(scale)) if scale >= 100 else scale
 
@@ -169,7 +171,7 @@ def _write_png(path: Path, image: NDArray[Any]) -> None:
     path.write_bytes(data.tobytes())
 
 
-def _grey_or_bgr(color: ColorImage) -> ColorImage:
+def _to_grey_or_bgr(color: ColorImage) -> ColorImage:
     """Convert an RGB image for PNG encoding.
 
     The result has one channel if all channels are equal, else BGR.
@@ -179,8 +181,8 @@ def _grey_or_bgr(color: ColorImage) -> ColorImage:
     return grey if is_grey else color[:, :, ::-1]
 
 
-def cloud_of(
-    depth: DepthImage, color: ColorImage, frame: Frame, budget: int
+def sample_point_cloud(
+    depth: DepthImage, color: ColorImage, frame: Frame, max_points: int
 ) -> tuple[NDArray[np.float32], ColorImage]:
     """Unproject an evenly spaced sample of a depth map to world coordinates.
 
@@ -189,14 +191,14 @@ def cloud_of(
     depth : (h, w) depth in metres, 0 is missing.
     color : (h, w, 3) colours.
     frame : camera and pose; without a pose, points stay in camera coordinates.
-    budget : maximum number of points.
+    max_points : maximum number of points.
 
     Returns
     -------
     Points (n, 3) in metres and colours (n, 3).
     """
     valid = np.flatnonzero(depth)
-    chosen = valid[:: max(1, math.ceil(len(valid) / budget))]
+    chosen = valid[:: max(1, math.ceil(len(valid) / max_points))]
     rows, columns = np.divmod(chosen, depth.shape[1])
     z = depth.ravel()[chosen].astype(np.float64)
     camera = frame.camera
@@ -206,7 +208,7 @@ def cloud_of(
     return points.astype(np.float32), color.reshape(-1, 3)[chosen]
 
 
-def _summary(figures: list[dict[str, Any]]) -> dict[str, Any]:
+def _average_metrics(figures: list[dict[str, Any]]) -> dict[str, Any]:
     """Aggregate per-frame metrics: the common value if all frames agree, else the mean."""
     summary = {}
     for name in figures[0]:

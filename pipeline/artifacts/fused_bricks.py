@@ -9,15 +9,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scanloom.pipeline.cache.digest import ScanDigest, digest, scan_digest
+from scanloom.pipeline.cache.digest import ScanDigest, compute_digest, compute_scan_digest
 from scanloom.pipeline.cache.entry import Recipe
 from scanloom.pipeline.stage import Context
-from scanloom.stages.fusion.bricks import Cube
+from scanloom.stages.fusion.bricks import BlockCube
 from scanloom.stages.scans.model.scan import Scan
 
 
-class KeptBricks:
-    """Store of fused bricks in the pipeline cache; see scanloom.stages.fusion.in_bricks.
+class CachedBrickStore:
+    """Store of fused bricks in the pipeline cache; see scanloom.stages.fusion.brick_fusion.
 
     Parameters
     ----------
@@ -33,16 +33,16 @@ class KeptBricks:
         self._scan = scan
         self._versions = dict(versions)
         self._libraries = dict(libraries)
-        self._known: ScanDigest | None = None
-        self._frames: list[str] = []
+        self._scan_digest: ScanDigest | None = None
+        self._frame_digests: list[str] = []
 
-    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
+    def get(self, brick: BlockCube, frames: Sequence[int], inputs: Mapping[str, Any]) -> Path | None:
         """Look up a brick fused from the same inputs, and return its folder."""
-        entry = self._context.get(self._recipe(brick, frames, decided))
+        entry = self._context.get(self._make_recipe(brick, frames, inputs))
         return None if entry is None else entry.folder
 
     def store(
-        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+        self, brick: BlockCube, frames: Sequence[int], inputs: Mapping[str, Any], make: Callable[[Path], None]
     ) -> Path:
         """Write a brick into a new cache entry and return its folder.
 
@@ -52,33 +52,33 @@ class KeptBricks:
             If a file of the frames changed since its digest was computed.
         """
 
-        def made(folder: Path) -> Mapping[str, Any]:
+        def write_brick(folder: Path) -> Mapping[str, Any]:
             make(folder)
-            self._digest().require_unchanged(self._scan.frames[number] for number in frames)
+            self._get_scan_digest().require_unchanged(self._scan.frames[number] for number in frames)
             return {"figures": {}, "made": {}}
 
-        return self._context.store(self._recipe(brick, frames, decided), made).folder
+        return self._context.store(self._make_recipe(brick, frames, inputs), write_brick).folder
 
-    def _recipe(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Recipe:
+    def _make_recipe(self, brick: BlockCube, frames: Sequence[int], inputs: Mapping[str, Any]) -> Recipe:
         return Recipe(
             "brick",
             self._versions,
-            params={"fusion": dict(decided), "brick": {"level": brick.level, "number": str(brick.number)}},
-            inputs={"frames": digest([self._digests()[number] for number in frames])},
+            params={"fusion": dict(inputs), "brick": {"level": brick.level, "number": str(brick.index)}},
+            inputs={"frames": compute_digest([self._get_frame_digests()[number] for number in frames])},
             libraries=self._libraries,
         )
 
-    def _digest(self) -> ScanDigest:
+    def _get_scan_digest(self) -> ScanDigest:
         """Compute the digest of the scan on first use."""
-        if self._known is None:
-            self._known = scan_digest(self._scan)
-        return self._known
+        if self._scan_digest is None:
+            self._scan_digest = compute_scan_digest(self._scan)
+        return self._scan_digest
 
-    def _digests(self) -> list[str]:
+    def _get_frame_digests(self) -> list[str]:
         """Return the content digest of each frame."""
-        if not self._frames:
-            parts = self._digest().parts
-            self._frames = [
+        if not self._frame_digests:
+            parts = self._get_scan_digest().parts
+            self._frame_digests = [
                 parts[f"frame {number} ({frame.name})"] for number, frame in enumerate(self._scan.frames)
             ]
-        return self._frames
+        return self._frame_digests

@@ -13,11 +13,11 @@ import numpy as np
 
 from scanloom.pipeline.stage import Artifact
 from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.surface.chunked_mesh import ChunkedMesh, wrap_large_mesh
+from scanloom.stages.surface.chunked_ply import MAX_IN_MEMORY_TRIANGLES, ChunkedPly, make_table_path
 from scanloom.stages.surface.codes import FUSE_TOO_LARGE
 from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
-from scanloom.stages.surface.piecewise import Piecewise, piecewise
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ class MeshFile(Artifact):
     @property
     def is_large(self) -> bool:
         """True if the mesh exceeds the in-memory limit and must be processed in chunks."""
-        return table_of(self.path).exists()
+        return make_table_path(self.path).exists()
 
     @property
     def triangle_count(self) -> int:
         """Return the number of triangles of a large mesh."""
-        return Pieces(self.path).triangle_count
+        return ChunkedPly(self.path).triangle_count
 
     def load(self) -> Mesh:
         """Load a mesh that fits in memory."""
         return read_ply(self.path)
 
-    def load_whole(self, stage: str) -> Mesh:
+    def load_in_memory(self, stage: str) -> Mesh:
         """Load the mesh for a stage that cannot process chunks.
 
         Raises
@@ -69,27 +69,27 @@ class MeshFile(Artifact):
                 stage=stage,
                 file=self.FILE,
                 triangle_count=self.triangle_count,
-                most_at_once=MOST_AT_ONCE,
+                most_at_once=MAX_IN_MEMORY_TRIANGLES,
             )
         return self.load()
 
-    def load_surface(self) -> Mesh | Piecewise:
+    def load_surface(self) -> Mesh | ChunkedMesh:
         """Load the mesh, as chunks if it exceeds the in-memory limit."""
-        return Piecewise(Pieces(self.path)) if self.is_large else self.load()
+        return ChunkedMesh(ChunkedPly(self.path)) if self.is_large else self.load()
 
-    def load_in_parts(self) -> Mesh | Piecewise:
+    def load_in_chunks(self) -> Mesh | ChunkedMesh:
         """Load the mesh, as chunks if that saves memory."""
-        return Piecewise(Pieces(self.path)) if self.is_large else piecewise(self.load())
+        return ChunkedMesh(ChunkedPly(self.path)) if self.is_large else wrap_large_mesh(self.load())
 
-    def load_sample(self) -> Mesh:
+    def load_subsampled(self) -> Mesh:
         """Load the mesh, evenly subsampling its triangles if it exceeds the in-memory limit."""
         if not self.is_large:
             return self.load()
-        pieces = Pieces(self.path)
-        step = -(-pieces.triangle_count // MOST_AT_ONCE)
+        pieces = ChunkedPly(self.path)
+        step = -(-pieces.triangle_count // MAX_IN_MEMORY_TRIANGLES)
         vertices, triangles, count = [], [], 0
         for number in range(len(pieces)):
-            mesh = pieces.part(number).mesh
+            mesh = pieces.read_chunk(number).mesh
             used, local = np.unique(mesh.triangles[::step], return_inverse=True)
             vertices.append(mesh.vertices[used])
             triangles.append((local.reshape(-1, 3) + count).astype(np.int32))

@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.pipeline.artifacts.depth_maps import cloud_of
-from scanloom.pipeline.own_paths import from_folder
+from scanloom.pipeline.artifacts.depth_maps import sample_point_cloud
+from scanloom.pipeline.relative_paths import make_paths_relative
 from scanloom.pipeline.stage import Artifact
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.image_bytes import encoded_gray_png
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.files.image_bytes import encode_gray_png
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.frames.rigid_pose import require_rigid_pose
-from scanloom.stages.registration.registered import Registration
+from scanloom.stages.registration.registration_result import Registration
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import ColorImage, Frame, Scan
-from scanloom.stages.scans.trajectory.files import write_tum
+from scanloom.stages.scans.trajectory.trajectory_formats import write_tum
 from scanloom.stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud: enough to judge the poses visually.
@@ -52,74 +52,76 @@ class Poses(Artifact):
     def apply_to(self, scan: Scan) -> Scan:
         """Apply the estimated poses to a scan, dropping frames without a pose."""
         document = self._read()
-        return self._with_poses(scan, document["poses"], document)
+        return self._apply_poses(scan, document["poses"], document)
 
-    def load_separate(self, scan: Scan) -> dict[int, Scan]:
+    def load_separate_components(self, scan: Scan) -> dict[int, Scan]:
         """Load the connected components that are separate from the main one, by number."""
         document = self._read()
         return {
-            int(number): self._with_poses(scan, poses, document)
+            int(number): self._apply_poses(scan, poses, document)
             for number, poses in document["apart"].items()
         }
 
     def _read(self) -> Any:
         return json.loads((self.folder / _FILE).read_text(encoding="utf-8"))
 
-    def _with_poses(self, scan: Scan, poses: Mapping[str, Any], document: Mapping[str, Any]) -> Scan:
+    def _apply_poses(self, scan: Scan, poses: Mapping[str, Any], document: Mapping[str, Any]) -> Scan:
         frames = []
         focal = document.get("focal_px")
         for index, pose in poses.items():
             frame = replace(scan.frames[int(index)], world_from_camera=np.array(pose))
             if focal is not None:
                 frame = replace(frame, camera=replace(frame.camera, fx=focal, fy=focal, is_guess=False))
-            mask = self.folder / _MASKS / _mask_name(int(index))
+            mask = self.folder / _MASKS / _make_mask_name(int(index))
             # The stored mask already includes the frame's input mask.
             frames.append(replace(frame, mask=mask) if mask.exists() else frame)
         # The new world frame is the camera frame of the first frame, so an input up direction is invalid.
         return replace(scan, frames=frames, missing=(), up=None)
 
 
-def write_poses(folder: Path, found: Registration, scan_folder: Path | None = None) -> Mapping[str, Any]:
+def write_poses(
+    folder: Path, registration: Registration, scan_folder: Path | None = None
+) -> Mapping[str, Any]:
     """Write a registration into an empty folder and return its metrics.
 
     Paths in texts are made relative to the scan folder.
     """
-    used = dict(zip(found.places, found.frames, strict=True))
+    used = dict(zip(registration.frame_indices, registration.frames, strict=True))
     _write_trajectory(folder / "trajectory.tum", used)
-    others = {number: frames for number, frames in found.apart.items() if len(frames) > 1}
+    others = {number: frames for number, frames in registration.other_pieces.items() if len(frames) > 1}
     if others:
         (folder / "pieces").mkdir()
     for number, frames in others.items():
         _write_trajectory(folder / "pieces" / f"trajectory-{number}.tum", frames)
-    if found.subject == "object":
+    if registration.subject == "object":
         _write_masks(folder / _MASKS, used)
         for frames in others.values():
             _write_masks(folder / _MASKS, frames)
     document = {
-        "subject": found.subject,
-        "focal_px": found.focal and found.focal.focal_px,
-        "poses": _by_place(used),
-        "apart": {str(number): _by_place(frames) for number, frames in others.items()},
-        "pieces": [list(piece) for piece in found.pieces],
-        "edges": [dict(edge) for edge in found.edges],
-        "breaks": [{"frame": one.name, "reason": one.reason} for one in found.breaks],
-        "skipped": [{"frame": one.name, "reason": one.reason} for one in found.skipped],
+        "subject": registration.subject,
+        "focal_px": registration.focal_estimate and registration.focal_estimate.focal_px,
+        "poses": _format_poses(used),
+        "apart": {str(number): _format_poses(frames) for number, frames in others.items()},
+        "pieces": [list(piece) for piece in registration.pieces],
+        "edges": [dict(edge) for edge in registration.edges],
+        "breaks": [{"frame": one.name, "reason": one.reason} for one in registration.breaks],
+        "skipped": [{"frame": one.name, "reason": one.reason} for one in registration.skipped],
     }
-    text = json.dumps(from_folder(document, scan_folder), indent=1)
+    text = json.dumps(make_paths_relative(document, scan_folder), indent=1)
     (folder / _FILE).write_text(text + "\n", encoding="utf-8", newline="\n")
-    write_ply_cloud(folder / "path.ply", *_cloud(found.frames))
-    return found.figures()
+    write_ply_cloud(folder / "path.ply", *_make_path_cloud(registration.frames))
+    return registration.figures()
 
 
 def _write_masks(folder: Path, frames: Mapping[int, Frame]) -> None:
     folder.mkdir(exist_ok=True)
     for place, frame in frames.items():
         if isinstance(frame.mask, np.ndarray):
-            (folder / _mask_name(place)).write_bytes(encoded_gray_png(frame.mask))
+            (folder / _make_mask_name(place)).write_bytes(encode_gray_png(frame.mask))
 
 
-def _mask_name(place: int) -> str:
-    return f"{place:06d}.png"
+def _make_mask_name(frame_index: int) -> str:
+    return f"{frame_index:06d}.png"
 
 
 def _write_trajectory(path: Path, frames: Mapping[int, Frame]) -> None:
@@ -127,11 +129,11 @@ def _write_trajectory(path: Path, frames: Mapping[int, Frame]) -> None:
     write_tum(path, times, [require_rigid_pose(frame) for frame in frames.values()])
 
 
-def _by_place(frames: Mapping[int, Frame]) -> dict[str, Any]:
+def _format_poses(frames: Mapping[int, Frame]) -> dict[str, Any]:
     return {str(place): require_rigid_pose(frame).tolist() for place, frame in frames.items()}
 
 
-def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:
+def _make_path_cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:
     points, colors = [], []
     for frame in frames:
         try:
@@ -141,11 +143,11 @@ def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:
             shown = (
                 np.full((*depth.shape, 3), 160, np.uint8)
                 if frame.color is None
-                else read_matching_color(frame, depth)
+                else read_color_aligned_to_depth(frame, depth)
             )
         except InputError:
             continue
-        some, their = cloud_of(depth, shown, frame, max(1, _MAX_POINTS // len(frames)))
+        some, their = sample_point_cloud(depth, shown, frame, max(1, _MAX_POINTS // len(frames)))
         points.append(some)
         colors.append(their)
     centres = np.array([pose[:3, 3] for frame in frames if (pose := frame.world_from_camera) is not None])

@@ -11,14 +11,14 @@ S = TypeVar("S")
 
 
 @dataclass(frozen=True)
-class Needs:
+class JobNeeds:
     """Expected memory and disk use of a job, in bytes."""
 
     memory: int
     disk: int
 
 
-class Admission(Generic[S]):
+class AdmissionControl(Generic[S]):
     """First-in-first-out admission of jobs by expected memory.
 
     A job that exceeds the total memory still runs, alone, because the expectation may be wrong. Jobs never
@@ -35,14 +35,14 @@ class Admission(Generic[S]):
         self._memory = memory
         self._disk = disk
         self._is_limit = is_limit
-        self._waiting: deque[tuple[S, Needs]] = deque()
-        self._running: list[tuple[S, Needs]] = []
+        self._waiting: deque[tuple[S, JobNeeds]] = deque()
+        self._running: list[tuple[S, JobNeeds]] = []
 
-    def ask(self, who: S, needs: Needs) -> None:
+    def enqueue(self, slot: S, needs: JobNeeds) -> None:
         """Queue a job for admission."""
-        self._waiting.append((who, needs))
+        self._waiting.append((slot, needs))
 
-    def admitted(self) -> Iterator[tuple[S, dict[str, Any]]]:
+    def pop_admissible(self) -> Iterator[tuple[S, dict[str, Any]]]:
         """Yield the jobs that may start now, each with its limits.
 
         The limits are a dict with `memory` and `disk` in bytes; None for no limit.
@@ -63,9 +63,9 @@ class Admission(Generic[S]):
                 },
             )
 
-    def leave(self, who: S, written: int) -> None:
+    def remove_job(self, slot: S, written_bytes: int) -> None:
         """Remove a finished job and deduct the bytes it wrote from the disk budget."""
-        self._waiting = deque(one for one in self._waiting if one[0] is not who)
-        self._running = [one for one in self._running if one[0] is not who]
+        self._waiting = deque(one for one in self._waiting if one[0] is not slot)
+        self._running = [one for one in self._running if one[0] is not slot]
         if self._disk is not None:
-            self._disk -= written
+            self._disk -= written_bytes

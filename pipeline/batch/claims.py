@@ -14,11 +14,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.input_files import read_input_text
 
 RELEASED, KILLED, CRASHED = "released", "killed", "crashed"
-_AT = "at "
-_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+_STAGE_PREFIX = "at "
+_EXCLUSIVE_CREATE = (
+    os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+)
 
 
 @dataclass(frozen=True)
@@ -35,13 +37,13 @@ class Claim:
     attempt: int
 
     @property
-    def next(self) -> Claim:
+    def successor(self) -> Claim:
         """Claim that takes over this job."""
         return Claim(self.number, self.attempt + 1)
 
 
 @dataclass(frozen=True)
-class Said:
+class ClaimContent:
     """Content of a claim file.
 
     Attributes
@@ -76,9 +78,9 @@ class Claims:
         OSError
             If the folder cannot be written to.
         """
-        path = self._path(claim)
+        path = self._get_path(claim)
         try:
-            descriptor = os.open(path, _FLAGS, 0o666)
+            descriptor = os.open(path, _EXCLUSIVE_CREATE, 0o666)
         except FileExistsError:
             return False
         try:
@@ -93,51 +95,51 @@ class Claims:
 
     def is_lost(self, claim: Claim) -> bool:
         """Return True if another worker has taken over the job of a claim."""
-        return os.path.lexists(self._path(claim.next))
+        return os.path.lexists(self._get_path(claim.successor))
 
-    def at(self, claim: Claim, stage: str) -> None:
+    def record_stage(self, claim: Claim, stage: str) -> None:
         """Record in a claim that a stage started."""
-        self._append(claim, f"{_AT}{stage}")
+        self._append(claim, f"{_STAGE_PREFIX}{stage}")
 
-    def end(self, claim: Claim, how: str) -> None:
+    def record_end(self, claim: Claim, ending: str) -> None:
         """Record in a claim that the attempt ended without a result."""
-        self._append(claim, how)
+        self._append(claim, ending)
 
-    def latest(self) -> dict[int, Claim]:
+    def list_latest(self) -> dict[int, Claim]:
         """List the folder once and return the last attempt of each claimed job."""
         found: dict[int, Claim] = {}
         with os.scandir(self._folder) as names:
             for one in names:
-                claim = _claim(one.name)
+                claim = _parse_claim(one.name)
                 if claim is not None and claim.attempt >= found.get(claim.number, claim).attempt:
                     found[claim.number] = claim
         return found
 
-    def said(self, claim: Claim) -> Said:
+    def read_claim(self, claim: Claim) -> ClaimContent:
         """Read the content of a claim file; empty if it cannot be read."""
         try:
-            lines = text_in(self._path(claim), "utf-8").splitlines()
+            lines = read_input_text(self._get_path(claim), "utf-8").splitlines()
         except (OSError, UnicodeDecodeError):
             lines = []
         worker, rest = (lines[0], lines[1:]) if lines else ("", [])
-        stages = [line.removeprefix(_AT) for line in rest if line.startswith(_AT)]
+        stages = [line.removeprefix(_STAGE_PREFIX) for line in rest if line.startswith(_STAGE_PREFIX)]
         ends = [line for line in rest if line in (RELEASED, KILLED, CRASHED)]
-        return Said(worker, stages[-1] if stages else "", ends[0] if ends else None)
+        return ClaimContent(worker, stages[-1] if stages else "", ends[0] if ends else None)
 
-    def tries(self, claim: Claim) -> list[Said]:
+    def read_attempts(self, claim: Claim) -> list[ClaimContent]:
         """Read all attempts of a job up to a claim, without released ones."""
-        said = [self.said(Claim(claim.number, attempt)) for attempt in range(claim.attempt + 1)]
+        said = [self.read_claim(Claim(claim.number, attempt)) for attempt in range(claim.attempt + 1)]
         return [one for one in said if one.end != RELEASED]
 
     def _append(self, claim: Claim, line: str) -> None:
-        with self._path(claim).open("a", encoding="utf-8", newline="\n") as file:
+        with self._get_path(claim).open("a", encoding="utf-8", newline="\n") as file:
             file.write(f"{line}\n")
 
-    def _path(self, claim: Claim) -> Path:
+    def _get_path(self, claim: Claim) -> Path:
         return self._folder / f"{claim.number:06d}.{claim.attempt}"
 
 
-def _claim(name: str) -> Claim | None:
+def _parse_claim(name: str) -> Claim | None:
     number, _, attempt = name.partition(".")
     is_claim = all(part.isascii() and part.isdigit() for part in (number, attempt))
     return Claim(int(number), int(attempt)) if is_claim else None

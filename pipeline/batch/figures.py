@@ -8,9 +8,9 @@ from typing import Any
 from scanloom.pipeline.run.run import RunResult
 
 # Main result files, best first.
-_RESULTS = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply", "fused.ply")
+_RESULT_FILES = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply", "fused.ply")
 # Mesh whose overview picture represents the run, best first.
-_DRAWN = ("textured", "simplified", "clean", "fused")
+_PICTURE_MESHES = ("textured", "simplified", "clean", "fused")
 
 
 def figures_of(result: RunResult) -> dict[str, Any]:
@@ -28,34 +28,36 @@ def figures_of(result: RunResult) -> dict[str, Any]:
         "voxel_size_m": of_fuse.get("voxel_size_m"),
         "triangles": mesh["triangles"] if mesh else None,
         "manifold": mesh["manifold"] if mesh else None,
-        "off_fused_rms_m": mesh["to_fused"]["distance"]["b_to_a"]["rms_m"] if mesh else None,
+        "fused_distance_rms_m": mesh["to_fused"]["distance"]["b_to_a"]["rms_m"] if mesh else None,
         "held_out_psnr_db": held_out["psnr_affine_db"] if held_out and held_out["photos"] else None,
         "stages_cached": sum(one.cached for one in result.stages),
         "stages": len(result.stages),
-        "made_in_s": round(sum(float(one.made["seconds"]) for one in result.stages), 1),
-        "peak_memory_mb": round(max(float(one.made["peak_memory_bytes"]) for one in result.stages) / 1e6),
-        "result": next((name for name in _RESULTS if name in placed), None),
+        "compute_seconds": round(sum(float(one.compute_cost["seconds"]) for one in result.stages), 1),
+        "peak_memory_mb": round(
+            max(float(one.compute_cost["peak_memory_bytes"]) for one in result.stages) / 1e6
+        ),
+        "result": next((name for name in _RESULT_FILES if name in placed), None),
         "page": None if result.page is None else result.page.name,
-        "picture": _picture(report["pictures"]) or _photo(placed),
+        "picture": _choose_picture(report["pictures"]) or _choose_photo(placed),
     }
 
 
-def _picture(drawn: Sequence[str]) -> str | None:
+def _choose_picture(drawn: Sequence[str]) -> str | None:
     """Choose the picture that represents a run, relative to the output folder."""
-    for mesh in _DRAWN:
+    for mesh in _PICTURE_MESHES:
         of_mesh = [name for name in drawn if name.startswith(f"pictures/{mesh}-")]
         if of_mesh:
             return next((name for name in of_mesh if name.endswith("-overview.png")), of_mesh[0])
     return None
 
 
-def _photo(placed: Collection[str]) -> str | None:
+def _choose_photo(placed: Collection[str]) -> str | None:
     """Choose the middle photo of a scan, for a run without pictures."""
     photos = sorted(name for name in placed if name.startswith("pictures/photos/"))
     return photos[len(photos) // 2] if photos else None
 
 
-def written_by(result: RunResult) -> int:
+def count_written_bytes(result: RunResult) -> int:
     """Return the bytes written by a run.
 
     New cache entries count twice, because they are copied to the output folder.

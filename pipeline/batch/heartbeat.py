@@ -18,17 +18,17 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.input_files import read_input_text
 
 _SUFFIX = ".alive"
 _ENDED = "ended"
 # Beats per `take_over_after`, and the maximum seconds between two beats.
-_BEATS, _LONGEST = 8, 2.0
+_BEATS_PER_TIMEOUT, _MAX_INTERVAL = 8, 2.0
 # Minimum number of missed beats before a worker is presumed dead, whatever timeout the observer uses.
-_MISSED = 4
+_MIN_MISSED_BEATS = 4
 
 
-def name_of_worker() -> str:
+def create_worker_name() -> str:
     """Generate a worker name that is unique across machines."""
     host = re.sub(r"[^A-Za-z0-9-]", "-", socket.gethostname())[:40] or "host"
     return f"{host}-{os.getpid()}-{secrets.token_hex(3)}"
@@ -48,9 +48,9 @@ class Heartbeat:
 
     def __init__(self, folder: Path, worker: str, take_over_after: float) -> None:
         self._path = folder / f"{worker}{_SUFFIX}"
-        self.every = min(take_over_after / _BEATS, _LONGEST)
+        self.interval = min(take_over_after / _BEATS_PER_TIMEOUT, _MAX_INTERVAL)
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        self._thread = threading.Thread(target=self._run_beats, name="heartbeat", daemon=True)
 
     def __enter__(self) -> Heartbeat:
         self._write(0)
@@ -65,9 +65,9 @@ class Heartbeat:
         with contextlib.suppress(OSError):
             self._path.write_text(f"{_ENDED}\n", encoding="utf-8")
 
-    def _beat(self) -> None:
+    def _run_beats(self) -> None:
         count = 0
-        while not self._stop.wait(self.every):
+        while not self._stop.wait(self.interval):
             count += 1
             # A full or missing disk may recover before the next beat; otherwise others take over.
             with contextlib.suppress(OSError):
@@ -77,12 +77,12 @@ class Heartbeat:
         # Constant length: overwriting in place works on a full disk, too.
         descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            os.write(descriptor, f"{count:012d} beats, one each {self.every:09.3f} s\n".encode())
+            os.write(descriptor, f"{count:012d} beats, one each {self.interval:09.3f} s\n".encode())
         finally:
             os.close(descriptor)
 
 
-class Watch:
+class HeartbeatObserver:
     """Observer of heartbeats: measures for how long each worker has been silent.
 
     Parameters
@@ -97,17 +97,17 @@ class Watch:
         # Last content of each heartbeat file, and the time it was first seen.
         self._seen: dict[str, tuple[str, float]] = {}
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Read the heartbeats of all workers."""
         for path in self._folder.glob(f"*{_SUFFIX}"):
-            self._note(path.name.removesuffix(_SUFFIX))
+            self._update(path.name.removesuffix(_SUFFIX))
 
-    def silence(self, worker: str) -> float:
+    def get_silence(self, worker: str) -> float:
         """Return the seconds since the last observed beat of a worker.
 
         The result is infinite if the worker ended.
         """
-        said, since = self._note(worker)
+        said, since = self._update(worker)
         return math.inf if said == _ENDED else self._clock() - since
 
     def is_dead(self, worker: str, after: float) -> bool:
@@ -115,22 +115,22 @@ class Watch:
 
         A worker is presumed dead after `after` seconds of silence, and at least several missed beats.
         """
-        said, _ = self._note(worker)
+        said, _ = self._update(worker)
         every = re.search(r"one each ([0-9.]+) s", said)
-        return self.silence(worker) > max(after, _MISSED * float(every[1]) if every else 0.0)
+        return self.get_silence(worker) > max(after, _MIN_MISSED_BEATS * float(every[1]) if every else 0.0)
 
-    def said(self, worker: str) -> str:
+    def read_heartbeat(self, worker: str) -> str:
         """Read the heartbeat file of a worker."""
-        return self._note(worker)[0]
+        return self._update(worker)[0]
 
-    def living(self) -> list[str]:
+    def list_living(self) -> list[str]:
         """Return the workers that have not recorded their end."""
-        self.look()
+        self.refresh()
         return [worker for worker, (said, _) in self._seen.items() if said != _ENDED]
 
-    def _note(self, worker: str) -> tuple[str, float]:
+    def _update(self, worker: str) -> tuple[str, float]:
         try:
-            said = text_in(self._folder / f"{worker}{_SUFFIX}", "utf-8").strip()
+            said = read_input_text(self._folder / f"{worker}{_SUFFIX}", "utf-8").strip()
         except (OSError, UnicodeDecodeError):
             said = ""
         if worker not in self._seen or self._seen[worker][0] != said:

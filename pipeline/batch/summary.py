@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.batch.claims import Claims
-from scanloom.pipeline.batch.queue import Queue
-from scanloom.pipeline.batch.records import DONE, RUNNING, UNUSABLE, WAITING, Record, Records
+from scanloom.pipeline.batch.job_queue import BatchQueue
+from scanloom.pipeline.batch.job_records import DONE, RUNNING, UNUSABLE, WAITING, JobRecord, JobRecords
 
-CSV, PARQUET = "batch.csv", "batch.parquet"
+CSV_FILE, PARQUET_FILE = "batch.csv", "batch.parquet"
 # Columns of a row with their types; metrics are named as in `scanloom.pipeline.batch.figures`.
-_TOLD: Mapping[str, type] = {
+_RECORD_COLUMNS: Mapping[str, type] = {
     "scan": str,
     "state": str,
     "reason": str,
@@ -32,21 +32,21 @@ _FIGURES: Mapping[str, type] = {
     "voxel_size_m": float,
     "triangles": int,
     "manifold": bool,
-    "off_fused_rms_m": float,
+    "fused_distance_rms_m": float,
     "held_out_psnr_db": float,
     "stages_cached": int,
     "stages": int,
-    "made_in_s": float,
+    "compute_seconds": float,
     "peak_memory_mb": int,
     "result": str,
     "page": str,
     "picture": str,
 }
-COLUMNS: Mapping[str, type] = {**_TOLD, **_FIGURES}
+COLUMNS: Mapping[str, type] = {**_RECORD_COLUMNS, **_FIGURES}
 
 
 @dataclass(frozen=True)
-class Summary:
+class BatchSummary:
     """Outcomes of all scans of a batch.
 
     Attributes
@@ -57,7 +57,7 @@ class Summary:
     """
 
     out: Path
-    records: tuple[Record, ...]
+    records: tuple[JobRecord, ...]
     folders: tuple[str, ...]
 
     @property
@@ -72,7 +72,7 @@ class Summary:
         return not {WAITING, RUNNING} & {one.state for one in self.records}
 
     @property
-    def not_done(self) -> list[Record]:
+    def not_done(self) -> list[JobRecord]:
         """Records of ended jobs whose state is not DONE."""
         return [one for one in self.records if one.state not in (DONE, WAITING, RUNNING)]
 
@@ -81,7 +81,7 @@ class Summary:
         """True if no scan of the batch is usable."""
         return bool(self.records) and all(one.state == UNUSABLE for one in self.records)
 
-    def rows(self) -> list[dict[str, Any]]:
+    def make_rows(self) -> list[dict[str, Any]]:
         """Return one row per scan, with the keys of `COLUMNS`; None for unknown values."""
         return [
             {
@@ -102,37 +102,37 @@ class Summary:
         """Return the JSON-ready summary."""
         told = [
             {**row, "diagnostics": [told.figures() for told in one.diagnostics]}
-            for row, one in zip(self.rows(), self.records, strict=True)
+            for row, one in zip(self.make_rows(), self.records, strict=True)
         ]
         return {"out": str(self.out), "scans": told, "counts": self.counts}
 
 
-def summary_of(queue: Queue) -> Summary:
+def summarize_batch(queue: BatchQueue) -> BatchSummary:
     """Read the current summary of a batch."""
-    records = Records(queue.folder / "done")
-    ended = {one.number: one for one in records.read(records.ended().values())}
-    begun = Claims(queue.folder / "claims", "").latest()
+    records = JobRecords(queue.folder / "done")
+    ended = {one.number: one for one in records.read_records(records.list_ended().values())}
+    begun = Claims(queue.folder / "claims", "").list_latest()
     jobs = {job.number: job for job in queue.jobs}
     found, folders = [], []
     for number in queue.numbers:
         job = jobs.get(number)
         name = f"job {number}" if job is None else job.name
         state = RUNNING if number in begun else WAITING
-        found.append(ended.get(number, Record(number, name, state)))
-        folders.append("" if job is None else str(queue.scan_of(job)))
-    return Summary(queue.out, tuple(found), tuple(folders))
+        found.append(ended.get(number, JobRecord(number, name, state)))
+        folders.append("" if job is None else str(queue.get_scan_path(job)))
+    return BatchSummary(queue.out, tuple(found), tuple(folders))
 
 
-def csv_of(rows: Sequence[Mapping[str, Any]]) -> bytes:
+def format_csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
     """Format rows as UTF-8 CSV with a header; unknown values are empty."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, [*COLUMNS], lineterminator="\n")
     writer.writeheader()
-    writer.writerows({name: _plain(row[name]) for name in COLUMNS} for row in rows)
+    writer.writerows({name: _to_csv_value(row[name]) for name in COLUMNS} for row in rows)
     return text.getvalue().encode()
 
 
-def parquet_of(rows: Sequence[Mapping[str, Any]]) -> bytes | None:
+def format_parquet(rows: Sequence[Mapping[str, Any]]) -> bytes | None:
     """Format rows as a Parquet file; None if pyarrow (extra `batch`) is not installed."""
     try:
         import pyarrow
@@ -150,5 +150,5 @@ def parquet_of(rows: Sequence[Mapping[str, Any]]) -> bytes | None:
     return bytes(sink.getvalue().to_pybytes())
 
 
-def _plain(value: Any) -> Any:
+def _to_csv_value(value: Any) -> Any:
     return str(value).lower() if isinstance(value, bool) else value

@@ -6,14 +6,14 @@ import re
 from dataclasses import dataclass
 
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 # Decimal units, as disks are sold and as `scanloom cache ls` prints sizes.
 _UNITS = {"kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
 # Megabytes, i.e. 100 TB: a larger number without a unit is meant in bytes.
-_BYTES_MEANT = 1e8
+_MAX_MEGABYTES_WITHOUT_UNIT = 1e8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,17 +30,17 @@ class CacheParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.max_size is not None:
-            bytes_of(self.max_size, "max_size")
+            parse_size(self.max_size, "max_size")
 
     @property
     def max_bytes(self) -> int | None:
         """Size limit in bytes; None for no limit."""
-        return None if self.max_size is None else bytes_of(self.max_size, "max_size")
+        return None if self.max_size is None else parse_size(self.max_size, "max_size")
 
 
-def bytes_of(text: str, name: str) -> int:
+def parse_size(text: str, name: str) -> int:
     """Parse a size like `20 GB` to bytes.
 
     A number without a unit is in MB.
@@ -52,11 +52,11 @@ def bytes_of(text: str, name: str) -> int:
     """
     found = re.fullmatch(r"\s*(\d{1,12}(?:\.\d{1,12})?)\s*([kmgt]b)?\s*", text, re.ASCII | re.IGNORECASE)
     # Reject huge numbers without a unit: they are meant in bytes, and as MB would be no limit at all.
-    if found is None or (not found[2] and float(found[1]) >= _BYTES_MEANT):
+    if found is None or (not found[2] and float(found[1]) >= _MAX_MEGABYTES_WITHOUT_UNIT):
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {text!r}; it must be a size such as 500 MB, 20 GB or 1.5 TB.",
-            Where(parameter=name),
+            DiagnosticLocation(parameter=name),
             text=text[:40],
         )
     return round(float(found[1]) * _UNITS[(found[2] or "mb").lower()])

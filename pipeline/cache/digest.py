@@ -18,25 +18,25 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.pipeline.own_paths import from_there, home
+from scanloom.pipeline.relative_paths import get_base_folder, get_relative_path
 from scanloom.stages.diagnostics.codes import MACHINE_BUSY
 from scanloom.stages.diagnostics.errors import StageError
-from scanloom.stages.files.opening import opened
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.scans.model.prefetch import read_ahead
-from scanloom.stages.scans.model.scan import Frame, Packed, Scan
-from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.files.input_files import open_input
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.scans.model.prefetch import map_ordered
+from scanloom.stages.scans.model.scan import Frame, PackedImage, Scan
+from scanloom.stages.scans.model.threads import get_thread_count
 
-# Fields excluded from the frame digest, because most stages ignore them; see `label_digests`.
-_DIGESTED_APART = frozenset({"name", "timestamp", "up"})
-_BLOCK = 1 << 20
+# Fields excluded from the frame digest, because most stages ignore them; see `compute_label_digests`.
+_LABEL_FIELDS = frozenset({"name", "timestamp", "up"})
+_BLOCK_BYTES = 1 << 20
 # Files digested ahead of the one requested first: enough to keep all cores busy.
-_AHEAD = 256
+_READ_AHEAD = 256
 
 _Signature = tuple[int, ...] | None
 
 
-def canonical(value: Any) -> str:
+def to_canonical_json(value: Any) -> str:
     """Serialise a value as canonical JSON: equal values give equal text.
 
     Raises
@@ -45,11 +45,11 @@ def canonical(value: Any) -> str:
         For values JSON cannot express: paths, arrays, sets, keys that are not text, NaN, infinity. An
         approximate conversion could cause a wrong cache hit.
     """
-    _require_json(value, "value")
+    _check_json(value, "value")
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def _require_json(value: Any, where: str) -> None:
+def _check_json(value: Any, where: str) -> None:
     if value is None or type(value) in (bool, int, str):
         return
     if type(value) is float:
@@ -57,33 +57,33 @@ def _require_json(value: Any, where: str) -> None:
             raise ValueError(f"{where} is {value}, which JSON cannot express")
     elif type(value) in (list, tuple):
         for i, item in enumerate(value):
-            _require_json(item, f"{where}[{i}]")
+            _check_json(item, f"{where}[{i}]")
     elif type(value) is dict:
         for key, item in value.items():
             if type(key) is not str:
                 raise TypeError(f"{where} has the key {key!r}, which JSON cannot express")
-            _require_json(item, f"{where}.{key}")
+            _check_json(item, f"{where}.{key}")
     else:
         raise TypeError(f"{where} is of type {type(value).__name__}, which JSON cannot express")
 
 
-def digest(value: Any) -> str:
+def compute_digest(value: Any) -> str:
     """Compute the SHA-256 of the canonical JSON of a value, in hex."""
-    return hashlib.sha256(canonical(value).encode()).hexdigest()
+    return hashlib.sha256(to_canonical_json(value).encode()).hexdigest()
 
 
-def file_digest(path: Path) -> str:
+def compute_file_digest(path: Path) -> str:
     """Compute the SHA-256 of a file, in hex."""
     sha = hashlib.sha256()
-    with opened(path) as file:
-        while block := file.read(_BLOCK):
+    with open_input(path) as file:
+        while block := file.read(_BLOCK_BYTES):
             sha.update(block)
     return sha.hexdigest()
 
 
-def file_digests(paths: Iterable[Path]) -> list[str]:
+def compute_file_digests(paths: Iterable[Path]) -> list[str]:
     """Compute the SHA-256 of many files on all cores."""
-    return list(_on_all_cores(file_digest, paths))
+    return list(_map_on_all_cores(compute_file_digest, paths))
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,11 @@ class ScanDigest:
         ----------
         frames : frames of the scan whose files are checked; None for all.
         """
-        paths = self._files if frames is None else _files_of(frames)
+        paths = self._files if frames is None else _list_files(frames)
         for path in paths:
             before, signature = self._files[path]
             # Only read files whose size or time changed; a touched file with equal content is fine.
-            if _signature(path) != signature and content(path) != before:
+            if _get_signature(path) != signature and get_content_digest(path) != before:
                 raise StageError(
                     MACHINE_BUSY,
                     "{path} changed while it was being read",
@@ -122,37 +122,37 @@ class ScanDigest:
                 )
 
 
-def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
+def compute_scan_digest(scan: Scan, progress: Progress = ignore_progress) -> ScanDigest:
     """Compute the digest of poses, cameras, scales and all image files of a scan.
 
     An unreadable file gets the digest "unreadable"; the stage that reads the file decides how to handle the
     error.
     """
-    paths = sorted(_files_of(scan.frames))
-    signatures = [_signature(path) for path in paths]
+    paths = sorted(_list_files(scan.frames))
+    signatures = [_get_signature(path) for path in paths]
     contents: dict[Path, str] = {}
-    for path, one in zip(paths, _on_all_cores(content, paths), strict=True):
+    for path, one in zip(paths, _map_on_all_cores(get_content_digest, paths), strict=True):
         contents[path] = one
         progress(len(contents), len(paths))
-    parts = {"calibration": digest(_plain(scan.rig, contents))}
-    if scan.box is not None:
-        parts["bounding box"] = digest(_plain(scan.box, contents))
+    parts = {"calibration": compute_digest(_to_plain(scan.rig, contents))}
+    if scan.bounding_box is not None:
+        parts["bounding box"] = compute_digest(_to_plain(scan.bounding_box, contents))
     for number, frame in enumerate(scan.frames):
-        parts[f"frame {number} ({frame.name})"] = digest(_frame(frame, contents))
+        parts[f"frame {number} ({frame.name})"] = compute_digest(_to_plain_frame(frame, contents))
     files = {path: (contents[path], signature) for path, signature in zip(paths, signatures, strict=True)}
-    return ScanDigest(digest(list(parts.values())), parts, files)
+    return ScanDigest(compute_digest(list(parts.values())), parts, files)
 
 
-def _on_all_cores(work: Callable[[Path], str], paths: Iterable[Path]) -> Iterator[str]:
-    return read_ahead(work, paths, threads=threads_to_use(), ahead=_AHEAD)
+def _map_on_all_cores(work: Callable[[Path], str], paths: Iterable[Path]) -> Iterator[str]:
+    return map_ordered(work, paths, threads=get_thread_count(), max_pending=_READ_AHEAD)
 
 
-def _files_of(frames: Iterable[Frame]) -> set[Path]:
-    held = [v.file if isinstance(v, Packed) else v for frame in frames for v in vars(frame).values()]
+def _list_files(frames: Iterable[Frame]) -> set[Path]:
+    held = [v.file if isinstance(v, PackedImage) else v for frame in frames for v in vars(frame).values()]
     return {value for value in held if isinstance(value, Path)}
 
 
-def label_digests(scan: Scan) -> dict[str, str]:
+def compute_label_digests(scan: Scan) -> dict[str, str]:
     """Compute digests of frame metadata.
 
     Each digest is for the stages that use the metadata.
@@ -164,30 +164,35 @@ def label_digests(scan: Scan) -> dict[str, str]:
     `world` : digest of the up directions and of `is_metric`.
     """
     names = [
-        [frame.name, *(_place(value, scan.folder) for value in vars(frame).values())] for frame in scan.frames
+        [frame.name, *(_get_relative_path(value, scan.folder) for value in vars(frame).values())]
+        for frame in scan.frames
     ]
-    world = [scan.up and scan.up.figures(), [_plain(frame.up, {}) for frame in scan.frames], scan.is_metric]
+    world = [
+        scan.up and scan.up.figures(),
+        [_to_plain(frame.up, {}) for frame in scan.frames],
+        scan.is_metric,
+    ]
     times = [frame.timestamp for frame in scan.frames]
-    return {"names": digest(names), "times": digest(times), "world": digest(world)}
+    return {"names": compute_digest(names), "times": compute_digest(times), "world": compute_digest(world)}
 
 
-def _place(value: Any, folder: Path | None) -> str | None:
-    file = value.file if isinstance(value, Packed) else value
+def _get_relative_path(value: Any, folder: Path | None) -> str | None:
+    file = value.file if isinstance(value, PackedImage) else value
     if not isinstance(file, Path):
         return None
     # Relative to the scan folder, so that a moved scan keeps its results.
-    return str(file) if folder is None else from_there(file, home(folder))
+    return str(file) if folder is None else get_relative_path(file, get_base_folder(folder))
 
 
-def content(path: Path) -> str:
+def get_content_digest(path: Path) -> str:
     """Return the digest of a file, or "unreadable"."""
     try:
-        return file_digest(path)
+        return compute_file_digest(path)
     except OSError:
         return "unreadable"
 
 
-def _signature(path: Path) -> _Signature:
+def _get_signature(path: Path) -> _Signature:
     try:
         stat = path.stat()
     except OSError:
@@ -195,15 +200,15 @@ def _signature(path: Path) -> _Signature:
     return stat.st_size, stat.st_mtime_ns, stat.st_ino
 
 
-def _frame(frame: Frame, contents: Mapping[Path, str]) -> dict[str, Any]:
-    names = [f.name for f in dataclasses.fields(frame) if f.name not in _DIGESTED_APART]
-    return {name: _plain(getattr(frame, name), contents) for name in names}
+def _to_plain_frame(frame: Frame, contents: Mapping[Path, str]) -> dict[str, Any]:
+    names = [f.name for f in dataclasses.fields(frame) if f.name not in _LABEL_FIELDS]
+    return {name: _to_plain(getattr(frame, name), contents) for name in names}
 
 
-def _plain(value: Any, contents: Mapping[Path, str]) -> Any:
+def _to_plain(value: Any, contents: Mapping[Path, str]) -> Any:
     if isinstance(value, Path):
         return {"file": contents[value]}
-    if isinstance(value, Packed):
+    if isinstance(value, PackedImage):
         return {"file": contents[value.file], "name": value.name}
     if isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value)
@@ -215,7 +220,7 @@ def _plain(value: Any, contents: Mapping[Path, str]) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name), contents) for f in dataclasses.fields(value)}
+        return {f.name: _to_plain(getattr(value, f.name), contents) for f in dataclasses.fields(value)}
     if isinstance(value, (tuple, list)):
-        return [_plain(item, contents) for item in value]
+        return [_to_plain(item, contents) for item in value]
     return value

@@ -19,18 +19,18 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from scanloom.pipeline.cache.digest import digest, file_digests
-from scanloom.pipeline.cache.files import flush_all
-from scanloom.pipeline.cache.locks import Lock
+from scanloom.pipeline.cache.atomic_files import flush_all
+from scanloom.pipeline.cache.digest import compute_digest, compute_file_digests
+from scanloom.pipeline.cache.locks import FileLock
 from scanloom.pipeline.cache.system import flush
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
-from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.input_files import read_input_text
 
 # Increase when the meaning of keys or the format of entries changes; older entries then miss.
 FORMAT_VERSION = 3
 
 MANIFEST = "manifest.json"
-IN_USE = "in-use.lock"
+IN_USE_LOCK = "in-use.lock"
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Recipe:
     @property
     def key(self) -> str:
         """Cache key: digest that names the entry."""
-        return digest({"schema": FORMAT_VERSION, **self.as_json()})
+        return compute_digest({"schema": FORMAT_VERSION, **self.to_json()})
 
-    def as_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """Return the recipe as JSON values."""
         return {
             name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
@@ -73,7 +73,7 @@ class Entry:
     manifest : content of manifest.json.
     """
 
-    def __init__(self, folder: Path, manifest: dict[str, Any], lock: Lock) -> None:
+    def __init__(self, folder: Path, manifest: dict[str, Any], lock: FileLock) -> None:
         self.folder = folder
         self.manifest = manifest
         self._lock = lock
@@ -91,7 +91,7 @@ class Entry:
     @property
     def digest(self) -> str:
         """Content digest of the whole entry, used in the cache keys of later stages."""
-        return digest(self.files)
+        return compute_digest(self.files)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -109,72 +109,72 @@ class Entry:
         self._lock.release()
 
 
-class DamagedError(Exception):
+class DamagedEntryError(Exception):
     """Entry that does not match its manifest."""
 
 
-def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
+def complete_entry(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
     """Complete a draft: flush its files and write the manifest."""
-    paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / IN_USE)
+    paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / IN_USE_LOCK)
     names = [path.relative_to(draft).as_posix() for path in paths]
     flush_all(paths)
     files = {
         name: {"size": path.stat().st_size, "sha256": content}
-        for name, path, content in zip(names, paths, file_digests(paths), strict=True)
+        for name, path, content in zip(names, paths, compute_file_digests(paths), strict=True)
     }
     manifest = {
         "schema": FORMAT_VERSION,
-        "recipe": recipe.as_json(),
+        "recipe": recipe.to_json(),
         "files": files,
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         **record,
     }
-    text = json.dumps({**manifest, "digest": digest(manifest)}, indent=1)
+    text = json.dumps({**manifest, "digest": compute_digest(manifest)}, indent=1)
     (draft / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
     flush(draft / MANIFEST)
     flush_all([*(path for path in draft.rglob("*") if path.is_dir()), draft])
 
 
-def verified(place: Path) -> dict[str, Any]:
+def verify_entry(folder: Path) -> dict[str, Any]:
     """Read the manifest of an entry and verify all files; raise DamagedError."""
-    manifest = read_manifest(place)
+    manifest = read_manifest(folder)
     names = list(manifest["files"])
-    inside = Path(os.path.realpath(place))
+    inside = Path(os.path.realpath(folder))
     for name in names:
         # Links are rejected: they could expose or overwrite files outside the cache.
-        if Path(os.path.realpath(place / name)) != inside / name:
-            raise DamagedError(f"{name} is a link")
-        if not (place / name).is_file():
-            raise DamagedError(f"{name} is missing")
-        if (place / name).stat().st_size != manifest["files"][name]["size"]:
-            raise DamagedError(f"{name} has another size")
+        if Path(os.path.realpath(folder / name)) != inside / name:
+            raise DamagedEntryError(f"{name} is a link")
+        if not (folder / name).is_file():
+            raise DamagedEntryError(f"{name} is missing")
+        if (folder / name).stat().st_size != manifest["files"][name]["size"]:
+            raise DamagedEntryError(f"{name} has another size")
     try:
-        contents = file_digests([place / name for name in names])
+        contents = compute_file_digests([folder / name for name in names])
     except OSError as error:
-        raise DamagedError(f"{error.filename} cannot be read: {error.strerror}") from error
+        raise DamagedEntryError(f"{error.filename} cannot be read: {error.strerror}") from error
     for name, content in zip(names, contents, strict=True):
         if content != manifest["files"][name]["sha256"]:
-            raise DamagedError(f"{name} was modified")
+            raise DamagedEntryError(f"{name} was modified")
     return manifest
 
 
-def read_manifest(place: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of an entry without checking its files; raise DamagedError."""
     try:
-        manifest: dict[str, Any] = json.loads(_text_of(place / MANIFEST))
+        manifest: dict[str, Any] = json.loads(_read_text(folder / MANIFEST))
         sealed = manifest.pop("digest")
-        if digest(manifest) != sealed:
-            raise DamagedError(f"{MANIFEST} was modified")
-        if digest({"schema": manifest["schema"], **manifest["recipe"]}) != place.name:
-            raise DamagedError(f"{MANIFEST} belongs to another entry")
+        if compute_digest(manifest) != sealed:
+            raise DamagedEntryError(f"{MANIFEST} was modified")
+        if compute_digest({"schema": manifest["schema"], **manifest["recipe"]}) != folder.name:
+            raise DamagedEntryError(f"{MANIFEST} belongs to another entry")
     except OSError as error:
-        raise DamagedError(f"{MANIFEST} cannot be read: {error.strerror}") from error
+        raise DamagedEntryError(f"{MANIFEST} cannot be read: {error.strerror}") from error
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DamagedError(f"{MANIFEST} is not a manifest") from error
+        raise DamagedEntryError(f"{MANIFEST} is not a manifest") from error
     return manifest
 
 
-def _text_of(path: Path) -> str:
+def _read_text(path: Path) -> str:
     if path.is_symlink():
-        raise DamagedError(f"{path.name} is a link")
-    return text_in(path, "utf-8")
+        raise DamagedEntryError(f"{path.name} is a link")
+    return read_input_text(path, "utf-8")

@@ -10,12 +10,12 @@ from pathlib import Path
 from scanloom.pipeline.cache.system import lock, open_folder_lock, open_lock
 
 # Error codes of file systems without locks, such as some network shares.
-_NO_LOCKS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS})
+_NO_LOCKS_ERRORS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS})
 # Error codes of read-only locations.
-READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
+READ_ONLY_ERRORS = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
 
 
-class Lock:
+class FileLock:
     """Lock held until released, or until the process ends.
 
     Parameters
@@ -34,7 +34,7 @@ class Lock:
             os.close(self._descriptor)
             self._descriptor = None
 
-    def is_of(self, path: Path) -> bool:
+    def matches_path(self, path: Path) -> bool:
         """Return True if the locked file is still the file at a path."""
         if self._descriptor is None:
             return False
@@ -50,35 +50,35 @@ class Lock:
         os.utime(self._path if descriptor is None or os.utime not in os.supports_fd else descriptor)
 
 
-def take_lock(path: Path, *, shared: bool = False) -> Lock:
+def take_lock(path: Path, *, shared: bool = False) -> FileLock:
     """Open a lock file, creating it if needed, and wait for the lock.
 
     A link, a pipe or an empty folder at the path is replaced by a file; links are never followed. A read-only
     file can be locked, too.
     """
-    return _locked(path, shared=shared, wait=True)
+    return _lock_file(path, shared=shared, wait=True)
 
 
-def try_lock(path: Path) -> Lock | None:
+def try_lock(path: Path) -> FileLock | None:
     """Take an exclusive lock on a file; None if another process holds the lock."""
     try:
-        return _locked(path, shared=False, wait=False)
+        return _lock_file(path, shared=False, wait=False)
     except BlockingIOError:
         return None
 
 
-def take_folder(folder: Path) -> Lock:
+def take_folder_lock(folder: Path) -> FileLock:
     """Wait for the exclusive lock of a folder.
 
     No file is created in the folder.
     """
-    return _held(folder, open_folder_lock(folder), shared=False, wait=True)
+    return _hold_lock(folder, open_folder_lock(folder), shared=False, wait=True)
 
 
-def try_folder(folder: Path) -> Lock | None:
+def try_folder_lock(folder: Path) -> FileLock | None:
     """Take the exclusive lock of a folder; None if another process holds the lock."""
     try:
-        return _held(folder, open_folder_lock(folder), shared=False, wait=False)
+        return _hold_lock(folder, open_folder_lock(folder), shared=False, wait=False)
     except BlockingIOError:
         return None
 
@@ -91,16 +91,16 @@ def is_folder(path: Path) -> bool:
         return False
 
 
-def _locked(path: Path, *, shared: bool, wait: bool) -> Lock:
-    return _held(path, _opened(path), shared=shared, wait=wait)
+def _lock_file(path: Path, *, shared: bool, wait: bool) -> FileLock:
+    return _hold_lock(path, _open_lock_file(path), shared=shared, wait=wait)
 
 
-def _held(path: Path, descriptor: int, *, shared: bool, wait: bool) -> Lock:
+def _hold_lock(path: Path, descriptor: int, *, shared: bool, wait: bool) -> FileLock:
     try:
         try:
             lock(descriptor, shared=shared, wait=wait)
         except OSError as error:
-            if error.errno not in _NO_LOCKS:
+            if error.errno not in _NO_LOCKS_ERRORS:
                 raise
             # Without lock support, `wait` continues unlocked: entries are written atomically anyway, and the
             # worst case is duplicate work. Without `wait`, the lock is assumed to be held, so that nothing in
@@ -110,18 +110,18 @@ def _held(path: Path, descriptor: int, *, shared: bool, wait: bool) -> Lock:
     except BaseException:
         os.close(descriptor)
         raise
-    return Lock(path, descriptor)
+    return FileLock(path, descriptor)
 
 
-def _opened(path: Path) -> int:
+def _open_lock_file(path: Path) -> int:
     while True:
-        if _is_in_the_way(path):
-            _make_way(path)
+        if _is_obstacle(path):
+            _remove_obstacle(path)
         try:
-            descriptor = _opened_to_write_or_read(path)
+            descriptor = _open_for_writing_or_reading(path)
         except OSError as error:
             # The path became a link, folder or pipe in the meantime.
-            if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO) and _is_in_the_way(path):
+            if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO) and _is_obstacle(path):
                 continue
             raise
         if stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -129,34 +129,34 @@ def _opened(path: Path) -> int:
         os.close(descriptor)
 
 
-def _opened_to_write_or_read(path: Path) -> int:
+def _open_for_writing_or_reading(path: Path) -> int:
     try:
         return open_lock(path, writing=True)
     except OSError as error:
-        if error.errno not in READ_ONLY or not path.is_file():
+        if error.errno not in READ_ONLY_ERRORS or not path.is_file():
             raise
         return open_lock(path, writing=False)
 
 
-def _is_in_the_way(path: Path) -> bool:
+def _is_obstacle(path: Path) -> bool:
     try:
         return not stat.S_ISREG(path.lstat().st_mode)
     except FileNotFoundError:
         return False
 
 
-def _make_way(path: Path) -> None:
+def _remove_obstacle(path: Path) -> None:
     """Remove anything that is not a regular file from a path.
 
     A folder is only removed if it is empty.
     """
     # Two processes may see the same link: the second must not remove the file that the first one created.
-    others = take_folder(path.parent)
+    parent_lock = take_folder_lock(path.parent)
     try:
-        if _is_in_the_way(path):
+        if _is_obstacle(path):
             if stat.S_ISDIR(path.lstat().st_mode):
                 path.rmdir()
             else:
                 path.unlink()
     finally:
-        others.release()
+        parent_lock.release()

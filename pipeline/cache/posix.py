@@ -48,7 +48,7 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def reset_peak() -> None:
+def reset_peak_bytes() -> None:
     """Reset the peak memory of the process, if supported (Linux: proc(5), clear_refs)."""
     try:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
@@ -56,8 +56,8 @@ def reset_peak() -> None:
         return
 
 
-def peak_bytes() -> int:
-    """Return the peak resident memory in bytes since `reset_peak`, or since process start."""
+def get_peak_bytes() -> int:
+    """Return the peak resident memory in bytes since `reset_peak_bytes`, or since process start."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
             if line.startswith("VmHWM:"):

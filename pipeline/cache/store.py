@@ -34,27 +34,35 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from scanloom.pipeline.cache.atomic_files import write_atomically
 from scanloom.pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
-from scanloom.pipeline.cache.digest import digest
-from scanloom.pipeline.cache.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
-from scanloom.pipeline.cache.files import write_whole
+from scanloom.pipeline.cache.digest import compute_digest
+from scanloom.pipeline.cache.entry import (
+    IN_USE_LOCK,
+    DamagedEntryError,
+    Entry,
+    Recipe,
+    complete_entry,
+    read_manifest,
+    verify_entry,
+)
+from scanloom.pipeline.cache.host_id import get_host_id, is_from_another_host
 from scanloom.pipeline.cache.locks import (
-    READ_ONLY,
-    Lock,
+    READ_ONLY_ERRORS,
+    FileLock,
     is_folder,
-    take_folder,
+    take_folder_lock,
     take_lock,
-    try_folder,
+    try_folder_lock,
     try_lock,
 )
-from scanloom.pipeline.cache.machine_mark import is_of_another_machine, machine_mark
 from scanloom.pipeline.cache.system import flush
-from scanloom.pipeline.failures import explained
-from scanloom.pipeline.own_paths import from_there
+from scanloom.pipeline.error_conversion import convert_os_errors
+from scanloom.pipeline.relative_paths import get_relative_path
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import StageError
-from scanloom.stages.files.moving import move
-from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.atomic_rename import rename_atomically
+from scanloom.stages.files.input_files import read_input_text
 
 _DRAFTS = "drafts"
 _RUNS = "runs"
@@ -63,7 +71,7 @@ _TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of scanloom; safe
 
 
 @dataclass(frozen=True)
-class Listed:
+class ListedEntry:
     """Entry as listed by `scanloom cache`.
 
     Attributes
@@ -99,17 +107,17 @@ class Cache:
 
         A damaged entry is removed with a warning.
         """
-        place = self._place(recipe)
-        with explained(f"the cache folder {self.folder} cannot be used"):
-            while os.path.lexists(place):
-                with self._names():
-                    if not self._is_entry(place):
+        entry_path = self._get_entry_path(recipe)
+        with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
+            while os.path.lexists(entry_path):
+                with self._lock_names():
+                    if not self._is_entry(entry_path):
                         break
-                    lock = take_lock(place / IN_USE, shared=True)
+                    lock = take_lock(entry_path / IN_USE_LOCK, shared=True)
                 try:
-                    manifest = verified(place)
-                except DamagedError as error:
-                    if self._drop(place, lock):
+                    manifest = verify_entry(entry_path)
+                except DamagedEntryError as error:
+                    if self._drop_damaged(entry_path, lock):
                         emit(
                             MACHINE_CACHE_UNUSABLE.warning(
                                 "the cached result of {stage} is damaged ({reason}); the stage runs again.",
@@ -123,7 +131,7 @@ class Cache:
                     raise
                 with contextlib.suppress(OSError):  # Read-only cache: the time of last use is not updated.
                     lock.touch()
-                return Entry(place, manifest, lock)
+                return Entry(entry_path, manifest, lock)
         return None
 
     def store(
@@ -143,11 +151,11 @@ class Cache:
         StageError
             If the disk is full or the folder is not writable; no partial entry is left.
         """
-        with explained(f"the result of {recipe.stage} cannot be written to the cache {self.folder}"):
-            draft, lock = self._new_draft(recipe.stage)
+        with convert_os_errors(f"the result of {recipe.stage} cannot be written to the cache {self.folder}"):
+            draft, lock = self._create_draft(recipe.stage)
             try:
-                seal(draft, recipe, make(draft))
-                while (held := self._publish(draft, self._place(recipe), lock, replace)) is None:
+                complete_entry(draft, recipe, make(draft))
+                while (held := self._publish(draft, self._get_entry_path(recipe), lock, replace)) is None:
                     winner = self.get(recipe)
                     if winner is not None:
                         _discard(draft, lock)
@@ -157,7 +165,7 @@ class Cache:
                 raise
             if replace:
                 self.remove_abandoned()
-            return Entry(self._place(recipe), read_manifest(self._place(recipe)), held)
+            return Entry(self._get_entry_path(recipe), read_manifest(self._get_entry_path(recipe)), held)
 
     def remove_abandoned(self, *, everywhere: bool = False) -> None:
         """Remove drafts of killed processes, and removed entries that were still being read.
@@ -167,26 +175,26 @@ class Cache:
         everywhere : also remove drafts of other machines. Only safe if no other machine is using the cache,
             as the share may not support locks between machines.
         """
-        with explained(f"the cache folder {self.folder} cannot be used"):
+        with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
             drafts = self.folder / _DRAFTS
             for draft in drafts.iterdir() if is_folder(drafts) else ():
                 # Locks may only hold within one machine, so drafts of other machines could be in use.
-                if is_of_another_machine(draft.name) and not everywhere:
+                if is_from_another_host(draft.name) and not everywhere:
                     continue
-                with self._names():
+                with self._lock_names():
                     # A draft is created and locked under the names lock, so an unlocked draft is abandoned.
-                    lock = try_lock(draft / IN_USE) if is_folder(draft) else None
+                    lock = try_lock(draft / IN_USE_LOCK) if is_folder(draft) else None
                 if lock is not None:
                     _discard(draft, lock)
 
-    def ls(self) -> list[Listed]:
+    def ls(self) -> list[ListedEntry]:
         """List all entries by stage, most recently used first, without verifying files."""
-        listed = self._listed(thorough=False)
+        listed = self._list_entries(thorough=False)
         return sorted(listed, key=lambda entry: (entry.stage, -entry.last_used.timestamp()))
 
-    def verify(self) -> list[Listed]:
+    def verify(self) -> list[ListedEntry]:
         """List all entries, reading every file to find damage; nothing is changed."""
-        return self._listed(thorough=True)
+        return self._list_entries(thorough=True)
 
     def prune(
         self,
@@ -196,7 +204,7 @@ class Cache:
         max_size: int | None = None,
         dry_run: bool = False,
         everywhere: bool = False,
-    ) -> list[Listed]:
+    ) -> list[ListedEntry]:
         """Remove entries and return them; entries in use by other processes are kept.
 
         Parameters
@@ -206,12 +214,12 @@ class Cache:
         max_size : then remove the least recently used entries until the cache is at most this many bytes.
             Entries used by latest runs are kept.
         dry_run : only return the entries that would be removed.
-        everywhere : see `remove_abandoned`.
+        everywhere : see `remove_abandoned_drafts`.
         """
         entries = sorted(self.ls(), key=lambda entry: entry.last_used)
         now = datetime.now(timezone.utc)
-        chosen: list[Listed] = []
-        kept: list[Listed] = []
+        chosen: list[ListedEntry] = []
+        kept: list[ListedEntry] = []
         for entry in entries:
             old = older_than is not None and (now - entry.last_used).total_seconds() > older_than
             (chosen if old or (unused and not entry.in_latest_run) else kept).append(entry)
@@ -224,12 +232,12 @@ class Cache:
                 total -= entry.size
         if dry_run:
             return chosen
-        with explained(f"the cache folder {self.folder} cannot be pruned"):
+        with convert_os_errors(f"the cache folder {self.folder} cannot be pruned"):
             removed = [entry for entry in chosen if self._remove(entry)]
         self.remove_abandoned(everywhere=everywhere)
         return removed
 
-    def limit(self, max_size: int) -> None:
+    def limit_size(self, max_size: int) -> None:
         """Remove least recently used entries until the cache fits; keep entries of latest runs.
 
         Parameters
@@ -249,44 +257,44 @@ class Cache:
                 )
             )
 
-    def sole_run(self, out: Path, waiting: Callable[[], None]) -> Lock:
+    def lock_output_folder(self, out: Path, on_wait: Callable[[], None]) -> FileLock:
         """Wait for exclusive use of an output folder; release the returned lock afterwards.
 
         Parameters
         ----------
         waiting : called once if another run is using the folder.
         """
-        with explained(f"the cache folder {self.folder} cannot be used"):
-            path = self._run_record(out).with_suffix(".lock")
+        with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
+            path = self._get_record_path(out).with_suffix(".lock")
             try:
                 self._prepare()
                 lock = try_lock(path)
             except OSError as error:
-                if error.errno not in READ_ONLY:
+                if error.errno not in READ_ONLY_ERRORS:
                     raise
-                return _sole_folder(out, waiting)
+                return _lock_folder(out, on_wait)
             if lock is None:
-                waiting()
+                on_wait()
                 lock = take_lock(path)
             return lock
 
-    def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
+    def record_run(self, out: Path, record: Mapping[str, Any]) -> None:
         """Record the latest run of an output folder; `record["keys"]` lists the used entries."""
-        with explained(f"the cache folder {self.folder} cannot be used"):
-            text = json.dumps({"out": self._seen_from_here(out), **record}, indent=1)
+        with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
+            text = json.dumps({"out": self._make_relative(out), **record}, indent=1)
             try:
                 self._prepare()
-                write_whole(self._run_record(out), text.encode())
+                write_atomically(self._get_record_path(out), text.encode())
             except OSError as error:
-                if error.errno not in READ_ONLY:
+                if error.errno not in READ_ONLY_ERRORS:
                     raise
-                self._say_read_only()
+                self._warn_read_only()
 
-    def latest_run(self, out: Path) -> dict[str, Any]:
+    def read_latest_run(self, out: Path) -> dict[str, Any]:
         """Return the record of the latest run of an output folder; empty if missing."""
-        return _read_record(self._run_record(out))
+        return _read_record(self._get_record_path(out))
 
-    def _say_read_only(self) -> None:
+    def _warn_read_only(self) -> None:
         if not self._is_read_only:
             self._is_read_only = True
             emit(
@@ -296,54 +304,54 @@ class Cache:
                 )
             )
 
-    def _place(self, recipe: Recipe) -> Path:
-        _require_folder(self.folder / recipe.stage)
+    def _get_entry_path(self, recipe: Recipe) -> Path:
+        _check_folder(self.folder / recipe.stage)
         return self.folder / recipe.stage / recipe.key
 
-    def _is_entry(self, place: Path) -> bool:
+    def _is_entry(self, entry_path: Path) -> bool:
         """Return True if the folder of an entry exists.
 
         Anything else at the path of the entry is removed.
         """
-        if is_folder(place):
+        if is_folder(entry_path):
             return True
-        if os.path.lexists(place):
-            place.unlink()
+        if os.path.lexists(entry_path):
+            entry_path.unlink()
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "{place} was not a folder; it is removed, and the stage runs again.", place=place
+                    "{place} was not a folder; it is removed, and the stage runs again.", place=entry_path
                 )
             )
         return False
 
-    def _places(self) -> Iterator[Path]:
+    def _iterate_entry_paths(self) -> Iterator[Path]:
         for stage in sorted(self.folder.iterdir()) if self.folder.is_dir() else ():
             if is_folder(stage) and stage.name not in (_DRAFTS, _RUNS):
                 yield from sorted(path for path in stage.iterdir() if _KEY.fullmatch(path.name))
 
-    def _listed(self, *, thorough: bool) -> list[Listed]:
-        used = self._used_by_latest_runs()
+    def _list_entries(self, *, thorough: bool) -> list[ListedEntry]:
+        used = self._find_used_keys()
         listed = []
-        for place in self._places():
+        for entry_path in self._iterate_entry_paths():
             # Another process may remove an entry during the listing.
             with contextlib.suppress(FileNotFoundError):
-                listed.append(_listed(place, place.name in used, thorough=thorough))
+                listed.append(_describe_entry(entry_path, entry_path.name in used, thorough=thorough))
         return listed
 
     def _prepare(self) -> None:
         for name in (_DRAFTS, _RUNS):
-            _require_folder(self.folder / name)
+            _check_folder(self.folder / name)
             (self.folder / name).mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileExistsError), (self.folder / "CACHEDIR.TAG").open("x") as tag:
             tag.write(_TAG)
 
     @contextlib.contextmanager
-    def _names(self) -> Iterator[None]:
+    def _lock_names(self) -> Iterator[None]:
         try:
             lock = take_lock(self.folder / "names.lock")
         except OSError as error:
             # In a read-only folder no process can move entries, so no lock is needed.
-            if error.errno not in READ_ONLY:
+            if error.errno not in READ_ONLY_ERRORS:
                 raise
             yield
             return
@@ -352,14 +360,14 @@ class Cache:
         finally:
             lock.release()
 
-    def _new_draft(self, stage: str) -> tuple[Path, Lock]:
+    def _create_draft(self, stage: str) -> tuple[Path, FileLock]:
         self._prepare()
         draft: Path | None = None
-        lock: Lock | None = None
+        lock: FileLock | None = None
         try:
-            with self._names():
-                draft = self._fresh_folder(stage)
-                lock = take_lock(draft / IN_USE)
+            with self._lock_names():
+                draft = self._create_draft_folder(stage)
+                lock = take_lock(draft / IN_USE_LOCK)
             return draft, lock
         except BaseException:
             # Ctrl-C may arrive before the caller knows of the draft.
@@ -369,77 +377,79 @@ class Cache:
                 shutil.rmtree(draft, ignore_errors=True)
             raise
 
-    def _fresh_folder(self, stage: str) -> Path:
-        folder = Path(tempfile.mkdtemp(prefix=f"{stage}-{machine_mark()}-", dir=self.folder / _DRAFTS))
+    def _create_draft_folder(self, stage: str) -> Path:
+        folder = Path(tempfile.mkdtemp(prefix=f"{stage}-{get_host_id()}-", dir=self.folder / _DRAFTS))
         # mkdtemp creates the folder with mode 0700; entries get the mode of the cache folder.
         folder.chmod(self.folder.stat().st_mode & 0o777)
         return folder
 
-    def _publish(self, draft: Path, place: Path, lock: Lock, replace: bool) -> Lock | None:
+    def _publish(self, draft: Path, entry_path: Path, lock: FileLock, replace: bool) -> FileLock | None:
         """Turn a draft into an entry and return a shared lock on it.
 
         Returns None if the entry exists already.
         """
-        with self._names():
-            if self._is_entry(place):
+        with self._lock_names():
+            if self._is_entry(entry_path):
                 if not replace:
                     return None
-                self._put_aside(place)
-            place.parent.mkdir(exist_ok=True)
+                self._move_to_drafts(entry_path)
+            entry_path.parent.mkdir(exist_ok=True)
             # Windows cannot move a folder that contains an open file. Releasing is safe: no other process
             # locks entries or drafts while this one holds the names lock.
             lock.release()
             try:
-                move(draft, place)
+                rename_atomically(draft, entry_path)
             except OSError as error:
                 # Without locks between machines, another machine may have stored the entry first.
                 if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not replace:
                     return None
                 raise
-            held = take_lock(place / IN_USE, shared=True)
+            held = take_lock(entry_path / IN_USE_LOCK, shared=True)
         # Flush after the names lock is released, so that others need not wait for the disk; the files are
         # flushed already.
         try:
-            flush(place.parent)
+            flush(entry_path.parent)
         except BaseException:
             held.release()
             raise
         return held
 
-    def _drop(self, place: Path, lock: Lock) -> bool:
+    def _drop_damaged(self, entry_path: Path, lock: FileLock) -> bool:
         """Remove a damaged entry unless another process has done so; release `lock`."""
-        with self._names():
-            ours = lock.is_of(place / IN_USE)
+        with self._lock_names():
+            is_ours = lock.matches_path(entry_path / IN_USE_LOCK)
             lock.release()
-            if ours:
-                self._put_aside(place)
+            if is_ours:
+                self._move_to_drafts(entry_path)
         self.remove_abandoned()
-        return ours
+        return is_ours
 
-    def _put_aside(self, place: Path) -> None:
+    def _move_to_drafts(self, entry_path: Path) -> None:
         # The entry disappears at once, but its files stay until the last reader releases its lock.
-        move(place, self.folder / _DRAFTS / f"{place.parent.name}-{secrets.token_hex(8)}")
+        rename_atomically(
+            entry_path, self.folder / _DRAFTS / f"{entry_path.parent.name}-{secrets.token_hex(8)}"
+        )
 
-    def _remove(self, entry: Listed) -> bool:
-        place = self.folder / entry.stage / entry.key
-        with self._names():
-            if not self._is_entry(place):
+    def _remove(self, entry: ListedEntry) -> bool:
+        entry_path = self.folder / entry.stage / entry.key
+        with self._lock_names():
+            if not self._is_entry(entry_path):
                 return True
-            lock = try_lock(place / IN_USE)
+            lock = try_lock(entry_path / IN_USE_LOCK)
             if lock is None:
                 return False
             lock.release()
-            self._put_aside(place)
+            self._move_to_drafts(entry_path)
         return True
 
-    def _run_record(self, out: Path) -> Path:
-        return self.folder / _RUNS / f"{digest(self._seen_from_here(out))[:16]}.json"
+    def _get_record_path(self, out: Path) -> Path:
+        return self.folder / _RUNS / f"{compute_digest(self._make_relative(out))[:16]}.json"
 
-    def _seen_from_here(self, out: Path) -> str:
+    def _make_relative(self, out: Path) -> str:
         # A relative path: an output folder that is moved together with its cache keeps its record.
-        return from_there(out, self.folder)
+        return get_relative_path(out, self.folder)
 
-    def _used_by_latest_runs(self) -> set[str]:
+    def _find_used_keys(self) -> set[str]:
         used: set[str] = set()
         for path in (self.folder / _RUNS).glob("*.json"):
             record = _read_record(path)
@@ -450,7 +460,7 @@ class Cache:
         return used
 
 
-def _require_folder(path: Path) -> None:
+def _check_folder(path: Path) -> None:
     """Raise StageError if a path exists and is not a folder.
 
     A link is an error, too: it could point to other data.
@@ -464,19 +474,19 @@ def _require_folder(path: Path) -> None:
         )
 
 
-def _sole_folder(out: Path, waiting: Callable[[], None]) -> Lock:
+def _lock_folder(out: Path, on_wait: Callable[[], None]) -> FileLock:
     """Wait for exclusive use of an output folder.
 
     The folder itself is locked, for a read-only cache.
     """
-    lock = try_folder(out)
+    lock = try_folder_lock(out)
     if lock is None:
-        waiting()
-        lock = take_folder(out)
+        on_wait()
+        lock = take_folder_lock(out)
     return lock
 
 
-def _discard(draft: Path, lock: Lock) -> None:
+def _discard(draft: Path, lock: FileLock) -> None:
     # Windows cannot remove a folder that contains an open file. Another process may remove the unlocked draft
     # first.
     lock.release()
@@ -486,20 +496,28 @@ def _discard(draft: Path, lock: Lock) -> None:
 def _read_record(path: Path) -> dict[str, Any]:
     # Records only serve explanations and pruning, so an unreadable record is treated as missing.
     try:
-        record = {} if path.is_symlink() else json.loads(text_in(path, "utf-8"))
+        record = {} if path.is_symlink() else json.loads(read_input_text(path, "utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
     return record if isinstance(record, dict) else {}
 
 
-def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
+def _describe_entry(entry_path: Path, in_latest_run: bool, *, thorough: bool) -> ListedEntry:
     manifest: dict[str, Any] = {}
     problem = None
     try:
-        manifest = (verified if thorough else read_manifest)(place)
-    except DamagedError as error:
-        problem = str(error) if is_folder(place) else "it is not a folder"
-    sizes = [path.lstat().st_size for path in place.rglob("*") if path.is_file()] if is_folder(place) else []
-    stamp = place / IN_USE
-    last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).lstat().st_mtime, timezone.utc)
-    return Listed(place.parent.name, place.name, sum(sizes), last_used, in_latest_run, manifest, problem)
+        manifest = (verify_entry if thorough else read_manifest)(entry_path)
+    except DamagedEntryError as error:
+        problem = str(error) if is_folder(entry_path) else "it is not a folder"
+    sizes = (
+        [path.lstat().st_size for path in entry_path.rglob("*") if path.is_file()]
+        if is_folder(entry_path)
+        else []
+    )
+    stamp = entry_path / IN_USE_LOCK
+    last_used = datetime.fromtimestamp(
+        (stamp if stamp.exists() else entry_path).lstat().st_mtime, timezone.utc
+    )
+    return ListedEntry(
+        entry_path.parent.name, entry_path.name, sum(sizes), last_used, in_latest_run, manifest, problem
+    )

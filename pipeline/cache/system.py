@@ -7,13 +7,20 @@ import sys
 if sys.platform == "win32":
     from scanloom.pipeline.cache.windows import (
         flush,
+        get_peak_bytes,
         lock,
         open_folder_lock,
         open_lock,
-        peak_bytes,
-        reset_peak,
+        reset_peak_bytes,
     )
 else:
-    from scanloom.pipeline.cache.posix import flush, lock, open_folder_lock, open_lock, peak_bytes, reset_peak
+    from scanloom.pipeline.cache.posix import (
+        flush,
+        get_peak_bytes,
+        lock,
+        open_folder_lock,
+        open_lock,
+        reset_peak_bytes,
+    )
 
-__all__ = ["flush", "lock", "open_folder_lock", "open_lock", "peak_bytes", "reset_peak"]
+__all__ = ["flush", "get_peak_bytes", "lock", "open_folder_lock", "open_lock", "reset_peak_bytes"]

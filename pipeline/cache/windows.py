@@ -25,14 +25,14 @@ _READ, _WRITE = 0x80000000, 0x40000000
 # FILE_SHARE_READ | FILE_SHARE_WRITE | FILE_SHARE_DELETE: other processes may move and remove the open file.
 _SHARE_ALL = 0x7
 _OPEN_EXISTING, _OPEN_ALWAYS = 3, 4
-_NORMAL, _NOT_FOLLOWING = 0x80, 0x00200000
-_AT_ONCE, _ALONE = 0x1, 0x2
+_NORMAL, _OPEN_REPARSE_POINT = 0x80, 0x00200000
+_FAIL_IMMEDIATELY, _EXCLUSIVE = 0x1, 0x2
 # Errors if another process holds the lock: ERROR_LOCK_VIOLATION, ERROR_IO_PENDING.
-_HELD = (33, 997)
+_HELD_ERRORS = (33, 997)
 # High word of the locked byte's offset: far beyond the end, so that the content stays accessible.
-_FAR = 0x7FFFFFFF
+_LOCK_OFFSET_HIGH = 0x7FFFFFFF
 # Seconds between two attempts to lock; doubled up to the maximum.
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.001, 0.05
+_FIRST_PAUSE, _MAX_PAUSE = 0.001, 0.05
 
 
 class _Overlapped(ctypes.Structure):
@@ -80,11 +80,11 @@ def open_lock(path: Path, *, writing: bool) -> int:
         _SHARE_ALL,
         None,
         _OPEN_ALWAYS if writing else _OPEN_EXISTING,
-        _NORMAL | _NOT_FOLLOWING,
+        _NORMAL | _OPEN_REPARSE_POINT,
         None,
     )
     if handle is None or handle == wintypes.HANDLE(-1).value:
-        raise _failure(path)
+        raise _make_error(path)
     descriptor = msvcrt.open_osfhandle(handle, os.O_RDWR if writing else os.O_RDONLY)
     if path.is_symlink():
         os.close(descriptor)
@@ -113,20 +113,22 @@ def lock(descriptor: int, *, shared: bool, wait: bool) -> None:
         if not wait:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         time.sleep(pause)
-        pause = min(2 * pause, _LONGEST_PAUSE)
+        pause = min(2 * pause, _MAX_PAUSE)
 
 
 def _is_locked(descriptor: int, shared: bool) -> bool:
     handle = msvcrt.get_osfhandle(descriptor)
-    place = _Overlapped(OffsetHigh=_FAR)
-    if _kernel.LockFileEx(handle, _AT_ONCE | (0 if shared else _ALONE), 0, 1, 0, ctypes.byref(place)):
+    place = _Overlapped(OffsetHigh=_LOCK_OFFSET_HIGH)
+    if _kernel.LockFileEx(
+        handle, _FAIL_IMMEDIATELY | (0 if shared else _EXCLUSIVE), 0, 1, 0, ctypes.byref(place)
+    ):
         return True
-    if ctypes.get_last_error() in _HELD:
+    if ctypes.get_last_error() in _HELD_ERRORS:
         return False
-    raise _failure(None)
+    raise _make_error(None)
 
 
-def _failure(path: Path | None) -> OSError:
+def _make_error(path: Path | None) -> OSError:
     error = ctypes.WinError(ctypes.get_last_error())
     error.filename = None if path is None else str(path)
     return error
@@ -143,11 +145,11 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def reset_peak() -> None:
+def reset_peak_bytes() -> None:
     """Do nothing: Windows cannot reset the peak memory."""
 
 
-def peak_bytes() -> int:
+def get_peak_bytes() -> int:
     """Return the peak resident memory in bytes since process start; 0 if unknown."""
     found = _MemoryCounters(cb=ctypes.sizeof(_MemoryCounters))
     told = _kernel.K32GetProcessMemoryInfo(_kernel.GetCurrentProcess(), ctypes.byref(found), found.cb)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,4 +43,4 @@ class ReportParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.evaluation.camera_photos import CAMERAS_FILE as CAMERAS
 from scanloom.pipeline.evaluation.codes import REPORT_INCOMPLETE
-from scanloom.pipeline.evaluation.photos import FILE as CAMERAS
-from scanloom.pipeline.report.page.one_file import PageCamera
+from scanloom.pipeline.report.page.single_file_page import PageCamera
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import read_json, require_inside
-from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.input_files import read_input_bytes
 
 _JPEG = b"\xff\xd8\xff"
 
 
 @contextmanager
-def as_runs_write(path: Path) -> Iterator[None]:
+def convert_parse_errors(path: Path) -> Iterator[None]:
     """Convert parsing errors of a run file to InputError."""
     try:
         yield
@@ -34,38 +34,38 @@ def as_runs_write(path: Path) -> Iterator[None]:
         ) from error
 
 
-def cameras_of(folder: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]) -> list[PageCamera]:
+def read_cameras(folder: Path, rotation: NDArray[np.float64], skipped: Mapping[str, str]) -> list[PageCamera]:
     """Read the cameras of a scan from the output folder of a run.
 
     Parameters
     ----------
     folder : folder of the report's pictures.
-    turn : (3, 3) rotation to the upright frame of the page.
+    rotation : (3, 3) rotation to the upright frame of the page.
     skipped : reasons of skipped frames by frame name.
     """
     path = folder / CAMERAS
     if not path.is_file():
         return []
-    with as_runs_write(path):
-        told: Any = read_json(path)
-        return [_camera(one, path, turn, skipped) for one in told["cameras"] if "fx" in one]
+    with convert_parse_errors(path):
+        document: Any = read_json(path)
+        return [_parse_camera(one, path, rotation, skipped) for one in document["cameras"] if "fx" in one]
 
 
-def _camera(
-    one: Mapping[str, Any], path: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]
+def _parse_camera(
+    values: Mapping[str, Any], path: Path, rotation: NDArray[np.float64], skipped: Mapping[str, str]
 ) -> PageCamera:
-    pose = turn @ np.array(one["world_from_camera"], np.float64).reshape(4, 4)[:3]
-    size = [int(one["size"][0]), int(one["size"][1])]
-    focal, center = [float(one["fx"]), float(one["fy"])], [float(one["cx"]), float(one["cy"])]
+    pose = rotation @ np.array(values["world_from_camera"], np.float64).reshape(4, 4)[:3]
+    size = [int(values["size"][0]), int(values["size"][1])]
+    focal, center = [float(values["fx"]), float(values["fy"])], [float(values["cx"]), float(values["cy"])]
     if not (np.isfinite(pose).all() and np.isfinite([*focal, *center]).all() and min(*size, *focal) > 0):
-        raise ValueError(one)
-    photo = None if one["photo"] is None else _photo(one["photo"], path)
-    frame = str(one["frame"])
-    mark = "held out" if one.get("held_out") else skipped.get(frame, "")
+        raise ValueError(values)
+    photo = None if values["photo"] is None else _read_photo(values["photo"], path)
+    frame = str(values["frame"])
+    mark = "held out" if values.get("held_out") else skipped.get(frame, "")
     return PageCamera(frame, pose.round(6).ravel().tolist(), size, focal, center, photo, mark)
 
 
-def _photo(name: str, path: Path) -> bytes:
+def _read_photo(name: str, path: Path) -> bytes:
     """Read a photo named in cameras.json.
 
     Files outside the folder are rejected, because pages are shared.
@@ -77,7 +77,7 @@ def _photo(name: str, path: Path) -> bytes:
         )
     if not photo.is_file():
         raise InputError(REPORT_INCOMPLETE, "this photo is missing", photo, remedy="run again.")
-    content = content_of(photo)
+    content = read_input_bytes(photo)
     if not content.startswith(_JPEG):
         raise InputError(REPORT_INCOMPLETE, "this is not a JPEG file.", photo)
     return content

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scanloom.pipeline.cache.digest import digest
-from scanloom.pipeline.cache.entry import DamagedError, Recipe, verified
+from scanloom.pipeline.cache.digest import compute_digest
+from scanloom.pipeline.cache.entry import DamagedEntryError, Recipe, verify_entry
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.expectation import Expectation, expected, megapixels
-from scanloom.pipeline.run.engine import Source, read_by, recipe_of
-from scanloom.pipeline.run.reasons import reason
-from scanloom.pipeline.run.results import Results
-from scanloom.pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
-from scanloom.pipeline.run.sources import sources_of
+from scanloom.pipeline.cost_model import ResourceEstimate, count_megapixels, estimate_cost
+from scanloom.pipeline.run.cache_miss_reason import explain_cache_miss
+from scanloom.pipeline.run.engine import StageInput, list_input_names, make_recipe
+from scanloom.pipeline.run.output_folder import OutputFolder
+from scanloom.pipeline.run.run import PreparedRun, get_cache_folder, list_result_names, prepare_run
+from scanloom.pipeline.run.sources import load_sources
 from scanloom.pipeline.stage import AnyStage
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
@@ -25,29 +25,29 @@ from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class StageForecast:
     """Prediction for a stage.
 
     Attributes
     ----------
     reason : why the stage would run; empty if its result is cached.
-    expected : expected cost; None if the result is cached.
+    estimate : expected cost; None if the result is cached.
     """
 
     stage: str
     cached: bool
     reason: str
-    expected: Expectation | None
+    estimate: ResourceEstimate | None
 
     def figures(self) -> dict[str, Any]:
         """Return the prediction as JSON values."""
-        take = self.expected
+        estimate = self.estimate
         return {
             "cached": self.cached,
             "reason": self.reason,
-            "expected_seconds": None if take is None else round(take.seconds, 1),
-            "expected_memory_mb": None if take is None else round(take.memory_bytes / 1e6),
-            "expected_from": None if take is None else take.basis,
+            "expected_seconds": None if estimate is None else round(estimate.seconds, 1),
+            "expected_memory_mb": None if estimate is None else round(estimate.memory_bytes / 1e6),
+            "estimate_basis": None if estimate is None else estimate.basis,
         }
 
 
@@ -57,7 +57,7 @@ class DryRun:
 
     Attributes
     ----------
-    refused : reason why the run would not start: a file in the output folder that it must not replace. None
+    refusal_reason : reason why the run would not start: a file in the output folder that it must not replace. None
         otherwise.
     """
 
@@ -65,19 +65,19 @@ class DryRun:
     cache: Path
     layout: str
     frames: int
-    stages: tuple[Foreseen, ...]
-    refused: str | None
+    stages: tuple[StageForecast, ...]
+    refusal_reason: str | None
     diagnostics: tuple[Diagnostic, ...]
 
     @property
     def seconds(self) -> float:
         """Expected seconds of all stages."""
-        return sum(one.expected.seconds for one in self.stages if one.expected is not None)
+        return sum(one.estimate.seconds for one in self.stages if one.estimate is not None)
 
     @property
     def memory_bytes(self) -> int:
         """Expected peak memory in bytes over all stages."""
-        return max((one.expected.memory_bytes for one in self.stages if one.expected is not None), default=0)
+        return max((one.estimate.memory_bytes for one in self.stages if one.estimate is not None), default=0)
 
     def figures(self) -> dict[str, Any]:
         """Return the predictions as JSON values."""
@@ -89,11 +89,11 @@ class DryRun:
             "stages": {one.stage: one.figures() for one in self.stages},
             "expected_seconds": round(self.seconds, 1),
             "expected_memory_mb": round(self.memory_bytes / 1e6),
-            "refused": self.refused,
+            "refused": self.refusal_reason,
         }
 
 
-def foresee(
+def predict_run(
     scan_folder: Path | str,
     out: Path | str,
     config: Config | None = None,
@@ -114,59 +114,61 @@ def foresee(
         As `scanloom.pipeline.run.run.run`, except that a file which must not be replaced only causes a
         warning.
     """
-    cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
-    wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
-    results = Results(cache, wanted.out, overwrite=overwrite)
-    refused = None
+    cache = Cache(get_cache_folder(Path(out).resolve(), cache_dir))
+    prepared = prepare_run(scan_folder, out, config or Config(), until, force, cache)
+    results = OutputFolder(cache, prepared.out, overwrite=overwrite)
+    refusal_reason = None
     try:
-        results.require_replaceable(placed_by(wanted))
+        results.check_replaceable(list_result_names(prepared))
     except InputError as error:
-        refused = str(error)
+        refusal_reason = str(error)
     with collecting() as diagnostics:
-        if refused is not None:
-            emit(FILE_OUTPUT_REFUSED.warning("the run would not start: {reason}", reason=refused))
+        if refusal_reason is not None:
+            emit(FILE_OUTPUT_REFUSED.warning("the run would not start: {reason}", reason=refusal_reason))
     return DryRun(
-        out=wanted.out,
+        out=prepared.out,
         cache=cache.folder,
-        layout=wanted.scan.layout,
-        frames=len(wanted.scan.frames),
-        stages=_foreseen(wanted, cache, results),
-        refused=refused,
-        diagnostics=(*wanted.diagnostics, *diagnostics),
+        layout=prepared.scan.layout,
+        frames=len(prepared.scan.frames),
+        stages=_predict_stages(prepared, cache, results),
+        refusal_reason=refusal_reason,
+        diagnostics=(*prepared.diagnostics, *diagnostics),
     )
 
 
-def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen, ...]:
-    scan, size = wanted.scan, megapixels(wanted.scan)
-    sources = sources_of(scan, wanted.config, wanted.photos)
-    writers = {stage.writes.NAME: stage.name for stage in wanted.plan}
+def _predict_stages(prepared: PreparedRun, cache: Cache, results: OutputFolder) -> tuple[StageForecast, ...]:
+    scan, size = prepared.scan, count_megapixels(prepared.scan)
+    sources = load_sources(scan, prepared.config, prepared.photos)
+    writers = {stage.artifact.NAME: stage.name for stage in prepared.plan}
     entries = sorted(cache.ls(), key=lambda entry: -entry.last_used.timestamp())
     earlier = [entry.manifest for entry in entries if entry.problem is None]
     found = []
-    for stage in wanted.plan[: len(wanted.planned)]:
-        recipe = recipe_of(stage, wanted.config, sources)
-        read = read_by(stage, sources)
+    for stage in prepared.plan[: len(prepared.planned_names)]:
+        recipe = make_recipe(stage, prepared.config, sources)
+        read = list_input_names(stage, sources)
         open_inputs = [name for name in read if name not in sources]
-        last = results.decided(stage.name)
+        last = results.get_recorded_inputs(stage.name)
         manifest, why = None, ""
         if open_inputs:
-            why = _awaiting([writers[name] for name in open_inputs], recipe, last)
+            why = _explain_pending([writers[name] for name in open_inputs], recipe, last)
         else:
             parts = {name: dict(sources[name].parts) for name in read}
-            manifest, why = _looked_up(cache, recipe, {"recipe": recipe.as_json(), "parts": parts}, last)
-        if stage.name in wanted.force:
+            manifest, why = _look_up(cache, recipe, {"recipe": recipe.to_json(), "parts": parts}, last)
+        if stage.name in prepared.force:
             manifest, why = None, "forced"
         if manifest is not None:
-            sources[stage.writes.NAME] = _source(stage, cache.folder / stage.name / recipe.key, manifest)
-            found.append(Foreseen(stage.name, True, "", None))
+            sources[stage.artifact.NAME] = _make_source(
+                stage, cache.folder / stage.name / recipe.key, manifest
+            )
+            found.append(StageForecast(stage.name, True, "", None))
             continue
         inputs = None if open_inputs else recipe.inputs
-        take = expected(stage.name, size, inputs, earlier, stage.cost)
-        found.append(Foreseen(stage.name, False, why, take))
+        estimate = estimate_cost(stage.name, size, inputs, earlier, stage.cost)
+        found.append(StageForecast(stage.name, False, why, estimate))
     return tuple(found)
 
 
-def _looked_up(
+def _look_up(
     cache: Cache, recipe: Recipe, now: Mapping[str, Any], last: Mapping[str, Any] | None
 ) -> tuple[Mapping[str, Any] | None, str]:
     """Look up a valid cached result.
@@ -175,25 +177,25 @@ def _looked_up(
     """
     place = cache.folder / recipe.stage / recipe.key
     if not place.is_dir():
-        return None, reason(now, last)
+        return None, explain_cache_miss(now, last)
     try:
-        return verified(place), ""
-    except DamagedError as error:
+        return verify_entry(place), ""
+    except DamagedEntryError as error:
         return None, f"cached result damaged: {error}"
 
 
-def _awaiting(before: Sequence[str], recipe: Recipe, last: Mapping[str, Any] | None) -> str:
+def _explain_pending(running: Sequence[str], recipe: Recipe, last: Mapping[str, Any] | None) -> str:
     """Explain why a stage would run after stages that run."""
     if last is None:
         return "first run"
-    unchanged = {"recipe": {**recipe.as_json(), "inputs": last["recipe"]["inputs"]}, "parts": last["parts"]}
+    unchanged = {"recipe": {**recipe.to_json(), "inputs": last["recipe"]["inputs"]}, "parts": last["parts"]}
     deciding = ("versions", "params", "libraries")
     is_changed = any(unchanged["recipe"][name] != last["recipe"].get(name) for name in deciding)
-    names = list(dict.fromkeys(before))
+    names = list(dict.fromkeys(running))
     follows = f"follows {', '.join(names)}, which run{'s' * (len(names) == 1)}"
-    return f"{reason(unchanged, last)}; {follows}" if is_changed else follows
+    return f"{explain_cache_miss(unchanged, last)}; {follows}" if is_changed else follows
 
 
-def _source(stage: AnyStage, place: Path, manifest: Mapping[str, Any]) -> Source:
+def _make_source(stage: AnyStage, place: Path, manifest: Mapping[str, Any]) -> StageInput:
     files = {name: about["sha256"] for name, about in manifest["files"].items()}
-    return Source(digest(files), stage.writes(place), files)
+    return StageInput(compute_digest(files), stage.artifact(place), files)

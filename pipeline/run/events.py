@@ -65,21 +65,21 @@ class StageFinished:
 
 
 @dataclass(frozen=True)
-class Waiting:
+class RunWaiting:
     """The run is blocked by another run, as stated in `text`."""
 
     text: str
 
 
-Event = RunStarted | StageStarted | StageProgress | StageFinished | Waiting
+RunEvent = RunStarted | StageStarted | StageProgress | StageFinished | RunWaiting
 
 
-class Events(Protocol):
+class RunEventHandler(Protocol):
     """Event callback, called from the working thread; exceptions raised from it stop the run."""
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: RunEvent) -> None:
         """Handle an event."""
 
 
-def unwatched(event: Event) -> None:
+def ignore_run_event(event: RunEvent) -> None:
     """Ignore an event."""

@@ -16,20 +16,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scanloom.pipeline.cache.entry import Entry
-from scanloom.pipeline.cache.system import peak_bytes
+from scanloom.pipeline.cache.system import get_peak_bytes
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.expectation import BASE_BYTES, Expectation
+from scanloom.pipeline.cost_model import BASE_BYTES, ResourceEstimate
 from scanloom.pipeline.run.codes import BATCH_LIMIT_EXCEEDED
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import StageError
 
 # Seconds between two checks of memory and of disk use during a stage.
-_MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0
+_MEMORY_CHECK_INTERVAL, _DISK_CHECK_INTERVAL = 0.05, 1.0
 # The voxel volume may use one third of the memory limit.
-_OF_VOLUME = 3
+_VOLUME_DIVISOR = 3
 # Minimum completed ratio for extrapolation: early use of a stage is a poor predictor of its total.
-_LEAST_SHARE = 0.25
-_BASES = {
+_MIN_COMPLETED_RATIO = 0.25
+_BASIS_TEXTS = {
     "measured": "measured in an earlier run",
     "scaled": "scaled from other scans",
     "estimated": "estimated from the scan size",
@@ -56,15 +56,15 @@ class Limits:
 NO_LIMITS = Limits()
 
 
-def within(config: Config, limits: Limits) -> Config:
+def limit_volume_memory(config: Config, limits: Limits) -> Config:
     """Reduce fuse.memory to a third of the memory limit; no result depends on it.
 
     The remainder is needed for mesh extraction and per-frame data.
     """
     if limits.memory is None:
         return config
-    most = max((limits.memory - BASE_BYTES) / (_OF_VOLUME * 1e6), 1.0)
-    return replace(config, fuse=replace(config.fuse, memory=min(config.fuse.memory, most)))
+    max_volume_mb = max((limits.memory - BASE_BYTES) / (_VOLUME_DIVISOR * 1e6), 1.0)
+    return replace(config, fuse=replace(config.fuse, memory=min(config.fuse.memory, max_volume_mb)))
 
 
 class LimitGuard:
@@ -81,9 +81,9 @@ class LimitGuard:
         self,
         limits: Limits,
         config: Config,
-        expected: Mapping[str, Expectation],
+        expected: Mapping[str, ResourceEstimate],
         by_voxels: Sequence[str],
-        peak: Callable[[], int] = peak_bytes,
+        peak: Callable[[], int] = get_peak_bytes,
     ) -> None:
         self._limits = limits
         self._config = config
@@ -91,16 +91,16 @@ class LimitGuard:
         self._by_voxels = by_voxels
         self._peak = peak
         self._written = 0
-        self._told = 0
+        self._reported_peak = 0
         self._has_begun = False
-        self._looked = {"memory": -math.inf, "disk": -math.inf}
+        self._last_checks = {"memory": -math.inf, "disk": -math.inf}
 
     @property
     def written(self) -> int:
         """Bytes written by the run so far."""
         return self._written
 
-    def before(self, stage: str) -> None:
+    def check_before(self, stage: str) -> None:
         """Check the expected cost of the remaining stages, once, before the first computed stage.
 
         Raises
@@ -112,25 +112,27 @@ class LimitGuard:
             return
         self._has_begun = True
         names = [*self._expected]
-        to_come = names[names.index(stage) :] if stage in names else []
-        if self._limits.memory is not None and to_come:
-            most = max(to_come, key=lambda name: self._expected[name].memory_bytes)
-            take = self._expected[most]
-            if take.memory_bytes > self._limits.memory or self._limits.memory <= BASE_BYTES:
-                why = self._memory_trouble(most, take.memory_bytes, _BASES[take.basis])
-                self._end_or_warn(why, take.basis)
+        remaining = names[names.index(stage) :] if stage in names else []
+        if self._limits.memory is not None and remaining:
+            largest_stage = max(remaining, key=lambda name: self._expected[name].memory_bytes)
+            estimate = self._expected[largest_stage]
+            if estimate.memory_bytes > self._limits.memory or self._limits.memory <= BASE_BYTES:
+                why = self._describe_memory_excess(
+                    largest_stage, estimate.memory_bytes, _BASIS_TEXTS[estimate.basis]
+                )
+                self._end_or_warn(why, estimate.basis)
         if self._limits.disk is not None:
-            total = sum(self._expected[name].disk_bytes for name in to_come)
+            total = sum(self._expected[name].disk_bytes for name in remaining)
             if total > self._limits.disk - self._written:
-                bases = {self._expected[name].basis for name in to_come}
+                bases = {self._expected[name].basis for name in remaining}
                 self._end_or_warn(
                     "the run is expected to write {total}, but only {left} of the disk limit of {limit} "
                     "remain; increase the limit, or use larger voxels: {lighter}.",
                     "estimated" if "estimated" in bases else "scaled",
-                    total=_size(total),
-                    left=_size(self._limits.disk - self._written),
-                    limit=_size(self._limits.disk),
-                    lighter=self._lighter(total, self._limits.disk - self._written),
+                    total=_format_size(total),
+                    left=_format_size(self._limits.disk - self._written),
+                    limit=_format_size(self._limits.disk),
+                    lighter=self._suggest_reduction(total, self._limits.disk - self._written),
                 )
 
     def _end_or_warn(self, message: str, basis: str, **values: str) -> None:
@@ -139,7 +141,7 @@ class LimitGuard:
         estimate = "This is an estimate; the stage is only stopped if it exceeds the limit."
         emit(BATCH_LIMIT_EXCEEDED.warning(f"{message} {estimate}", **values))
 
-    def during(self, stage: str, folder: Path, share: float) -> None:
+    def check_during(self, stage: str, folder: Path, share: float) -> None:
         """Stop a stage that has exceeded a limit.
 
         Parameters
@@ -152,38 +154,40 @@ class LimitGuard:
         StageError
             If a limit is exceeded; the message names the amount and a fitting voxel size.
         """
-        if self._limits.memory is not None and self._is_time("memory", _MEMORY_PAUSE):
+        if self._limits.memory is not None and self._is_check_due("memory", _MEMORY_CHECK_INTERVAL):
             taken = self._peak()
             if taken > self._limits.memory:
-                raise StageError(BATCH_LIMIT_EXCEEDED, self._memory_trouble(stage, taken, None, share))
-        if self._limits.disk is not None and self._is_time("disk", _DISK_PAUSE):
-            self._require_disk(stage, 2 * _bytes_in(folder), share)
+                raise StageError(
+                    BATCH_LIMIT_EXCEEDED, self._describe_memory_excess(stage, taken, None, share)
+                )
+        if self._limits.disk is not None and self._is_check_due("disk", _DISK_CHECK_INTERVAL):
+            self._check_disk(stage, 2 * _count_bytes(folder), share)
 
-    def kept(self, stage: str, entry: Entry) -> None:
+    def check_stored(self, stage: str, entry: Entry) -> None:
         """Add the bytes written by a stage.
 
         The cache entry and its copies in the output folder count.
         """
-        self.ended(stage)
+        self.warn_if_exceeded(stage)
         size = 2 * sum(about["size"] for about in entry.manifest["files"].values())
-        self._require_disk(stage, size)
+        self._check_disk(stage, size)
         self._written += size
 
-    def ended(self, what: str) -> None:
+    def warn_if_exceeded(self, what: str) -> None:
         """Warn if a finished step exceeded the memory limit after its last progress report."""
         limit, taken = self._limits.memory, self._peak()
-        if limit is not None and taken > max(limit, self._told):
-            self._told = taken
+        if limit is not None and taken > max(limit, self._reported_peak):
+            self._reported_peak = taken
             emit(
                 BATCH_LIMIT_EXCEEDED.warning(
                     "{work} used {taken} of memory at its end, more than the limit of {limit}.",
                     work=what,
-                    taken=_size(taken),
-                    limit=_size(limit),
+                    taken=_format_size(taken),
+                    limit=_format_size(limit),
                 )
             )
 
-    def _require_disk(self, stage: str, more: int, share: float = 1.0) -> None:
+    def _check_disk(self, stage: str, more: int, share: float = 1.0) -> None:
         limit = self._limits.disk
         if limit is not None and self._written + more > limit:
             total = self._written + more
@@ -192,40 +196,38 @@ class LimitGuard:
                 "with {stage}, the run has written {size}, more than the disk limit of {limit}",
                 remedy="increase the limit, or use larger voxels: {lighter}.",
                 stage=stage,
-                size=_size(total),
-                limit=_size(limit),
-                lighter=self._lighter(self._at_end(total, share), limit),
+                size=_format_size(total),
+                limit=_format_size(limit),
+                lighter=self._suggest_reduction(self._extrapolate(total, share), limit),
             )
 
-    def _is_time(self, what: str, pause: float) -> bool:
+    def _is_check_due(self, what: str, pause: float) -> bool:
         now = time.monotonic()
-        if now - self._looked[what] < pause:
+        if now - self._last_checks[what] < pause:
             return False
-        self._looked[what] = now
+        self._last_checks[what] = now
         return True
 
-    def _memory_trouble(self, stage: str, needed: int, basis: str | None, share: float = 1.0) -> str:
+    def _describe_memory_excess(self, stage: str, needed: int, basis: str | None, share: float = 1.0) -> str:
         limit = self._limits.memory or 0
         takes = "has used" if basis is None else f"is expected to use ({basis})"
-        what = f"{stage} {takes} {_size(needed)} of memory, more than the limit of {_size(limit)}; "
+        what = f"{stage} {takes} {_format_size(needed)} of memory, more than the limit of {_format_size(limit)}; "
         if limit <= BASE_BYTES:
-            return f"{what}no voxel size fits, because the libraries alone use {_size(BASE_BYTES)}."
+            return f"{what}no voxel size fits, because the libraries alone use {_format_size(BASE_BYTES)}."
         if stage not in self._by_voxels:
             return f"{what}the voxel size has no influence: increase the limit, or disable the stage."
-        return (
-            f"{what}{self._voxels(self._at_end(needed - BASE_BYTES, share), limit - BASE_BYTES)} would fit."
-        )
+        return f"{what}{self._suggest_voxel_size(self._extrapolate(needed - BASE_BYTES, share), limit - BASE_BYTES)} would fit."
 
-    def _at_end(self, taken: float, share: float) -> float:
+    def _extrapolate(self, taken: float, share: float) -> float:
         """Extrapolate the use at the end of a stage from its completed ratio."""
-        return taken / max(share, _LEAST_SHARE)
+        return taken / max(share, _MIN_COMPLETED_RATIO)
 
-    def _lighter(self, needed: float, limit: int) -> str:
+    def _suggest_reduction(self, needed: float, limit: int) -> str:
         if limit <= 0:
             return "no voxel size fits"
-        return f"{self._voxels(needed, limit)} would fit"
+        return f"{self._suggest_voxel_size(needed, limit)} would fit"
 
-    def _voxels(self, needed: float, limit: float) -> str:
+    def _suggest_voxel_size(self, needed: float, limit: float) -> str:
         """Suggest a voxel size that meets a limit.
 
         Memory and disk use are proportional to the inverse square of the voxel size.
@@ -233,11 +235,11 @@ class LimitGuard:
         times = math.sqrt(max(needed / limit, 1.0))
         fuse = self._config.fuse
         if fuse.voxel_size is not None:
-            return f"fuse.voxel_size={_rounded_up(times * fuse.voxel_size):g}"
-        return f"fuse.voxel_factor={_rounded_up(times * fuse.voxel_factor):g}"
+            return f"fuse.voxel_size={_round_up(times * fuse.voxel_size):g}"
+        return f"fuse.voxel_factor={_round_up(times * fuse.voxel_factor):g}"
 
 
-def _bytes_in(folder: Path) -> int:
+def _count_bytes(folder: Path) -> int:
     sizes = 0
     for path in folder.rglob("*"):
         # Files may disappear during the walk.
@@ -246,12 +248,12 @@ def _bytes_in(folder: Path) -> int:
     return sizes
 
 
-def _rounded_up(value: float) -> float:
+def _round_up(value: float) -> float:
     """Round up to two significant digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     # The tolerance keeps values that have two digits already, despite floating-point error.
     return math.ceil(value / step - 1e-9) * step
 
 
-def _size(count: float) -> str:
+def _format_size(count: float) -> str:
     return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{max(count, 0) / 1e6:.3g} MB"

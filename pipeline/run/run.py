@@ -10,26 +10,26 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from scanloom.pipeline.cache.digest import digest
+from scanloom.pipeline.cache.digest import compute_digest
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
+from scanloom.pipeline.cost_model import count_megapixels
+from scanloom.pipeline.error_conversion import convert_os_errors
 from scanloom.pipeline.evaluation.codes import REPORT_INCOMPLETE
 from scanloom.pipeline.evaluation.params import ReportParams
-from scanloom.pipeline.expectation import megapixels
-from scanloom.pipeline.failures import explained
-from scanloom.pipeline.graph import STAGES, plan_for, skip_reasons
+from scanloom.pipeline.graph import STAGES, list_skip_reasons, plan_stages
 from scanloom.pipeline.report.file_names import PAGE, REPORT
 from scanloom.pipeline.report.page.show import Page
-from scanloom.pipeline.report.run_page import page_of_run
-from scanloom.pipeline.run.asked import Asked, from_anywhere
-from scanloom.pipeline.run.document import compose
-from scanloom.pipeline.run.engine import Engine, Outcome
-from scanloom.pipeline.run.events import Events, RunStarted, StageProgress, unwatched
-from scanloom.pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, within
-from scanloom.pipeline.run.needs import expected_of
-from scanloom.pipeline.run.results import Results
-from scanloom.pipeline.run.sources import sources_of
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.report.run_page import make_run_page
+from scanloom.pipeline.run.engine import Engine, StageOutcome
+from scanloom.pipeline.run.events import RunEventHandler, RunStarted, StageProgress, ignore_run_event
+from scanloom.pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, limit_volume_memory
+from scanloom.pipeline.run.output_folder import OutputFolder
+from scanloom.pipeline.run.report_document import compose_report
+from scanloom.pipeline.run.resource_estimation import estimate_stages
+from scanloom.pipeline.run.run_request import RunRequest, make_paths_absolute
+from scanloom.pipeline.run.sources import load_sources
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import AnyStage
 from scanloom.pipeline.steps.adjust import is_adjusted
 from scanloom.pipeline.steps.codes import USAGE_STAGE_SKIPPED
@@ -40,11 +40,11 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
-from scanloom.stages.files.opening import content_of
-from scanloom.stages.printing import counted, line, rows_table
+from scanloom.stages.files.input_files import read_input_bytes
+from scanloom.stages.printing import format_count, format_line, render_rows
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.read import read_scan, require_complete
-from scanloom.stages.surface.memory import give_back
+from scanloom.stages.scans.reader import read_scan, require_complete
+from scanloom.stages.surface.memory_release import release_free_memory
 
 CACHE_VARIABLE = "SCANLOOM_CACHE"
 
@@ -65,29 +65,33 @@ class RunResult:
 
     out: Path
     cache: Path
-    stages: tuple[Outcome, ...]
+    stages: tuple[StageOutcome, ...]
     report: Mapping[str, Any]
     page: Path | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
     def __repr__(self) -> str:
-        return line(self, (str(self.out), *self._facts()))
+        return format_line(self, (str(self.out), *self._list_facts()))
 
     def _repr_html_(self) -> str:
         rows = [
-            [one.stage, "cached" if one.cached else f"{one.seconds:.1f} s", f"{one.made['seconds']:.1f} s"]
+            [
+                one.stage,
+                "cached" if one.cached else f"{one.seconds:.1f} s",
+                f"{one.compute_cost['seconds']:.1f} s",
+            ]
             for one in self.stages
         ]
-        told = ", ".join(fact for fact in self._facts() if fact)
-        of_stages = rows_table([["stage", "this run", "computed in"], *rows])
-        return f"<div><b>{escape(str(self.out))}</b>: {escape(told)}{of_stages}</div>"
+        facts = ", ".join(fact for fact in self._list_facts() if fact)
+        stage_table = render_rows([["stage", "this run", "computed in"], *rows])
+        return f"<div><b>{escape(str(self.out))}</b>: {escape(facts)}{stage_table}</div>"
 
-    def _facts(self) -> tuple[str, ...]:
+    def _list_facts(self) -> tuple[str, ...]:
         return (
-            counted(len(self.stages), "stage"),
+            format_count(len(self.stages), "stage"),
             f"{sum(one.cached for one in self.stages)} cached",
-            counted((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
-            counted(len(self.unmet), "requirement not met", "requirements not met"),
+            format_count((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
+            format_count(len(self.unmet_requirements), "requirement not met", "requirements not met"),
         )
 
     def show(self, *, width: str = "100%", height: int = 640) -> Page:
@@ -107,11 +111,11 @@ class RunResult:
             raise UsageError(
                 REPORT_INCOMPLETE, "this run has no page; report.page=true and report.enabled=true write one."
             )
-        html = content_of(self.page)
+        html = read_input_bytes(self.page)
         return Page(title=self.out.name, html=html, width=width, height=height)
 
     @property
-    def unmet(self) -> tuple[Diagnostic, ...]:
+    def unmet_requirements(self) -> tuple[Diagnostic, ...]:
         """Requirements that were not met."""
         return tuple(one for one in self.diagnostics if one.severity is Severity.UNMET)
 
@@ -131,7 +135,7 @@ def run(
     cache_dir: Path | str | None = None,
     overwrite: bool = False,
     limits: Limits = NO_LIMITS,
-    events: Events = unwatched,
+    events: RunEventHandler = ignore_run_event,
 ) -> RunResult:
     """Process a scan folder to a simplified mesh and a report, using cached results.
 
@@ -145,7 +149,7 @@ def run(
         with `lod.enabled`. Outdated files that a run placed there are removed.
     until : last stage to run.
     force : stages to recompute even if their results are cached.
-    cache_dir : see `cache_folder`.
+    cache_dir : see `get_cache_folder`.
     overwrite : also replace files in `out` that no run placed there, or that were edited since.
     limits : memory and disk limits.
     events : callback for progress events, called from this thread.
@@ -159,20 +163,20 @@ def run(
     StageError
         If a stage fails, the disk or memory is exhausted, or a limit is exceeded.
     """
-    cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
-    wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
-    return run_wanted(wanted, cache, overwrite=overwrite, limits=limits, events=events)
+    cache = Cache(get_cache_folder(Path(out).resolve(), cache_dir))
+    prepared = prepare_run(scan_folder, out, config or Config(), until, force, cache)
+    return run_prepared(prepared, cache, overwrite=overwrite, limits=limits, events=events)
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PreparedRun:
     """Validated arguments of a run, with the scan read and the stages planned.
 
     Attributes
     ----------
     photos : scan of `texture.images`, or None.
     plan : all stages that apply to the scan.
-    planned : names of the stages up to the last requested one.
+    planned_names : names of the stages up to the last requested one.
     diagnostics : diagnostics of the scan and of the parameters.
     """
 
@@ -181,19 +185,19 @@ class Wanted:
     out: Path
     config: Config
     plan: Sequence[AnyStage]
-    planned: tuple[str, ...]
+    planned_names: tuple[str, ...]
     force: Collection[str]
     diagnostics: tuple[Diagnostic, ...]
 
 
-def wanted_of(
+def prepare_run(
     scan_folder: Path | str,
     out: Path | str,
     config: Config,
     until: str | None,
     force: Collection[str],
     cache: Cache,
-) -> Wanted:
+) -> PreparedRun:
     """Read the scan, validate the arguments, and plan the stages.
 
     See `run`. Nothing is written.
@@ -208,15 +212,15 @@ def wanted_of(
                 where=folder,
                 what=what,
             )
-    require_stages([*force, *([] if until is None else [until])])
+    check_stages([*force, *([] if until is None else [until])])
     scan = read_scan(scan_folder, config.scan, complete=False)
     require_complete(scan, scan_folder, posed=not is_registered(scan, config))
-    plan = plan_for(scan, config)
+    plan = plan_stages(scan, config)
     until = until or plan[-1].name
-    absent = skip_reasons(scan, config)
+    skipped = list_skip_reasons(scan, config)
     for name in (*force, until):
-        if name in absent:
-            raise UsageError(USAGE_STAGE_SKIPPED, "{name} {absent}.", name=name, absent=absent[name])
+        if name in skipped:
+            raise UsageError(USAGE_STAGE_SKIPPED, "{name} {absent}.", name=name, absent=skipped[name])
     names = [stage.name for stage in plan]
     with collecting() as diagnostics:
         if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
@@ -225,13 +229,17 @@ def wanted_of(
                     "register.refine has no effect, because adjust refines the poses of frames with colour"
                 )
             )
-        emit_skipped([one.figures() for one in scan.skipped])
+        warn_skipped_frames([one.figures() for one in scan.skipped_frames])
         planned = tuple(names[: names.index(until) + 1])
-        photos = _photos(config, scan) if any("photos" in one.reads for one in plan[: len(planned)]) else None
-    return Wanted(scan, photos, out, config, plan, planned, force, (*scan.diagnostics, *diagnostics))
+        photos = (
+            _read_photos(config, scan)
+            if any("photos" in one.input_names for one in plan[: len(planned)])
+            else None
+        )
+    return PreparedRun(scan, photos, out, config, plan, planned, force, (*scan.diagnostics, *diagnostics))
 
 
-def _photos(config: Config, scan: Scan) -> Scan | None:
+def _read_photos(config: Config, scan: Scan) -> Scan | None:
     """Read the photos of `texture.images`, which replace the frames as source of the texture."""
     if config.texture.images is None:
         return None
@@ -247,39 +255,41 @@ def _photos(config: Config, scan: Scan) -> Scan | None:
     return photos
 
 
-def cache_folder(out: Path, given: Path | str | None = None) -> Path:
+def get_cache_folder(out: Path, given: Path | str | None = None) -> Path:
     """Return the cache folder: `given`, else $SCANLOOM_CACHE, else `out/cache`."""
     chosen = given or os.environ.get(CACHE_VARIABLE)
     return Path(chosen).resolve() if chosen else out / "cache"
 
 
-def run_wanted(
-    wanted: Wanted,
+def run_prepared(
+    prepared: PreparedRun,
     cache: Cache,
     *,
     overwrite: bool = False,
     limits: Limits = NO_LIMITS,
-    events: Events = unwatched,
+    events: RunEventHandler = ignore_run_event,
 ) -> RunResult:
-    """Run a validated plan of `wanted_of`; see `run`."""
+    """Run a validated plan of `prepare_run`; see `run`."""
     with collecting() as diagnostics:
-        result = _run_stages(wanted, cache, overwrite, limits, events)
-    return replace(result, diagnostics=(*wanted.diagnostics, *diagnostics))
+        result = _run_stages(prepared, cache, overwrite, limits, events)
+    return replace(result, diagnostics=(*prepared.diagnostics, *diagnostics))
 
 
-def _run_stages(wanted: Wanted, cache: Cache, overwrite: bool, limits: Limits, events: Events) -> RunResult:
-    scan, out, planned = wanted.scan, wanted.out, wanted.planned
-    config = within(wanted.config, limits)
+def _run_stages(
+    prepared: PreparedRun, cache: Cache, overwrite: bool, limits: Limits, events: RunEventHandler
+) -> RunResult:
+    scan, out, planned = prepared.scan, prepared.out, prepared.planned_names
+    config = limit_volume_memory(prepared.config, limits)
     events(RunStarted(scan.layout, len(scan.frames), planned, scan.is_metric))
-    with explained(f"the output folder {out} cannot be used"):
+    with convert_os_errors(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()
-    sources = sources_of(
-        scan, config, wanted.photos, lambda done, total: events(StageProgress("scan", done, total))
+    sources = load_sources(
+        scan, config, prepared.photos, lambda done, total: events(StageProgress("scan", done, total))
     )
-    guard = _guard(wanted, config, cache, limits)
+    guard = _make_guard(prepared, config, cache, limits)
     with Engine(
-        wanted.plan,
+        prepared.plan,
         config,
         sources,
         cache,
@@ -287,37 +297,41 @@ def _run_stages(wanted: Wanted, cache: Cache, overwrite: bool, limits: Limits, e
         events,
         overwrite=overwrite,
         scan_folder=scan.folder,
-        megapixels=megapixels(scan),
+        megapixels=count_megapixels(scan),
         guard=guard,
     ) as engine:
         if scan.folder is not None:
-            engine.results.note(Asked(scan.folder.absolute(), from_anywhere(config), planned[-1]).record())
-        engine.results.require_replaceable(placed_by(wanted))
-        engine.results.withdraw_others([stage.name for stage in wanted.plan])
-        outcomes = tuple(engine.run(planned[-1], wanted.force))
-        final = engine.withdraw_outdated(planned[-1])
-        report = compose(scan, wanted.diagnostics, outcomes, {} if final is None else final.figures, out)
-        written = engine.results.write_report(report)
-        page = _page(out, config.report, written, engine.results, events, guard)
+            engine.output_folder.record_request(
+                RunRequest(scan.folder.absolute(), make_paths_absolute(config), planned[-1]).to_json()
+            )
+        engine.output_folder.check_replaceable(list_result_names(prepared))
+        engine.output_folder.remove_other_stages([stage.name for stage in prepared.plan])
+        outcomes = tuple(engine.run(planned[-1], prepared.force))
+        final = engine.remove_outdated(planned[-1])
+        report = compose_report(
+            scan, prepared.diagnostics, outcomes, {} if final is None else final.figures, out
+        )
+        written = engine.output_folder.write_report(report)
+        page = _write_page(out, config.report, written, engine.output_folder, events, guard)
     if config.cache.max_bytes is not None:
-        cache.limit(config.cache.max_bytes)
+        cache.limit_size(config.cache.max_bytes)
     return RunResult(out, cache.folder, outcomes, written, page)
 
 
-def _guard(wanted: Wanted, config: Config, cache: Cache, limits: Limits) -> LimitGuard | None:
+def _make_guard(prepared: PreparedRun, config: Config, cache: Cache, limits: Limits) -> LimitGuard | None:
     if not limits:
         return None
-    expected = expected_of(wanted.scan, config, wanted.planned, cache.folder)
-    by_voxels = [stage.name for stage in wanted.plan if stage.cost.by_voxels]
-    return LimitGuard(limits, wanted.config, expected, by_voxels)
+    expected = estimate_stages(prepared.scan, config, prepared.planned_names, cache.folder)
+    by_voxels = [stage.name for stage in prepared.plan if stage.cost.depends_on_voxel_size]
+    return LimitGuard(limits, prepared.config, expected, by_voxels)
 
 
-def _page(
+def _write_page(
     out: Path,
     params: ReportParams,
     report: Mapping[str, Any],
-    results: Results,
-    events: Events,
+    results: OutputFolder,
+    events: RunEventHandler,
     guard: LimitGuard | None,
 ) -> Path | None:
     """Write report.html unless it is up to date.
@@ -326,39 +340,44 @@ def _page(
     """
     if not params.page or report["mesh"] is None:
         # Remove an outdated page: it would not match the results.
-        results.holds_page(_decides_page(params))
+        results.has_current_page(_compute_page_params_digest(params))
         return None
-    if results.holds_page(_decides_page(params)):
+    if results.has_current_page(_compute_page_params_digest(params)):
         return out / PAGE
     events(StageProgress("page", 0, 1))
     # Release memory freed by the last stage.
-    give_back()
+    release_free_memory()
     try:
-        page = page_of_run(out, int(1e6 * params.page_size))
+        page = make_run_page(out, int(1e6 * params.page_size))
     except InputError as error:
         emit(REPORT_INCOMPLETE.warning("{page} is not written: {reason}", page=PAGE, reason=str(error)))
         return None
     events(StageProgress("page", 1, 1))
     if guard is not None:
-        guard.ended("the page")
-    return results.write_page(page, _decides_page(params))
+        guard.warn_if_exceeded("the page")
+    return results.write_page(page, _compute_page_params_digest(params))
 
 
-def _decides_page(params: ReportParams) -> str:
-    return digest([params.page_size, __version__])
+def _compute_page_params_digest(params: ReportParams) -> str:
+    return compute_digest([params.page_size, __version__])
 
 
-def placed_by(wanted: Wanted) -> list[str]:
+def list_result_names(prepared: PreparedRun) -> list[str]:
     """Return the names that a run will write in the output folder."""
-    has_summary = any(stage.is_summary and stage.name in wanted.planned for stage in wanted.plan)
+    has_summary = any(stage.is_summary and stage.name in prepared.planned_names for stage in prepared.plan)
     return [
-        *(name for stage in wanted.plan if stage.name in wanted.planned for name in stage.results),
+        *(
+            name
+            for stage in prepared.plan
+            if stage.name in prepared.planned_names
+            for name in stage.result_names
+        ),
         REPORT,
-        *([PAGE] if has_summary and wanted.config.report.page else []),
+        *([PAGE] if has_summary and prepared.config.report.page else []),
     ]
 
 
-def require_stages(names: Sequence[str]) -> None:
+def check_stages(names: Sequence[str]) -> None:
     """Raise UsageError for an unknown stage name."""
     known = [stage.name for stage in STAGES]
     for name in names:

@@ -8,21 +8,26 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from scanloom.pipeline.cache.digest import content, digest, label_digests, scan_digest
+from scanloom.pipeline.cache.digest import (
+    compute_digest,
+    compute_label_digests,
+    compute_scan_digest,
+    get_content_digest,
+)
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.graph import source_name
-from scanloom.pipeline.run.engine import Source
+from scanloom.pipeline.graph import get_scan_input_name
+from scanloom.pipeline.run.engine import StageInput
 from scanloom.stages.diagnostics.codes import MACHINE_BUSY
 from scanloom.stages.diagnostics.errors import StageError
-from scanloom.stages.inspecting.libraries import installed
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.inspecting.libraries import list_installed_versions
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.stereo.networks.sidecar import sidecar_of
+from scanloom.stages.stereo.networks.sidecar import get_sidecar_path
 
 
-def sources_of(
-    scan: Scan, config: Config, photos: Scan | None = None, progress: Progress = silent
-) -> dict[str, Source]:
+def load_sources(
+    scan: Scan, config: Config, photos: Scan | None = None, progress: Progress = ignore_progress
+) -> dict[str, StageInput]:
     """Compute the sources of a run by input name, with digests.
 
     Parameters
@@ -30,25 +35,25 @@ def sources_of(
     photos : scan of `texture.images`.
     progress : callback for digested files.
     """
-    labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
-    found = {source_name(scan, config): _source(scan, progress), **labels}
+    labels = {name: StageInput(one, None, {name: one}) for name, one in compute_label_digests(scan).items()}
+    found = {get_scan_input_name(scan, config): _make_source(scan, progress), **labels}
     if scan.held_out:
-        found["held_out"] = _source(replace(scan, frames=scan.held_out, held_out=()), silent)
+        found["held_out"] = _make_source(replace(scan, frames=scan.held_out, held_out=()), ignore_progress)
     if photos is not None:
-        found["photos"] = _source(photos, progress)
+        found["photos"] = _make_source(photos, progress)
     if config.depth.model is not None:
-        found["network"] = _network(Path(config.depth.model))
+        found["network"] = _load_network(Path(config.depth.model))
     return found
 
 
-def _network(file: Path) -> Source:
+def _load_network(file: Path) -> StageInput:
     """Compute the source of a network: file, sidecar and runtime version determine its output."""
-    files = {"network": file, "sidecar": sidecar_of(file)}
-    parts = {what: content(path) for what, path in files.items()}
+    files = {"network": file, "sidecar": get_sidecar_path(file)}
+    parts = {what: get_content_digest(path) for what, path in files.items()}
 
     def require_unchanged() -> None:
         for what, path in files.items():
-            if content(path) != parts[what]:
+            if get_content_digest(path) != parts[what]:
                 raise StageError(
                     MACHINE_BUSY,
                     "{path} changed while it was being read",
@@ -56,10 +61,10 @@ def _network(file: Path) -> Source:
                     path=path,
                 )
 
-    parts |= installed("onnxruntime")
-    return Source(digest(parts), file, parts, require_unchanged)
+    parts |= list_installed_versions("onnxruntime")
+    return StageInput(compute_digest(parts), file, parts, require_unchanged)
 
 
-def _source(scan: Scan, progress: Progress) -> Source:
-    found = scan_digest(scan, progress)
-    return Source(found.digest, scan, found.parts, found.require_unchanged)
+def _make_source(scan: Scan, progress: Progress) -> StageInput:
+    found = compute_scan_digest(scan, progress)
+    return StageInput(found.digest, scan, found.parts, found.require_unchanged)

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
 from scanloom.stages.comparing.compare import compare_surfaces
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.params import param
 from scanloom.stages.progress import Progress
 from scanloom.stages.scans.model.scan import Scan
@@ -40,7 +40,7 @@ class BakeSection(BakeParams):
     )
 
 
-FILE = "baked.glb"
+BAKED_FILE = "baked.glb"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class BakedMesh(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class BakeInputs:
     """Inputs of the stage `bake`."""
 
     clean_mesh: CleanMesh
@@ -59,40 +59,40 @@ class Inputs:
     up_direction: UpDirection
 
 
-def _run(inputs: Inputs, params: BakeSection, context: Context) -> Mapping[str, Any]:
-    simplified, original = inputs.simplified_mesh.load(), inputs.clean_mesh.load_whole("bake")
+def _run(inputs: BakeInputs, params: BakeSection, context: Context) -> Mapping[str, Any]:
+    simplified, original = inputs.simplified_mesh.load(), inputs.clean_mesh.load_in_memory("bake")
     up = inputs.up_direction.load()
     return write_baked(context.folder, simplified, original, up, params, context.progress)
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     return None if config.get(BakeSection).enabled else "is not enabled; set bake.enabled=true"
 
 
 def write_baked(
     folder: Path,
-    light: Mesh,
+    simplified: Mesh,
     original: Mesh,
     up: Up | None,
     params: BakeSection,
     progress: Progress,
 ) -> dict[str, Any]:
     """Bake and write baked.glb, rotated upright, and return metrics."""
-    baked = bake(light, original, params, progress=progress)
+    baked = bake(simplified, original, params, progress=progress)
     # Scanned colours already include the lighting of the scene.
-    write_gltf(folder / FILE, baked.mesh.with_(up=up), shading="unlit")
+    write_gltf(folder / BAKED_FILE, baked.mesh.with_(up=up), shading="unlit")
     return baked.figures()
 
 
 STAGE = Stage(
     name="bake",
     section=BakeSection,
-    inputs=Inputs,
-    writes=BakedMesh,
+    inputs=BakeInputs,
+    artifact=BakedMesh,
     run=_run,
-    versions=always(bake, compare_surfaces),
-    libraries=installed("scanloom", "open3d", "opencv"),
-    results=(FILE,),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=300e6),
+    versions=make_fixed_versions(bake, compare_surfaces),
+    libraries=list_installed_versions("scanloom", "open3d", "opencv"),
+    result_names=(BAKED_FILE,),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=10, seconds_per_megapixel=1, bytes=300e6),
 )

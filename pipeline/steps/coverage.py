@@ -19,33 +19,33 @@ from numpy.typing import NDArray
 from scanloom.pipeline.artifacts.file_names import COVERAGE, COVERAGE_MESH
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
-from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.inspecting.codes import COVERAGE_LIMITED
 from scanloom.stages.inspecting.coverage.coverage import coverage
-from scanloom.stages.inspecting.coverage.covered import Covered
-from scanloom.stages.inspecting.coverage.evidence import Evidence
+from scanloom.stages.inspecting.coverage.coverage_result import SurfaceCoverage
+from scanloom.stages.inspecting.coverage.measurement_evidence import Evidence
 from scanloom.stages.inspecting.coverage.params import CoverageParams
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.params import param
 from scanloom.stages.progress import Progress
 from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.chunked_mesh import ChunkedMesh
+from scanloom.stages.surface.chunked_ply import WrittenChunk, write_ply_in_chunks
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import write_mesh
-from scanloom.stages.surface.pieces import Written, write_by_pieces
-from scanloom.stages.surface.piecewise import Piecewise
 
-MODEL = "coverage.glb"
+COVERAGE_MODEL = "coverage.glb"
 # Vertex properties: number of frames that measured the vertex; minimum and mean viewing angle to the normal,
 # degrees; pixel width, metres; RMS distance of the measurements from the surface, metres. Vertices seen by no
 # frame have 0 frames, 90°, 90°, 0 and 0.
-VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
+VERTEX_VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,28 +70,28 @@ class CoverageMap(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs(PosedFrames):
+class CoverageInputs(PosedFrames):
     """Inputs of the stage `coverage`."""
 
     clean_mesh: CleanMesh
     up_direction: UpDirection
 
 
-def _run(inputs: Inputs, params: CoverageSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: CoverageInputs, params: CoverageSection, context: Context) -> Mapping[str, Any]:
     scan = inputs.load_posed()
     mesh, up = inputs.clean_mesh.load_surface(), inputs.up_direction.load()
     figures = write_coverage(context.folder, mesh, scan.frames, params, up, context.progress)
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     return figures
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     return None if config.get(CoverageSection).enabled else "is not enabled; set coverage.enabled=true"
 
 
 def write_coverage(
     folder: Path,
-    mesh: Mesh | Piecewise,
+    mesh: Mesh | ChunkedMesh,
     frames: Sequence[Frame],
     params: CoverageSection,
     up: Up | None,
@@ -101,55 +101,66 @@ def write_coverage(
     found = coverage(mesh, frames, params, progress=progress)
     figures = found.figures()
     (folder / COVERAGE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
-    told = {**figures, "places": len(found.places)}
-    if isinstance(mesh, Piecewise):
-        _write_in_pieces(folder / COVERAGE_MESH, found.covered)
-        return told
-    rows = np.concatenate([part.probes for part in found.covered.painted()])
-    values = dict(zip(VALUES, values_of(found.covered.evidence.at(rows)).T, strict=True))
-    write_ply(folder / COVERAGE_MESH, found.painted, vertex_values=values)
-    write_mesh(folder / MODEL, found.painted.with_(up=up))
-    return told
+    summary = {**figures, "places": len(found.defects)}
+    if isinstance(mesh, ChunkedMesh):
+        _write_in_chunks(folder / COVERAGE_MESH, found.surface_coverage)
+        return summary
+    rows = np.concatenate([part.probe_indices for part in found.surface_coverage.iterate_painted()])
+    values = dict(
+        zip(VERTEX_VALUES, stack_vertex_values(found.surface_coverage.evidence.select(rows)).T, strict=True)
+    )
+    write_ply(folder / COVERAGE_MESH, found.painted_mesh, vertex_values=values)
+    write_mesh(folder / COVERAGE_MODEL, found.painted_mesh.with_(up=up))
+    return summary
 
 
-def _write_in_pieces(path: Path, covered: Covered) -> None:
+def _write_in_chunks(path: Path, coverage_mesh: SurfaceCoverage) -> None:
     """Write coverage.ply of a large mesh in chunks, and warn that coverage.glb is missing."""
     pieces = (
-        Written(part.vertices, part.colors, part.triangles, values_of(covered.evidence.at(part.probes)))
-        for part in covered.painted()
+        WrittenChunk(
+            part.vertices,
+            part.colors,
+            part.triangles,
+            stack_vertex_values(coverage_mesh.evidence.select(part.probe_indices)),
+        )
+        for part in coverage_mesh.iterate_painted()
     )
-    count = covered.triangle_count
-    write_by_pieces(path, covered.vertex_count, count, pieces, has_colors=True, values=VALUES)
+    count = coverage_mesh.triangle_count
+    write_ply_in_chunks(
+        path, coverage_mesh.vertex_count, count, pieces, has_colors=True, values=VERTEX_VALUES
+    )
     emit(
         COVERAGE_LIMITED.warning(
             "{model} is not written: {triangles:,} triangles are too many for viewers; {file} has the mesh.",
-            model=MODEL,
+            model=COVERAGE_MODEL,
             triangles=count,
             file=path.name,
         )
     )
 
 
-def values_of(evidence: Evidence) -> NDArray[np.float32]:
+def stack_vertex_values(evidence: Evidence) -> NDArray[np.float32]:
     """Return the vertex properties VALUES as an array (n, 5)."""
-    is_seen = evidence.frames > 0
-    angles = (np.degrees(np.arccos(cosine.clip(0, 1))) for cosine in (evidence.cosine, evidence.mean_cosine))
-    pixel = np.where(is_seen, evidence.pixel, 0.0)
-    return np.stack([evidence.frames, *angles, pixel, evidence.spread], axis=1).astype(np.float32)
+    is_seen = evidence.frame_counts > 0
+    angles = (
+        np.degrees(np.arccos(cosine.clip(0, 1))) for cosine in (evidence.max_cosine, evidence.mean_cosine)
+    )
+    pixel = np.where(is_seen, evidence.min_pixel_size, 0.0)
+    return np.stack([evidence.frame_counts, *angles, pixel, evidence.rms_height], axis=1).astype(np.float32)
 
 
 STAGE = Stage(
     name="coverage",
     section=CoverageSection,
-    inputs=Inputs,
+    inputs=CoverageInputs,
     labels=("names",),
-    writes=CoverageMap,
+    artifact=CoverageMap,
     run=_run,
-    versions=always(coverage),
-    libraries=installed("open3d", "opencv", "scipy"),
-    results=(COVERAGE_MESH, MODEL, COVERAGE),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
+    versions=make_fixed_versions(coverage),
+    libraries=list_installed_versions("open3d", "opencv", "scipy"),
+    result_names=(COVERAGE_MESH, COVERAGE_MODEL, COVERAGE),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, max_bytes=MAX_BYTES_IN_CHUNKS),
     headline="{places} gaps",
     progress_unit="frames",
 )

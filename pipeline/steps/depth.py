@@ -11,22 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.depth_maps import DepthMaps, choose_matcher, write_depth_maps
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Context, Stage
-from scanloom.stages.inspecting.libraries import installed
-from scanloom.stages.inspecting.view_poses import require_view_poses
+from scanloom.stages.inspecting.epipolar_check import require_view_poses
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.stereo.by_network import network_of
 from scanloom.stages.stereo.depth import DepthParams, depth_scan
+from scanloom.stages.stereo.network_depth import load_network
 from scanloom.stages.stereo.networks.network import Network
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class DepthInputs:
     """Inputs of the stage `depth`.
 
     Attributes
@@ -44,29 +44,29 @@ def needs_depth(scan: Scan, config: Sections) -> bool:
     return scan.is_stereo or scan.is_views or config.get(DepthParams).model is not None
 
 
-def _run(inputs: Inputs, params: DepthParams, context: Context) -> Mapping[str, Any]:
+def _run(inputs: DepthInputs, params: DepthParams, context: Context) -> Mapping[str, Any]:
     scan = inputs.scan
-    if _checks_poses(scan, context.config):
+    if _is_pose_check_enabled(scan, context.config):
         require_view_poses(scan)
     measured = choose_matcher(scan)(scan, params, context.progress)
     figures = write_depth_maps(context.folder, measured, scan)
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     return figures
 
 
-def _checks_poses(scan: Scan, config: Sections) -> bool:
+def _is_pose_check_enabled(scan: Scan, config: Sections) -> bool:
     return scan.is_views and config.get(ScanParams).check_poses
 
 
-def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
+def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     scan: Scan = known["scan"]
-    network = () if config.get(DepthParams).model is None else (network_of, Network)
-    checks = (require_view_poses,) if _checks_poses(scan, config) else ()
+    network = () if config.get(DepthParams).model is None else (load_network, Network)
+    checks = (require_view_poses,) if _is_pose_check_enabled(scan, config) else ()
     # depth_scan is always included, because views are matched in pairs by depth_scan.
-    return result_versions(depth_scan, choose_matcher(scan), *network, *checks)
+    return collect_result_versions(depth_scan, choose_matcher(scan), *network, *checks)
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:
     if needs_depth(scan, config):
         return None
     return "does not apply to this scan: it is RGB-D and has measured depth"
@@ -75,15 +75,17 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
 STAGE = Stage(
     name="depth",
     section=DepthParams,
-    inputs=Inputs,
+    inputs=DepthInputs,
     labels=("names", "world"),
-    writes=DepthMaps,
+    artifact=DepthMaps,
     run=_run,
-    versions=_versions,
-    libraries=installed("opencv"),
-    results=("points.ply",),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6, by_voxels=False),
+    versions=_list_versions,
+    libraries=list_installed_versions("opencv"),
+    result_names=("points.ply",),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(
+        seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6, depends_on_voxel_size=False
+    ),
     headline="{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
     "up to {max_depth_m:.3g} m",
     progress_unit="pairs",

@@ -11,22 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.up_direction import UpDirection
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
 from scanloom.pipeline.steps.texture import TexturedMesh
-from scanloom.pipeline.steps.texture import skip_reason as reason_for_no_texture
+from scanloom.pipeline.steps.texture import get_skip_reason as reason_for_no_texture
 from scanloom.stages.exporting.export import ExportParams, export
 from scanloom.stages.exporting.presets import preset
-from scanloom.stages.inspecting.libraries import installed
-from scanloom.stages.params import check, param
+from scanloom.stages.inspecting.libraries import list_installed_versions
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.surface.vertex_normals import compute_vertex_normals
 
-FILE, WEB = "simplified.glb", "web.glb"
+PLAIN_FILE, WEB_FILE = "simplified.glb", "web.glb"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class ExportSection:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ExportedModels(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class ExportInputs:
     """Inputs of the stage `export`."""
 
     simplified_mesh: SimplifiedMesh
@@ -59,15 +59,15 @@ class Inputs:
     textured_mesh: TexturedMesh | None = None
 
 
-def _run(inputs: Inputs, params: ExportSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: ExportInputs, params: ExportSection, context: Context) -> Mapping[str, Any]:
     if inputs.textured_mesh is not None:
         mesh, name = inputs.textured_mesh.load(), None
     else:
-        mesh, name = inputs.simplified_mesh.load(), FILE
+        mesh, name = inputs.simplified_mesh.load(), PLAIN_FILE
     return write_models(context.folder, mesh.with_(up=inputs.up_direction.load()), name, params)
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:
     if reason_for_no_texture(scan, config) is None and not config.get(ExportSection).web:
         return "has nothing to write: there is a textured.glb; export.web=true writes a small web.glb"
     return None
@@ -83,22 +83,22 @@ def write_models(folder: Path, mesh: Mesh, name: str | None, params: ExportSecti
     """
     figures: dict[str, Any] = {}
     if name is not None:
-        shaded = mesh.with_(normals=vertex_normals(mesh)) if len(mesh.triangles) else mesh
+        shaded = mesh.with_(normals=compute_vertex_normals(mesh)) if len(mesh.triangles) else mesh
         figures["plain"] = export(shaded, folder / name, ExportParams()).figures()
     if params.web:
-        figures["web"] = export(mesh, folder / WEB, preset("web")).figures()
+        figures["web"] = export(mesh, folder / WEB_FILE, preset("web")).figures()
     return figures
 
 
 STAGE = Stage(
     name="export",
     section=ExportSection,
-    inputs=Inputs,
-    writes=ExportedModels,
+    inputs=ExportInputs,
+    artifact=ExportedModels,
     run=_run,
-    versions=always(export),
-    libraries=installed("scanloom", "opencv"),
-    results=(FILE, WEB),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=1, bytes=300e6),
+    versions=make_fixed_versions(export),
+    libraries=list_installed_versions("scanloom", "opencv"),
+    result_names=(PLAIN_FILE, WEB_FILE),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=1, bytes=300e6),
 )

@@ -12,28 +12,33 @@ from typing import Any
 
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.up_direction import UpDirection
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
 from scanloom.pipeline.steps.codes import LEVELS_MESH_LARGE, LEVELS_NOISE_UNKNOWN
-from scanloom.pipeline.steps.simplify import SIMPLIFICATION, Proof, SimplifiedMesh, method_versions
+from scanloom.pipeline.steps.simplify import (
+    SIMPLIFICATION_FUNCTIONS,
+    Proof,
+    SimplifiedMesh,
+    list_method_versions,
+)
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.fusion.noise import depth_noise
-from scanloom.stages.inspecting.libraries import installed
-from scanloom.stages.lod.build import LevelsParams, LodParams, build, further_off
+from scanloom.stages.fusion.depth_noise import estimate_depth_noise
+from scanloom.stages.inspecting.libraries import list_installed_versions
+from scanloom.stages.lod.build import LevelsParams, LodParams, build, widen_bounds
 from scanloom.stages.lod.hierarchy import Hierarchy
 from scanloom.stages.lod.slod import read_slod, write_slod
 from scanloom.stages.params import param
-from scanloom.stages.printing import at_most
+from scanloom.stages.printing import format_upper_bound
 from scanloom.stages.progress import Progress
 from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.surface.mesh import Mesh
 
-FILE = "lod.slod"
+LOD_FILE = "lod.slod"
 # Standard error of the mean of four observations, relative to a single observation.
-_SHARE_OF_NOISE = 0.5
+_NOISE_RATIO = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +70,11 @@ class Levels(Artifact):
 
     def load(self) -> Hierarchy:
         """Load the hierarchy."""
-        return read_slod(self.folder / FILE)
+        return read_slod(self.folder / LOD_FILE)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs(PosedFrames):
+class LodInputs(PosedFrames):
     """Inputs of the stage `lod`.
 
     Attributes
@@ -82,7 +87,7 @@ class Inputs(PosedFrames):
     up_direction: UpDirection
 
 
-def _run(inputs: Inputs, params: LodSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: LodInputs, params: LodSection, context: Context) -> Mapping[str, Any]:
     clean, up = inputs.clean_mesh, inputs.up_direction.load()
     if not clean.is_large:
         frames = inputs.load_posed().frames
@@ -99,18 +104,18 @@ def _run(inputs: Inputs, params: LodSection, context: Context) -> Mapping[str, A
     )
 
 
-def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    noise = (depth_noise,) if config.get(LodSection).base_error is None else ()
+def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    noise = (estimate_depth_noise,) if config.get(LodSection).base_error is None else ()
     return {
         # Increase if the base error changes for the same clean mesh and frames.
         "lod": 1,
-        **result_versions(build, *SIMPLIFICATION, *noise),
+        **collect_result_versions(build, *SIMPLIFICATION_FUNCTIONS, *noise),
         # The finest level is made by a simplification method.
-        **method_versions(),
+        **list_method_versions(),
     }
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     return None if config.get(LodSection).enabled else "is not enabled; set lod.enabled=true"
 
 
@@ -126,8 +131,8 @@ def write_levels(
     """
     error, noise = params.base_error, None
     if error is None:
-        noise = depth_noise(frames)
-        error = _SHARE_OF_NOISE * noise
+        noise = estimate_depth_noise(frames)
+        error = _NOISE_RATIO * noise
         if noise == 0:
             emit(
                 LEVELS_NOISE_UNKNOWN.warning(
@@ -135,16 +140,16 @@ def write_levels(
                     remedy="set lod.base_error to simplify it.",
                 )
             )
-    hierarchy = _built(mesh, error, params, progress)
+    hierarchy = _build_hierarchy(mesh, error, params, progress)
     source = "given" if noise is None else "noise"
-    return _written(folder, hierarchy, error, source, noise)
+    return _write_hierarchy(folder, hierarchy, error, source, noise)
 
 
 def write_levels_of_simplified(
     folder: Path,
     mesh: Mesh,
     proof: Proof | None,
-    triangles: int,
+    clean_triangles: int,
     params: LodSection,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -155,64 +160,64 @@ def write_levels_of_simplified(
     mesh : simplified mesh, used because the clean mesh exceeds the in-memory limit.
     proof : proven distance from the clean mesh, which is added to all bounds. None if not proven; bounds are
         then relative to the simplified mesh.
-    triangles : triangle count of the clean mesh.
+    clean_triangles : triangle count of the clean mesh.
     """
-    off = 0.0 if proof is None else proof.shape_bound_m
-    error = max((params.base_error or 0.0) - off, 0.0)
-    hierarchy = _built(mesh, error, params, progress)
+    distance = 0.0 if proof is None else proof.shape_bound_m
+    error = max((params.base_error or 0.0) - distance, 0.0)
+    hierarchy = _build_hierarchy(mesh, error, params, progress)
     if proof is None:
-        said = LEVELS_MESH_LARGE.warning(
+        warning = LEVELS_MESH_LARGE.warning(
             "the clean mesh is too large: levels are built from the simplified mesh, whose distance from the "
             "clean mesh is not proven",
             remedy="set simplify.max_shape for a proven distance.",
         )
     else:
-        said = LEVELS_MESH_LARGE.warning(
+        warning = LEVELS_MESH_LARGE.warning(
             "the clean mesh is too large: levels are built from the simplified mesh, which is proven to be "
             "within {distance} m of the clean mesh. The bound of each level includes this distance.",
-            distance=at_most(off),
+            distance=format_upper_bound(distance),
         )
-        hierarchy = further_off(hierarchy, off, proof.color_bound_levels or 0.0)
-        hierarchy = replace(hierarchy, input_triangles=triangles)
-    emit(said)
+        hierarchy = widen_bounds(hierarchy, distance, proof.color_bound_levels or 0.0)
+        hierarchy = replace(hierarchy, input_triangles=clean_triangles)
+    emit(warning)
     # Store the warning in the file, too: viewers open it without the run.
-    hierarchy = replace(hierarchy, diagnostics=(*hierarchy.diagnostics, said))
-    return _written(folder, hierarchy, off + error, "simplified", None)
+    hierarchy = replace(hierarchy, diagnostics=(*hierarchy.diagnostics, warning))
+    return _write_hierarchy(folder, hierarchy, distance + error, "simplified", None)
 
 
-def _built(mesh: Mesh, error: float, params: LodSection, progress: Progress) -> Hierarchy:
+def _build_hierarchy(mesh: Mesh, error: float, params: LodSection, progress: Progress) -> Hierarchy:
     shared = {field.name: getattr(params, field.name) for field in fields(LevelsParams)}
     return build(mesh, LodParams(base_error=error, **shared), progress=progress)
 
 
-def _written(
+def _write_hierarchy(
     folder: Path,
     hierarchy: Hierarchy,
     error: float,
     source: str,
     noise: float | None,
 ) -> dict[str, Any]:
-    write_slod(folder / FILE, hierarchy)
+    write_slod(folder / LOD_FILE, hierarchy)
     return hierarchy.figures() | {
         "base_error_m": error,
         "base_error_source": source,
         "depth_noise_m": noise,
-        "file_bytes": (folder / FILE).stat().st_size,
+        "file_bytes": (folder / LOD_FILE).stat().st_size,
     }
 
 
 STAGE = Stage(
     name="lod",
     section=LodSection,
-    inputs=Inputs,
-    writes=Levels,
+    inputs=LodInputs,
+    artifact=Levels,
     run=_run,
-    versions=_versions,
-    libraries=installed("scanloom", "opencv", "scipy"),
-    results=(FILE,),
-    when={"simplified_mesh": is_clean_mesh_large},
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
+    versions=_list_versions,
+    libraries=list_installed_versions("scanloom", "opencv", "scipy"),
+    result_names=(LOD_FILE,),
+    input_conditions={"simplified_mesh": is_clean_mesh_large},
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
     headline="{levels} levels from {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
     "{file_bytes:,} bytes",
     progress_unit="triangles",

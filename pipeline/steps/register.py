@@ -9,20 +9,20 @@ from typing import Any
 from scanloom.pipeline.artifacts.depth_maps import DepthMaps
 from scanloom.pipeline.artifacts.posed_frames import load_frames
 from scanloom.pipeline.artifacts.poses import Poses, write_poses
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Context, Stage
 from scanloom.pipeline.steps.adjust import is_adjusted
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.registration.params import RegisterParams
 from scanloom.stages.registration.register import register
 from scanloom.stages.scans.model.scan import Scan
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class RegisterInputs:
     """Inputs of the stage `register`."""
 
     frames: Scan | DepthMaps
@@ -36,15 +36,15 @@ def is_registered(scan: Scan, config: Sections) -> bool:
     return params.enabled
 
 
-def _run(inputs: Inputs, params: RegisterParams, context: Context) -> Mapping[str, Any]:
+def _run(inputs: RegisterInputs, params: RegisterParams, context: Context) -> Mapping[str, Any]:
     scan = load_frames(inputs.frames)
     found = register(scan, params, progress=context.progress)
     figures = write_poses(context.folder, found, scan.folder)
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     return figures
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:
     if is_registered(scan, config):
         return None
     if config.get(RegisterParams).enabled is False:
@@ -58,14 +58,16 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:
 STAGE = Stage(
     name="register",
     section=RegisterParams,
-    inputs=Inputs,
+    inputs=RegisterInputs,
     labels=("names", "times"),
-    writes=Poses,
+    artifact=Poses,
     run=_run,
-    versions=always(register),
-    libraries=installed("opencv", "open3d"),
-    results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, by_voxels=False),
+    versions=make_fixed_versions(register),
+    libraries=list_installed_versions("opencv", "open3d"),
+    result_names=("trajectory.tum", "path.ply", "pieces/", "masks/"),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(
+        seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, depends_on_voxel_size=False
+    ),
     headline="poses of {frames} frames of the {subject}; connected components: {pieces}",
 )

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.up_direction import UpDirection
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
-from scanloom.pipeline.steps.simplify import SIMPLIFICATION, SimplifiedMesh, method_versions
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.pipeline.steps.simplify import SIMPLIFICATION_FUNCTIONS, SimplifiedMesh, list_method_versions
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
 from scanloom.stages.params import param
 from scanloom.stages.progress import Progress
@@ -49,14 +49,14 @@ class NormalMeshFiles(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class RemeshInputs:
     """Inputs of the stage `remesh`."""
 
     simplified_mesh: SimplifiedMesh
     up_direction: UpDirection
 
 
-def _run(inputs: Inputs, params: RemeshSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: RemeshInputs, params: RemeshSection, context: Context) -> Mapping[str, Any]:
     mesh = inputs.simplified_mesh.load().with_(up=inputs.up_direction.load())
     return write_normal_mesh(context.folder, mesh, params, context.progress)
 
@@ -70,26 +70,26 @@ def write_normal_mesh(folder: Path, mesh: Mesh, params: RemeshSection, progress:
     return found.figures()
 
 
-def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
     # The base mesh is made by a simplification method.
-    return {**result_versions(remesh, *SIMPLIFICATION), **method_versions()}
+    return {**collect_result_versions(remesh, *SIMPLIFICATION_FUNCTIONS), **list_method_versions()}
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     return None if config.get(RemeshSection).enabled else "is not enabled; set remesh.enabled=true"
 
 
 STAGE = Stage(
     name="remesh",
     section=RemeshSection,
-    inputs=Inputs,
-    writes=NormalMeshFiles,
+    inputs=RemeshInputs,
+    artifact=NormalMeshFiles,
     run=_run,
-    versions=_versions,
-    libraries=installed("scanloom"),
-    results=("remeshed.ply", "remeshed.snm", "levels/"),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=300e6),
+    versions=_list_versions,
+    libraries=list_installed_versions("scanloom"),
+    result_names=("remeshed.ply", "remeshed.snm", "levels/"),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=2, seconds_per_megapixel=0.5, bytes=300e6),
     headline="{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",
     progress_unit="levels",

@@ -9,9 +9,9 @@ from typing import Any
 
 from scanloom.pipeline.artifacts.file_names import PICTURES
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
 from scanloom.pipeline.evaluation.params import ReportParams
-from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
@@ -20,7 +20,7 @@ from scanloom.pipeline.steps.remesh import NormalMeshFiles
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
 from scanloom.pipeline.steps.texture import TexturedMesh
 from scanloom.stages.comparing.compare import CompareParams
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.scans.params import ScanParams
 
@@ -33,7 +33,7 @@ class ReportFiles(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs(PosedFrames):
+class ReportInputs(PosedFrames):
     """Inputs of the stage `report`.
 
     Attributes
@@ -49,15 +49,15 @@ class Inputs(PosedFrames):
     held_out: Scan | None = None
 
 
-def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
+def _run(inputs: ReportInputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
     # Imported late: declaring the stage must not import the renderer.
-    from scanloom.pipeline.evaluation import held_out, measures
+    from scanloom.pipeline.evaluation import held_out_frames, measurements
 
     compared = context.config.get(CompareParams)
     simplified = inputs.simplified_mesh.load()
     meshes = {
-        "fused": inputs.fused_mesh.load_in_parts(),
-        "clean": inputs.clean_mesh.load_in_parts(),
+        "fused": inputs.fused_mesh.load_in_chunks(),
+        "clean": inputs.clean_mesh.load_in_chunks(),
         "simplified": simplified,
     }
     textured, by_photo = inputs.textured_mesh, None
@@ -69,59 +69,61 @@ def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str,
     pictures.mkdir()
     frames = inputs.load_posed().frames
     others = _load_held_out(inputs, context.config)
-    report = measures.measure_and_draw(
+    report = measurements.measure_and_draw(
         pictures, meshes, frames, compared, params, context.progress, by_photo, others
     )
     drawn_in = pictures if params.pictures else None
     if inputs.normal_mesh is not None:
-        viewpoint = measures.choose_viewpoints(meshes["fused"], frames, params)[-1]
+        viewpoint = measurements.choose_viewpoints(meshes["fused"], frames, params)[-1]
         levels = inputs.normal_mesh.load_levels()
-        report["normal_mesh"], drawn = measures.report_levels(
+        report["normal_mesh"], drawn = measurements.measure_and_draw_levels(
             drawn_in, simplified, levels, viewpoint, compared
         )
         report["pictures"] += drawn
     if inputs.held_out is not None:
-        report["held_out"], drawn = held_out.judge(drawn_in, result, others, context.progress)
+        report["held_out"], drawn = held_out_frames.evaluate_held_out(
+            drawn_in, result, others, context.progress
+        )
         report["pictures"] += drawn
     return {**report, "pictures": [f"{PICTURES}/{name}" for name in report["pictures"]]}
 
 
-def _load_held_out(inputs: Inputs, config: Sections) -> list[Frame]:
+def _load_held_out(inputs: ReportInputs, config: Sections) -> list[Frame]:
     """Load the held-out frames with poses transferred from their neighbours."""
-    from scanloom.pipeline.evaluation.held_out import like_neighbours
+    from scanloom.pipeline.evaluation.held_out_frames import transfer_neighbour_poses
 
     if inputs.held_out is None:
         return []
     scan, every = inputs.load_scan(), config.get(ScanParams).hold_out
     assert every is not None
-    return like_neighbours(inputs.held_out.frames, every, scan.frames, inputs.apply_to(scan).frames)
+    return transfer_neighbour_poses(inputs.held_out.frames, every, scan.frames, inputs.apply_to(scan).frames)
 
 
-def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    from scanloom.pipeline.evaluation.measures import measure_and_draw
+def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    from scanloom.pipeline.evaluation.measurements import measure_and_draw
     from scanloom.stages.comparing.compare import compare_surfaces
-    from scanloom.stages.comparing.left_out import left_out
+    from scanloom.stages.comparing.held_out_views import evaluate_held_out_photos
 
-    return result_versions(measure_and_draw, compare_surfaces, left_out)
+    return collect_result_versions(measure_and_draw, compare_surfaces, evaluate_held_out_photos)
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     return None if config.get(ReportParams).enabled else "is switched off; set report.enabled=true"
 
 
 STAGE = Stage(
     name="report",
     section=ReportParams,
-    inputs=Inputs,
+    inputs=ReportInputs,
     labels=("names",),
-    writes=ReportFiles,
+    artifact=ReportFiles,
     run=_run,
-    versions=_versions,
-    libraries=installed("open3d", "opencv", "scikit-image"),
-    more_sections=("compare",),
-    results=(f"{PICTURES}/",),
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
+    versions=_list_versions,
+    libraries=list_installed_versions("open3d", "opencv", "scikit-image"),
+    extra_sections=("compare",),
+    result_names=(f"{PICTURES}/",),
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=6, seconds_per_megapixel=0.2, bytes=300e6, max_bytes=MAX_BYTES_IN_CHUNKS),
     headline="{pictures} pictures",
     is_summary=True,
 )

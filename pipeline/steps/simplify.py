@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
-from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
+from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
@@ -18,19 +18,19 @@ from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare_surfaces
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.files.documents import read_json
-from scanloom.stages.inspecting.libraries import installed
-from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.inspecting.libraries import list_installed_versions
+from scanloom.stages.simplification.chunked_simplify import ChunkedSimplifyResult, simplify_chunked
+from scanloom.stages.simplification.method_selection import select_method
 from scanloom.stages.simplification.methods import METHODS
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.simplify import SimplifyParams, simplify
-from scanloom.stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.texturing.bake import bake
 
-_PROOF = "proven.json"
+_PROOF_FILE = "proven.json"
 
 # Functions whose versions determine a simplified mesh with baked images.
-SIMPLIFICATION = (simplify, bake, compare_surfaces)
+SIMPLIFICATION_FUNCTIONS = (simplify, bake, compare_surfaces)
 
 
 @dataclass(frozen=True)
@@ -59,24 +59,24 @@ class SimplifiedMesh(MeshFile):
 
         Returns None if not available.
         """
-        if not (self.folder / _PROOF).is_file():
+        if not (self.folder / _PROOF_FILE).is_file():
             return None
-        proven: Any = read_json(self.folder / _PROOF)
+        proven: Any = read_json(self.folder / _PROOF_FILE)
         return None if proven is None else Proof(**proven)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class SimplifyInputs:
     """Inputs of the stage `simplify`."""
 
     clean_mesh: CleanMesh
 
 
-def _run(inputs: Inputs, params: SimplifyParams, context: Context) -> Mapping[str, Any]:
+def _run(inputs: SimplifyInputs, params: SimplifyParams, context: Context) -> Mapping[str, Any]:
     clean, folder = inputs.clean_mesh, context.folder
-    simplified: Simplified[Any] | InPieces
+    simplified: SimplificationResult[Any] | ChunkedSimplifyResult
     if clean.is_large:
-        simplified = simplify_in_pieces(clean.path, params, scratch=folder, progress=context.progress)
+        simplified = simplify_chunked(clean.path, params, scratch=folder, progress=context.progress)
         _write_proof(folder, simplified.figures())
     else:
         simplified = simplify(clean.load(), params, progress=context.progress)
@@ -85,46 +85,46 @@ def _run(inputs: Inputs, params: SimplifyParams, context: Context) -> Mapping[st
 
 
 def _write_proof(folder: Path, figures: Mapping[str, Any]) -> None:
-    proves = any(method.proves for method in METHODS if method.name == figures["method"])
+    proves = any(method.proves_bounds for method in METHODS if method.name == figures["method"])
     details = figures["details"]
     proven = {field.name: details[field.name] for field in fields(Proof)} if proves else None
-    (folder / _PROOF).write_text(json.dumps(proven) + "\n", encoding="utf-8", newline="\n")
+    (folder / _PROOF_FILE).write_text(json.dumps(proven) + "\n", encoding="utf-8", newline="\n")
 
 
-def method_versions() -> dict[str, int]:
+def list_method_versions() -> dict[str, int]:
     """Return the versions of all simplification methods."""
     return {method.name: method.result_version for method in METHODS}
 
 
-def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
+def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     params = config.get(SimplifyParams)
     try:
-        method = chosen(params)  # The clean mesh has no texture that could require another method.
+        method = select_method(params)  # The clean mesh has no texture that could require another method.
     except UsageError:
-        return result_versions(simplify)  # No method applies; the stage itself reports the error.
+        return collect_result_versions(simplify)  # No method applies; the stage itself reports the error.
     return {
         # The clean mesh has no images, so baking only happens on request.
-        **result_versions(*(SIMPLIFICATION if params.bake else (simplify,))),
-        **(result_versions(simplify_in_pieces) if is_clean_mesh_large(known) else {}),
+        **collect_result_versions(*(SIMPLIFICATION_FUNCTIONS if params.bake else (simplify,))),
+        **(collect_result_versions(simplify_chunked) if is_clean_mesh_large(known) else {}),
         method.name: method.result_version,
-        **(result_versions(certify) if method.proves else {}),
+        **(collect_result_versions(certify) if method.proves_bounds else {}),
     }
 
 
-def _headline(figures: Mapping[str, Any]) -> str:
+def _format_headline(figures: Mapping[str, Any]) -> str:
     return next((one.details.headline for one in METHODS if one.name == figures.get("method")), "")
 
 
 STAGE = Stage(
     name="simplify",
     section=SimplifyParams,
-    inputs=Inputs,
-    writes=SimplifiedMesh,
+    inputs=SimplifyInputs,
+    artifact=SimplifiedMesh,
     run=_run,
-    versions=_versions,
-    libraries=installed("scanloom"),
-    results=(SimplifiedMesh.FILE,),
-    cost=Cost(seconds_per_megapixel=0.15, most_bytes=MAX_BYTES_IN_PARTS),
-    headline=_headline,
+    versions=_list_versions,
+    libraries=list_installed_versions("scanloom"),
+    result_names=(SimplifiedMesh.FILE,),
+    cost=CostModel(seconds_per_megapixel=0.15, max_bytes=MAX_BYTES_IN_CHUNKS),
+    headline=_format_headline,
     progress_unit="triangles",
 )

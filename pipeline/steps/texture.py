@@ -13,27 +13,27 @@ from numpy.typing import NDArray
 from scanloom.pipeline.artifacts.file_names import TEXTURE_MAPS
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
-from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
-from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
-from scanloom.stages.files.images import read_stored
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.files.images import read_stored_image
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.params import param
 from scanloom.stages.progress import Progress
 from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 from scanloom.stages.surface.texture import Image
-from scanloom.stages.texturing.maps import write_maps
+from scanloom.stages.texturing.provenance_maps import write_maps
 from scanloom.stages.texturing.texture import TextureParams, texture
 
-FILE = "textured.glb"
+TEXTURED_FILE = "textured.glb"
 
 # Golden angle in units of 2°, the hue unit of OpenCV.
-_GOLDEN = 68.754
+_GOLDEN_ANGLE = 68.754
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class TexturedMesh(Artifact):
 
     def load(self) -> Mesh:
         """Load the mesh."""
-        return read_mesh(self.folder / FILE)
+        return read_mesh(self.folder / TEXTURED_FILE)
 
     def color_by_photo(self, mesh: Mesh) -> Mesh:
         """Colour the mesh by the photo with the largest weight per texel.
@@ -77,7 +77,7 @@ class TexturedMesh(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs(PosedFrames):
+class TextureInputs(PosedFrames):
     """Inputs of the stage `texture`.
 
     Attributes
@@ -90,20 +90,20 @@ class Inputs(PosedFrames):
     photos: Scan | None = None
 
 
-def _run(inputs: Inputs, params: TextureSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: TextureInputs, params: TextureSection, context: Context) -> Mapping[str, Any]:
     scan = inputs.load_posed() if inputs.photos is None else inputs.photos
     mesh, up = inputs.simplified_mesh.load(), inputs.up_direction.load()
     figures = write_textured(context.folder, mesh, scan.frames, params, up, context.progress)
-    emit_skipped(figures["frames_skipped"])
+    warn_skipped_frames(figures["frames_skipped"])
     return figures
 
 
-def _unread(config: Sections) -> Collection[str]:
+def _list_ignored_inputs(config: Sections) -> Collection[str]:
     is_given = config.get(TextureSection).images is not None
     return ("frames", "poses", "adjusted_cameras", "names") if is_given else ()
 
 
-def skip_reason(scan: Scan, config: Sections) -> str | None:
+def get_skip_reason(scan: Scan, config: Sections) -> str | None:
     """Return why the scan gets no texture; None if it gets one."""
     params = config.get(TextureSection)
     if not params.enabled:
@@ -123,7 +123,7 @@ def write_textured(
 ) -> dict[str, Any]:
     """Texture the mesh, write textured.glb (upright) and the per-texel maps, and return metrics."""
     textured = texture(mesh, frames, params, progress=progress)
-    write_mesh(folder / FILE, textured.mesh.with_(up=up))
+    write_mesh(folder / TEXTURED_FILE, textured.mesh.with_(up=up))
     (folder / TEXTURE_MAPS).mkdir()
     write_maps(folder / TEXTURE_MAPS, textured)
     return textured.figures()
@@ -140,22 +140,22 @@ def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
     maps : folder of the per-texel maps.
     """
     assert mesh.texture is not None
-    palette = _palette()
+    palette = _make_palette()
     materials = tuple(
-        replace(material, image=Image(given=palette[read_stored(maps / f"photo-{number}.png")]))
+        replace(material, image=Image(given=palette[read_stored_image(maps / f"photo-{number}.png")]))
         for number, material in enumerate(mesh.texture.materials, 1)
     )
     return mesh.with_(texture=replace(mesh.texture, materials=materials))
 
 
-def _palette() -> NDArray[np.uint8]:
+def _make_palette() -> NDArray[np.uint8]:
     """Return a colour for each 16-bit photo index, (65536, 3); index 0 is grey."""
     import cv2
 
-    wheel = np.full((1, 1 << 16, 3), (0, 190, 230), np.uint8)
+    hues = np.full((1, 1 << 16, 3), (0, 190, 230), np.uint8)
     # Hues in golden angle steps: photos that are close in time get very different colours.
-    wheel[0, :, 0] = np.arange(1 << 16) * _GOLDEN % 180
-    colors = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
+    hues[0, :, 0] = np.arange(1 << 16) * _GOLDEN_ANGLE % 180
+    colors = cv2.cvtColor(hues, cv2.COLOR_HSV2RGB)[0]
     colors[0] = 128
     return np.asarray(colors, np.uint8)
 
@@ -163,22 +163,22 @@ def _palette() -> NDArray[np.uint8]:
 STAGE = Stage(
     name="texture",
     section=TextureSection,
-    inputs=Inputs,
+    inputs=TextureInputs,
     labels=("names",),
-    writes=TexturedMesh,
+    artifact=TexturedMesh,
     run=_run,
-    versions=always(texture),
-    libraries=installed("scanloom", "opencv"),
-    results=(FILE, f"{TEXTURE_MAPS}/"),
-    unread=_unread,
-    skip_reason=skip_reason,
-    cost=Cost(
+    versions=make_fixed_versions(texture),
+    libraries=list_installed_versions("scanloom", "opencv"),
+    result_names=(TEXTURED_FILE, f"{TEXTURE_MAPS}/"),
+    ignored_inputs=_list_ignored_inputs,
+    skip_reason=get_skip_reason,
+    cost=CostModel(
         seconds=2,
         seconds_per_megapixel=0.5,
         bytes=8e8,
         bytes_per_megapixel=3e6,
-        by_voxels=False,
-        most_bytes=MAX_BYTES_IN_PARTS,
+        depends_on_voxel_size=False,
+        max_bytes=MAX_BYTES_IN_CHUNKS,
     ),
     headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface covered, "
     "texel size {texel_size_m:.2g} m",

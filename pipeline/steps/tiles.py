@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
-from scanloom.pipeline.expectation import Cost
-from scanloom.pipeline.report.page.files import write_tiles_page
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.cost_model import CostModel
+from scanloom.pipeline.report.page.tileset_page import write_tileset_page
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.lod import Levels, LodSection
 from scanloom.pipeline.steps.texture import TexturedMesh
-from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.lod.hierarchy import Hierarchy
 from scanloom.stages.lod.tile_texture import TileImageParams
 from scanloom.stages.lod.tiles import COMPRESSIONS, write_tiles
@@ -27,7 +27,7 @@ from scanloom.stages.progress import Progress
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.surface.mesh import Mesh
 
-FOLDER = "tiles"
+TILES_FOLDER = "tiles"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class Tileset(Artifact):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class TilesInputs:
     """Inputs of the stage `tiles`.
 
     Attributes
@@ -76,17 +76,17 @@ class Inputs:
     textured_mesh: TexturedMesh | None = None
 
 
-def _run(inputs: Inputs, params: TilesSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: TilesInputs, params: TilesSection, context: Context) -> Mapping[str, Any]:
     textured = None if inputs.textured_mesh is None else inputs.textured_mesh.load()
     up = inputs.up_direction.load()
     return write_tileset(context.folder, inputs.levels.load(), textured, params, up, context.progress)
 
 
-def _unread(config: Sections) -> Collection[str]:
+def _list_ignored_inputs(config: Sections) -> Collection[str]:
     return () if config.get(TilesSection).images else ("textured_mesh",)
 
 
-def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     if not config.get(TilesSection).enabled:
         return "is switched off; set tiles.enabled=true"
     if not config.get(LodSection).enabled:
@@ -97,7 +97,7 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
 def write_tileset(
     folder: Path,
     hierarchy: Hierarchy,
-    model: Mesh | None,
+    textured_mesh: Mesh | None,
     params: TilesSection,
     up: Up | None,
     progress: Progress,
@@ -107,36 +107,36 @@ def write_tileset(
     Parameters
     ----------
     hierarchy : levels of detail.
-    model : textured mesh that colours the tiles; None to use the vertex colours of the levels.
+    textured_mesh : textured mesh that colours the tiles; None to use the vertex colours of the levels.
     up : up direction of the scan; None to write tiles without rotation.
     """
     images = TileImageParams(**{field.name: getattr(params, field.name) for field in fields(TileImageParams)})
     written = write_tiles(
         hierarchy,
-        folder / FOLDER,
-        texture=model,
+        folder / TILES_FOLDER,
+        texture=textured_mesh,
         images=images,
         up="none" if up is None else " ".join(map(repr, up)),
         compress=params.compress,
         progress=progress,
     )
     if params.page:
-        write_tiles_page(folder / FOLDER)
+        write_tileset_page(folder / TILES_FOLDER)
     return written.figures()
 
 
 STAGE = Stage(
     name="tiles",
     section=TilesSection,
-    inputs=Inputs,
-    writes=Tileset,
+    inputs=TilesInputs,
+    artifact=Tileset,
     run=_run,
-    versions=always(write_tiles),
-    libraries=installed("scanloom", "opencv", "open3d", "scipy"),
-    results=(f"{FOLDER}/",),
-    unread=_unread,
-    skip_reason=_skip_reason,
-    cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=700e6, bytes_per_megapixel=10e6),
+    versions=make_fixed_versions(write_tiles),
+    libraries=list_installed_versions("scanloom", "opencv", "open3d", "scipy"),
+    result_names=(f"{TILES_FOLDER}/",),
+    ignored_inputs=_list_ignored_inputs,
+    skip_reason=_get_skip_reason,
+    cost=CostModel(seconds=10, seconds_per_megapixel=1, bytes=700e6, bytes_per_megapixel=10e6),
     headline="{tiles:,} tiles; {total_bytes:,} bytes, the root {root_bytes:,}",
     progress_unit="tiles",
 )

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection, write_up
-from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
 from scanloom.pipeline.stage import Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.pipeline.steps.fuse import FusedMesh
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.transforms.up import known_up
+from scanloom.stages.scans.transforms.up_direction import find_up_direction
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.upright import PlaceUp, direction_of, up_of_place
+from scanloom.stages.surface.up_direction import UpEstimate, estimate_up_of_scene, parse_up_direction
 
 # Decimal places: the direction is only accurate to about one degree.
-_DIGITS = 7
+_DECIMALS = 7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,22 +40,24 @@ class UprightSection:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.up is not None:
-            direction_of(_words_of(self.up))
+            parse_up_direction(_translate_as_is(self.up))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs(PosedFrames):
+class UprightInputs(PosedFrames):
     """Inputs of the stage `upright`."""
 
     fused_mesh: FusedMesh
     clean_mesh: CleanMesh
 
 
-def _run(inputs: Inputs, params: UprightSection, context: Context) -> Mapping[str, Any]:
+def _run(inputs: UprightInputs, params: UprightSection, context: Context) -> Mapping[str, Any]:
     plane = inputs.fused_mesh.load_plane_normal()
-    return estimate_up(context.folder, inputs.clean_mesh.load_sample(), inputs.load_posed(), plane, params)
+    return estimate_up(
+        context.folder, inputs.clean_mesh.load_subsampled(), inputs.load_posed(), plane, params
+    )
 
 
 def estimate_up(
@@ -77,15 +79,15 @@ def estimate_up(
 def _find_up(mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection) -> tuple[Up | None, str]:
     """Return the up direction, or None, and its source."""
     if params.up is not None:
-        given = direction_of(_words_of(params.up))
-        return None if given is None else _rounded(given), "given"
-    found = up_in(mesh, scan, plane)
+        given = parse_up_direction(_translate_as_is(params.up))
+        return None if given is None else _round_direction(given), "given"
+    found = estimate_scan_up(mesh, scan, plane)
     if found is None:
         return None, "nothing"
-    return _rounded(found.direction), found.source
+    return _round_direction(found.direction), found.source
 
 
-def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
+def estimate_scan_up(mesh: Mesh, scan: Scan, plane: Up | None = None) -> UpEstimate | None:
     """Estimate the up direction of a mesh from its scan.
 
     Returns None if no frame has a pose.
@@ -93,18 +95,18 @@ def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
     poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if not poses:
         return None
-    known = known_up(scan)
-    told = None if known is None else (known.direction, known.source)
-    return up_of_place(mesh, np.array(poses), told, plane)
+    known = find_up_direction(scan)
+    known_direction = None if known is None else (known.direction, known.source)
+    return estimate_up_of_scene(mesh, np.array(poses), known_direction, plane)
 
 
-def _words_of(up: str) -> str:
+def _translate_as_is(up: str) -> str:
     # `none` resets a parameter in a configuration, hence another word for no rotation.
     return "none" if up == "as-is" else up
 
 
-def _rounded(direction: NDArray[np.float64]) -> Up:
-    rounded = direction.round(_DIGITS)
+def _round_direction(direction: NDArray[np.float64]) -> Up:
+    rounded = direction.round(_DECIMALS)
     x, y, z = (rounded / np.linalg.norm(rounded)).tolist()
     return x, y, z
 
@@ -112,12 +114,12 @@ def _rounded(direction: NDArray[np.float64]) -> Up:
 STAGE = Stage(
     name="upright",
     section=UprightSection,
-    inputs=Inputs,
+    inputs=UprightInputs,
     labels=("world",),
-    writes=UpDirection,
+    artifact=UpDirection,
     run=_run,
     # Increase if the direction changes for the same clean mesh and frames.
     versions=lambda known, config: {"upright": 3},  # noqa: ARG005
-    cost=Cost(seconds=0.5, most_bytes=MAX_BYTES_IN_PARTS),
+    cost=CostModel(seconds=0.5, max_bytes=MAX_BYTES_IN_CHUNKS),
     headline="up direction from {up_source}",
 )

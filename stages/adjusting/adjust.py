@@ -10,33 +10,44 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.adjusting.adjusted import Adjusted, Transfer
-from scanloom.stages.adjusting.anchor import Anchor, anchor_of
-from scanloom.stages.adjusting.bundle import Bundle, bundle
-from scanloom.stages.adjusting.cameras import FREE, STILL, Cameras, camera_of, motion_apart
+from scanloom.stages.adjusting.adjustment_result import Adjustment, TransferError
+from scanloom.stages.adjusting.agreement_check import AgreementSample, find_usable_frames, measure_agreement
+from scanloom.stages.adjusting.bundle_adjustment import BundleResult, run_bundle_adjustment
+from scanloom.stages.adjusting.cameras import (
+    CAMERA_PARAMETER_COUNT,
+    POSE_PARAMETER_COUNT,
+    Cameras,
+    compute_pose_distance,
+    create_camera,
+)
 from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
-from scanloom.stages.adjusting.key_frames import key_frames
-from scanloom.stages.adjusting.look import Look, look, usable
-from scanloom.stages.adjusting.matching import match
-from scanloom.stages.adjusting.offset import Offset, Sight, offset, sights
-from scanloom.stages.adjusting.partners import overlaps, partners
-from scanloom.stages.adjusting.problem import Frees
-from scanloom.stages.adjusting.resection import Placed, placed_between
+from scanloom.stages.adjusting.color_camera_prior import SilhouettePrior, create_silhouette_prior
+from scanloom.stages.adjusting.key_frames import select_key_frames
+from scanloom.stages.adjusting.matching import match_views
+from scanloom.stages.adjusting.problem import FreeParameters
+from scanloom.stages.adjusting.resection import LocalisedFrame, localise_between_key_frames
+from scanloom.stages.adjusting.silhouette_offset import (
+    PhotoOffset,
+    SilhouetteObservation,
+    estimate_photo_offset,
+    observe_silhouettes,
+)
 from scanloom.stages.adjusting.view import (
     BLACK,
     OVER_EXPOSED,
-    View,
-    color_camera,
-    exposure_of,
-    has_one_camera,
-    place_of_color,
-    view_or_none,
+    AdjustmentView,
+    get_color_camera,
+    get_color_from_depth,
+    get_exposure_problem,
+    has_common_color_camera,
+    read_view_or_reason,
 )
+from scanloom.stages.adjusting.view_pairs import compute_overlap_matrix, select_view_pairs
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import counted
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_count
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
 
 if TYPE_CHECKING:
@@ -47,25 +58,25 @@ if TYPE_CHECKING:
 RESULT_VERSION = 7
 
 # Maximum relative rise of the median transfer error when silhouettes correct the colour camera.
-_NO_WORSE = 0.05
+_MAX_ERROR_RISE = 0.05
 # Approximate number of silhouette points in the prior on the colour camera.
-_ANCHORS = 1000
+_PRIOR_POINT_COUNT = 1000
 # Median transfer error in pixels below which colour, depth and poses agree, so that no bundle adjustment
 # runs.
-_GOOD_PX = 0.5
+_AGREEMENT_PX = 0.5
 # Minimum decrease of the median transfer error for an accepted result: relative, and in pixels.
-_BETTER_SHARE, _BETTER_PX = 0.2, 0.3
+_MIN_GAIN_RATIO, _MIN_GAIN_PX = 0.2, 0.3
 # Maximum number of key frames in the bundle adjustment. Frames between key frames are localised afterwards.
-_MOST_KEYS = 200
+_MAX_KEY_FRAMES = 200
 # Minimum number of observations of a key frame; with fewer, the key frame keeps its given pose.
-_LEAST_SEEN = 12
-# Progress steps reserved for `bundle`, which calls `tell` at most this often.
-_PARTS = 5
+_MIN_OBSERVATIONS = 12
+# Progress steps reserved for `run_bundle_adjustment`, which calls `tell` at most this often.
+_BUNDLE_STEPS = 5
 # Maximum median pose change in standard deviations. A larger change means poses of another scan or
 # convention.
-_FAR = 8.0
+_MAX_POSE_SIGMAS = 8.0
 # Rotation per metre of translation in the prior on given poses, radians: 0.6° go with 20 mm.
-_TURN_PER_M = float(np.radians(30))
+_ROTATION_PER_M = float(np.radians(30))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +101,7 @@ class AdjustParams:
         "Estimate the rotation of cameras while image rows are read out (rolling shutter). Default: if "
         "clearly better. true always estimates it, false assumes that all rows are read at once.",
     )
-    pose_deviation: float = param(
+    pose_sigma: float = param(
         0.02,
         "Standard deviation of the given poses: translation, and rotation with 0.3° per 10 mm.",
         unit="m",
@@ -99,16 +110,16 @@ class AdjustParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 def adjust(
     scan: Scan | Sequence[Frame],
     params: AdjustParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[AdjustKeywords],
-) -> Adjusted:
+) -> Adjustment:
     """Refine camera poses and the colour camera by bundle adjustment.
 
     Silhouettes in depth maps and photos show the offset between both. If the offset is clear, the colour
@@ -127,7 +138,7 @@ def adjust(
 
     Returns
     -------
-    Adjusted : all frames, with metrics. `Adjusted.why` states the reason if the poses stay as given.
+    Adjusted : all frames, with metrics. `Adjustment.reason` states the reason if the poses stay as given.
 
     References
     ----------
@@ -138,64 +149,68 @@ def adjust(
     """
     params = resolve(AdjustParams, params, changes)
     with collecting() as diagnostics:
-        found = _looked_over(tuple(scan.frames if isinstance(scan, Scan) else scan), params, progress)
+        found = _adjust_if_needed(tuple(scan.frames if isinstance(scan, Scan) else scan), params, progress)
     return replace(found, diagnostics=tuple(diagnostics))
 
 
-def _looked_over(frames: tuple[Frame, ...], params: AdjustParams, progress: Progress) -> Adjusted:
+def _adjust_if_needed(frames: tuple[Frame, ...], params: AdjustParams, progress: Progress) -> Adjustment:
     """Adjust frames unless a sample shows that they already agree."""
     start = time.perf_counter()
-    places = usable(frames)
-    if len(places) < 2:
-        begun = _Begun(frames, frames, (), None, start)
-        why = "fewer than two frames have colour, depth and a pose"
-        return _left(begun, why, (), None)
-    seen = look(frames, places)
-    if seen.trouble:
-        if seen.is_of_another:
-            _report_mismatch(seen.trouble)
-        begun = _Begun(frames, frames, (), None, start)
-        return _left(begun, seen.trouble, seen.skipped, None)
-    before = Transfer.of(seen.errors)
-    begun, seen = _moved_to_outlines(frames, places, seen, params, start)
-    if seen.median < _GOOD_PX:
-        why = f"colour, depth and poses agree to {seen.median:.2f} px already"
-        return _left(begun, why, seen.skipped, before)
-    return _adjusted(begun, places, seen, params, progress)
+    frame_indices = find_usable_frames(frames)
+    if len(frame_indices) < 2:
+        prepared = _PreparedFrames(frames, frames, (), None, start)
+        reason = "fewer than two frames have colour, depth and a pose"
+        return _create_rejected_result(prepared, reason, (), None)
+    agreement = measure_agreement(frames, frame_indices)
+    if agreement.failure_reason:
+        if agreement.is_inconsistent:
+            _report_mismatch(agreement.failure_reason)
+        prepared = _PreparedFrames(frames, frames, (), None, start)
+        return _create_rejected_result(prepared, agreement.failure_reason, agreement.skipped, None)
+    before = TransferError.from_errors(agreement.errors)
+    prepared, agreement = _correct_camera_by_silhouettes(frames, frame_indices, agreement, params, start)
+    if agreement.median_px < _AGREEMENT_PX:
+        reason = f"colour, depth and poses agree to {agreement.median_px:.2f} px already"
+        return _create_rejected_result(prepared, reason, agreement.skipped, before)
+    return _adjust_frames(prepared, frame_indices, agreement, params, progress)
 
 
 @dataclass(frozen=True, eq=False)
-class _Begun:
+class _PreparedFrames:
     """State before the bundle adjustment.
 
     Attributes
     ----------
-    given : frames of the scan.
+    given_frames : frames of the scan.
     frames : the same frames, with the corrected colour camera if silhouettes show a clear offset.
-    sights : silhouettes of some frames; empty if the colour camera must not change.
+    silhouettes : silhouettes of some frames; empty if the colour camera must not change.
     offset : photo-to-depth offset with the given colour camera; None if it could not be measured.
     start : `time.perf_counter()` when the work began, seconds.
     """
 
-    given: tuple[Frame, ...]
+    given_frames: tuple[Frame, ...]
     frames: tuple[Frame, ...]
-    sights: Sequence[Sight]
-    offset: Offset | None
+    silhouettes: Sequence[SilhouetteObservation]
+    offset: PhotoOffset | None
     start: float
 
     @property
-    def has_camera(self) -> bool:
+    def has_corrected_camera(self) -> bool:
         """Return True if silhouettes have corrected the colour camera."""
-        return self.frames is not self.given
+        return self.frames is not self.given_frames
 
-    def offset_after(self, frame: Frame) -> Offset | None:
+    def measure_offset(self, frame: Frame) -> PhotoOffset | None:
         """Measure the photo-to-depth offset with the colour camera of a frame."""
-        return offset(self.sights, color_camera(frame), place_of_color(frame))
+        return estimate_photo_offset(self.silhouettes, get_color_camera(frame), get_color_from_depth(frame))
 
 
-def _moved_to_outlines(
-    frames: tuple[Frame, ...], places: Sequence[int], seen: Look, params: AdjustParams, start: float
-) -> tuple[_Begun, Look]:
+def _correct_camera_by_silhouettes(
+    frames: tuple[Frame, ...],
+    frame_indices: Sequence[int],
+    agreement: AgreementSample,
+    params: AdjustParams,
+    start: float,
+) -> tuple[_PreparedFrames, AgreementSample]:
     """Correct the colour camera if silhouettes show a clear offset.
 
     The correction is discarded if it raises the transfer error of matched points.
@@ -204,279 +219,301 @@ def _moved_to_outlines(
     -------
     State with the frames to adjust, and the agreement measured on these frames.
     """
-    first = frames[places[0]]
-    may_move = params.camera is not False and has_one_camera([frames[place] for place in places])
-    shown = sights(frames, places) if may_move else []
-    found = offset(shown, color_camera(first), place_of_color(first))
-    as_given = _Begun(frames, frames, shown, found, start)
+    first = frames[frame_indices[0]]
+    may_move = params.camera is not False and has_common_color_camera(
+        [frames[place] for place in frame_indices]
+    )
+    shown = observe_silhouettes(frames, frame_indices) if may_move else []
+    found = estimate_photo_offset(shown, get_color_camera(first), get_color_from_depth(first))
+    as_given = _PreparedFrames(frames, frames, shown, found, start)
     if found is None or not found.is_clear:
-        return as_given, seen
-    given = color_camera(first)
-    right, down = found.centre * given.width / shown[0].full_size[0]
+        return as_given, agreement
+    given = get_color_camera(first)
+    right, down = found.principal_point_shift_px * given.width / shown[0].full_size[0]
     camera = replace(given, cx=given.cx + right, cy=given.cy + down)
-    apart = np.array(place_of_color(first))
-    apart[:2, 3] += found.place
+    apart = np.array(get_color_from_depth(first))
+    apart[:2, 3] += found.translation_m
     moved = list(frames)
-    for place in places:
+    for place in frame_indices:
         moved[place] = replace(moved[place], color_camera=camera, color_from_depth=apart)
-    again = look(moved, places)
-    if again.trouble or again.median > (1 + _NO_WORSE) * seen.median:
+    again = measure_agreement(moved, frame_indices)
+    if again.failure_reason or again.median_px > (1 + _MAX_ERROR_RISE) * agreement.median_px:
         # Silhouettes that contradict matched points must not influence the fitted camera either.
-        return replace(as_given, sights=()), seen
-    return _Begun(frames, tuple(moved), shown, found, start), again
+        return replace(as_given, silhouettes=()), agreement
+    return _PreparedFrames(frames, tuple(moved), shown, found, start), again
 
 
-def _adjusted(
-    begun: _Begun, places: Sequence[int], seen: Look, params: AdjustParams, progress: Progress
-) -> Adjusted:
-    frames = begun.frames
-    poses = np.stack([_pose(frames[place]) for place in places])
-    chosen = [places[n] for n in key_frames(poses, _MOST_KEYS)]
+def _adjust_frames(
+    prepared: _PreparedFrames,
+    frame_indices: Sequence[int],
+    agreement: AgreementSample,
+    params: AdjustParams,
+    progress: Progress,
+) -> Adjustment:
+    frames = prepared.frames
+    poses = np.stack([_get_pose(frames[place]) for place in frame_indices])
+    chosen = [frame_indices[n] for n in select_key_frames(poses, _MAX_KEY_FRAMES)]
     matching = len(chosen) // 2
-    steps = _Steps(progress, len(places) + matching + _PARTS)
+    steps = _ProgressCounter(progress, len(frame_indices) + matching + _BUNDLE_STEPS)
     skipped: list[SkippedFrame] = []
-    views: dict[int, View] = {}
-    threads = workers()
+    views: dict[int, AdjustmentView] = {}
+    threads = get_worker_count()
 
-    def read(place: int) -> View | SkippedFrame:
-        return seen.views.get(place) or view_or_none(frames[place])
+    def read(place: int) -> AdjustmentView | SkippedFrame:
+        return agreement.views.get(place) or read_view_or_reason(frames[place])
 
-    for place, view in zip(chosen, read_ahead(read, chosen, threads=threads, ahead=threads + 2), strict=True):
-        if isinstance(view, View):
+    for place, view in zip(
+        chosen, map_ordered(read, chosen, threads=threads, max_pending=threads + 2), strict=True
+    ):
+        if isinstance(view, AdjustmentView):
             views[place] = view
         else:
             skipped.append(view)
-        steps.done(1)
+        steps.advance(1)
     keys = list(views)
     key_views = list(views.values())
     if len(keys) < 2:
-        why = "fewer than two key frames can be used"
-        return _left(begun, why, skipped, Transfer.of(seen.errors))
-    start = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
-    couples = partners(overlaps(key_views, start))
-    found = match(key_views, couples, lambda done, of: steps.at(len(chosen) + done * matching // of))
-    prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
-    camera = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
-    made = bundle(
+        reason = "fewer than two key frames can be used"
+        return _create_rejected_result(prepared, reason, skipped, TransferError.from_errors(agreement.errors))
+    start = Cameras.from_frames([frames[place] for place in keys], [view.lens for view in key_views])
+    view_pairs = select_view_pairs(compute_overlap_matrix(key_views, start))
+    matches = match_views(
+        key_views, view_pairs, lambda done, of: steps.advance_to(len(chosen) + done * matching // of)
+    )
+    prior = params.pose_sigma * np.array([1.0] * 3 + [_ROTATION_PER_M] * 3)
+    camera = (
+        params.camera if _has_common_camera([frames[place] for place in frame_indices], key_views) else False
+    )
+    bundle_result = run_bundle_adjustment(
         key_views,
         start,
-        found,
+        matches,
         prior,
         camera,
         params.shutter,
-        lambda cameras: _held_by_outlines(begun, key_views[0], cameras),
-        lambda: steps.done(1),
+        lambda cameras: _constrain_camera_by_silhouettes(prepared, key_views[0], cameras),
+        lambda: steps.advance(1),
     )
-    if made is None:
-        why = "too few points are matched in three or more frames"
-        return _left(begun, why, skipped, Transfer.of(seen.errors))
-    before, after = Transfer.of(made.before), Transfer.of(made.after)
-    better, why = _judged(before, after)
+    if bundle_result is None:
+        reason = "too few points are matched in three or more frames"
+        return _create_rejected_result(prepared, reason, skipped, TransferError.from_errors(agreement.errors))
+    before, after = (
+        TransferError.from_errors(bundle_result.errors_before),
+        TransferError.from_errors(bundle_result.errors_after),
+    )
+    better, reason = _decide_acceptance(before, after)
     if not better:
-        steps.end()
-        return _left(begun, why, skipped, before, after)
-    strays = _strays(start, made.cameras, prior)
-    if strays:
-        steps.end()
-        _report_mismatch(strays)
-        return _left(begun, strays, skipped, before, after)
-    cameras = made.cameras
+        steps.finish()
+        return _create_rejected_result(prepared, reason, skipped, before, after)
+    implausible_reason = _explain_implausible_poses(start, bundle_result.cameras, prior)
+    if implausible_reason:
+        steps.finish()
+        _report_mismatch(implausible_reason)
+        return _create_rejected_result(prepared, implausible_reason, skipped, before, after)
+    cameras = bundle_result.cameras
     found_poses = {
-        place: Placed(pose, turn)
-        for place, pose, turn, count in zip(keys, cameras.poses, cameras.turns, made.seen, strict=True)
-        if count >= _LEAST_SEEN
+        place: LocalisedFrame(pose, turn)
+        for place, pose, turn, count in zip(
+            keys, cameras.poses, cameras.readout_rotations, bundle_result.observation_counts, strict=True
+        )
+        if count >= _MIN_OBSERVATIONS
     }
-    between = sorted(set(places) - set(chosen))
-    frees = Frees(made.has_camera, made.has_turns)
-    for place, one in placed_between(frames, between, views, start, cameras, prior, frees):
+    between = sorted(set(frame_indices) - set(chosen))
+    free = FreeParameters(bundle_result.is_camera_adjusted, bundle_result.is_shutter_adjusted)
+    for place, one in localise_between_key_frames(frames, between, views, start, cameras, prior, free):
         if isinstance(one, SkippedFrame):
             skipped.append(one)
         elif one is not None:
             found_poses[place] = one
-        steps.done(1)
-    steps.end()
+        steps.advance(1)
+    steps.finish()
     result = list(frames)
-    for place in places:
-        result[place] = _with(frames[place], found_poses.get(place), made, views, keys)
-    moved = np.array([motion_apart(_pose(frames[place]), one.pose) for place, one in found_poses.items()])
-    turns = np.degrees([np.linalg.norm(one.turn) for one in found_poses.values()])
-    has_camera = made.has_camera or begun.has_camera
-    return Adjusted(
+    for place in frame_indices:
+        result[place] = _apply_adjustment(frames[place], found_poses.get(place), bundle_result, views, keys)
+    moved = np.array(
+        [compute_pose_distance(_get_pose(frames[place]), one.pose) for place, one in found_poses.items()]
+    )
+    turns = np.degrees([np.linalg.norm(one.readout_rotation) for one in found_poses.values()])
+    has_camera = bundle_result.is_camera_adjusted or prepared.has_corrected_camera
+    return Adjustment(
         frames=tuple(result),
-        places=tuple(sorted(found_poses)),
+        adjusted_indices=tuple(sorted(found_poses)),
         accepted=True,
-        why=f"{_what(begun, made)} adjusted: {why}{_said_of(skipped)}",
-        has_camera=has_camera,
-        has_turns=made.has_turns,
-        offset_before=begun.offset,
-        offset_after=begun.offset_after(result[keys[0]]) if has_camera else None,
-        before=before,
-        after=after,
-        key_frames=len(keys),
-        points=made.points,
-        unplaced=len(frames) - len(found_poses),
+        reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: {reason}{_describe_skipped(skipped)}",
+        is_camera_adjusted=has_camera,
+        is_shutter_adjusted=bundle_result.is_shutter_adjusted,
+        offset_before=prepared.offset,
+        offset_after=prepared.measure_offset(result[keys[0]]) if has_camera else None,
+        error_before=before,
+        error_after=after,
+        key_frame_count=len(keys),
+        point_count=bundle_result.point_count,
+        unadjusted_count=len(frames) - len(found_poses),
         skipped=tuple(skipped),
-        camera_before=color_camera(begun.given[keys[0]]),
-        camera_after=color_camera(result[keys[0]]),
-        moved_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
-        moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
-        turns_deg=(float(np.median(turns)), float(turns.max())),
-        seconds=time.perf_counter() - begun.start,
+        camera_before=get_color_camera(prepared.given_frames[keys[0]]),
+        camera_after=get_color_camera(result[keys[0]]),
+        translation_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
+        rotation_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
+        readout_rotation_deg=(float(np.median(turns)), float(turns.max())),
+        seconds=time.perf_counter() - prepared.start,
     )
 
 
-def _held_by_outlines(begun: _Begun, view: View, cameras: Cameras) -> tuple[Cameras, Anchor | None]:
+def _constrain_camera_by_silhouettes(
+    prepared: _PreparedFrames, view: AdjustmentView, cameras: Cameras
+) -> tuple[Cameras, SilhouettePrior | None]:
     """Correct a fitted colour camera by silhouettes, and create its prior.
 
     Returns the cameras unchanged and no prior if the offset is unclear.
     """
-    camera = camera_of(cameras.lenses[0], view.size, view.full_size)
-    found = offset(begun.sights, camera, cameras.color_from_depth[0])
+    camera = create_camera(cameras.lenses[0], view.size, view.full_size)
+    found = estimate_photo_offset(prepared.silhouettes, camera, cameras.color_from_depth[0])
     if found is None or not found.is_clear:
         return cameras, None
-    step = np.zeros(FREE)
-    step[1:3] = found.centre * view.size[0] / view.full_size[0]
-    step[4:6] = found.place
-    moved = cameras.moved(np.zeros((len(cameras.poses), STILL)), step)
-    points = np.concatenate([one.ends for one in begun.sights])
-    return moved, anchor_of(points[:: max(len(points) // _ANCHORS, 1)], moved)
+    step = np.zeros(CAMERA_PARAMETER_COUNT)
+    step[1:3] = found.principal_point_shift_px * view.size[0] / view.full_size[0]
+    step[4:6] = found.translation_m
+    moved = cameras.apply_step(np.zeros((len(cameras.poses), POSE_PARAMETER_COUNT)), step)
+    points = np.concatenate([one.points for one in prepared.silhouettes])
+    return moved, create_silhouette_prior(points[:: max(len(points) // _PRIOR_POINT_COUNT, 1)], moved)
 
 
-def _what(begun: _Begun, made: Bundle) -> str:
+def _name_adjusted_parts(prepared: _PreparedFrames, bundle_result: BundleResult) -> str:
     names = ["poses"]
-    if made.has_camera or begun.has_camera:
+    if bundle_result.is_camera_adjusted or prepared.has_corrected_camera:
         names.append("colour camera")
-    if made.has_turns:
+    if bundle_result.is_shutter_adjusted:
         names.append("rolling shutter")
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
+def _explain_implausible_poses(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
     """Return the reason why the given poses are implausible; empty if plausible."""
-    moved = np.array([motion_apart(a, b) for a, b in zip(given.poses, found.poses, strict=True)])
+    moved = np.array([compute_pose_distance(a, b) for a, b in zip(given.poses, found.poses, strict=True)])
     metres, degrees = np.median(moved, axis=0)
-    if metres < _FAR * prior[0] and degrees < _FAR * np.degrees(prior[3]):
+    if metres < _MAX_POSE_SIGMAS * prior[0] and degrees < _MAX_POSE_SIGMAS * np.degrees(prior[3]):
         return ""
     return (
         f"poses would move by {1000 * metres:.0f} mm and {degrees:.1f}° (median), far more than "
-        "adjust.pose_deviation allows; they belong to another scan or have another pose convention"
+        "adjust.pose_sigma allows; they belong to another scan or have another pose convention"
     )
 
 
-def _share_a_camera(frames: Sequence[Frame], views: Sequence[View]) -> bool:
+def _has_common_camera(frames: Sequence[Frame], views: Sequence[AdjustmentView]) -> bool:
     """Check whether all images share one colour camera with an adjustable lens."""
-    return all(view.size == views[0].size for view in views) and has_one_camera(frames)
+    return all(view.size == views[0].size for view in views) and has_common_color_camera(frames)
 
 
-def _pose(frame: Frame) -> NDArray[np.float64]:
+def _get_pose(frame: Frame) -> NDArray[np.float64]:
     return np.asarray(frame.world_from_camera, np.float64)
 
 
-def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]:
+def _decide_acceptance(before: TransferError | None, after: TransferError | None) -> tuple[bool, str]:
     """Decide whether the adjusted result is better, and give the reason."""
     if before is None or after is None:
         return False, "no held-out point has depth both before and after"
     gained = before.median - after.median
-    told = f"the median error of held-out points is {after.median:.2f} px, before {before.median:.2f} px"
-    if gained > _BETTER_SHARE * before.median and gained > _BETTER_PX:
-        return True, told
-    return False, f"{told}; an improvement of {_BETTER_SHARE:.0%} and {_BETTER_PX} px is required"
+    summary = f"the median error of held-out points is {after.median:.2f} px, before {before.median:.2f} px"
+    if gained > _MIN_GAIN_RATIO * before.median and gained > _MIN_GAIN_PX:
+        return True, summary
+    return False, f"{summary}; an improvement of {_MIN_GAIN_RATIO:.0%} and {_MIN_GAIN_PX} px is required"
 
 
-def _with(
+def _apply_adjustment(
     frame: Frame,
-    placed: Placed | None,
-    made: Bundle,
-    views: dict[int, View],
+    localised: LocalisedFrame | None,
+    bundle_result: BundleResult,
+    views: dict[int, AdjustmentView],
     keys: Sequence[int],
 ) -> Frame:
     """Return a frame with its adjusted pose, readout rotation and colour camera.
 
-    `placed` is None for frames that keep their pose. The colour camera changes only if it was fitted.
+    `localised` is None for frames that keep their pose. The colour camera changes only if it was fitted.
     """
-    if placed is not None:
-        turn = placed.turn if made.has_turns else frame.shutter_turn
-        frame = replace(frame, world_from_camera=placed.pose, shutter_turn=turn)
-    if not made.has_camera:
+    if localised is not None:
+        turn = localised.readout_rotation if bundle_result.is_shutter_adjusted else frame.shutter_turn
+        frame = replace(frame, world_from_camera=localised.pose, shutter_turn=turn)
+    if not bundle_result.is_camera_adjusted:
         return frame
     first = views[keys[0]]
     return replace(
         frame,
-        color_camera=camera_of(made.cameras.lenses[0], first.size, first.full_size),
-        color_from_depth=made.cameras.color_from_depth[0],
+        color_camera=create_camera(bundle_result.cameras.lenses[0], first.size, first.full_size),
+        color_from_depth=bundle_result.cameras.color_from_depth[0],
     )
 
 
-def _left(
-    begun: _Begun,
-    why: str,
+def _create_rejected_result(
+    prepared: _PreparedFrames,
+    reason: str,
     skipped: Sequence[SkippedFrame],
-    before: Transfer | None,
-    after: Transfer | None = None,
-) -> Adjusted:
+    before: TransferError | None,
+    after: TransferError | None = None,
+) -> Adjustment:
     """Create the result for poses that stay as given."""
-    with_color = [n for n, frame in enumerate(begun.given) if frame.color is not None]
+    with_color = [n for n, frame in enumerate(prepared.given_frames) if frame.color is not None]
     # Frames without depth or pose keep their camera, so a frame with a corrected camera is preferred.
-    moved = [n for n in with_color if begun.frames[n] is not begun.given[n]]
+    moved = [n for n in with_color if prepared.frames[n] is not prepared.given_frames[n]]
     which = next(iter(moved or with_color), None)
     was, now = (
-        None if which is None else color_camera(frames[which]) for frames in (begun.given, begun.frames)
+        None if which is None else get_color_camera(frames[which])
+        for frames in (prepared.given_frames, prepared.frames)
     )
-    why = f"left as given: {why}{_said_of(skipped)}"
-    if begun.has_camera and begun.offset is not None:
-        why = f"colour camera moved by {begun.offset.said}, to match silhouettes in the photos; poses {why}"
-    return Adjusted(
-        frames=begun.frames,
-        places=(),
-        accepted=begun.has_camera,
-        why=why,
-        has_camera=begun.has_camera,
-        has_turns=False,
-        offset_before=begun.offset,
+    reason = f"left as given: {reason}{_describe_skipped(skipped)}"
+    if prepared.has_corrected_camera and prepared.offset is not None:
+        reason = f"colour camera moved by {prepared.offset.description}, to match silhouettes in the photos; poses {reason}"
+    return Adjustment(
+        frames=prepared.frames,
+        adjusted_indices=(),
+        accepted=prepared.has_corrected_camera,
+        reason=reason,
+        is_camera_adjusted=prepared.has_corrected_camera,
+        is_shutter_adjusted=False,
+        offset_before=prepared.offset,
         offset_after=None
-        if not begun.has_camera or which is None
-        else begun.offset_after(begun.frames[which]),
-        before=before,
-        after=after,
-        key_frames=0,
-        points=0,
-        unplaced=0,
+        if not prepared.has_corrected_camera or which is None
+        else prepared.measure_offset(prepared.frames[which]),
+        error_before=before,
+        error_after=after,
+        key_frame_count=0,
+        point_count=0,
+        unadjusted_count=0,
         skipped=tuple(skipped),
         camera_before=was,
         camera_after=now,
-        moved_mm=(0.0, 0.0),
-        moved_deg=(0.0, 0.0),
-        turns_deg=(0.0, 0.0),
-        seconds=time.perf_counter() - begun.start,
+        translation_mm=(0.0, 0.0),
+        rotation_deg=(0.0, 0.0),
+        readout_rotation_deg=(0.0, 0.0),
+        seconds=time.perf_counter() - prepared.start,
     )
 
 
-def _report_mismatch(why: str) -> None:
-    emit(ADJUST_IMAGES_MISMATCH.warning("not adjusted: {why}", why=why))
+def _report_mismatch(reason: str) -> None:
+    emit(ADJUST_IMAGES_MISMATCH.warning("not adjusted: {why}", why=reason))
 
 
-def _said_of(skipped: Sequence[SkippedFrame]) -> str:
+def _describe_skipped(skipped: Sequence[SkippedFrame]) -> str:
     """Format a clause about unusable frames; empty if all frames are usable."""
     said = ""
     for what in (BLACK, OVER_EXPOSED):
-        count = sum(exposure_of(one) == what for one in skipped)
-        said += f"; {counted(count, 'frame')} skipped: {what} colour image" if count else ""
-    unread = sum(exposure_of(one) is None for one in skipped)
-    return said + (f"; {counted(unread, 'frame')} skipped: unreadable" if unread else "")
+        count = sum(get_exposure_problem(one) == what for one in skipped)
+        said += f"; {format_count(count, 'frame')} skipped: {what} colour image" if count else ""
+    unread = sum(get_exposure_problem(one) is None for one in skipped)
+    return said + (f"; {format_count(unread, 'frame')} skipped: unreadable" if unread else "")
 
 
-class _Steps:
+class _ProgressCounter:
     """Progress counter with a known total."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0
 
-    def done(self, count: int) -> None:
-        self.at(self._done + count)
+    def advance(self, count: int) -> None:
+        self.advance_to(self._done + count)
 
-    def at(self, done: int) -> None:
+    def advance_to(self, done: int) -> None:
         self._done = min(max(done, self._done), self._total)
         self._progress(self._done, self._total)
 
-    def end(self) -> None:
-        self.at(self._total)
+    def finish(self) -> None:
+        self.advance_to(self._total)

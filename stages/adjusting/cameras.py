@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.adjusting.lens import OPENCV
-from scanloom.stages.scans.model.scan import Camera, Frame, Pose, scaled
+from scanloom.stages.adjusting.lens import DISTORTION_COEFFICIENT_COUNT
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, scale_camera
 
 # Number of unknowns of the colour camera: log of the focal length, principal point (x, y, pixels), k1, and
 # extrinsics (x, y, z, metres, then a rotation vector, radians).
-FREE = 10
+CAMERA_PARAMETER_COUNT = 10
 # Number of unknowns of a pose: translation and rotation; with a rolling shutter also the rotation during
 # readout. Then the maximum deviation of R Rᵀ from the identity, for poses read from text with few digits.
-STILL, TURNING = 6, 9
+POSE_PARAMETER_COUNT, SHUTTER_POSE_PARAMETER_COUNT = 6, 9
 _RIGID_TOLERANCE = 1e-2
 
 
@@ -30,17 +30,17 @@ class Cameras:
     lenses : (m, 9) intrinsics of the colour cameras: fx, fy, cx, cy in pixels of the downscaled image
         (`View.size`), then the distortion coefficients k1, k2, p1, p2, k3.
     color_from_depth : (m, 4, 4) extrinsics of the colour cameras, metres.
-    turns : (m, 3) rotation of each depth camera from its first to its last image row (rolling shutter).
-        Rotation vectors in camera axes, radians. `poses` refer to the middle row.
+    readout_rotations : (m, 3) rotation of each depth camera from its first to its last image row (rolling shutter).
+        Rotation vectors in camera axes, radians. `pose_steps` refer to the middle row.
     """
 
     poses: NDArray[np.float64]
     lenses: NDArray[np.float64]
     color_from_depth: NDArray[np.float64]
-    turns: NDArray[np.float64]
+    readout_rotations: NDArray[np.float64]
 
     @classmethod
-    def given(cls, frames: Sequence[Frame], lenses: Sequence[NDArray[np.float64]]) -> Cameras:
+    def from_frames(cls, frames: Sequence[Frame], lenses: Sequence[NDArray[np.float64]]) -> Cameras:
         """Create cameras from posed frames, as the scan gives them.
 
         Parameters
@@ -50,39 +50,46 @@ class Cameras:
         """
         here = np.eye(4)
         return cls(
-            np.stack([_orthonormal(one.world_from_camera) for one in frames]),
+            np.stack([_orthonormalize_rotation(one.world_from_camera) for one in frames]),
             np.stack(lenses),
             np.stack([here if one.color_from_depth is None else one.color_from_depth for one in frames]),
             np.stack([np.zeros(3) if one.shutter_turn is None else one.shutter_turn for one in frames]),
         )
 
-    def zoomed(self, share: float) -> Cameras:
+    def scale_focal_lengths(self, factor: float) -> Cameras:
         """Scale the focal lengths of the colour cameras."""
         lenses = self.lenses.copy()
-        lenses[:, :2] *= share
+        lenses[:, :2] *= factor
         return replace(self, lenses=lenses)
 
-    def of(self, which: NDArray[np.intp]) -> Cameras:
+    def select(self, view_indices: NDArray[np.intp]) -> Cameras:
         """Select the cameras of some views."""
-        return Cameras(self.poses[which], self.lenses[which], self.color_from_depth[which], self.turns[which])
+        return Cameras(
+            self.poses[view_indices],
+            self.lenses[view_indices],
+            self.color_from_depth[view_indices],
+            self.readout_rotations[view_indices],
+        )
 
-    def moved(self, poses: NDArray[np.float64], camera: NDArray[np.float64]) -> Cameras:
+    def apply_step(self, pose_steps: NDArray[np.float64], camera_step: NDArray[np.float64]) -> Cameras:
         """Return the cameras after a step of the unknowns.
 
         Parameters
         ----------
         poses : (m, 6) translation and rotation of each view in its own axes, metres and radians; (m, 9) also
-            changes `turns`.
-        camera : (10,) step of all colour cameras, see `FREE`.
+            changes `readout_rotations`.
+        camera : (10,) step of all colour cameras, see `CAMERA_PARAMETER_COUNT`.
         """
         lenses = self.lenses.copy()
-        lenses[:, :2] *= np.exp(camera[0])
-        lenses[:, 2:5] += camera[1:4]
+        lenses[:, :2] *= np.exp(camera_step[0])
+        lenses[:, 2:5] += camera_step[1:4]
         return Cameras(
-            self.poses @ motion(poses[:, :STILL]),
+            self.poses @ compute_motions(pose_steps[:, :POSE_PARAMETER_COUNT]),
             lenses,
-            motion(camera[None, 4:]) @ self.color_from_depth,
-            self.turns + poses[:, STILL:] if poses.shape[1] == TURNING else self.turns,
+            compute_motions(camera_step[None, 4:]) @ self.color_from_depth,
+            self.readout_rotations + pose_steps[:, POSE_PARAMETER_COUNT:]
+            if pose_steps.shape[1] == SHUTTER_POSE_PARAMETER_COUNT
+            else self.readout_rotations,
         )
 
 
@@ -94,7 +101,7 @@ def is_rigid(pose: Pose | None) -> bool:
     return bool(np.abs(turn @ turn.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(turn) > 0)
 
 
-def _orthonormal(pose: Pose | None) -> Pose:
+def _orthonormalize_rotation(pose: Pose | None) -> Pose:
     if pose is None:
         return np.eye(4)
     left, _, right = np.linalg.svd(pose[:3, :3])
@@ -103,14 +110,14 @@ def _orthonormal(pose: Pose | None) -> Pose:
     return result
 
 
-def motion(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_motions(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute motions (n, 4, 4) from translations and rotation vectors (n, 6).
 
     Rodrigues' formula; metres and radians.
     """
     turns = steps[:, 3:]
     angle = np.linalg.norm(turns, axis=1)[:, None, None]
-    cross = skew(turns)
+    cross = compute_cross_matrices(turns)
     one = np.sinc(angle / np.pi)
     two = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     moves = np.tile(np.eye(4), (len(steps), 1, 1))
@@ -119,10 +126,10 @@ def motion(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return moves
 
 
-def steps_of(moves: NDArray[np.float64]) -> NDArray[np.float64]:
+def decompose_motions(moves: NDArray[np.float64]) -> NDArray[np.float64]:
     """Decompose motions (n, 4, 4) into translations and rotation vectors (n, 6).
 
-    Inverse of `motion`.
+    Inverse of `compute_motions`.
     """
     from scipy.spatial.transform import Rotation
 
@@ -130,7 +137,7 @@ def steps_of(moves: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([moves[:, :3, 3], turns], axis=1)
 
 
-def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_cross_matrices(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute cross-product matrices (n, 3, 3) of vectors (n, 3).
 
     `skew(a) @ b` is a × b.
@@ -140,24 +147,24 @@ def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
-def by_camera(
-    shown: NDArray[np.float64], by_point: NDArray[np.float64], by_lens: NDArray[np.float64]
+def compute_camera_jacobian(
+    points: NDArray[np.float64], by_point: NDArray[np.float64], by_lens: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Compute the Jacobian of pixels with respect to the colour camera.
 
     Parameters
     ----------
-    shown : (n, 3) points in the axes of the colour camera, metres.
+    points : (n, 3) points in the axes of the colour camera, metres.
     by_point, by_lens : (n, 2, 3) and (n, 2, 4), see `lens.derivatives`.
 
     Returns
     -------
-    (n, 2, 10) pixels per unit of each unknown, see `FREE`.
+    (n, 2, 10) pixels per unit of each unknown, see `CAMERA_PARAMETER_COUNT`.
     """
-    return np.concatenate([by_lens, by_point, -by_point @ skew(shown)], axis=2)
+    return np.concatenate([by_lens, by_point, -by_point @ compute_cross_matrices(points)], axis=2)
 
 
-def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def invert_poses(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Invert rigid motions (n, 4, 4)."""
     back = np.tile(np.eye(4), (len(poses), 1, 1))
     back[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
@@ -165,21 +172,21 @@ def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return back
 
 
-def carried(moves: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def transform_points(motions: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Transform points (n, 3), each by its own motion (n, 4, 4)."""
-    return np.asarray(np.einsum("nij,nj->ni", moves[:, :3, :3], points) + moves[:, :3, 3])
+    return np.asarray(np.einsum("nij,nj->ni", motions[:, :3, :3], points) + motions[:, :3, 3])
 
 
-def lens_of(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
+def get_lens_parameters(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
     """Compute the lens parameters (9,) of a camera for an image size."""
-    sized = scaled(camera, width, height)
-    lens = np.zeros(4 + OPENCV)
+    sized = scale_camera(camera, width, height)
+    lens = np.zeros(4 + DISTORTION_COEFFICIENT_COUNT)
     lens[:4] = sized.fx, sized.fy, sized.cx, sized.cy
     lens[4 : 4 + len(camera.distortion)] = camera.distortion
     return lens
 
 
-def camera_of(lens: NDArray[np.float64], size: tuple[int, int], full_size: tuple[int, int]) -> Camera:
+def create_camera(lens: NDArray[np.float64], size: tuple[int, int], full_size: tuple[int, int]) -> Camera:
     """Create a camera for images of full size from lens parameters.
 
     Parameters
@@ -191,12 +198,12 @@ def camera_of(lens: NDArray[np.float64], size: tuple[int, int], full_size: tuple
     bent = tuple(float(k) for k in lens[4:])
     bent = bent if any(bent[4:]) else bent[:4]
     fx, fy, cx, cy = (float(value) for value in lens[:4])
-    return scaled(Camera(*size, fx, fy, cx, cy, bent if any(bent) else ()), *full_size)
+    return scale_camera(Camera(*size, fx, fy, cx, cy, bent if any(bent) else ()), *full_size)
 
 
-def motion_apart(one: Pose, other: Pose) -> tuple[float, float]:
+def compute_pose_distance(first: Pose, second: Pose) -> tuple[float, float]:
     """Compute the distance between two poses, in metres and degrees."""
-    turn = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1) / 2
-    return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(
+    turn = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1) / 2
+    return float(np.linalg.norm(first[:3, 3] - second[:3, 3])), float(
         np.degrees(np.arccos(np.clip(turn, -1, 1)))
     )

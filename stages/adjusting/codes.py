@@ -13,7 +13,7 @@ disagree. The poses belong to another scan, are paired with the wrong frames or 
 or the depth has another size or unit.
 """,
     (
-        "not adjusted: poses would move by 312 mm and 41.0° (median), far more than adjust.pose_deviation "
+        "not adjusted: poses would move by 312 mm and 41.0° (median), far more than adjust.pose_sigma "
         "allows; they belong to another scan or have another pose convention"
     ),
 )

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Number of supported distortion coefficients: k1, k2, p1, p2, k3.
-OPENCV = 5
+DISTORTION_COEFFICIENT_COUNT = 5
 # Fixed-point iterations of undistortion; mild lenses, as in depth cameras, converge in a few.
-_STEPS = 12
+_UNDISTORT_ITERATIONS = 12
 
 
-def project(points: NDArray[np.float64], lenses: NDArray[np.float64]) -> NDArray[np.float64]:
+def project_with_distortion(points: NDArray[np.float64], lenses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Project points to pixels (n, 2), with lens distortion.
 
     Parameters
@@ -20,12 +20,12 @@ def project(points: NDArray[np.float64], lenses: NDArray[np.float64]) -> NDArray
     lenses : (n, 9) or (9,), see `Cameras.lenses`.
     """
     x, y = (points[:, :2] / points[:, 2:]).T
-    bent = _bent(x, y, lenses.T[4:])
+    bent = _distort(x, y, lenses.T[4:])
     fx, fy, cx, cy = lenses.T[:4]
     return np.stack([fx * bent[0] + cx, fy * bent[1] + cy], axis=1)
 
 
-def derivatives(
+def compute_projection_derivatives(
     points: NDArray[np.float64], lenses: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Project points to pixels, and compute the derivatives.
@@ -48,7 +48,7 @@ def derivatives(
     square = x * x + y * y
     radial = 1 + square * (k1 + square * (k2 + square * k3))
     slope = 2 * (k1 + square * (2 * k2 + square * 3 * k3))
-    across, down = _bent(x, y, lenses.T[4:])
+    across, down = _distort(x, y, lenses.T[4:])
     flat = np.empty((len(points), 2, 2))
     flat[:, 0, 0] = fx * (radial + slope * x * x + 2 * p1 * y + 6 * p2 * x)
     flat[:, 0, 1] = fx * (slope * x * y + 2 * p1 * x + 2 * p2 * y)
@@ -64,19 +64,19 @@ def derivatives(
     return np.stack([fx * across + cx, fy * down + cy], axis=1), by_point, by_lens
 
 
-def rays(pixels: NDArray[np.floating], lenses: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_rays(pixels: NDArray[np.floating], lenses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the undistorted rays (n, 3) of pixels (n, 2), with z = 1."""
     fx, fy, cx, cy = lenses.T[:4]
     across, down = (pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy
     x, y = across, down
     if lenses.T[4:].any():
-        for _ in range(_STEPS):
-            there = _bent(x, y, lenses.T[4:])
+        for _ in range(_UNDISTORT_ITERATIONS):
+            there = _distort(x, y, lenses.T[4:])
             x, y = x + across - there[0], y + down - there[1]
     return np.stack([x, y, np.ones_like(x)], axis=1)
 
 
-def _bent(
+def _distort(
     x: NDArray[np.float64], y: NDArray[np.float64], coefficients: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     k1, k2, p1, p2, k3 = coefficients

@@ -13,94 +13,113 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.adjusting.anchor import Anchor, anchor_rows, off_anchor
 from scanloom.stages.adjusting.cameras import (
-    FREE,
-    STILL,
+    CAMERA_PARAMETER_COUNT,
+    POSE_PARAMETER_COUNT,
     Cameras,
-    by_camera,
-    carried,
-    inverted_all,
-    skew,
-    steps_of,
+    compute_camera_jacobian,
+    compute_cross_matrices,
+    decompose_motions,
+    invert_poses,
+    transform_points,
 )
-from scanloom.stages.adjusting.lens import derivatives
-from scanloom.stages.adjusting.lifting import planes_at
-from scanloom.stages.adjusting.shutter import as_read, in_the_middle, turned
-from scanloom.stages.adjusting.surfaces import Surfaces
+from scanloom.stages.adjusting.color_camera_prior import (
+    SilhouettePrior,
+    compute_prior_jacobian,
+    compute_prior_residuals,
+)
+from scanloom.stages.adjusting.lens import compute_projection_derivatives
+from scanloom.stages.adjusting.rolling_shutter import (
+    compute_readout_motions,
+    transform_to_middle_row,
+    transform_to_readout,
+)
+from scanloom.stages.adjusting.surface_points import SurfacePoints
 from scanloom.stages.adjusting.tracks import Tracks
-from scanloom.stages.adjusting.view import View
+from scanloom.stages.adjusting.unprojection import measure_planes
+from scanloom.stages.adjusting.view import AdjustmentView
 
 # Standard deviation of a keypoint, pixels, and Huber thresholds of pixel and depth residuals, in standard
 # deviations.
-_PIXEL, _HUBER, _HUBER_DEPTH = 1.0, 2.0, 2.0
+_KEYPOINT_SIGMA_PX, _HUBER_PIXEL, _HUBER_DEPTH = 1.0, 2.0, 2.0
 # Standard deviation of depth: a constant in metres, and a factor per squared metre (3 mm at 0.5 m, 6 mm at 2
-# m). Beyond `_OTHER_THING` standard deviations the depth belongs to another surface.
-_DEPTH_M, _DEPTH_PER_M = 0.0028, 0.0008
-_OTHER_THING = 12.0
+# m). Beyond `_MAX_DEPTH_SIGMAS` standard deviations the depth belongs to another surface.
+_DEPTH_SIGMA_M, _DEPTH_SIGMA_PER_M2 = 0.0028, 0.0008
+_MAX_DEPTH_SIGMAS = 12.0
 # Factor on the standard deviation of surface points, because their depth errors are correlated.
-_MEETING = 1.5
+_SURFACE_SIGMA_FACTOR = 1.5
 # Standard deviation of the rotation during readout, radians. At 60°/s a camera rotates by 2° in 1/30 s.
-_TURN_PRIOR = float(np.radians(1.5))
+_SHUTTER_SIGMA_RAD = float(np.radians(1.5))
 # Standard deviation of its mean over all views, radians. Cameras rotate to and fro; a rotation common to all
 # images is a lens error.
-_MEAN_TURN_PRIOR = float(np.radians(0.05))
+_MEAN_SHUTTER_SIGMA_RAD = float(np.radians(0.05))
 # Standard deviations of the given colour camera: focal length (relative), principal point (relative to the
 # image width), k1, translation (metres), rotation (radians).
-_CAMERA_PRIOR = np.array([0.05, 0.005, 0.005, 0.05, *[0.015] * 3, *[np.radians(0.5)] * 3])
+_CAMERA_SIGMAS = np.array([0.05, 0.005, 0.005, 0.05, *[0.015] * 3, *[np.radians(0.5)] * 3])
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class AdjustmentState:
     """Values of all unknowns.
 
     Attributes
     ----------
     cameras : cameras of all views.
     points : (p, 3) metres, world.
-    camera : (10,) accumulated change of the colour cameras, see `FREE`.
+    camera_change : (10,) accumulated change of the colour cameras, see `CAMERA_PARAMETER_COUNT`.
     """
 
     cameras: Cameras
     points: NDArray[np.float64]
-    camera: NDArray[np.float64]
+    camera_change: NDArray[np.float64]
 
-    def moved(
-        self, poses: NDArray[np.float64], camera: NDArray[np.float64], points: NDArray[np.float64]
-    ) -> State:
+    def apply_step(
+        self,
+        pose_steps: NDArray[np.float64],
+        camera_step: NDArray[np.float64],
+        point_steps: NDArray[np.float64],
+    ) -> AdjustmentState:
         """Return the state after a step of the unknowns.
 
         Parameters
         ----------
-        poses, camera : (m, 6) or (m, 9), and (10,), see `Cameras.moved`.
+        poses, camera : (m, 6) or (m, 9), and (10,), see `Cameras.apply_step`.
         points : (p, 3) metres, world.
         """
-        return State(self.cameras.moved(poses, camera), self.points + points, self.camera + camera)
+        return AdjustmentState(
+            self.cameras.apply_step(pose_steps, camera_step),
+            self.points + point_steps,
+            self.camera_change + camera_step,
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Planes:
-    """Tangent planes that views measure at n points, see `planes_at`.
+class TangentPlanes:
+    """Tangent planes that views measure at n points, see `measure_planes`.
 
     Attributes
     ----------
     normals : (n, 3).
-    depths, deviations : (n,) metres; a depth of 0 disables the plane.
+    depths, sigmas_m : (n,) metres; a depth of 0 disables the plane.
     """
 
     normals: NDArray[np.float64]
     depths: NDArray[np.float64]
-    deviations: NDArray[np.float64]
+    sigmas_m: NDArray[np.float64]
 
     @classmethod
-    def none(cls, count: int) -> Planes:
+    def create_disabled(cls, count: int) -> TangentPlanes:
         """Create planes that are all disabled."""
         return cls(np.zeros((count, 3)), np.zeros(count), np.ones(count))
 
     @classmethod
-    def met(
-        cls, views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64], share: float
-    ) -> Planes:
+    def from_views(
+        cls,
+        views: Sequence[AdjustmentView],
+        view_indices: NDArray[np.intp],
+        points: NDArray[np.float64],
+        sigma_factor: float,
+    ) -> TangentPlanes:
         """Measure the planes at points, and disable planes of other surfaces.
 
         Parameters
@@ -109,43 +128,45 @@ class Planes:
         points : (n, 3) metres, depth-camera axes of that view.
         share : factor on the standard deviation of depth.
         """
-        normals, depths, slopes = planes_at(views, view, points)
-        deviations = share * np.hypot(deviation(depths), slopes)
-        off = np.abs((normals * points).sum(axis=1) - depths) > _OTHER_THING * deviations
+        normals, depths, slopes = measure_planes(views, view_indices, points)
+        deviations = sigma_factor * np.hypot(compute_depth_sigma(depths), slopes)
+        off = np.abs((normals * points).sum(axis=1) - depths) > _MAX_DEPTH_SIGMAS * deviations
         return cls(normals, np.where(off, 0, depths), deviations)
 
-    def behind(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def compute_residuals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute the distance (n,) of points (n, 3) behind their planes.
 
         In standard deviations; 0 for disabled planes.
         """
         far = (self.normals * points).sum(axis=1) - self.depths
-        return np.asarray(np.where(self.depths > 0, far, 0) / self.deviations)
+        return np.asarray(np.where(self.depths > 0, far, 0) / self.sigmas_m)
 
-    def rows(self, behind: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def compute_derivatives(
+        self, residuals: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Compute derivatives and weights of the plane residuals.
 
         Parameters
         ----------
-        behind : (n,) residuals, see `behind`.
+        behind : (n,) residuals, see `compute_residuals`.
 
         Returns
         -------
         Derivatives by the points (n, 3), and square roots of the Huber weights (n,).
         """
-        weights = np.where(self.depths > 0, _weight(np.abs(behind), _HUBER_DEPTH), 0)
-        return self.normals / self.deviations[:, None], np.sqrt(weights)
+        weights = np.where(self.depths > 0, _compute_huber_weight(np.abs(residuals), _HUBER_DEPTH), 0)
+        return self.normals / self.sigmas_m[:, None], np.sqrt(weights)
 
 
-class Frees(NamedTuple):
+class FreeParameters(NamedTuple):
     """Optional unknowns: the colour camera, and rotations during readout (rolling shutter)."""
 
     camera: bool = False
-    turns: bool = False
+    shutter: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class AdjustmentProblem:
     """Bundle adjustment problem.
 
     Attributes
@@ -153,208 +174,247 @@ class Problem:
     tracks : observations of points.
     planes : tangent planes at the observations.
     surfaces : surface points of frame pairs.
-    meetings : tangent planes of the other views at these surface points.
-    given : (m, 4, 4) given poses, world_from_camera; the centre of the pose prior.
+    surface_planes : tangent planes of the other views at these surface points.
+    given_poses : (m, 4, 4) given poses, world_from_camera; the centre of the pose prior.
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
-    frees : optional unknowns.
+    free : optional unknowns.
     width : image width, pixels.
-    anchor : prior on the colour camera from silhouettes; None without.
+    silhouette_prior : prior on the colour camera from silhouettes; None without.
     """
 
     tracks: Tracks
-    planes: Planes
-    surfaces: Surfaces
-    meetings: Planes
-    given: NDArray[np.float64]
+    planes: TangentPlanes
+    surfaces: SurfacePoints
+    surface_planes: TangentPlanes
+    given_poses: NDArray[np.float64]
     pose_prior: NDArray[np.float64]
-    frees: Frees
+    free: FreeParameters
     width: int
-    anchor: Anchor | None
+    silhouette_prior: SilhouettePrior | None
 
     @classmethod
-    def of(
+    def from_tracks(
         cls,
         tracks: Tracks,
-        given: NDArray[np.float64],
+        given_poses: NDArray[np.float64],
         pose_prior: NDArray[np.float64],
         *,
-        surfaces: Surfaces | None = None,
-        frees: Frees | None = None,
+        surfaces: SurfacePoints | None = None,
+        free: FreeParameters | None = None,
         width: int = 1,
-        anchor: Anchor | None = None,
-    ) -> Problem:
-        """Create a problem with all planes disabled; `looked_up` measures the planes."""
-        surfaces = Surfaces.none() if surfaces is None else surfaces
-        planes, meetings = Planes.none(len(tracks.view)), Planes.none(len(surfaces.couple))
-        return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees or Frees(), width, anchor)
-
-    def looked_up(self, views: Sequence[View], state: State) -> Problem:
-        """Return the problem with planes measured at the current state."""
-        planes = Planes.met(views, self.tracks.view, _seen(state, self.tracks), 1.0)
-        other = self.surfaces.couples[self.surfaces.couple, 1]
-        meetings = Planes.met(views, other, self.across(state).there, _MEETING)
-        return replace(self, planes=planes, meetings=meetings)
-
-    def across(self, state: State) -> Across:
-        """Transform the surface points to the other view of their frame pair."""
-        surfaces, poses, turns = self.surfaces, state.cameras.poses, state.cameras.turns
-        first, other = surfaces.couples.T
-        moves = (inverted_all(poses[other]) @ poses[first])[surfaces.couple]
-        here = in_the_middle(surfaces.points, turns[first][surfaces.couple], surfaces.late)
-        middle = carried(moves, here)
-        which = other[surfaces.couple]
-        late = surfaces.late_where(which, middle)
-        back = turned(turns[which], -late)[:, :3, :3]
-        return Across(here, middle, as_read(middle, turns[which], late), late, moves[:, :3, :3], back)
-
-    def cost(self, state: State) -> float:
-        """Compute half the robust (Huber) sum of squared residuals."""
-        pixel, depth, poses, camera = self._residuals(state)
-        meeting = self.meetings.behind(self.across(state).there)
-        return float(
-            _huber(np.hypot(*pixel.T), _HUBER).sum()
-            + _huber(np.abs(depth), _HUBER_DEPTH).sum()
-            + _huber(np.abs(meeting), _HUBER_DEPTH).sum()
-            + 0.5 * (poses**2).sum()
-            + 0.5 * (camera**2).sum()
-            + 0.5 * (self._off_anchor(state) ** 2).sum()
-            + 0.5 * self.turn_coupling * (state.cameras.turns.sum(axis=0) ** 2).sum()
+        silhouette_prior: SilhouettePrior | None = None,
+    ) -> AdjustmentProblem:
+        """Create a problem with all planes disabled; `update_planes` measures the planes."""
+        surfaces = SurfacePoints.create_empty() if surfaces is None else surfaces
+        planes, meetings = (
+            TangentPlanes.create_disabled(len(tracks.view_indices)),
+            TangentPlanes.create_disabled(len(surfaces.pair_of_point)),
+        )
+        return cls(
+            tracks,
+            planes,
+            surfaces,
+            meetings,
+            given_poses,
+            pose_prior,
+            free or FreeParameters(),
+            width,
+            silhouette_prior,
         )
 
-    def _off_anchor(self, state: State) -> NDArray[np.float64]:
-        return np.zeros(4) if self.anchor is None else off_anchor(self.anchor, state.cameras)
+    def update_planes(self, views: Sequence[AdjustmentView], state: AdjustmentState) -> AdjustmentProblem:
+        """Return the problem with planes measured at the current state."""
+        planes = TangentPlanes.from_views(
+            views, self.tracks.view_indices, _to_depth_camera(state, self.tracks), 1.0
+        )
+        other = self.surfaces.pair_indices[self.surfaces.pair_of_point, 1]
+        meetings = TangentPlanes.from_views(
+            views, other, self.transform_surface_points(state).other_readout, _SURFACE_SIGMA_FACTOR
+        )
+        return replace(self, planes=planes, surface_planes=meetings)
+
+    def transform_surface_points(self, state: AdjustmentState) -> TransformedSurfacePoints:
+        """Transform the surface points to the other view of their frame pair."""
+        surfaces, poses, turns = self.surfaces, state.cameras.poses, state.cameras.readout_rotations
+        first, other = surfaces.pair_indices.T
+        moves = (invert_poses(poses[other]) @ poses[first])[surfaces.pair_of_point]
+        here = transform_to_middle_row(
+            surfaces.points, turns[first][surfaces.pair_of_point], surfaces.readout_times
+        )
+        middle = transform_points(moves, here)
+        which = other[surfaces.pair_of_point]
+        late = surfaces.compute_readout_times(which, middle)
+        back = compute_readout_motions(turns[which], -late)[:, :3, :3]
+        return TransformedSurfacePoints(
+            here, middle, transform_to_readout(middle, turns[which], late), late, moves[:, :3, :3], back
+        )
+
+    def compute_cost(self, state: AdjustmentState) -> float:
+        """Compute half the robust (Huber) sum of squared residuals."""
+        pixel, depth, poses, camera = self._compute_residuals(state)
+        meeting = self.surface_planes.compute_residuals(self.transform_surface_points(state).other_readout)
+        return float(
+            _compute_huber_loss(np.hypot(*pixel.T), _HUBER_PIXEL).sum()
+            + _compute_huber_loss(np.abs(depth), _HUBER_DEPTH).sum()
+            + _compute_huber_loss(np.abs(meeting), _HUBER_DEPTH).sum()
+            + 0.5 * (poses**2).sum()
+            + 0.5 * (camera**2).sum()
+            + 0.5 * (self._compute_prior_residuals(state) ** 2).sum()
+            + 0.5 * self.shutter_coupling * (state.cameras.readout_rotations.sum(axis=0) ** 2).sum()
+        )
+
+    def _compute_prior_residuals(self, state: AdjustmentState) -> NDArray[np.float64]:
+        return (
+            np.zeros(4)
+            if self.silhouette_prior is None
+            else compute_prior_residuals(self.silhouette_prior, state.cameras)
+        )
 
     @property
-    def turn_coupling(self) -> float:
+    def shutter_coupling(self) -> float:
         """Return the coupling of the readout rotations of two views.
 
         This second derivative of the cost comes from the prior that holds their mean rotation to 0.
         """
-        together = self.frees.turns and len(self.given) > 1
-        return (_MEAN_TURN_PRIOR * len(self.given)) ** -2 if together else 0.0
+        together = self.free.shutter and len(self.given_poses) > 1
+        return (_MEAN_SHUTTER_SIGMA_RAD * len(self.given_poses)) ** -2 if together else 0.0
 
-    def pixels_off(self, state: State) -> NDArray[np.float64]:
+    def compute_reprojection_errors(self, state: AdjustmentState) -> NDArray[np.float64]:
         """Compute the reprojection errors (n,) of the observations, pixels."""
-        return np.asarray(_PIXEL * np.hypot(*self._residuals(state)[0].T))
+        return np.asarray(_KEYPOINT_SIGMA_PX * np.hypot(*self._compute_residuals(state)[0].T))
 
-    def _residuals(self, state: State) -> tuple[NDArray[np.float64], ...]:
+    def _compute_residuals(self, state: AdjustmentState) -> tuple[NDArray[np.float64], ...]:
         tracks, cameras = self.tracks, state.cameras
-        seen = _seen(state, tracks)
-        shown = _shown(cameras, tracks, seen)
+        seen = _to_depth_camera(state, tracks)
+        shown = _to_color_camera(cameras, tracks, seen)
         ahead = shown[:, 2] > 1e-3
         shown = np.where(ahead[:, None], shown, (0, 0, 1))
-        pixels, _, _ = derivatives(shown, cameras.lenses[tracks.view])
-        pixel = np.where(ahead[:, None], (pixels - tracks.pixels) / _PIXEL, 1e3)
-        depth = self.planes.behind(seen)
-        moved = steps_of(inverted_all(self.given) @ cameras.poses)
-        if self.frees.turns:
-            moved = np.concatenate([moved, cameras.turns], axis=1)
-        return pixel, depth, moved / self.step_prior, state.camera / self.camera_prior
+        pixels, _, _ = compute_projection_derivatives(shown, cameras.lenses[tracks.view_indices])
+        pixel = np.where(ahead[:, None], (pixels - tracks.pixels) / _KEYPOINT_SIGMA_PX, 1e3)
+        depth = self.planes.compute_residuals(seen)
+        moved = decompose_motions(invert_poses(self.given_poses) @ cameras.poses)
+        if self.free.shutter:
+            moved = np.concatenate([moved, cameras.readout_rotations], axis=1)
+        return pixel, depth, moved / self.pose_sigmas, state.camera_change / self.camera_sigmas
 
     @property
-    def step_prior(self) -> NDArray[np.float64]:
+    def pose_sigmas(self) -> NDArray[np.float64]:
         """Return the standard deviations of the pose prior, (6,) or (9,).
 
         Metres and radians; with rolling shutter also the rotation during readout.
         """
-        return np.concatenate([self.pose_prior, [_TURN_PRIOR] * 3]) if self.frees.turns else self.pose_prior
+        return (
+            np.concatenate([self.pose_prior, [_SHUTTER_SIGMA_RAD] * 3])
+            if self.free.shutter
+            else self.pose_prior
+        )
 
     @property
-    def camera_prior(self) -> NDArray[np.float64]:
-        """Return the standard deviations (10,) of the given colour camera, see `FREE`."""
-        return np.asarray(_CAMERA_PRIOR * np.array([1, self.width, self.width, *[1] * 7]))
+    def camera_sigmas(self) -> NDArray[np.float64]:
+        """Return the standard deviations (10,) of the given colour camera, see `CAMERA_PARAMETER_COUNT`."""
+        return np.asarray(_CAMERA_SIGMAS * np.array([1, self.width, self.width, *[1] * 7]))
 
-    def linear(self, state: State) -> Linear:
+    def linearise(self, state: AdjustmentState) -> LinearisedProblem:
         """Linearise the residuals at a state, weighted for the Huber loss."""
         tracks, cameras = self.tracks, state.cameras
-        pixel, depth, moved, camera = self._residuals(state)
-        seen = _seen(state, tracks)
-        shown = _shown(cameras, tracks, seen)
+        pixel, depth, moved, camera = self._compute_residuals(state)
+        seen = _to_depth_camera(state, tracks)
+        shown = _to_color_camera(cameras, tracks, seen)
         shown[:, 2] = np.maximum(shown[:, 2], 1e-3)
-        _, by_point, by_lens = derivatives(shown, cameras.lenses[tracks.view])
-        apart = cameras.color_from_depth[tracks.view, :3, :3]
+        _, by_point, by_lens = compute_projection_derivatives(shown, cameras.lenses[tracks.view_indices])
+        apart = cameras.color_from_depth[tracks.view_indices, :3, :3]
         count = len(seen)
         # Rows: two of the pixel, one of the depth. Signs are negative because points move against the camera.
         by_seen = np.empty((count, 3, 3))
-        by_seen[:, :2] = by_point @ apart / _PIXEL
+        by_seen[:, :2] = by_point @ apart / _KEYPOINT_SIGMA_PX
         root = np.empty((count, 3))
-        root[:, :2] = np.sqrt(_weight(np.hypot(*pixel.T), _HUBER))[:, None]
-        by_seen[:, 2], root[:, 2] = self.planes.rows(depth)
+        root[:, :2] = np.sqrt(_compute_huber_weight(np.hypot(*pixel.T), _HUBER_PIXEL))[:, None]
+        by_seen[:, 2], root[:, 2] = self.planes.compute_derivatives(depth)
         by_seen *= root[:, :, None]
-        late, turns = tracks.late, cameras.turns[tracks.view]
-        by_turn = late[:, None, None] * (by_seen @ skew(seen))
-        by_seen = by_seen @ turned(turns, -late)[:, :3, :3]
-        middle = in_the_middle(seen, turns, late)
-        by_pose = [-by_seen, by_seen @ skew(middle), *([by_turn] if self.frees.turns else [])]
-        back = cameras.poses[tracks.view, :3, :3].swapaxes(1, 2)
-        by_step = np.zeros((count, 3, FREE))
-        anchored = np.zeros((4, FREE))
-        if self.frees.camera:
-            by_step[:, :2] = by_camera(shown, by_point, by_lens) / _PIXEL
+        late, turns = tracks.readout_times, cameras.readout_rotations[tracks.view_indices]
+        by_turn = late[:, None, None] * (by_seen @ compute_cross_matrices(seen))
+        by_seen = by_seen @ compute_readout_motions(turns, -late)[:, :3, :3]
+        middle = transform_to_middle_row(seen, turns, late)
+        by_pose = [
+            -by_seen,
+            by_seen @ compute_cross_matrices(middle),
+            *([by_turn] if self.free.shutter else []),
+        ]
+        back = cameras.poses[tracks.view_indices, :3, :3].swapaxes(1, 2)
+        by_step = np.zeros((count, 3, CAMERA_PARAMETER_COUNT))
+        anchored = np.zeros((4, CAMERA_PARAMETER_COUNT))
+        if self.free.camera:
+            by_step[:, :2] = compute_camera_jacobian(shown, by_point, by_lens) / _KEYPOINT_SIGMA_PX
             by_step *= root[:, :, None]
-            anchored = anchored if self.anchor is None else anchor_rows(self.anchor, cameras)
-        return Linear(
-            meetings=self._met(state),
+            anchored = (
+                anchored
+                if self.silhouette_prior is None
+                else compute_prior_jacobian(self.silhouette_prior, cameras)
+            )
+        return LinearisedProblem(
+            surface_residuals=self._linearise_surfaces(state),
             residuals=np.concatenate([pixel, depth[:, None]], axis=1) * root,
             by_pose=np.concatenate(by_pose, axis=2),
             by_camera=by_step,
             by_point=by_seen @ back,
-            poses=moved / self.step_prior + self._towards_no_mean(state),
-            pose_weights=1 / self.step_prior**2,
-            camera=camera / self.camera_prior + anchored.T @ self._off_anchor(state),
-            camera_weights=np.diag(1 / self.camera_prior**2) + anchored.T @ anchored,
+            pose_gradient=moved / self.pose_sigmas + self._compute_mean_rotation_gradient(state),
+            pose_weights=1 / self.pose_sigmas**2,
+            camera_gradient=camera / self.camera_sigmas + anchored.T @ self._compute_prior_residuals(state),
+            camera_weights=np.diag(1 / self.camera_sigmas**2) + anchored.T @ anchored,
         )
 
-    def _towards_no_mean(self, state: State) -> NDArray[np.float64]:
+    def _compute_mean_rotation_gradient(self, state: AdjustmentState) -> NDArray[np.float64]:
         """Compute the gradient (6,) or (9,) of the prior on the mean readout rotation.
 
         The gradient is the same for each view.
         """
-        gradient = np.zeros(len(self.step_prior))
-        if self.frees.turns:
-            gradient[STILL:] = self.turn_coupling * state.cameras.turns.sum(axis=0)
+        gradient = np.zeros(len(self.pose_sigmas))
+        if self.free.shutter:
+            gradient[POSE_PARAMETER_COUNT:] = self.shutter_coupling * state.cameras.readout_rotations.sum(
+                axis=0
+            )
         return gradient
 
-    def _met(self, state: State) -> Met:
-        across = self.across(state)
-        behind = self.meetings.behind(across.there)
-        rows, root = self.meetings.rows(behind)
-        by_middle = np.einsum("ki,kij->kj", rows * root[:, None], across.back)
-        by_here = np.einsum("ki,kij->kj", by_middle, across.turns)
+    def _linearise_surfaces(self, state: AdjustmentState) -> SurfaceResiduals:
+        across = self.transform_surface_points(state)
+        behind = self.surface_planes.compute_residuals(across.other_readout)
+        rows, root = self.surface_planes.compute_derivatives(behind)
+        by_middle = np.einsum("ki,kij->kj", rows * root[:, None], across.readout_rotations)
+        by_here = np.einsum("ki,kij->kj", by_middle, across.rotations)
         # n · (w × p) = w · (p × n)
-        first = [by_here, np.cross(across.here, by_here)]
-        other = [by_middle, np.cross(across.middle, by_middle)]
-        if self.frees.turns:
-            first.append(self.surfaces.late[:, None] * np.cross(across.here, by_here))
-            other.append(across.late[:, None] * np.cross(across.middle, by_middle))
-        return Met(
+        first = [by_here, np.cross(across.first_middle, by_here)]
+        other = [by_middle, np.cross(across.other_middle, by_middle)]
+        if self.free.shutter:
+            first.append(self.surfaces.readout_times[:, None] * np.cross(across.first_middle, by_here))
+            other.append(across.readout_times[:, None] * np.cross(across.other_middle, by_middle))
+        return SurfaceResiduals(
             residuals=behind * root,
             by_first=np.concatenate(first, axis=1),
             by_other=-np.concatenate(other, axis=1),
         )
 
 
-class Across(NamedTuple):
+class TransformedSurfacePoints(NamedTuple):
     """k surface points in the axes of both views of their frame pair.
 
     Attributes
     ----------
-    here, middle : (k, 3) metres, axes of the first and of the other view at their middle rows.
-    there : (k, 3) metres, axes of the other view at the readout time of its row.
-    late : (k,) that readout time, see stages/adjusting/shutter.py.
-    turns, back : (k, 3, 3) rotations from `here` to `middle`, and from `middle` to `there`.
+    first_middle, other_middle : (k, 3) metres, axes of the first and of the other view at their middle rows.
+    other_readout : (k, 3) metres, axes of the other view at the readout time of its row.
+    readout_times : (k,) that readout time, see stages/adjusting/rolling_shutter.py.
+    rotations, readout_rotations : (k, 3, 3) rotations from `first_middle` to `other_middle`, and from `other_middle` to `other_readout`.
     """
 
-    here: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    there: NDArray[np.float64]
-    late: NDArray[np.float64]
-    turns: NDArray[np.float64]
-    back: NDArray[np.float64]
+    first_middle: NDArray[np.float64]
+    other_middle: NDArray[np.float64]
+    other_readout: NDArray[np.float64]
+    readout_times: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    readout_rotations: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
+class SurfaceResiduals:
     """Point-to-plane residuals of k surface points, with derivatives.
 
     Attributes
@@ -369,54 +429,58 @@ class Met:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearisedProblem:
     """Linearised problem with n observations.
 
     Attributes
     ----------
-    meetings : linearised point-to-plane residuals.
+    surface_residuals : linearised point-to-plane residuals.
     residuals : (n, 3) pixel x, pixel y and depth, weighted, in standard deviations.
     by_pose, by_camera, by_point : Jacobians (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3).
-    poses, camera : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour camera, (10,).
+    pose_gradient, camera_gradient : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour camera, (10,).
     pose_weights, camera_weights : second derivatives of the priors: diagonal (6,) or (9,), and (10, 10).
     """
 
-    meetings: Met
+    surface_residuals: SurfaceResiduals
     residuals: NDArray[np.float64]
     by_pose: NDArray[np.float64]
     by_camera: NDArray[np.float64]
     by_point: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    pose_gradient: NDArray[np.float64]
     pose_weights: NDArray[np.float64]
-    camera: NDArray[np.float64]
+    camera_gradient: NDArray[np.float64]
     camera_weights: NDArray[np.float64]
 
 
-def deviation(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_depth_sigma(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the standard deviation of measured depth, metres.
 
     It grows with the square of the depth.
     """
-    return np.asarray(_DEPTH_M + _DEPTH_PER_M * depth**2)
+    return np.asarray(_DEPTH_SIGMA_M + _DEPTH_SIGMA_PER_M2 * depth**2)
 
 
-def _seen(state: State, tracks: Tracks) -> NDArray[np.float64]:
+def _to_depth_camera(state: AdjustmentState, tracks: Tracks) -> NDArray[np.float64]:
     """Transform the points of all observations to depth-camera axes.
 
     Axes are at the readout time of the observed row.
     """
-    middle = carried(inverted_all(state.cameras.poses)[tracks.view], state.points[tracks.point])
-    return as_read(middle, state.cameras.turns[tracks.view], tracks.late)
+    middle = transform_points(
+        invert_poses(state.cameras.poses)[tracks.view_indices], state.points[tracks.point_indices]
+    )
+    return transform_to_readout(
+        middle, state.cameras.readout_rotations[tracks.view_indices], tracks.readout_times
+    )
 
 
-def _shown(cameras: Cameras, tracks: Tracks, seen: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_color_camera(cameras: Cameras, tracks: Tracks, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Transform the points of all observations from depth-camera to colour-camera axes."""
-    return carried(cameras.color_from_depth[tracks.view], seen)
+    return transform_points(cameras.color_from_depth[tracks.view_indices], points)
 
 
-def _huber(size: NDArray[np.float64], bend: float) -> NDArray[np.float64]:
-    return np.asarray(np.where(size <= bend, 0.5 * size**2, bend * (size - 0.5 * bend)))
+def _compute_huber_loss(size: NDArray[np.float64], threshold: float) -> NDArray[np.float64]:
+    return np.asarray(np.where(size <= threshold, 0.5 * size**2, threshold * (size - 0.5 * threshold)))
 
 
-def _weight(size: NDArray[np.float64], bend: float) -> NDArray[np.float64]:
-    return np.asarray(bend / np.maximum(size, bend))
+def _compute_huber_weight(size: NDArray[np.float64], threshold: float) -> NDArray[np.float64]:
+    return np.asarray(threshold / np.maximum(size, threshold))

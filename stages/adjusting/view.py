@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.adjusting.cameras import lens_of
-from scanloom.stages.adjusting.lens import OPENCV
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.adjusting.cameras import get_lens_parameters
+from scanloom.stages.adjusting.lens import DISTORTION_COEFFICIENT_COUNT
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.features import detect_keypoints
 from scanloom.stages.registration.codes import REGISTER_FRAMES_UNUSABLE
@@ -19,21 +19,21 @@ from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
 # Maximum width of images; wider ones are downscaled. Transfer errors are in pixels of the downscaled image.
-WIDEST = 960
+MAX_WIDTH_PX = 960
 # Maximum width of depth maps, pixels (wider ones are subsampled); maximum number of keypoints per view.
-_WIDEST_DEPTH = 640
-_POINTS = 1500
+_MAX_DEPTH_WIDTH_PX = 640
+_MAX_KEYPOINTS = 1500
 # Contrast threshold of SIFT, lower than its default: smooth or blurred surfaces have no stronger keypoints.
 _CONTRAST = 0.025
 # Maximum relative depth range in a window of 3 × 3 pixels, and minimum number of its pixels with depth.
-_SMOOTH, _NEIGHBOURS = 0.04, 3
+_MAX_DEPTH_RANGE_RATIO, _MIN_NEIGHBOURS = 0.04, 3
 # Mean grey levels (0 to 255) below which an image is black, and above which it is over-exposed.
-_DARK, _BRIGHT = 8.0, 247.0
+_MIN_MEAN_LEVEL, _MAX_MEAN_LEVEL = 8.0, 247.0
 BLACK, OVER_EXPOSED = "black", "over-exposed"
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class AdjustmentView:
     """Keypoints, depth and cameras of a frame.
 
     Attributes
@@ -46,7 +46,7 @@ class View:
     depth : (h, w) float32 metres, smoothed over 3 × 3 pixels; 0 where missing or at discontinuities.
     lens : (9,) colour camera as given, see `Cameras.lenses`.
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
-    is_plain : the lens of the colour camera can be adjusted (no fisheye, at most five coefficients).
+    has_adjustable_lens : the lens of the colour camera can be adjusted (no fisheye, at most five coefficients).
     """
 
     name: str
@@ -57,32 +57,32 @@ class View:
     depth: DepthImage
     lens: NDArray[np.float64]
     depth_lens: NDArray[np.float64]
-    is_plain: bool
+    has_adjustable_lens: bool
 
 
-def color_camera(frame: Frame) -> Camera:
+def get_color_camera(frame: Frame) -> Camera:
     """Return the colour camera of a frame; by default the depth camera."""
     return frame.camera if frame.color_camera is None else frame.color_camera
 
 
-def place_of_color(frame: Frame) -> NDArray[np.float64]:
+def get_color_from_depth(frame: Frame) -> NDArray[np.float64]:
     """Return color_from_depth (4, 4) of a frame; by default the identity."""
     return np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
 
 
-def has_one_camera(frames: Sequence[Frame]) -> bool:
+def has_common_color_camera(frames: Sequence[Frame]) -> bool:
     """Check whether all frames share one colour camera with an adjustable lens."""
     first = frames[0]
-    camera, place = color_camera(first), place_of_color(first)
+    camera, place = get_color_camera(first), get_color_from_depth(first)
     return (
         not camera.fisheye
-        and len(camera.distortion) <= OPENCV
-        and all(color_camera(frame) == camera for frame in frames)
-        and all(np.array_equal(place_of_color(frame), place) for frame in frames)
+        and len(camera.distortion) <= DISTORTION_COEFFICIENT_COUNT
+        and all(get_color_camera(frame) == camera for frame in frames)
+        and all(np.array_equal(get_color_from_depth(frame), place) for frame in frames)
     )
 
 
-def read_view(frame: Frame) -> View:
+def read_adjustment_view(frame: Frame) -> AdjustmentView:
     """Read a frame, detect its keypoints and filter its depth.
 
     Raises
@@ -96,59 +96,66 @@ def read_view(frame: Frame) -> View:
     frame = replace(frame, shutter_turn=None)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
-    camera = color_camera(frame)
-    is_plain = not camera.fisheye and len(camera.distortion) <= OPENCV
-    color = as_taken(frame) if is_plain else read_color(frame)
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", DiagnosticLocation(frame=frame.name))
+    camera = get_color_camera(frame)
+    is_plain = not camera.fisheye and len(camera.distortion) <= DISTORTION_COEFFICIENT_COUNT
+    color = read_distorted_color(frame) if is_plain else read_color(frame)
     if color is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
-    grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
-    if not _DARK <= grey.mean() <= _BRIGHT:
-        what = BLACK if grey.mean() < _DARK else OVER_EXPOSED
         raise InputError(
-            REGISTER_FRAMES_UNUSABLE, "its colour image is {what}", Where(frame=frame.name), what=what
+            FRAME_IMAGE_MISSING, "there is no colour image.", DiagnosticLocation(frame=frame.name)
         )
-    if grey.shape[1] > WIDEST:
-        size = (WIDEST, max(round(grey.shape[0] * WIDEST / grey.shape[1]), 1))
+    grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+    if not _MIN_MEAN_LEVEL <= grey.mean() <= _MAX_MEAN_LEVEL:
+        what = BLACK if grey.mean() < _MIN_MEAN_LEVEL else OVER_EXPOSED
+        raise InputError(
+            REGISTER_FRAMES_UNUSABLE,
+            "its colour image is {what}",
+            DiagnosticLocation(frame=frame.name),
+            what=what,
+        )
+    if grey.shape[1] > MAX_WIDTH_PX:
+        size = (MAX_WIDTH_PX, max(round(grey.shape[0] * MAX_WIDTH_PX / grey.shape[1]), 1))
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    found = detect_keypoints(grey, _POINTS, contrast=_CONTRAST)
+    found = detect_keypoints(grey, _MAX_KEYPOINTS, contrast=_CONTRAST)
     height, width = grey.shape
-    step = max(-(-depth.shape[1] // _WIDEST_DEPTH), 1)
+    step = max(-(-depth.shape[1] // _MAX_DEPTH_WIDTH_PX), 1)
     given = frame.camera
-    return View(
+    return AdjustmentView(
         name=frame.name,
         pixels=found.pixels,
         descriptors=found.descriptors,
         size=(width, height),
         full_size=(color.shape[1], color.shape[0]),
-        depth=np.ascontiguousarray(_sound(depth)[::step, ::step]),
-        lens=lens_of(camera if is_plain else replace(camera, distortion=(), fisheye=False), width, height),
+        depth=np.ascontiguousarray(_smooth_depth(depth)[::step, ::step]),
+        lens=get_lens_parameters(
+            camera if is_plain else replace(camera, distortion=(), fisheye=False), width, height
+        ),
         depth_lens=np.array([given.fx, given.fy, given.cx, given.cy]) / step,
-        is_plain=is_plain,
+        has_adjustable_lens=is_plain,
     )
 
 
-def view_or_none(frame: Frame) -> View | SkippedFrame:
+def read_view_or_reason(frame: Frame) -> AdjustmentView | SkippedFrame:
     """Read a frame; return the reason if it is unusable."""
     try:
-        return read_view(frame)
+        return read_adjustment_view(frame)
     except InputError as error:
-        return SkippedFrame(frame.name, error.diagnostic.within(frame=None))
+        return SkippedFrame(frame.name, error.diagnostic.replace_location_fields(frame=None))
 
 
-def exposure_of(skipped: SkippedFrame) -> str | None:
+def get_exposure_problem(skipped: SkippedFrame) -> str | None:
     """Return BLACK or OVER_EXPOSED if a frame was skipped for it; else None."""
     diagnostic = skipped.diagnostic
     return str(diagnostic.values["what"]) if diagnostic.code == REGISTER_FRAMES_UNUSABLE.name else None
 
 
-def as_taken(frame: Frame) -> ColorImage | None:
+def read_distorted_color(frame: Frame) -> ColorImage | None:
     """Read the colour image of a frame without undistortion."""
-    camera = replace(color_camera(frame), distortion=())
+    camera = replace(get_color_camera(frame), distortion=())
     return read_color(replace(frame, color_camera=camera))
 
 
-def _sound(depth: DepthImage) -> DepthImage:
+def _smooth_depth(depth: DepthImage) -> DepthImage:
     """Average depth over 3 × 3 pixels; 0 where depths disagree."""
     import cv2
 
@@ -158,5 +165,5 @@ def _sound(depth: DepthImage) -> DepthImage:
     square = np.ones((3, 3), np.uint8)
     farthest = cv2.dilate(depth, square)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), square)
-    smooth = (count >= _NEIGHBOURS) & (farthest - nearest < _SMOOTH * farthest)
+    smooth = (count >= _MIN_NEIGHBOURS) & (farthest - nearest < _MAX_DEPTH_RANGE_RATIO * farthest)
     return np.where(smooth, total / np.maximum(count, 1), 0).astype(np.float32)

@@ -10,26 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.codes import CLEAN_CHECK_FAILED
-from scanloom.stages.cleaning.regularity import Limits, irregular
+from scanloom.stages.cleaning.regularity import AngleLimits, find_irregular
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check as check_params
+from scanloom.stages.params import check_parameters as check_params
 from scanloom.stages.params import param, resolve
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.surface.convert import MeshLike, as_mesh
-from scanloom.stages.surface.edges import Ids, components, edges_of
+from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.surface.edges import Ids, build_edges, label_components
 from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
-from scanloom.stages.surface.raycasting import Surface, bounding_box, chunks
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box, iterate_chunks
 from scanloom.stages.surface.topology import (
     Topology,
+    has_repeated_vertex,
     is_degenerate,
-    repeats_vertex,
     require_measurable,
     topology,
 )
-from scanloom.stages.surface.welding import same_rows
+from scanloom.stages.surface.welding import find_first_equal_rows
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -37,20 +37,20 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import CheckKeywords
 
 # Default minimum corner angle of Wang, Lu and Pan (2012), in degrees: arcsin(1e-5).
-PAPERS_CORNER_ANGLE = float(np.degrees(np.arcsin(1e-5)))
+PAPER_CORNER_ANGLE = float(np.degrees(np.arcsin(1e-5)))
 
 # Elements listed per defect class in the statistics.
-_NAMED = 10
+_LISTED_DEFECTS = 10
 
 # Offset of thickness rays from the surface, as a ratio of the bounding box's diagonal. The ray caster cannot
 # resolve shorter lengths.
-_RAY_START = 1e-6
+_RAY_OFFSET_RATIO = 1e-6
 
-Kind = Literal["vertex", "edge", "triangle"]
+ElementKind = Literal["vertex", "edge", "triangle"]
 # Table 1 of the paper: a defect class is only reported ("warning"), or `repair` can treat it ("marking").
 Treatment = Literal["warning", "marking"]
 
-CLASSES: dict[str, tuple[Kind, Treatment, str]] = {
+CLASSES: dict[str, tuple[ElementKind, Treatment, str]] = {
     "border_edges": ("edge", "warning", "edges with only one triangle"),
     "nonmanifold_edges": ("edge", "warning", "edges with more than two triangles"),
     "inconsistent_edges": ("edge", "warning", "edges between triangles of opposite orientation"),
@@ -134,7 +134,7 @@ class CheckParams:
         check_params(self)
 
 
-def require_answerable(requirements: Iterable[str], min_thickness: float) -> None:
+def validate_requirements(requirements: Iterable[str], min_thickness: float) -> None:
     """Reject unknown requirements, and requirements that need an unset parameter.
 
     Parameters
@@ -160,7 +160,7 @@ def require_answerable(requirements: Iterable[str], min_thickness: float) -> Non
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class CheckResult:
     """Result of `check`: topology, defects and thickness of a mesh.
 
     Vertices at equal positions count as one vertex, because files duplicate vertices along texture seams.
@@ -168,26 +168,26 @@ class Checked:
     Attributes
     ----------
     topology : element counts and topological properties.
-    places : per class in CLASSES, the defective vertices (k,), edges (k, 2) as vertex pairs, or triangles
+    defects : per class in CLASSES, the defective vertices (k,), edges (k, 2) as vertex pairs, or triangles
         (k,). Indices refer to the given mesh. Duplicate vertices are represented by the first one.
-    points : per class, one point (k, 3) per defect, in metres: the vertex, or the centre of the edge or
+    defect_points : per class, one point (k, 3) per defect, in metres: the vertex, or the centre of the edge or
         triangle.
     thickness : (m,) thickness of the solid behind each triangle, metres; NaN where it is undefined.
     min_thickness : metres; triangles below this thickness are reported as thin.
-    inside_out : number of closed components whose triangles face inwards.
+    inside_out_count : number of closed components whose triangles face inwards.
     triangles : (m, 3) triangles of the mesh, with duplicate vertices replaced by the first one.
     """
 
     topology: Topology
-    places: dict[str, Ids]
-    points: dict[str, Vertices]
+    defects: dict[str, Ids]
+    defect_points: dict[str, Vertices]
     thickness: NDArray[np.float64]
     min_thickness: float
-    inside_out: int
+    inside_out_count: int
     triangles: Triangles
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     @property
     def is_watertight(self) -> bool:
@@ -197,7 +197,7 @@ class Checked:
         """
         return self.topology.is_closed and self.topology.is_manifold and self.topology.is_oriented
 
-    def unmet(self, requirements: Iterable[str]) -> list[Diagnostic]:
+    def find_unmet(self, requirements: Iterable[str]) -> list[Diagnostic]:
         """Return a diagnostic for each requirement that the mesh does not meet.
 
         The diagnostics are returned, not emitted.
@@ -209,62 +209,67 @@ class Checked:
         Raises
         ------
         UsageError
-            For an invalid requirement, see `require_answerable`.
+            For an invalid requirement, see `validate_requirements`.
         """
         wanted = list(requirements)
-        require_answerable(wanted, self.min_thickness)
-        return [diagnostic for name in wanted if (diagnostic := self._unmet(name))]
+        validate_requirements(wanted, self.min_thickness)
+        return [diagnostic for name in wanted if (diagnostic := self._diagnose(name))]
 
     def figures(self) -> dict[str, Any]:
         """Return metrics for reports: topology, thickness and defects per class."""
         measured = self.thickness[np.isfinite(self.thickness)]
-        least, low, middle = np.percentile(measured, (0, 5, 50)) if len(measured) else (None, None, None)
+        minimum, low, median = np.percentile(measured, (0, 5, 50)) if len(measured) else (None, None, None)
         return {
             "is_watertight": self.is_watertight,
             **self.topology.figures(),
-            "inside_out": self.inside_out,
-            "thickness_least_m": least,
+            "inside_out": self.inside_out_count,
+            "thickness_min_m": minimum,
             "thickness_5_percent_of_triangles_m": low,
-            "thickness_median_m": middle,
-            "classes": {name: self._class_figures(name) for name in CLASSES},
+            "thickness_median_m": median,
+            "classes": {name: self._summarize_class(name) for name in CLASSES},
         }
 
-    def _class_figures(self, name: str) -> dict[str, Any]:
+    def _summarize_class(self, name: str) -> dict[str, Any]:
         kind, treatment, _ = CLASSES[name]
-        first = self.places[name][:_NAMED].tolist()
-        points = self.points[name][:_NAMED].tolist()
+        first = self.defects[name][:_LISTED_DEFECTS].tolist()
+        points = self.defect_points[name][:_LISTED_DEFECTS].tolist()
         return {
-            "count": len(self.places[name]),
+            "count": len(self.defects[name]),
             "kind": kind,
             "treatment": treatment,
             "first": [{kind: place, "point_m": point} for place, point in zip(first, points, strict=True)],
         }
 
-    def _unmet(self, requirement: str) -> Diagnostic | None:
+    def _diagnose(self, requirement: str) -> Diagnostic | None:
         match requirement:
             case "closed":
-                return self._found("border_edges", "nonmanifold_edges") or self._without_surface()
+                return self._diagnose_classes("border_edges", "nonmanifold_edges") or self._diagnose_empty()
             case "manifold":
-                return self._found("nonmanifold_edges", "singular_vertices") or self._repeating()
+                return (
+                    self._diagnose_classes("nonmanifold_edges", "singular_vertices")
+                    or self._diagnose_repeated_vertices()
+                )
             case "oriented":
-                return self._found("inconsistent_edges")
+                return self._diagnose_classes("inconsistent_edges")
             case "watertight":
-                return self._unmet("closed") or self._unmet("manifold") or self._unmet("oriented")
+                return self._diagnose("closed") or self._diagnose("manifold") or self._diagnose("oriented")
             case "outward":
-                return self._unmet("watertight") or self._inwards()
+                return self._diagnose("watertight") or self._diagnose_orientation()
             case "one-piece":
                 pieces = self.topology.components
                 return (
-                    None if pieces == 1 else _failed("it has {count:,} connected components.", count=pieces)
+                    None
+                    if pieces == 1
+                    else _make_diagnostic("it has {count:,} connected components.", count=pieces)
                 )
-        return self._found(requirement.removeprefix("no-").replace("-", "_"))
+        return self._diagnose_classes(requirement.removeprefix("no-").replace("-", "_"))
 
-    def _found(self, *names: str) -> Diagnostic | None:
+    def _diagnose_classes(self, *names: str) -> Diagnostic | None:
         """Return a diagnostic for the first named class that has defects."""
         for name in names:
-            if count := len(self.places[name]):
-                x, y, z = self.points[name][0]
-                return _failed(
+            if count := len(self.defects[name]):
+                x, y, z = self.defect_points[name][0]
+                return _make_diagnostic(
                     "it has {what}: {count:,}, the first at ({x:.6g}, {y:.6g}, {z:.6g}) m.",
                     what=CLASSES[name][2],
                     count=count,
@@ -274,24 +279,28 @@ class Checked:
                 )
         return None
 
-    def _inwards(self) -> Diagnostic | None:
-        if not self.inside_out:
+    def _diagnose_orientation(self) -> Diagnostic | None:
+        if not self.inside_out_count:
             return None
-        return _failed(
+        return _make_diagnostic(
             "{count:,} of {pieces:,} connected components are oriented inwards.",
-            count=self.inside_out,
+            count=self.inside_out_count,
             pieces=self.topology.components,
         )
 
-    def _without_surface(self) -> Diagnostic | None:
-        return None if self.topology.is_closed else _failed("it has no surface.")
+    def _diagnose_empty(self) -> Diagnostic | None:
+        return None if self.topology.is_closed else _make_diagnostic("it has no surface.")
 
-    def _repeating(self) -> Diagnostic | None:
+    def _diagnose_repeated_vertices(self) -> Diagnostic | None:
         count = self.topology.repeating
-        return _failed("it has triangles that use a vertex twice: {count:,}.", count=count) if count else None
+        return (
+            _make_diagnostic("it has triangles that use a vertex twice: {count:,}.", count=count)
+            if count
+            else None
+        )
 
 
-def _failed(message: str, **values: Any) -> Diagnostic:
+def _make_diagnostic(message: str, **values: Any) -> Diagnostic:
     return CLEAN_CHECK_FAILED.unmet(message, **values)
 
 
@@ -299,9 +308,9 @@ def check(
     mesh: MeshLike,
     params: CheckParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[CheckKeywords],
-) -> Checked:
+) -> CheckResult:
     """Find the irregular elements of a mesh, and determine its topological properties.
 
     The defect classes follow Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
@@ -328,32 +337,34 @@ def check(
     params = resolve(CheckParams, params, changes)
     given = as_mesh(mesh)
     require_measurable(given, "mesh")
-    first = same_rows(list(given.vertices.T))
-    joined = Mesh(given.vertices, first[given.triangles].astype(np.int32))
-    limits = Limits(corner=params.corner_angle, fold=params.fold_angle, spike=params.spike_angle)
-    places = irregular(joined.vertices, joined.triangles, limits, params.threads or 0, progress)
-    thick = _measure_thickness(joined) if len(joined.triangles) else np.empty(0)
-    places["thin_triangles"] = np.flatnonzero(thick < params.min_thickness)
+    first = find_first_equal_rows(list(given.vertices.T))
+    welded = Mesh(given.vertices, first[given.triangles].astype(np.int32))
+    limits = AngleLimits(
+        corner_deg=params.corner_angle, fold_deg=params.fold_angle, spike_deg=params.spike_angle
+    )
+    places = find_irregular(welded.vertices, welded.triangles, limits, params.threads or 0, progress)
+    thickness = _measure_thickness(welded) if len(welded.triangles) else np.empty(0)
+    places["thin_triangles"] = np.flatnonzero(thickness < params.min_thickness)
     # Duplicate vertices must not count as unused vertices.
-    counted = topology(_without_copies(joined, first))
-    return Checked(
+    counted = topology(_remove_duplicate_vertices(welded, first))
+    return CheckResult(
         topology=counted,
-        places=places,
-        points={name: _points(joined, CLASSES[name][0], ids) for name, ids in places.items()},
-        thickness=thick,
+        defects=places,
+        defect_points={name: _compute_points(welded, CLASSES[name][0], ids) for name, ids in places.items()},
+        thickness=thickness,
         min_thickness=params.min_thickness,
-        inside_out=_inside_out(joined),
-        triangles=joined.triangles,
+        inside_out_count=_count_inside_out(welded),
+        triangles=welded.triangles,
     )
 
 
-def _without_copies(mesh: Mesh, first: Ids) -> Mesh:
-    kept = first == np.arange(len(first))
-    number = np.cumsum(kept) - 1
-    return Mesh(mesh.vertices[kept], number[mesh.triangles].astype(np.int32))
+def _remove_duplicate_vertices(mesh: Mesh, first: Ids) -> Mesh:
+    is_first = first == np.arange(len(first))
+    number = np.cumsum(is_first) - 1
+    return Mesh(mesh.vertices[is_first], number[mesh.triangles].astype(np.int32))
 
 
-def _points(mesh: Mesh, kind: Kind, ids: Ids) -> Vertices:
+def _compute_points(mesh: Mesh, kind: ElementKind, ids: Ids) -> Vertices:
     """Compute a point (k, 3) for each vertex, edge or triangle.
 
     Edges and triangles are represented by their centre.
@@ -364,17 +375,17 @@ def _points(mesh: Mesh, kind: Kind, ids: Ids) -> Vertices:
     return np.asarray(mesh.vertices[corners].mean(axis=1))
 
 
-def _inside_out(mesh: Mesh) -> int:
+def _count_inside_out(mesh: Mesh) -> int:
     """Count the closed components that enclose a negative volume."""
-    triangles = mesh.triangles[~repeats_vertex(mesh.triangles)]
+    triangles = mesh.triangles[~has_repeated_vertex(mesh.triangles)]
     if len(triangles) == 0:
         return 0
-    edges = edges_of(triangles, len(mesh.vertices))
-    _, labels = components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
+    edges = build_edges(triangles, len(mesh.vertices))
+    _, labels = label_components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
     is_open = np.zeros(labels.max(initial=-1) + 1, bool)
-    is_open[labels[edges.ends[(edges.count != 2) | (edges.forward != 1), 0]]] = True
+    is_open[labels[edges.ends[(edges.triangle_count != 2) | (edges.forward_count != 1), 0]]] = True
     # Relative to the centre, to avoid cancellation far from the origin.
-    a, b, c = (mesh.vertices[triangles] - bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
+    a, b, c = (mesh.vertices[triangles] - compute_bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
     volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))
     return int(np.count_nonzero(~is_open & (volumes < 0)))
 
@@ -386,18 +397,18 @@ def _measure_thickness(mesh: Mesh) -> NDArray[np.float64]:
     surface or hits a front face first, and for degenerate triangles. The error is about 1e-6 of the bounding
     box's diagonal.
     """
-    found = np.full(len(mesh.triangles), np.nan)
+    thickness = np.full(len(mesh.triangles), np.nan)
     (proper,) = np.nonzero(~is_degenerate(mesh.vertices, mesh.triangles))
     if len(proper) == 0:
-        return found
-    surface = Surface(mesh)
-    start = _RAY_START * float(np.linalg.norm(np.diff(bounding_box(mesh), axis=0)))
-    for rows in chunks(len(proper)):
+        return thickness
+    surface = RaycastingSurface(mesh)
+    start = _RAY_OFFSET_RATIO * float(np.linalg.norm(np.diff(compute_bounding_box(mesh), axis=0)))
+    for rows in iterate_chunks(len(proper)):
         triangles = proper[rows]
         corners = mesh.vertices[mesh.triangles[triangles]]
         inwards = np.cross(corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 0])
         inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
-        hits = surface.cast(corners.mean(axis=1) + start * inwards, inwards)
+        hits = surface.cast_rays(corners.mean(axis=1) + start * inwards, inwards)
         leaves = np.einsum("ij,ij->i", hits.normals, inwards[hits.rays]) > 0
-        found[triangles[hits.rays[leaves]]] = hits.distances[leaves] + start
-    return found
+        thickness[triangles[hits.rays[leaves]]] = hits.distances[leaves] + start
+    return thickness

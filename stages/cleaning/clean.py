@@ -23,22 +23,22 @@ from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.check import CheckParams
 from scanloom.stages.cleaning.codes import CLEAN_NOTHING_LEFT
-from scanloom.stages.cleaning.degenerate import without_degenerate
+from scanloom.stages.cleaning.degenerate_triangles import remove_degenerate
 from scanloom.stages.cleaning.manifold import make_manifold
-from scanloom.stages.cleaning.repair import Repaired, repair
+from scanloom.stages.cleaning.repair import RepairResult, repair
 from scanloom.stages.cleaning.stitch import stitch, weld
 from scanloom.stages.diagnostics.codes import MACHINE_BUG, USAGE_OPTIONS_CONFLICT
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import MeshError, StageError, UsageError
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import by_fields, by_figures, table
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.surface.convert import MeshLike, as_mesh
-from scanloom.stages.surface.edges import Ids, components, edges_of
-from scanloom.stages.surface.holes import fill_holes
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_by_fields, format_by_metrics, render_table
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.surface.edges import Ids, build_edges, label_components
+from scanloom.stages.surface.hole_filling import fill_holes
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.topology import areas, is_duplicate, require_manifold, require_measurable
-from scanloom.stages.surface.traced import Traced
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.topology import compute_areas, is_duplicate, require_manifold, require_measurable
+from scanloom.stages.surface.tracked_mesh import TrackedMesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -49,10 +49,10 @@ RESULT_VERSION = 1
 
 # Default area limit of islands, as a ratio of the largest component's area. In 7-Scenes redkitchen at 2 cm,
 # this removes 198 of 205 components, which contain 0.7 % of the triangles.
-_ISLAND_SHARE = 1e-3
+_MIN_ISLAND_RATIO = 1e-3
 # Maximum iterations of stitching and splitting. Only triangle soups need more than two.
-_ROUNDS = 4
-_STEPS = 4
+_MAX_ITERATIONS = 4
+_STEP_COUNT = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,18 +105,18 @@ class CleanParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.max_shape is not None and not self.repair:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "applies only to repairs",
-                Where(parameter="max_shape"),
+                DiagnosticLocation(parameter="max_shape"),
                 remedy="give repair, too.",
             )
 
 
 @dataclass(frozen=True)
-class Removed:
+class CleaningCounts:
     """Counts of the changes that `clean` made.
 
     Attributes
@@ -143,11 +143,11 @@ class Removed:
     filled_holes: int
     fill_triangles: int
 
-    __repr__ = by_fields
+    __repr__ = format_by_fields
 
 
 @dataclass(frozen=True, eq=False)
-class Cleaned:
+class CleaningResult:
     """Result of `clean`: the mesh, and the source of its elements.
 
     Attributes
@@ -158,18 +158,18 @@ class Cleaned:
         holes.
     changes : counts of the changes.
     min_island_area : m², the limit that was applied.
-    repaired : result of the repairs, None without repairs. Its indices refer to the mesh before the repairs.
+    repair_result : result of the repairs, None without repairs. Its indices refer to the mesh before the repairs.
     """
 
     mesh: Mesh
     vertex_source: Ids
     triangle_source: Ids
-    changes: Removed
+    changes: CleaningCounts
     min_island_area: float
-    repaired: Repaired | None = None
+    repair_result: RepairResult | None = None
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return statistics for reports: mesh size and counts of the changes."""
@@ -179,16 +179,16 @@ class Cleaned:
             "min_island_area_m2": self.min_island_area,
             **asdict(self.changes),
         }
-        return figures if self.repaired is None else figures | {"repair": self.repaired.figures()}
+        return figures if self.repair_result is None else figures | {"repair": self.repair_result.figures()}
 
 
 def clean(
     mesh: MeshLike,
     params: CleanParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[CleanKeywords],
-) -> Cleaned:
+) -> CleaningResult:
     """Make a mesh an oriented manifold without islands, degenerate or duplicate triangles.
 
     Non-manifold surface is separated rather than removed. A fin on a wall becomes a separate sheet that
@@ -215,21 +215,21 @@ def clean(
     params = resolve(CleanParams, params, changes)
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
-    counts = {field.name: 0 for field in fields(Removed)}
-    steps = _STEPS + params.repair
+    counts = {field.name: 0 for field in fields(CleaningCounts)}
+    steps = _STEP_COUNT + params.repair
     progress(0, steps)
-    traced = Traced.start(mesh)
+    traced = TrackedMesh.start(mesh)
     if params.weld_distance > 0:
         traced = weld(traced, params.weld_distance)
-    traced = _repaired(traced, params.stitch, counts)
+    traced = _make_clean_manifold(traced, params.stitch, counts)
     progress(1, steps)
-    traced, min_area = _without_islands(traced, params, counts)
+    traced, min_area = _remove_islands(traced, params, counts)
     progress(2, steps)
     if params.fill_holes > 0:
         before = len(traced.mesh.triangles)
         traced, counts["filled_holes"] = fill_holes(traced, params.fill_holes)
         counts["fill_triangles"] = len(traced.mesh.triangles) - before
-    traced = traced.compact()
+    traced = traced.drop_unused_vertices()
     counts["unused_vertices"] = len(mesh.vertices) + counts["split_vertices"] - len(traced.mesh.vertices)
     progress(3, steps)
     if len(traced.mesh.triangles) == 0:
@@ -242,76 +242,86 @@ def clean(
         require_manifold(traced.mesh)
     except MeshError as error:
         raise StageError(MACHINE_BUG, "cleaning failed, its result {error}", error=error) from error
-    progress(_STEPS, steps)
-    cleaned = Cleaned(traced.mesh, traced.vertex_source, traced.triangle_source, Removed(**counts), min_area)
+    progress(_STEP_COUNT, steps)
+    cleaned = CleaningResult(
+        traced.mesh, traced.vertex_source, traced.triangle_source, CleaningCounts(**counts), min_area
+    )
     if params.repair:
-        cleaned = _with_repairs(cleaned, params, lambda: progress(_STEPS, steps))
+        cleaned = _apply_repairs(cleaned, params, lambda: progress(_STEP_COUNT, steps))
         progress(steps, steps)
     return cleaned
 
 
-def _with_repairs(cleaned: Cleaned, params: CleanParams, alive: Callable[[], object]) -> Cleaned:
+def _apply_repairs(
+    cleaned: CleaningResult, params: CleanParams, report_alive: Callable[[], object]
+) -> CleaningResult:
     """Repair the cleaned mesh, which stays an oriented manifold.
 
-    `alive` is called regularly; an exception from it stops the work.
+    `report_alive` is called regularly; an exception from it stops the work.
     """
     repaired = repair(
         cleaned.mesh,
         corner_angle=params.repair_angle,
         max_shape=params.max_shape,
-        progress=lambda done, total: alive(),  # noqa: ARG005
+        progress=lambda done, total: report_alive(),  # noqa: ARG005
     )
     return replace(
         cleaned,
         mesh=repaired.mesh,
         vertex_source=cleaned.vertex_source[repaired.vertex_source],
         triangle_source=cleaned.triangle_source[repaired.triangle_source],
-        repaired=repaired,
+        repair_result=repaired,
     )
 
 
-def _repaired(traced: Traced, join: bool, counts: dict[str, int]) -> Traced:
+def _make_clean_manifold(traced: TrackedMesh, is_stitched: bool, counts: dict[str, int]) -> TrackedMesh:
     """Make the mesh an oriented manifold without degenerate or duplicate triangles.
 
     `counts` is updated in place.
     """
-    for _ in range(_ROUNDS):
-        if join:
+    for _ in range(_MAX_ITERATIONS):
+        if is_stitched:
             traced, stitched = stitch(traced)
             counts["stitched_edges"] += stitched
         before = len(traced.mesh.triangles)
-        traced = without_degenerate(traced)
-        again = is_duplicate(edges_of(traced.mesh.triangles, len(traced.mesh.vertices)))
-        counts["degenerate_triangles"] += before - len(again)
-        counts["duplicate_triangles"] += int(np.count_nonzero(again))
-        manifold = make_manifold(traced.keep(~again))
-        counts["nonmanifold_triangles"] += manifold.removed
-        counts["flipped_triangles"] += manifold.flipped
-        counts["split_vertices"] += manifold.split_vertices
+        traced = remove_degenerate(traced)
+        is_repeated = is_duplicate(build_edges(traced.mesh.triangles, len(traced.mesh.vertices)))
+        counts["degenerate_triangles"] += before - len(is_repeated)
+        counts["duplicate_triangles"] += int(np.count_nonzero(is_repeated))
+        manifold = make_manifold(traced.keep(~is_repeated))
+        counts["nonmanifold_triangles"] += manifold.removed_count
+        counts["flipped_triangles"] += manifold.flipped_count
+        counts["split_vertices"] += manifold.split_vertex_count
         traced = manifold.traced
         # Flipped or removed triangles may create new pairs of opposite border edges.
-        if not join or stitch(traced)[1] == 0:
+        if not is_stitched or stitch(traced)[1] == 0:
             break
     return traced
 
 
-def _without_islands(traced: Traced, params: CleanParams, counts: dict[str, int]) -> tuple[Traced, float]:
+def _remove_islands(
+    traced: TrackedMesh, params: CleanParams, counts: dict[str, int]
+) -> tuple[TrackedMesh, float]:
     """Remove small islands; return the mesh and the area limit (m²).
 
     `counts` is updated in place.
     """
     triangles = traced.mesh.triangles
     tails, heads = triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
-    _, labels = components(len(traced.mesh.vertices), tails, heads)
-    piece = labels[triangles[:, 0]]
-    area = np.bincount(piece, areas(traced.mesh.vertices, triangles)).astype(np.float64)
-    kept, min_area = is_large(area, params)
-    counts["islands"] = int(np.count_nonzero(~kept & (np.bincount(piece) > 0)))
-    counts["island_triangles"] = int(np.count_nonzero(~kept[piece]))
-    return traced.keep(kept[piece]), min_area
+    _, labels = label_components(len(traced.mesh.vertices), tails, heads)
+    component_of_triangle = labels[triangles[:, 0]]
+    area = np.bincount(component_of_triangle, compute_areas(traced.mesh.vertices, triangles)).astype(
+        np.float64
+    )
+    kept, min_area = select_large_components(area, params)
+    counts["islands"] = int(np.count_nonzero(~kept & (np.bincount(component_of_triangle) > 0)))
+    counts["island_triangles"] = int(np.count_nonzero(~kept[component_of_triangle]))
+    return traced.keep(kept[component_of_triangle]), min_area
 
 
-def is_large(area: NDArray[np.float64], params: CleanParams) -> tuple[NDArray[np.bool_], float]:
+def select_large_components(
+    area: NDArray[np.float64], params: CleanParams
+) -> tuple[NDArray[np.bool_], float]:
     """Select the components to keep by their areas (k,) in m².
 
     Returns
@@ -321,7 +331,7 @@ def is_large(area: NDArray[np.float64], params: CleanParams) -> tuple[NDArray[np
     """
     min_area = params.min_island_area
     if min_area is None:
-        min_area = _ISLAND_SHARE * float(area.max(initial=0.0))
+        min_area = _MIN_ISLAND_RATIO * float(area.max(initial=0.0))
     kept = area >= min_area
     if params.keep_largest and len(area):
         kept[:] = False

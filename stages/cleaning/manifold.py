@@ -14,27 +14,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
+from scanloom.stages.surface.edges import (
+    Edges,
+    Ids,
+    build_edges,
+    label_components,
+    label_fans,
+    pair_halfedges,
+    step_to_next_corner,
+)
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.topology import areas
-from scanloom.stages.surface.traced import Traced
+from scanloom.stages.surface.topology import compute_areas
+from scanloom.stages.surface.tracked_mesh import TrackedMesh
 
 # Edges with more triangles are split without pairing triangles, because the number of candidate pairs grows
 # quadratically.
-_MOST_TO_MATCH = 32
+_MAX_MATCHED_TRIANGLES = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Manifold:
+class ManifoldResult:
     """Oriented manifold, with counts of flipped triangles, added vertices and removed triangles."""
 
-    traced: Traced
-    flipped: int
-    split_vertices: int
-    removed: int
+    traced: TrackedMesh
+    flipped_count: int
+    split_vertex_count: int
+    removed_count: int
 
 
-def make_manifold(traced: Traced) -> Manifold:
+def make_manifold(traced: TrackedMesh) -> ManifoldResult:
     """Make the surface an oriented manifold.
 
     No triangle of the input may use a vertex twice or duplicate another triangle.
@@ -42,34 +50,37 @@ def make_manifold(traced: Traced) -> Manifold:
     flipped = split_vertices = removed = 0
     while True:
         count = len(traced.mesh.vertices)
-        edges = edges_of(traced.mesh.triangles, count)
-        flip = _disagreeing(edges, len(traced.mesh.triangles))
+        edges = build_edges(traced.mesh.triangles, count)
+        flip = _select_flips(edges, len(traced.mesh.triangles))
         if flip.any():
             traced = traced.flip(flip)
-            edges = edges_of(traced.mesh.triangles, count)
+            edges = build_edges(traced.mesh.triangles, count)
             flipped += np.count_nonzero(flip)
-        sound = not (edges.count > 2).any() and not ((edges.count == 2) & (edges.forward != 1)).any()
-        traced = traced.split(fans(traced.mesh.triangles, *_links(traced.mesh, edges)))
+        is_sound = (
+            not (edges.triangle_count > 2).any()
+            and not ((edges.triangle_count == 2) & (edges.forward_count != 1)).any()
+        )
+        traced = traced.split_fans(label_fans(traced.mesh.triangles, *_find_links(traced.mesh, edges)))
         split_vertices += len(traced.mesh.vertices) - count
-        offenders = np.zeros(0, bool) if sound else _offenders(traced.mesh)
-        if not offenders.any():
-            return Manifold(traced, int(flipped), split_vertices, int(removed))
-        removed += np.count_nonzero(offenders)
-        traced = traced.keep(~offenders)
+        is_invalid = np.zeros(0, bool) if is_sound else _find_invalid_triangles(traced.mesh)
+        if not is_invalid.any():
+            return ManifoldResult(traced, int(flipped), split_vertices, int(removed))
+        removed += np.count_nonzero(is_invalid)
+        traced = traced.keep(~is_invalid)
 
 
-def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
+def _select_flips(edges: Edges, count: int) -> NDArray[np.bool_]:
     """Select the triangles (m,) to flip so that neighbours agree.
 
     A sheet is a component connected by edges of exactly two triangles; as few triangles as possible are
     flipped per sheet. A sheet is orientable if its orientation double cover has two components. On a
     non-orientable sheet, such as a Möbius strip, neighbours disagree along a seam.
     """
-    a, b = (halfedge // 3 for halfedge in neighbours(edges, edges.count == 2))
-    differ = edges.forward[edges.count == 2] != 1
+    a, b = (halfedge // 3 for halfedge in pair_halfedges(edges, edges.triangle_count == 2))
+    differ = edges.forward_count[edges.triangle_count == 2] != 1
     if not differ.any():
         return np.zeros(count, bool)
-    _, labels = components(
+    _, labels = label_components(
         2 * count,
         np.concatenate((a, a + count)),
         np.concatenate((np.where(differ, b + count, b), np.where(differ, b, b + count))),
@@ -80,7 +91,7 @@ def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
     one_sided = side == other_side
     if one_sided.any():
         inside = one_sided[a]
-        parity = _parity_of_tree(count, a[inside], b[inside], differ[inside], one_sided, sheet)
+        parity = _compute_tree_parity(count, a[inside], b[inside], differ[inside], one_sided, sheet)
         left = np.bincount(sheet[a], (parity[a] ^ parity[b]) != differ, 2 * count)
         as_is = np.bincount(sheet[a], differ, 2 * count)
         better = (left < as_is)[sheet]
@@ -89,7 +100,7 @@ def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
     return np.asarray(flip ^ (2 * turned > np.bincount(sheet, minlength=2 * count))[sheet])
 
 
-def _parity_of_tree(
+def _compute_tree_parity(
     count: int, a: Ids, b: Ids, differ: NDArray[np.bool_], chosen: NDArray[np.bool_], sheet: Ids
 ) -> NDArray[np.bool_]:
     """Select triangles (m,) to flip along a spanning tree per sheet.
@@ -124,25 +135,25 @@ def _parity_of_tree(
     return parity[:count]
 
 
-def _links(mesh: Mesh, edges: Edges) -> tuple[Ids, Ids]:
+def _find_links(mesh: Mesh, edges: Edges) -> tuple[Ids, Ids]:
     """Return the pairs of halfedges to link.
 
     Regular edges link their two halfedges. Non-manifold edges link the flattest pairs.
     """
-    a, b = neighbours(edges, (edges.count == 2) & (edges.forward == 1))
-    crowded = np.flatnonzero((edges.count > 2) & (edges.count <= _MOST_TO_MATCH))
-    pairs = [pair for edge in crowded.tolist() for pair in _flattest_pairs(mesh, edges, edge)]
+    a, b = pair_halfedges(edges, (edges.triangle_count == 2) & (edges.forward_count == 1))
+    crowded = np.flatnonzero((edges.triangle_count > 2) & (edges.triangle_count <= _MAX_MATCHED_TRIANGLES))
+    pairs = [pair for edge in crowded.tolist() for pair in _match_flattest_pairs(mesh, edges, edge)]
     more = np.array(pairs, np.int64).reshape(-1, 2)
     return np.concatenate((a, more[:, 0])), np.concatenate((b, more[:, 1]))
 
 
-def _flattest_pairs(mesh: Mesh, edges: Edges, edge: int) -> list[tuple[int, int]]:
+def _match_flattest_pairs(mesh: Mesh, edges: Edges, edge: int) -> list[tuple[int, int]]:
     """Pair consistently oriented triangles at an edge, flattest pair first."""
     start = edges.start[edge]
-    halfedges = edges.halfedges[start : start + edges.count[edge]]
+    halfedges = edges.halfedges[start : start + edges.triangle_count[edge]]
     corners = mesh.triangles.reshape(-1)
     tail, head = mesh.vertices[edges.ends[edge]]
-    opposite = mesh.vertices[corners[next_corner(next_corner(halfedges))]]
+    opposite = mesh.vertices[corners[step_to_next_corner(step_to_next_corner(halfedges))]]
     along = (head - tail) / np.linalg.norm(head - tail)
     away = opposite - tail
     away -= np.outer(away @ along, along)
@@ -158,16 +169,16 @@ def _flattest_pairs(mesh: Mesh, edges: Edges, edge: int) -> list[tuple[int, int]
     return pairs
 
 
-def _offenders(mesh: Mesh) -> NDArray[np.bool_]:
+def _find_invalid_triangles(mesh: Mesh) -> NDArray[np.bool_]:
     """Select the smallest triangle at each edge that is still invalid.
 
     Invalid edges are non-manifold or have inconsistent triangles. The result is a mask (m,).
     """
-    edges = edges_of(mesh.triangles, len(mesh.vertices))
-    bad = (edges.count > 2) | ((edges.count == 2) & (edges.forward != 1))
+    edges = build_edges(mesh.triangles, len(mesh.vertices))
+    bad = (edges.triangle_count > 2) | ((edges.triangle_count == 2) & (edges.forward_count != 1))
     offenders = np.zeros(len(mesh.triangles), bool)
     for edge in np.flatnonzero(bad).tolist():
         start = edges.start[edge]
-        candidates = edges.halfedges[start : start + edges.count[edge]] // 3
-        offenders[candidates[areas(mesh.vertices, mesh.triangles[candidates]).argmin()]] = True
+        candidates = edges.halfedges[start : start + edges.triangle_count[edge]] // 3
+        offenders[candidates[compute_areas(mesh.vertices, mesh.triangles[candidates]).argmin()]] = True
     return offenders

@@ -14,56 +14,56 @@ from numpy.typing import NDArray
 
 from scanloom.stages._kernels import intersecting_triangles
 from scanloom.stages.progress import Progress
-from scanloom.stages.surface.edges import Edges, Ids, edges_of, fans, neighbours
+from scanloom.stages.surface.edges import Edges, Ids, build_edges, label_fans, pair_halfedges
 from scanloom.stages.surface.mesh import Triangles, Vertices
 from scanloom.stages.surface.topology import (
-    inconsistent,
+    find_pinched_vertices,
+    has_repeated_vertex,
     is_degenerate,
     is_duplicate,
-    pinched,
-    repeats_vertex,
+    is_inconsistent,
 )
 
 # Value of the kernel for a triangle that intersects no other.
-NO_OTHER = np.uint32(2**32 - 1)
+NO_INTERSECTION = np.uint32(2**32 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class AngleLimits:
     """Angle thresholds of the defect classes, in degrees.
 
     Attributes
     ----------
-    corner : corner angles of a triangle below this, or above 180 − this, are irregular.
-    fold : neighbours are folded if the angle between their normals is above 180 − this.
-    spike : an inner vertex is a spike if its corner angles sum to less than this.
+    corner_deg : corner angles of a triangle below this, or above 180 − this, are irregular.
+    fold_deg : neighbours are folded if the angle between their normals is above 180 − this.
+    spike_deg : an inner vertex is a spike if its corner angles sum to less than this.
     """
 
-    corner: float
-    fold: float
-    spike: float
+    corner_deg: float
+    fold_deg: float
+    spike_deg: float
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
+class _PreparedMesh:
     """Mesh without duplicate vertices, and its edges.
 
-    `proper` are the triangles with three distinct vertices; `edges` are edges of these triangles.
+    `proper_triangles` are the triangles with three distinct vertices; `edges` are edges of these triangles.
     """
 
     vertices: Vertices
     triangles: Triangles
-    proper: Ids
+    proper_triangles: Ids
     edges: Edges
 
     @property
     def corners(self) -> Triangles:
         """Vertices (p, 3) of the triangles with three distinct vertices."""
-        return self.triangles[self.proper]
+        return self.triangles[self.proper_triangles]
 
 
-def irregular(
-    vertices: Vertices, triangles: Triangles, limits: Limits, threads: int, progress: Progress
+def find_irregular(
+    vertices: Vertices, triangles: Triangles, limits: AngleLimits, threads: int, progress: Progress
 ) -> dict[str, Ids]:
     """Find the irregular elements of each class.
 
@@ -79,42 +79,44 @@ def irregular(
     dict : per class, vertices (k,), edges (k, 2) with the smaller vertex index first, or triangles (k,),
         ascending.
     """
-    places = irregular_neighbourhoods(vertices, triangles, limits)
+    places = find_local_irregular(vertices, triangles, limits)
     other = intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
-    return places | {"intersecting_triangles": np.flatnonzero(other != NO_OTHER)}
+    return places | {"intersecting_triangles": np.flatnonzero(other != NO_INTERSECTION)}
 
 
-def irregular_neighbourhoods(vertices: Vertices, triangles: Triangles, limits: Limits) -> dict[str, Ids]:
+def find_local_irregular(vertices: Vertices, triangles: Triangles, limits: AngleLimits) -> dict[str, Ids]:
     """Find the irregular elements of all classes except intersecting triangles.
 
     Each of these classes depends only on the triangles around an element. The result has the form of
-    `irregular`.
+    `find_irregular`.
     """
-    (proper,) = np.nonzero(~repeats_vertex(triangles))
-    surface = _Surface(vertices, triangles, proper, edges_of(triangles[proper], len(vertices)))
+    (proper,) = np.nonzero(~has_repeated_vertex(triangles))
+    surface = _PreparedMesh(vertices, triangles, proper, build_edges(triangles[proper], len(vertices)))
     edges = surface.edges
-    singular = pinched(surface.corners, fans(surface.corners, *neighbours(edges, edges.count > 1)))
+    singular = find_pinched_vertices(
+        surface.corners, label_fans(surface.corners, *pair_halfedges(edges, edges.triangle_count > 1))
+    )
     degenerate = is_degenerate(vertices, triangles)
-    angles = corner_angles(vertices, triangles)
-    is_cap = ~degenerate & (angles.max(axis=1, initial=0) > 180 - limits.corner)
-    is_needle = ~degenerate & ~is_cap & (angles.min(axis=1, initial=180) < limits.corner)
+    angles = compute_corner_angles(vertices, triangles)
+    is_cap = ~degenerate & (angles.max(axis=1, initial=0) > 180 - limits.corner_deg)
+    is_needle = ~degenerate & ~is_cap & (angles.min(axis=1, initial=180) < limits.corner_deg)
     return {
-        "border_edges": edges.ends[edges.count == 1],
-        "nonmanifold_edges": edges.ends[edges.count > 2],
-        "inconsistent_edges": edges.ends[inconsistent(edges)],
+        "border_edges": edges.ends[edges.triangle_count == 1],
+        "nonmanifold_edges": edges.ends[edges.triangle_count > 2],
+        "inconsistent_edges": edges.ends[is_inconsistent(edges)],
         "singular_vertices": singular,
-        "focal_vertices": _focal(surface),
-        "singular_border_triangles": _alone_at(surface, singular),
+        "focal_vertices": _find_focal_vertices(surface),
+        "singular_border_triangles": _find_lone_triangles(surface, singular),
         "degenerate_triangles": np.flatnonzero(degenerate),
         "duplicate_triangles": proper[is_duplicate(edges)],
         "caps": np.flatnonzero(is_cap),
         "needles": np.flatnonzero(is_needle),
-        "sharp_edges": _folded(surface, degenerate, limits.fold),
-        "spikes": _spikes(surface, singular, angles, limits.spike),
+        "sharp_edges": _find_folded_edges(surface, degenerate, limits.fold_deg),
+        "spikes": _find_spikes(surface, singular, angles, limits.spike_deg),
     }
 
 
-def corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
+def compute_corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
     """Compute the corner angles (m, 3) of triangles, in degrees."""
     places = vertices[triangles]
     found = np.empty(triangles.shape)
@@ -125,13 +127,13 @@ def corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.
     return found
 
 
-def _focal(surface: _Surface) -> Ids:
+def _find_focal_vertices(surface: _PreparedMesh) -> Ids:
     """Find the vertices at which more than two border edges end."""
-    border = surface.edges.ends[surface.edges.count == 1]
+    border = surface.edges.ends[surface.edges.triangle_count == 1]
     return np.flatnonzero(np.bincount(border.reshape(-1), minlength=len(surface.vertices)) > 2)
 
 
-def _alone_at(surface: _Surface, singular: Ids) -> Ids:
+def _find_lone_triangles(surface: _PreparedMesh, singular: Ids) -> Ids:
     """Find triangles that share no edge at a singular vertex.
 
     They are recognised by the vertex having twice as many neighbours as triangles.
@@ -141,30 +143,34 @@ def _alone_at(surface: _Surface, singular: Ids) -> Ids:
     neighbours_at = np.bincount(surface.edges.ends.reshape(-1), minlength=count)
     is_alone = np.zeros(count, bool)
     is_alone[singular] = 2 * triangles_at[singular] == neighbours_at[singular]
-    return np.asarray(surface.proper[is_alone[surface.corners].any(axis=1)])
+    return np.asarray(surface.proper_triangles[is_alone[surface.corners].any(axis=1)])
 
 
-def _folded(surface: _Surface, degenerate: NDArray[np.bool_], fold: float) -> Ids:
+def _find_folded_edges(surface: _PreparedMesh, degenerate: NDArray[np.bool_], fold_deg: float) -> Ids:
     """Find the edges (k, 2) whose triangles are folded onto each other."""
     edges = surface.edges
-    (chosen,) = np.nonzero(edges.count == 2)
-    both = surface.proper[edges.halfedges[edges.start[chosen][:, None] + np.arange(2)] // 3]
-    chosen, both = (rows[~degenerate[both].any(axis=1)] for rows in (chosen, both))
+    (chosen,) = np.nonzero(edges.triangle_count == 2)
+    edge_triangles = surface.proper_triangles[
+        edges.halfedges[edges.start[chosen][:, None] + np.arange(2)] // 3
+    ]
+    chosen, edge_triangles = (
+        rows[~degenerate[edge_triangles].any(axis=1)] for rows in (chosen, edge_triangles)
+    )
     corners = surface.vertices[surface.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    one, other = normals[both[:, 0]], normals[both[:, 1]]
+    one, other = normals[edge_triangles[:, 0]], normals[edge_triangles[:, 1]]
     # For inconsistently oriented neighbours, one normal is reversed.
-    sign = np.where(inconsistent(edges)[chosen], -1.0, 1.0)
-    apart = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), sign * np.einsum("ij,ij->i", one, other))
-    return np.asarray(edges.ends[chosen[np.degrees(apart) > 180 - fold]])
+    sign = np.where(is_inconsistent(edges)[chosen], -1.0, 1.0)
+    angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), sign * np.einsum("ij,ij->i", one, other))
+    return np.asarray(edges.ends[chosen[np.degrees(angle) > 180 - fold_deg]])
 
 
-def _spikes(surface: _Surface, singular: Ids, angles: NDArray[np.float64], least: float) -> Ids:
-    """Find inner vertices whose corner angles sum to less than `least`."""
+def _find_spikes(surface: _PreparedMesh, singular: Ids, angles: NDArray[np.float64], spike_deg: float) -> Ids:
+    """Find inner vertices whose corner angles sum to less than `spike_deg`."""
     count = len(surface.vertices)
     corners = surface.corners.reshape(-1)
-    around = np.bincount(corners, angles[surface.proper].reshape(-1), minlength=count)
-    is_spike = (around < least) & (np.bincount(corners, minlength=count) > 0)
-    is_spike[surface.edges.ends[surface.edges.count != 2]] = False
+    around = np.bincount(corners, angles[surface.proper_triangles].reshape(-1), minlength=count)
+    is_spike = (around < spike_deg) & (np.bincount(corners, minlength=count) > 0)
+    is_spike[surface.edges.ends[surface.edges.triangle_count != 2]] = False
     is_spike[singular] = False
     return np.flatnonzero(is_spike)

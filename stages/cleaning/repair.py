@@ -21,24 +21,31 @@ import numpy as np
 
 from scanloom.stages.cleaning.check import CLASSES, CheckParams
 from scanloom.stages.cleaning.codes import CLEAN_NOT_REPAIRED
-from scanloom.stages.cleaning.regularity import Limits, irregular
-from scanloom.stages.cleaning.repairs.comparing import difference
-from scanloom.stages.cleaning.repairs.edited import GONE, Edited, repaired_mesh
-from scanloom.stages.cleaning.repairs.neighbourhood import grown
-from scanloom.stages.cleaning.repairs.operations import FINE, HELPLESS, REASONS, SEAM, TOO_FAR, WORSE
-from scanloom.stages.cleaning.repairs.places import REPAIRABLE, edge_keys
-from scanloom.stages.cleaning.repairs.rounds import Account, repair_all
+from scanloom.stages.cleaning.regularity import AngleLimits, find_irregular
+from scanloom.stages.cleaning.repairs.defect_comparison import compare_defects
+from scanloom.stages.cleaning.repairs.defect_indices import REPAIRABLE, compute_edge_keys
+from scanloom.stages.cleaning.repairs.editable_mesh import GONE, EditableMesh, build_repaired_mesh
+from scanloom.stages.cleaning.repairs.iterative_repair import RepairLog, repair_all
+from scanloom.stages.cleaning.repairs.neighbourhood import grow_rings
+from scanloom.stages.cleaning.repairs.operations import (
+    ACCEPTED,
+    NEW_DEFECT,
+    NO_OPERATION,
+    REASONS,
+    SEAM,
+    TOO_FAR,
+)
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
-from scanloom.stages.params import check as check_params
-from scanloom.stages.params import described, param, resolve
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.params import check_parameters as check_params
+from scanloom.stages.params import describe_own, param, resolve
+from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.surface.edges import Ids
 from scanloom.stages.surface.mesh import Mesh, Vertices
-from scanloom.stages.surface.topology import repeats_vertex, require_measurable
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.topology import has_repeated_vertex, require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -47,22 +54,22 @@ if TYPE_CHECKING:
 
 # Default `max_shape` as a ratio of the median edge length. A needle of 1° with edges of median length is
 # 0.017 edges wide.
-SHAPE_SHARE = 0.05
+MAX_SHAPE_RATIO = 0.05
 
 # Elements listed per defect class in the statistics.
-_NAMED = 10
-_STEPS = 3
+_LISTED_DEFECTS = 10
+_STEP_COUNT = 3
 # Rings of triangles around changed ones that take part in the proof, because the nearest point may lie there.
 _PROOF_RINGS = 1
 # Subdivisions per triangle in a proof. More do not tighten the bounds, because needles dominate them.
 _PROOF_EFFORT = 1.0
-_DEGENERATE = REPAIRABLE.index("degenerate_triangles")
-_CHECKED = described(CheckParams)
+_DEGENERATE_CLASS = REPAIRABLE.index("degenerate_triangles")
+_CHECK_PARAMS = describe_own(CheckParams)
 
 
-def _as_checked(name: str) -> Any:
+def _copy_check_param(name: str) -> Any:
     """Declare a parameter identical to the one of `check`."""
-    about = _CHECKED[name]
+    about = _CHECK_PARAMS[name]
     return param(
         CheckParams.__dataclass_fields__[name].default,
         about.text,
@@ -84,17 +91,17 @@ class RepairParams:
         unit="m",
         low=0,
     )
-    corner_angle: float = _as_checked("corner_angle")
-    fold_angle: float = _as_checked("fold_angle")
-    spike_angle: float = _as_checked("spike_angle")
-    threads: int | None = _as_checked("threads")
+    corner_angle: float = _copy_check_param("corner_angle")
+    fold_angle: float = _copy_check_param("fold_angle")
+    spike_angle: float = _copy_check_param("spike_angle")
+    threads: int | None = _copy_check_param("threads")
 
     def __post_init__(self) -> None:
         check_params(self)
 
 
 @dataclass(frozen=True, eq=False)
-class Repaired:
+class RepairResult:
     """Result of `repair`: the mesh, and what was and was not repaired.
 
     Indices of elements refer to the input mesh.
@@ -104,13 +111,13 @@ class Repaired:
     mesh : repaired mesh; regular elements are unchanged.
     vertex_source : (n,) input vertex of each vertex.
     triangle_source : (m,) input triangle that each triangle replaces.
-    found : defects of the input: per class in `scanloom.stages.cleaning.check.CLASSES` except thin triangles,
+    found_defects : defects of the input: per class in `scanloom.stages.cleaning.check.CLASSES` except thin triangles,
         vertices (k,), edges (k, 2) or triangles (k,).
-    repaired : defects that no longer exist; some disappear through repairs of others.
-    left : defects that remain.
-    why : reason in words for each remaining defect.
-    points : per class, a point (k, 3) per remaining defect, metres: the vertex, or the centre.
-    rolled_back : per class, the number of repairs that were made and undone.
+    repaired_defects : defects that no longer exist; some disappear through repairs of others.
+    remaining_defects : defects that remain.
+    remaining_reasons : reason in words for each remaining defect.
+    remaining_points : per class, a point (k, 3) per remaining defect, metres: the vertex, or the centre.
+    rollback_counts : per class, the number of repairs that were made and undone.
     bound_m : proven two-sided distance between input and result, metres.
     max_shape_m : applied distance limit, metres.
     diagnostics : warnings about remaining defects.
@@ -119,38 +126,41 @@ class Repaired:
     mesh: Mesh
     vertex_source: Ids
     triangle_source: Ids
-    found: dict[str, Ids]
-    repaired: dict[str, Ids]
-    left: dict[str, Ids]
-    why: dict[str, list[str]]
-    points: dict[str, Vertices]
-    rolled_back: dict[str, int]
+    found_defects: dict[str, Ids]
+    repaired_defects: dict[str, Ids]
+    remaining_defects: dict[str, Ids]
+    remaining_reasons: dict[str, list[str]]
+    remaining_points: dict[str, Vertices]
+    rollback_counts: dict[str, int]
     bound_m: float
     max_shape_m: float
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return statistics for reports, with remaining defects per class."""
         return {
             "bound_m": self.bound_m,
             "max_shape_m": self.max_shape_m,
-            "classes": {name: self._class_figures(name) for name in self.found},
+            "classes": {name: self._summarize_class(name) for name in self.found_defects},
         }
 
-    def _class_figures(self, name: str) -> dict[str, Any]:
+    def _summarize_class(self, name: str) -> dict[str, Any]:
         kind, treatment, _ = CLASSES[name]
-        left, points = self.left[name][:_NAMED].tolist(), self.points[name][:_NAMED].tolist()
-        first = zip(left, points, self.why[name][:_NAMED], strict=True)
+        left, points = (
+            self.remaining_defects[name][:_LISTED_DEFECTS].tolist(),
+            self.remaining_points[name][:_LISTED_DEFECTS].tolist(),
+        )
+        first = zip(left, points, self.remaining_reasons[name][:_LISTED_DEFECTS], strict=True)
         return {
             "treatment": treatment,
-            "found": len(self.found[name]),
-            "repaired": len(self.repaired[name]),
-            "left": len(self.left[name]),
-            "rolled_back": self.rolled_back[name],
-            "reasons": dict(Counter(self.why[name]).most_common()),
+            "found": len(self.found_defects[name]),
+            "repaired": len(self.repaired_defects[name]),
+            "left": len(self.remaining_defects[name]),
+            "rolled_back": self.rollback_counts[name],
+            "reasons": dict(Counter(self.remaining_reasons[name]).most_common()),
             "first": [{kind: place, "point_m": point, "reason": reason} for place, point, reason in first],
         }
 
@@ -159,9 +169,9 @@ def repair(
     mesh: MeshLike,
     params: RepairParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[RepairKeywords],
-) -> Repaired:
+) -> RepairResult:
     """Repair caps, needles, folds, spikes, degenerate and duplicate triangles.
 
     A repair is made only if it creates no new defect in any class of `check`. It must not flip a triangle, in
@@ -196,57 +206,61 @@ def repair(
     return replace(repaired, diagnostics=tuple(diagnostics))
 
 
-def _repair(given: Mesh, params: RepairParams, progress: Progress) -> Repaired:
+def _repair(given: Mesh, params: RepairParams, progress: Progress) -> RepairResult:
     require_measurable(given, "mesh")
-    progress(0, _STEPS)
+    progress(0, _STEP_COUNT)
     threads = params.threads or 0
-    limits = Limits(corner=params.corner_angle, fold=params.fold_angle, spike=params.spike_angle)
-    edited = Edited.start(given)
+    limits = AngleLimits(
+        corner_deg=params.corner_angle, fold_deg=params.fold_angle, spike_deg=params.spike_angle
+    )
+    edited = EditableMesh.start(given)
     joined = edited.triangles.astype(np.int32)
-    found = irregular(given.vertices, joined, limits, threads, silent)
-    progress(1, _STEPS)
-    max_shape = _default_max_shape(given) if params.max_shape is None else params.max_shape
-    account = Account()
-    _drop_repeating(edited, account)
-    repair_all(edited, _rows_of(joined, found), limits, account, lambda: progress(1, _STEPS))
-    progress(2, _STEPS)
+    found = find_irregular(given.vertices, joined, limits, threads, ignore_progress)
+    progress(1, _STEP_COUNT)
+    max_shape = _compute_default_max_shape(given) if params.max_shape is None else params.max_shape
+    log = RepairLog()
+    _remove_repeated_vertices(edited, log)
+    repair_all(edited, _find_defect_triangles(joined, found), limits, log, lambda: progress(1, _STEP_COUNT))
+    progress(2, _STEP_COUNT)
     while True:
-        far, bound = _find_unproven(edited, max_shape, threads)
-        if len(far):
-            _undo(edited, account, far, TOO_FAR)
+        unproven, bound = _find_unproven(edited, max_shape, threads)
+        if len(unproven):
+            _undo(edited, log, unproven, TOO_FAR)
             continue
-        changes_made = difference(edited, limits, found["intersecting_triangles"], threads)
-        if len(changes_made.guilty) == 0:
+        changes_made = compare_defects(edited, limits, found["intersecting_triangles"], threads)
+        if len(changes_made.responsible) == 0:
             break
-        _undo(edited, account, changes_made.guilty, WORSE)
-        progress(2, _STEPS)
-    result = _told(edited, found, changes_made.gone, account, (bound, max_shape))
-    progress(_STEPS, _STEPS)
+        _undo(edited, log, changes_made.responsible, NEW_DEFECT)
+        progress(2, _STEP_COUNT)
+    result = _build_result(edited, found, changes_made.resolved, log, (bound, max_shape))
+    progress(_STEP_COUNT, _STEP_COUNT)
     return result
 
 
-def _default_max_shape(mesh: Mesh) -> float:
+def _compute_default_max_shape(mesh: Mesh) -> float:
     if len(mesh.triangles) == 0:
         return 0.0
     corners = mesh.vertices[mesh.triangles]
-    return SHAPE_SHARE * float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
+    return MAX_SHAPE_RATIO * float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
 
 
-def _drop_repeating(edited: Edited, account: Account) -> None:
+def _remove_repeated_vertices(edited: EditableMesh, log: RepairLog) -> None:
     """Delete triangles that use a vertex index twice, which leaves no T-junction."""
     given = edited.mesh.triangles
-    (rows,) = np.nonzero(repeats_vertex(given))
+    (rows,) = np.nonzero(has_repeated_vertex(given))
     number = np.arange(len(rows))
-    none = np.zeros(0, np.int64)
+    no_indices = np.zeros(0, np.int64)
     gone = np.full((len(rows), 3), GONE)
-    edited.make((number, rows), (number, rows, gone), (none, none, np.zeros((0, 3))), len(rows))
-    account.made += [(_DEGENERATE, int(row)) for row in rows]
+    edited.apply_edits(
+        (number, rows), (number, rows, gone), (no_indices, no_indices, np.zeros((0, 3))), len(rows)
+    )
+    log.edit_defects += [(_DEGENERATE_CLASS, int(row)) for row in rows]
     # Triangles with two vertices at one position stay: deleting them could leave a T-junction at a seam.
-    for row in np.flatnonzero(repeats_vertex(edited.first[given]) & ~repeats_vertex(given)):
-        account.refused[_DEGENERATE, int(row)] = SEAM
+    for row in np.flatnonzero(has_repeated_vertex(edited.first_vertex[given]) & ~has_repeated_vertex(given)):
+        log.rejections[_DEGENERATE_CLASS, int(row)] = SEAM
 
 
-def _rows_of(triangles: Ids, found: dict[str, Ids]) -> Ids:
+def _find_defect_triangles(triangles: Ids, found: dict[str, Ids]) -> Ids:
     """Return the triangles at repairable defects."""
     vertices = np.zeros(triangles.max(initial=-1) + 1, bool)
     rows = np.zeros(len(triangles), bool)
@@ -256,7 +270,7 @@ def _rows_of(triangles: Ids, found: dict[str, Ids]) -> Ids:
     return np.flatnonzero(rows | vertices[triangles].any(axis=1))
 
 
-def _find_unproven(edited: Edited, limit: float, threads: int) -> tuple[Ids, float]:
+def _find_unproven(edited: EditableMesh, limit: float, threads: int) -> tuple[Ids, float]:
     """Find changed triangles whose distance is not proven within `limit`.
 
     An unchanged triangle has distance zero to itself. So only changed triangles are certified, against their
@@ -268,99 +282,105 @@ def _find_unproven(edited: Edited, limit: float, threads: int) -> tuple[Ids, flo
     far : triangles without a proof, in either direction.
     bound : metres, the bound proven for all changed triangles.
     """
-    changed = edited.changed()
+    changed = edited.find_changed()
     if len(changed) == 0:
         return changed, 0.0
-    given = edited.given_triangles()
-    old = grown(given, len(edited.first), changed, _PROOF_RINGS)
-    new = old[edited.is_there(old)]
+    given = edited.get_input_triangles()
+    input_rows = grow_rings(given, len(edited.first_vertex), changed, _PROOF_RINGS)
+    present_rows = input_rows[edited.is_present(input_rows)]
     proof = certify(
-        _used_mesh(edited.places, edited.triangles[new]),
-        _used_mesh(edited.mesh.vertices, given[old]),
+        _extract_mesh(edited.positions, edited.triangles[present_rows]),
+        _extract_mesh(edited.mesh.vertices, given[input_rows]),
         max_shape=limit,
         effort=_PROOF_EFFORT,
         threads=threads,
     )
-    far, bound = [], 0.0
-    for rows, bounds in ((new, proof.shape_bound), (old, proof.original_shape_bound)):
+    unproven, bound = [], 0.0
+    for rows, bounds in ((present_rows, proof.shape_bound), (input_rows, proof.original_shape_bound)):
         written = np.isin(rows, changed)
-        far.append(rows[written & (bounds > limit)])
+        unproven.append(rows[written & (bounds > limit)])
         bound = max(bound, float(bounds[written].max(initial=0.0)))
-    return np.union1d(*far), bound
+    return np.union1d(*unproven), bound
 
 
-def _used_mesh(vertices: Vertices, triangles: Ids) -> Mesh:
+def _extract_mesh(vertices: Vertices, triangles: Ids) -> Mesh:
     used, index = np.unique(triangles, return_inverse=True)
     return Mesh(vertices[used], index.reshape(-1, 3).astype(np.int32))
 
 
-def _undo(edited: Edited, account: Account, rows: Ids, reason: int) -> None:
+def _undo(edited: EditableMesh, log: RepairLog, rows: Ids, reason: int) -> None:
     """Undo the edits that wrote some triangles, and dependent edits."""
-    edits, restored = edited.undo(edited.writers(rows))
-    places = [account.made[edit] for edit in edits]
-    account.refused |= dict.fromkeys(places, reason)
-    account.undone.update(places)
+    edits, restored = edited.undo(edited.find_writers(rows))
+    places = [log.edit_defects[edit] for edit in edits]
+    log.rejections |= dict.fromkeys(places, reason)
+    log.undone_defects.update(places)
     # Defects that disappeared as a side effect of these edits exist again.
-    account.restored |= dict.fromkeys(restored.tolist(), reason)
+    log.restored_triangles |= dict.fromkeys(restored.tolist(), reason)
 
 
-def _told(
-    edited: Edited,
+def _build_result(
+    edited: EditableMesh,
     found: dict[str, Ids],
-    gone: dict[str, Ids],
-    account: Account,
-    shape: tuple[float, float],
-) -> Repaired:
+    resolved: dict[str, Ids],
+    log: RepairLog,
+    bound_and_limit: tuple[float, float],
+) -> RepairResult:
     repaired, left, why, points = {}, {}, {}, {}
     for name, places in found.items():
-        keys = _keys(edited, places)
-        is_over = np.isin(keys, _keys(edited, gone[name]))
-        repaired[name], left[name] = places[is_over], places[~is_over]
-        why[name] = [REASONS[_reason(account, name, int(key))] for key in keys[~is_over]]
-        points[name] = _points(edited, name, left[name])
+        keys = _to_keys(edited, places)
+        is_resolved = np.isin(keys, _to_keys(edited, resolved[name]))
+        repaired[name], left[name] = places[is_resolved], places[~is_resolved]
+        why[name] = [REASONS[_find_reason(log, name, int(key))] for key in keys[~is_resolved]]
+        points[name] = _compute_points(edited, name, left[name])
     for name in REPAIRABLE:
         if why[name]:
             _report_left(name, len(found[name]), why[name], points[name])
-    warned = [f"{len(left[name]):,} {_spoken(name)}" for name in left if _is_told(name) and why[name]]
-    if warned:
+    untreated = [
+        f"{len(left[name]):,} {_format_class_name(name)}"
+        for name in left
+        if _needs_warning(name) and why[name]
+    ]
+    if untreated:
         emit(
             CLEAN_NOT_REPAIRED.warning(
-                "found defects that repair does not treat: {warned}.", warned=", ".join(warned)
+                "found defects that repair does not treat: {warned}.", warned=", ".join(untreated)
             )
         )
-    mesh, vertex_source, triangle_source = repaired_mesh(edited)
-    return Repaired(
+    mesh, vertex_source, triangle_source = build_repaired_mesh(edited)
+    return RepairResult(
         mesh=mesh,
         vertex_source=vertex_source,
         triangle_source=triangle_source,
-        found=found,
-        repaired=repaired,
-        left=left,
-        why=why,
-        points=points,
-        rolled_back={name: sum(REPAIRABLE[kind] == name for kind, _ in account.undone) for name in found},
-        bound_m=shape[0],
-        max_shape_m=shape[1],
+        found_defects=found,
+        repaired_defects=repaired,
+        remaining_defects=left,
+        remaining_reasons=why,
+        remaining_points=points,
+        rollback_counts={
+            name: sum(REPAIRABLE[kind] == name for kind, _ in log.undone_defects) for name in found
+        },
+        bound_m=bound_and_limit[0],
+        max_shape_m=bound_and_limit[1],
     )
 
 
-def _reason(account: Account, name: str, key: int) -> int:
+def _find_reason(log: RepairLog, name: str, key: int) -> int:
     """Return the reason code of a remaining defect.
 
     This is the last rejection of its repair, or the reason for undoing a repair that had removed it.
     """
     if name not in REPAIRABLE:
-        return HELPLESS
+        return NO_OPERATION
     of_triangle = CLASSES[name][0] == "triangle"
-    other = account.restored.get(key, HELPLESS) if of_triangle else HELPLESS
-    return max(account.refused.get((REPAIRABLE.index(name), key), other), FINE) or HELPLESS
+    other = log.restored_triangles.get(key, NO_OPERATION) if of_triangle else NO_OPERATION
+    return max(log.rejections.get((REPAIRABLE.index(name), key), other), ACCEPTED) or NO_OPERATION
 
 
-def _keys(edited: Edited, places: Ids) -> Ids:
-    return edge_keys(places, len(edited.first)) if places.ndim == 2 else places
+def _to_keys(edited: EditableMesh, places: Ids) -> Ids:
+    return compute_edge_keys(places, len(edited.first_vertex)) if places.ndim == 2 else places
 
 
-def _points(edited: Edited, name: str, places: Ids) -> Vertices:
+def _compute_points(edited: EditableMesh, name: str, places: Ids) -> Vertices:
     """Compute an input point (k, 3) for each vertex, edge or triangle.
 
     Edges and triangles are represented by their centre.
@@ -372,16 +392,16 @@ def _points(edited: Edited, name: str, places: Ids) -> Vertices:
     return np.asarray(vertices[corners].mean(axis=1))
 
 
-def _report_left(name: str, found: int, why: list[str], points: Vertices) -> None:
+def _report_left(name: str, found: int, reasons: list[str], points: Vertices) -> None:
     x, y, z = points[0]
     emit(
         CLEAN_NOT_REPAIRED.warning(
             "{left:,} of {found:,} {what} not repaired: {reasons}; the first at ({x:.6g}, "
             "{y:.6g}, {z:.6g}) m.",
-            left=len(why),
+            left=len(reasons),
             found=found,
-            what=_spoken(name),
-            reasons=", ".join(f"{count:,} {reason}" for reason, count in Counter(why).most_common()),
+            what=_format_class_name(name),
+            reasons=", ".join(f"{count:,} {reason}" for reason, count in Counter(reasons).most_common()),
             x=x,
             y=y,
             z=z,
@@ -389,7 +409,7 @@ def _report_left(name: str, found: int, why: list[str], points: Vertices) -> Non
     )
 
 
-def _is_told(name: str) -> bool:
+def _needs_warning(name: str) -> bool:
     """Return True for classes without a repair that need a warning.
 
     Borders need none, because every open scan has them.
@@ -397,5 +417,5 @@ def _is_told(name: str) -> bool:
     return name not in REPAIRABLE and name != "border_edges"
 
 
-def _spoken(name: str) -> str:
+def _format_class_name(name: str) -> str:
     return name.replace("_", " ")

@@ -11,27 +11,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.comparing.codes import COMPARE_MESHES_APART
-from scanloom.stages.comparing.measurable import box_of, comparable
-from scanloom.stages.comparing.sampling import sampled
+from scanloom.stages.comparing.comparison_inputs import compute_joint_box, to_mesh_or_cloud
+from scanloom.stages.comparing.surface_sampling import sample_stratified
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.surface.cloud import is_cloud, some_of
-from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike
+from scanloom.stages.surface.point_cloud import is_cloud, subsample_cloud
 from scanloom.stages.surface.raycasting import Floats
-from scanloom.stages.surface.topology import areas
-from scanloom.stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.surface.topology import compute_areas
+from scanloom.stages.surface.vertex_normals import compute_vertex_normals
 
 # Number of points sampled on each mesh or drawn from each cloud.
-_POINTS = 60_000
+_SAMPLE_COUNT = 60_000
 _SEED = 0
 # Maximum correspondence distances, coarse to fine, as ratios of the smaller bounding-box diagonal.
-_REACHES = (0.1, 0.03, 0.01, 0.003)
-_ITERATIONS = 60
+_CORRESPONDENCE_RATIOS = (0.1, 0.03, 0.01, 0.003)
+_MAX_ITERATIONS = 60
 # Minimum ratio of points with a correspondence. With fewer, ICP does not constrain the motion.
-_LEAST_OVERLAP = 0.2
+_MIN_OVERLAP_RATIO = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,28 +42,28 @@ class Alignment:
     ----------
     reference_from_mesh : (4, 4) float64, rotation and translation (metres) from mesh to reference
         coordinates.
-    overlap : ratio of the mesh's sample points with a correspondence after alignment.
-    rms : RMS point-to-plane distance of these correspondences, metres.
-    moved_rms, angle : RMS displacement of the mesh's vertices in metres, and rotation angle in degrees.
+    overlap_ratio : ratio of the mesh's sample points with a correspondence after alignment.
+    rms_m : RMS point-to-plane distance of these correspondences, metres.
+    displacement_rms_m, angle_deg : RMS displacement of the mesh's vertices in metres, and rotation angle in degrees.
     """
 
     reference_from_mesh: NDArray[np.float64]
-    overlap: float
-    rms: float
-    moved_rms: float
-    angle: float
+    overlap_ratio: float
+    rms_m: float
+    displacement_rms_m: float
+    angle_deg: float
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return the metrics for JSON, with units in the key names."""
         return {
             "reference_from_mesh": self.reference_from_mesh.tolist(),
-            "overlap": self.overlap,
-            "rms_m": self.rms,
-            "moved_rms_m": self.moved_rms,
-            "angle_degrees": self.angle,
+            "overlap": self.overlap_ratio,
+            "rms_m": self.rms_m,
+            "moved_rms_m": self.displacement_rms_m,
+            "angle_degrees": self.angle_deg,
         }
 
 
@@ -89,37 +89,37 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     InputError
         If the overlap of mesh and reference is too small.
     """
-    moving, fixed = comparable(mesh, "mesh"), comparable(reference, "reference")
-    o3d = open3d()
+    moving, fixed = to_mesh_or_cloud(mesh, "mesh"), to_mesh_or_cloud(reference, "reference")
+    o3d = import_open3d()
     pipeline = o3d.pipelines.registration
-    centre = box_of(fixed).mean(axis=0)
-    source, target = (_points_of(one, centre, o3d) for one in (moving, fixed))
-    size = min(float(np.linalg.norm(np.diff(box_of(one), axis=0))) for one in (moving, fixed))
+    centre = compute_joint_box(fixed).mean(axis=0)
+    source, target = (_to_open3d_points(one, centre, o3d) for one in (moving, fixed))
+    size = min(float(np.linalg.norm(np.diff(compute_joint_box(one), axis=0))) for one in (moving, fixed))
     motion = np.eye(4)
-    for share in _REACHES:
-        found = pipeline.registration_icp(
+    for share in _CORRESPONDENCE_RATIOS:
+        registration = pipeline.registration_icp(
             source,
             target,
             share * size,
             motion,
             pipeline.TransformationEstimationPointToPlane(),
-            pipeline.ICPConvergenceCriteria(1e-9, 1e-9, _ITERATIONS),
+            pipeline.ICPConvergenceCriteria(1e-9, 1e-9, _MAX_ITERATIONS),
         )
-        if found.fitness < _LEAST_OVERLAP:
+        if registration.fitness < _MIN_OVERLAP_RATIO:
             break
-        motion = found.transformation
-    found = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
-    if found.fitness < _LEAST_OVERLAP:
+        motion = registration.transformation
+    registration = pipeline.evaluate_registration(source, target, _CORRESPONDENCE_RATIOS[1] * size, motion)
+    if registration.fitness < _MIN_OVERLAP_RATIO:
         raise InputError(
             COMPARE_MESHES_APART,
             "mesh and reference cannot be aligned: only {fitness:.0%} of the points have a correspondence "
             "nearby ({minimum:.0%} required)",
             remedy="align them roughly first.",
-            fitness=found.fitness,
-            minimum=_LEAST_OVERLAP,
+            fitness=registration.fitness,
+            minimum=_MIN_OVERLAP_RATIO,
         )
-    motion = _rigid(motion)
-    rms = _rms_to_planes(source, target, np.asarray(found.correspondence_set), motion)
+    motion = _orthonormalize_rotation(motion)
+    rms = _compute_plane_rms(source, target, np.asarray(registration.correspondence_set), motion)
     # ICP ran on centred points; convert the translation to world coordinates.
     motion[:3, 3] += centre - motion[:3, :3] @ centre
     vertices = moving.vertices @ motion[:3, :3].T + motion[:3, 3]
@@ -127,15 +127,15 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     cosine = np.clip((np.trace(motion[:3, :3]) - 1) / 2, -1, 1)
     alignment = Alignment(
         reference_from_mesh=motion,
-        overlap=float(found.fitness),
-        rms=rms,
-        moved_rms=float(np.sqrt((moved**2).mean())),
-        angle=float(np.degrees(np.arccos(cosine))),
+        overlap_ratio=float(registration.fitness),
+        rms_m=rms,
+        displacement_rms_m=float(np.sqrt((moved**2).mean())),
+        angle_deg=float(np.degrees(np.arccos(cosine))),
     )
-    return _moved(moving, motion), alignment
+    return _transform_mesh(moving, motion), alignment
 
 
-def _moved(mesh: Mesh, motion: NDArray[np.float64]) -> Mesh:
+def _transform_mesh(mesh: Mesh, motion: NDArray[np.float64]) -> Mesh:
     turn = motion[:3, :3]
     up = None
     if mesh.up is not None:
@@ -149,7 +149,7 @@ def _moved(mesh: Mesh, motion: NDArray[np.float64]) -> Mesh:
     )
 
 
-def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+def _orthonormalize_rotation(motion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Project the rotation part of a motion (4, 4) onto the exact rotations."""
     u, _, v = np.linalg.svd(motion[:3, :3])
     rigid = np.array(motion)
@@ -157,25 +157,27 @@ def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
     return rigid
 
 
-def _rms_to_planes(source: Any, target: Any, pairs: NDArray[np.int32], motion: NDArray[np.float64]) -> float:
+def _compute_plane_rms(
+    source: Any, target: Any, correspondences: NDArray[np.int32], motion: NDArray[np.float64]
+) -> float:
     """Compute the RMS point-to-plane distance of the correspondences, metres."""
-    moved = np.asarray(source.points)[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
-    away = moved - np.asarray(target.points)[pairs[:, 1]]
-    distances = np.einsum("kx,kx->k", away, np.asarray(target.normals)[pairs[:, 1]])
+    moved = np.asarray(source.points)[correspondences[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
+    away = moved - np.asarray(target.points)[correspondences[:, 1]]
+    distances = np.einsum("kx,kx->k", away, np.asarray(target.normals)[correspondences[:, 1]])
     return float(np.sqrt((distances**2).mean()))
 
 
-def _points_of(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
+def _to_open3d_points(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
     """Convert a mesh or cloud to Open3D points with unit normals.
 
     A mesh is sampled; a large cloud is subsampled. Coordinates are relative to `centre`.
     """
     if is_cloud(mesh):
-        chosen = some_of(mesh, _POINTS)
+        chosen = subsample_cloud(mesh, _SAMPLE_COUNT)
         assert chosen.normals is not None
         points, normals = chosen.vertices, chosen.normals
     else:
-        points, normals = _spread_over(mesh)
+        points, normals = _sample_mesh(mesh)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     found = o3d.geometry.PointCloud()
     found.points = o3d.utility.Vector3dVector(points - centre)
@@ -183,9 +185,9 @@ def _points_of(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
     return found
 
 
-def _spread_over(mesh: Mesh) -> tuple[Floats, Floats]:
-    cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
-    at = sampled(cumulative, slice(0, _POINTS), _POINTS, np.random.default_rng(_SEED))
+def _sample_mesh(mesh: Mesh) -> tuple[Floats, Floats]:
+    cumulative = np.cumsum(compute_areas(mesh.vertices, mesh.triangles))
+    at = sample_stratified(cumulative, slice(0, _SAMPLE_COUNT), _SAMPLE_COUNT, np.random.default_rng(_SEED))
     rows = mesh.triangles[at.triangles]
-    normals = np.einsum("kc,kcx->kx", at.weights, vertex_normals(mesh)[rows])
+    normals = np.einsum("kc,kcx->kx", at.weights, compute_vertex_normals(mesh)[rows])
     return np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]), normals

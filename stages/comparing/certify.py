@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.surface.codes import MESH_NO_SURFACE
-from scanloom.stages.surface.color import attributes_of
-from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.surface_color import get_vertex_attributes
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 RESULT_VERSION = 1
 
 # Vertices (n, 3), vertex attributes (n, k), triangles (m, 3).
-_Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.int32]]
+_TriangleSoup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.int32]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class CertifyParams:
         low=0,
         common=True,
     )
-    only_decide: bool = param(
+    check_only: bool = param(
         False,
         "With max_shape or max_color: stop as soon as it is decided whether the limits hold, which is much "
         "faster. Bounds are then no tighter than the limits.",
@@ -96,12 +96,12 @@ class CertifyParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
-        if self.only_decide and self.max_shape is None and self.max_color is None:
+        check_parameters(self)
+        if self.check_only and self.max_shape is None and self.max_color is None:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "requires a limit",
-                Where(parameter="only_decide"),
+                DiagnosticLocation(parameter="check_only"),
                 remedy="set max_shape, max_color or both.",
             )
 
@@ -145,8 +145,8 @@ class Certificate:
     within_limits: bool | None
     pieces: int
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return everything except the arrays for JSON; an infinite bound becomes None."""
@@ -168,7 +168,7 @@ def certify(
     original: MeshLike,
     params: CertifyParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[CertifyKeywords],
 ) -> Certificate:
     """Prove bounds on the deviation of a mesh from its original.
@@ -194,7 +194,7 @@ def certify(
 
         The bound of a single triangle is within a fifth of its attained value, or below 2 % of the maximum
         deviation, unless `effort` runs out. The same holds with `max_shape` or `max_color`. With
-        `only_decide`, a triangle within the limits has the limits as its bounds, and any other triangle has
+        `check_only`, a triangle within the limits has the limits as its bounds, and any other triangle has
         larger bounds. A quantity without a limit is then not bounded.
 
     Raises
@@ -228,30 +228,34 @@ def certify(
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
             "requires vertex colours on both meshes.",
-            Where(parameter="max_color"),
+            DiagnosticLocation(parameter="max_color"),
         )
     with_color = colored and (limit is None or params.max_color is not None)
-    prove = functools.partial(_proven, _soup(a, colored), _soup(b, colored), params)
+    prove = functools.partial(
+        _run_certifier, _to_triangle_soup(a, colored), _to_triangle_soup(b, colored), params
+    )
     if limit is None:
-        return _certificate(prove(None, progress), with_color, None)
-    if params.only_decide:
+        return _make_certificate(prove(None, progress), with_color, None)
+    if params.check_only:
         found = prove(limit, progress)
-        return _certificate(found, with_color, _is_within(found.bound, limit, with_color))
+        return _make_certificate(found, with_color, _is_within(found.bound, limit, with_color))
     # Checking a limit yields no bound tighter than that limit, but a user who gives a limit also wants the
     # actual deviation. So tight bounds are computed first. The limits are checked separately only if the
     # tight bounds exceed them and the attained values do not.
-    close = prove(None, progress)
-    within = _is_within(close.bound, limit, with_color)
-    if within or not _is_within(close.attained, limit, with_color):
-        return _certificate(close, with_color, within)
-    decided = prove(limit, _finishing(progress))
+    tight = prove(None, progress)
+    within = _is_within(tight.bound, limit, with_color)
+    if within or not _is_within(tight.attained, limit, with_color):
+        return _make_certificate(tight, with_color, within)
+    decided = prove(limit, _report_finished_progress(progress))
     within = _is_within(decided.bound, limit, with_color)
-    return _closer(*(_certificate(found, with_color, within) for found in (close, decided)))
+    return _combine_certificates(
+        *(_make_certificate(found, with_color, within) for found in (tight, decided))
+    )
 
 
-def _proven(
-    result: _Soup,
-    original: _Soup,
+def _run_certifier(
+    result: _TriangleSoup,
+    original: _TriangleSoup,
     params: CertifyParams,
     limit: tuple[float, float] | None,
     progress: Progress,
@@ -276,7 +280,9 @@ def _is_within(found: tuple[float, float], limit: tuple[float, float], with_colo
     return found[0] <= limit[0] and (not with_color or found[1] <= limit[1])
 
 
-def _certificate(found: _kernels.Certified, with_color: bool, within: bool | None) -> Certificate:
+def _make_certificate(
+    found: _kernels.Certified, with_color: bool, is_within_limits: bool | None
+) -> Certificate:
     return Certificate(
         shape_bound=found.shape_bound,
         color_bound=found.color_bound if with_color else None,
@@ -288,34 +294,34 @@ def _certificate(found: _kernels.Certified, with_color: bool, within: bool | Non
         color_attained_levels=found.attained[1] if with_color else None,
         slack_m=found.slack,
         color_slack_levels=found.color_slack,
-        within_limits=within,
+        within_limits=is_within_limits,
         pieces=found.pieces,
     )
 
 
-def _closer(a: Certificate, b: Certificate) -> Certificate:
+def _combine_certificates(a: Certificate, b: Certificate) -> Certificate:
     """Combine two certificates of the same meshes.
 
     Each bound is the smaller of the two, each attained value the larger.
     """
 
-    def least(name: str) -> Any:
+    def take_minimum(name: str) -> Any:
         one, other = getattr(a, name), getattr(b, name)
         return None if one is None else np.minimum(one, other)
 
-    def greatest(name: str) -> Any:
+    def take_maximum(name: str) -> Any:
         one, other = getattr(a, name), getattr(b, name)
         return None if one is None else max(one, other)
 
     return Certificate(
-        shape_bound=least("shape_bound"),
-        color_bound=least("color_bound"),
-        original_shape_bound=least("original_shape_bound"),
-        original_color_bound=least("original_color_bound"),
+        shape_bound=take_minimum("shape_bound"),
+        color_bound=take_minimum("color_bound"),
+        original_shape_bound=take_minimum("original_shape_bound"),
+        original_color_bound=take_minimum("original_color_bound"),
         shape_bound_m=min(a.shape_bound_m, b.shape_bound_m),
-        color_bound_levels=least("color_bound_levels"),
-        shape_attained_m=greatest("shape_attained_m"),
-        color_attained_levels=greatest("color_attained_levels"),
+        color_bound_levels=take_minimum("color_bound_levels"),
+        shape_attained_m=take_maximum("shape_attained_m"),
+        color_attained_levels=take_maximum("color_attained_levels"),
         slack_m=a.slack_m,
         color_slack_levels=a.color_slack_levels,
         within_limits=b.within_limits,
@@ -323,10 +329,10 @@ def _closer(a: Certificate, b: Certificate) -> Certificate:
     )
 
 
-def _finishing(progress: Progress) -> Progress:
+def _report_finished_progress(progress: Progress) -> Progress:
     """Return a callback that reports complete progress during the second pass."""
     return lambda done, total: progress(total, total)  # noqa: ARG005
 
 
-def _soup(mesh: Mesh, colored: bool) -> _Soup:
-    return mesh.vertices, attributes_of(mesh if colored else mesh.with_(colors=None)), mesh.triangles
+def _to_triangle_soup(mesh: Mesh, colored: bool) -> _TriangleSoup:
+    return mesh.vertices, get_vertex_attributes(mesh if colored else mesh.with_(colors=None)), mesh.triangles

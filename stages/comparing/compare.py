@@ -16,13 +16,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scanloom.stages.comparing.asked import Asked, Levels, Nearest, Points, Spread, asked
-from scanloom.stages.comparing.measurable import box_of, comparable
-from scanloom.stages.comparing.needles import WithNeedles
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import by_figures, counted, facts, line, table
-from scanloom.stages.surface.convert import MeshLike
-from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box, chunks
+from scanloom.stages.comparing.comparison_inputs import compute_joint_box, to_mesh_or_cloud
+from scanloom.stages.comparing.distance_target import (
+    DistanceTarget,
+    Levels,
+    NearestPoints,
+    SampledSurface,
+    SamplePoints,
+    make_distance_target,
+)
+from scanloom.stages.comparing.needle_search import NeedleSafeSurface
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_by_metrics, format_count, format_facts, format_line, render_table
+from scanloom.stages.surface.mesh_conversion import MeshLike
+from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, compute_bounding_box, iterate_chunks
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -32,7 +39,7 @@ if TYPE_CHECKING:
 RESULT_VERSION = 5
 
 # Levels. A smaller colour RMSE is interpolation rounding, not a difference; the PSNR is then infinite.
-_EQUAL = 1e-4
+_MAX_ROUNDING_LEVELS = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +56,7 @@ class CompareParams:
     seed: int = param(0, "Random seed of the sampling; the same seed gives the same result.", low=0)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ class Deviation:
 
     def __repr__(self) -> str:
         figures = {"rms_m": self.rms, "mean_m": self.mean, "maximum_m": self.maximum}
-        return line(self, facts(figures))
+        return format_line(self, format_facts(figures))
 
     def figures(self, diagonal: float) -> dict[str, float]:
         """Return the distances in metres and relative to the bounding-box diagonal."""
@@ -88,12 +95,12 @@ class ColorError:
     rmse: float
     maximum: float
 
-    __repr__ = by_figures
+    __repr__ = format_by_metrics
 
     @property
     def psnr(self) -> float:
         """Peak signal-to-noise ratio in dB; infinite for equal colours."""
-        return 20 * math.log10(255 / self.rmse) if self.rmse > _EQUAL else math.inf
+        return 20 * math.log10(255 / self.rmse) if self.rmse > _MAX_ROUNDING_LEVELS else math.inf
 
     def figures(self) -> dict[str, float | None]:
         """Return the metrics for JSON; an infinite PSNR becomes None."""
@@ -102,24 +109,24 @@ class ColorError:
 
 
 @dataclass(frozen=True)
-class CloudFacts:
+class CloudStatistics:
     """Point count and spacing of a cloud, for judging distances to it.
 
     Attributes
     ----------
-    points : number of points; all are measured.
-    spacing : median distance to the nearest neighbour, metres. Distances below the spacing are not
+    point_count : number of points; all are measured.
+    spacing_m : median distance to the nearest neighbour, metres. Distances below the spacing are not
         meaningful, because the surface between the points is unknown.
     """
 
-    points: int
-    spacing: float
+    point_count: int
+    spacing_m: float
 
-    __repr__ = by_figures
+    __repr__ = format_by_metrics
 
     def figures(self) -> dict[str, float]:
         """Return both values for JSON, with units in the key names."""
-        return {"points": self.points, "spacing_m": self.spacing}
+        return {"points": self.point_count, "spacing_m": self.spacing_m}
 
 
 @dataclass(frozen=True)
@@ -144,7 +151,7 @@ class Comparison:
     color: ColorError | None
     diagonal: float
     samples: int
-    clouds: tuple[CloudFacts | None, CloudFacts | None] = (None, None)
+    clouds: tuple[CloudStatistics | None, CloudStatistics | None] = (None, None)
 
     def __repr__(self) -> str:
         distance, color = self.symmetric, self.color
@@ -152,13 +159,15 @@ class Comparison:
         if color is not None:
             figures["color_rmse_levels"] = color.rmse
         clouds = [
-            f"{name} is a cloud of {counted(one.points, 'point')}"
+            f"{name} is a cloud of {format_count(one.point_count, 'point')}"
             for name, one in zip("AB", self.clouds, strict=True)
             if one is not None
         ]
-        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} per surface", *clouds])
+        return format_line(
+            self, [*format_facts(figures), f"{format_count(self.samples, 'sample')} per surface", *clouds]
+        )
 
-    _repr_html_ = table
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return all metrics for JSON, with units in the key names.
@@ -193,7 +202,7 @@ def compare(
     Returns
     -------
     Comparison
-        Colours come from the texture if the mesh has one, else from its vertices (see `color_at`). For a
+        Colours come from the texture if the mesh has one, else from its vertices (see `compute_surface_colors`). For a
         cloud, the colour of the nearest point counts.
 
     Raises
@@ -202,12 +211,12 @@ def compare(
         If a mesh has no area to sample, or all points of a cloud coincide.
     """
     params = resolve(CompareParams, params, changes)
-    mesh_a, mesh_b = comparable(a, "first mesh"), comparable(b, "second mesh")
-    box = box_of(mesh_a, mesh_b)
-    return _compared(asked(mesh_a, box), asked(mesh_b, box), params)
+    mesh_a, mesh_b = to_mesh_or_cloud(a, "first mesh"), to_mesh_or_cloud(b, "second mesh")
+    box = compute_joint_box(mesh_a, mesh_b)
+    return _compare_targets(make_distance_target(mesh_a, box), make_distance_target(mesh_b, box), params)
 
 
-def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Comparison:
+def compare_surfaces(a: RaycastingSurface, b: RaycastingSurface, params: CompareParams) -> Comparison:
     """Compare two surfaces whose search structures already exist; see `compare`.
 
     Parameters
@@ -215,111 +224,124 @@ def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Compariso
     a, b : surfaces built for a box around both meshes. Both meshes have passed `require_area`.
     params : sampling density and seed.
     """
-    box = bounding_box(a.mesh, b.mesh)
-    return compare_searched(WithNeedles(a, box), WithNeedles(b, box), params)
+    box = compute_bounding_box(a.mesh, b.mesh)
+    return compare_needle_safe(NeedleSafeSurface(a, box), NeedleSafeSurface(b, box), params)
 
 
-def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> Comparison:
+def compare_needle_safe(a: NeedleSafeSurface, b: NeedleSafeSurface, params: CompareParams) -> Comparison:
     """Compare two surfaces with needle-safe search structures that already exist; see `compare_surfaces`."""
-    box = bounding_box(a.mesh, b.mesh)
-    return _compared(asked(a.mesh, box, a), asked(b.mesh, box, b), params)
+    box = compute_bounding_box(a.mesh, b.mesh)
+    return _compare_targets(
+        make_distance_target(a.mesh, box, a), make_distance_target(b.mesh, box, b), params
+    )
 
 
-def _compared(a: Asked, b: Asked, params: CompareParams) -> Comparison:
-    forward = one_way(a, b, params.samples, (params.seed, 0))
-    backward = one_way(b, a, params.samples, (params.seed, 1))
-    clouds = _facts_of(a), _facts_of(b)
-    return comparison_of(forward, backward, box_of(a.mesh), params.samples, clouds)
+def _compare_targets(a: DistanceTarget, b: DistanceTarget, params: CompareParams) -> Comparison:
+    forward = accumulate_one_way(a, b, params.samples, (params.seed, 0))
+    backward = accumulate_one_way(b, a, params.samples, (params.seed, 1))
+    clouds = _collect_cloud_statistics(a), _collect_cloud_statistics(b)
+    return combine_directions(forward, backward, compute_joint_box(a.mesh), params.samples, clouds)
 
 
-def comparison_of(
-    forward: Sums,
-    backward: Sums,
+def combine_directions(
+    forward: DistanceSums,
+    backward: DistanceSums,
     box: Floats,
     samples: int,
-    clouds: tuple[CloudFacts | None, CloudFacts | None] = (None, None),
+    clouds: tuple[CloudStatistics | None, CloudStatistics | None] = (None, None),
 ) -> Comparison:
     """Combine the sums of both directions into a comparison.
 
     `box` (2, 3) is the bounding box of A.
     """
-    both = forward.merged(backward.counted_as(forward.count))
+    both = forward.merge(backward.rescale_to(forward.count))
     low, high = box
     return Comparison(
-        a_to_b=forward.deviation(),
-        b_to_a=backward.deviation(),
-        symmetric=both.deviation(),
-        color_a_to_b=forward.color(),
-        color_b_to_a=backward.color(),
-        color=both.color(),
+        a_to_b=forward.compute_deviation(),
+        b_to_a=backward.compute_deviation(),
+        symmetric=both.compute_deviation(),
+        color_a_to_b=forward.compute_color_error(),
+        color_b_to_a=backward.compute_color_error(),
+        color=both.compute_color_error(),
         diagonal=float(np.linalg.norm(high - low)),
         samples=samples,
         clouds=clouds,
     )
 
 
-def _facts_of(one: Asked) -> CloudFacts | None:
-    return None if one.spacing is None else CloudFacts(len(one.mesh.vertices), one.spacing)
+def _collect_cloud_statistics(one: DistanceTarget) -> CloudStatistics | None:
+    return None if one.spacing is None else CloudStatistics(len(one.mesh.vertices), one.spacing)
 
 
 @dataclass(frozen=True)
-class Sums:
+class DistanceSums:
     """Accumulated distances (metres) and colour differences (levels) of one direction.
 
-    `color_squared` : None without colours.
+    `color_squared_total` : None without colours.
     """
 
     count: int
     total: float
-    squared: float
+    squared_total: float
     maximum: float
-    color_squared: float | None
+    color_squared_total: float | None
     color_maximum: float
 
-    def counted_as(self, count: int) -> Sums:
+    def rescale_to(self, count: int) -> DistanceSums:
         """Rescale the sums to a point count, to weight both directions equally."""
         factor = count / self.count
-        color = None if self.color_squared is None else factor * self.color_squared
+        color = None if self.color_squared_total is None else factor * self.color_squared_total
         return replace(
-            self, count=count, total=factor * self.total, squared=factor * self.squared, color_squared=color
+            self,
+            count=count,
+            total=factor * self.total,
+            squared_total=factor * self.squared_total,
+            color_squared_total=color,
         )
 
-    def merged(self, other: Sums) -> Sums:
+    def merge(self, other: DistanceSums) -> DistanceSums:
         """Add the sums of another set of points."""
-        colored = self.color_squared is not None and other.color_squared is not None
-        return Sums(
+        colored = self.color_squared_total is not None and other.color_squared_total is not None
+        return DistanceSums(
             self.count + other.count,
             self.total + other.total,
-            self.squared + other.squared,
+            self.squared_total + other.squared_total,
             max(self.maximum, other.maximum),
-            (self.color_squared or 0) + (other.color_squared or 0) if colored else None,
+            (self.color_squared_total or 0) + (other.color_squared_total or 0) if colored else None,
             max(self.color_maximum, other.color_maximum),
         )
 
-    def deviation(self) -> Deviation:
+    def compute_deviation(self) -> Deviation:
         """Return maximum, mean and RMS of the distances."""
-        return Deviation(self.maximum, self.total / self.count, math.sqrt(self.squared / self.count))
+        return Deviation(self.maximum, self.total / self.count, math.sqrt(self.squared_total / self.count))
 
-    def color(self) -> ColorError | None:
+    def compute_color_error(self) -> ColorError | None:
         """Return RMSE and maximum of the colour differences; None without colours."""
-        if self.color_squared is None:
+        if self.color_squared_total is None:
             return None
-        return ColorError(math.sqrt(self.color_squared / (3 * self.count)), self.color_maximum)
+        return ColorError(math.sqrt(self.color_squared_total / (3 * self.count)), self.color_maximum)
 
 
-def one_way(source: Spread, target: Asked, wanted: int, seed: tuple[int, int]) -> Sums:
+def accumulate_one_way(
+    source: SampledSurface, target: DistanceTarget, sample_count: int, seed: tuple[int, int]
+) -> DistanceSums:
     """Accumulate distances and colour differences from samples of `source` to `target`."""
     rng = np.random.default_rng(seed)
     colored = source.has_color and target.has_color
-    count = source.samples(wanted)
-    return all_sums(
+    count = source.count_samples(sample_count)
+    return merge_sums(
         colored,
-        (_measured(source.spread(rows, count, rng, colored=colored), target) for rows in chunks(count)),
-        (_measured(points, target) for points in source.corners(colored=colored)),
+        (
+            _measure_points(source.draw_points(rows, count, rng, colored=colored), target)
+            for rows in iterate_chunks(count)
+        ),
+        (_measure_points(points, target) for points in source.iterate_extra_points(colored=colored)),
     )
 
 
-def sampled_color_error(source: Spread, target: Asked, wanted: int) -> ColorError | None:
+def measure_color_error(
+    source: SampledSurface, target: DistanceTarget, sample_count: int
+) -> ColorError | None:
     """Measure the colour error from samples of one surface to another.
 
     Returns None unless both have colours.
@@ -327,17 +349,22 @@ def sampled_color_error(source: Spread, target: Asked, wanted: int) -> ColorErro
     if not (source.has_color and target.has_color):
         return None
     rng = np.random.default_rng((0, 0))
-    count = source.samples(wanted)
-    parts = (_measured(source.spread(rows, count, rng, colored=True), target) for rows in chunks(count))
-    return all_sums(True, parts, ()).color()
+    count = source.count_samples(sample_count)
+    parts = (
+        _measure_points(source.draw_points(rows, count, rng, colored=True), target)
+        for rows in iterate_chunks(count)
+    )
+    return merge_sums(True, parts, ()).compute_color_error()
 
 
-def all_sums(colored: bool, of_samples: Iterable[Sums], of_corners: Iterable[Sums]) -> Sums:
-    """Accumulate the sums over samples; `of_corners` count only for the maximum."""
-    sums = Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
-    for one in of_samples:
-        sums = sums.merged(one)
-    at_corners = list(of_corners)
+def merge_sums(
+    is_colored: bool, sample_sums: Iterable[DistanceSums], extra_sums: Iterable[DistanceSums]
+) -> DistanceSums:
+    """Accumulate the sums over samples; `extra_sums` count only for the maximum."""
+    sums = DistanceSums(0, 0.0, 0.0, 0.0, 0.0 if is_colored else None, 0.0)
+    for one in sample_sums:
+        sums = sums.merge(one)
+    at_corners = list(extra_sums)
     return replace(
         sums,
         maximum=max([sums.maximum, *(one.maximum for one in at_corners)]),
@@ -345,15 +372,19 @@ def all_sums(colored: bool, of_samples: Iterable[Sums], of_corners: Iterable[Sum
     )
 
 
-def _measured(points: Points, target: Asked) -> Sums:
-    return sums_of(points.colors, target.nearest(points.places, colored=points.colors is not None))
+def _measure_points(points: SamplePoints, target: DistanceTarget) -> DistanceSums:
+    return compute_sums(
+        points.colors, target.find_nearest(points.positions, colored=points.colors is not None)
+    )
 
 
-def sums_of(colors: Levels | None, nearest: Nearest) -> Sums:
+def compute_sums(colors: Levels | None, nearest: NearestPoints) -> DistanceSums:
     """Compute the sums for query points with colours (k, 3) and their nearest points."""
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
     if colors is not None and nearest.colors is not None:
         difference = np.abs(colors - nearest.colors)
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
-    return Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)
+    return DistanceSums(
+        len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum
+    )

@@ -11,16 +11,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.comparing.asked import Asked, Levels, Points, Spread, asked
-from scanloom.stages.comparing.measurable import box_of, comparable
-from scanloom.stages.comparing.needles import WithNeedles
-from scanloom.stages.comparing.palette import PALETTES, colors_of
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.surface.cloud import is_cloud
-from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.comparing.comparison_inputs import compute_joint_box, to_mesh_or_cloud
+from scanloom.stages.comparing.deviation_palette import PALETTES, colorize_distances
+from scanloom.stages.comparing.distance_target import (
+    DistanceTarget,
+    Levels,
+    SampledSurface,
+    SamplePoints,
+    make_distance_target,
+)
+from scanloom.stages.comparing.needle_search import NeedleSafeSurface
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Floats, chunks, is_used
+from scanloom.stages.surface.mesh_conversion import MeshLike
+from scanloom.stages.surface.point_cloud import is_cloud
+from scanloom.stages.surface.raycasting import Floats, iterate_chunks, mask_used_vertices
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -30,14 +36,14 @@ if TYPE_CHECKING:
 PERCENTILES = (50, 90, 95, 99)
 # Maximum number of worst points in the JSON metrics, and their minimum distance from each other as ratio of
 # the mesh's bounding-box diagonal.
-_PLACES = 10
-_APART = 0.03
+_MAX_WORST_POINTS = 10
+_MIN_WORST_SPACING_RATIO = 0.03
 # Maximum number of points searched for the worst ones; of more points, only the farthest count.
-_LOOKED_AT = 2_000_000
+_MAX_SEARCHED_POINTS = 2_000_000
 # Default colour range: the quantile of the absolute distances that the range covers.
-_IN_RANGE = 0.99
+_COLOR_RANGE_QUANTILE = 0.99
 # Ratio of the colour range that is painted as within tolerance if no tolerance is given.
-_WELL = 0.1
+_DEFAULT_TOLERANCE_RATIO = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +79,7 @@ class DeviationParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,88 +91,88 @@ class Deviations:
     is_signed : True if the reference is oriented; distances are then positive in front of it.
     spacing : point spacing of the reference in metres if it is a cloud, else None. Distances below the
         spacing are not meaningful.
-    samples : (k,) distances at points uniform over the mesh's area, or at a cloud's points, metres.
-    points : (k, 3) positions of these points, metres.
-    at_vertices : (n,) distances at the mesh's vertices, metres; 0 at unused vertices.
-    delta_e : (k,) colour differences ΔE2000 at `points`; None unless both have colours.
+    sample_distances : (k,) distances at points uniform over the mesh's area, or at a cloud's points, metres.
+    sample_points : (k, 3) positions of these points, metres.
+    vertex_distances : (n,) distances at the mesh's vertices, metres; 0 at unused vertices.
+    delta_e : (k,) colour differences ΔE2000 at `sample_points`; None unless both have colours.
     tolerance : metres, or None.
-    within, color_range : metres; distances up to `within` get the in-tolerance colour, distances from
+    in_tolerance_limit, color_range : metres; distances up to `in_tolerance_limit` get the in-tolerance colour, distances from
         `color_range` the last colour.
-    painted : the measured mesh or cloud, coloured by deviation.
+    painted_mesh : the measured mesh or cloud, coloured by deviation.
     """
 
     is_signed: bool
     spacing: float | None
-    samples: Floats
-    points: Floats
-    at_vertices: Floats
+    sample_distances: Floats
+    sample_points: Floats
+    vertex_distances: Floats
     delta_e: Floats | None
     tolerance: float | None
-    within: float
+    in_tolerance_limit: float
     color_range: float
-    painted: Mesh
+    painted_mesh: Mesh
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return the metrics for JSON, with units in the key names."""
-        distances, known = np.abs(self.samples), self.is_signed
-        extremes = self._all()[1]
-        told: dict[str, Any] = {
-            "is_signed": known,
-            "is_cloud": is_cloud(self.painted),
+        distances, is_signed = np.abs(self.sample_distances), self.is_signed
+        extremes = self._collect_points()[1]
+        metrics: dict[str, Any] = {
+            "is_signed": is_signed,
+            "is_cloud": is_cloud(self.painted_mesh),
             "reference_spacing_m": self.spacing,
             "samples": len(distances),
             "rms_m": float(np.sqrt((distances**2).mean())),
-            "mean_m": float(self.samples.mean()) if known else None,
-            "standard_deviation_m": float(self.samples.std()) if known else None,
-            "lowest_m": float(extremes.min()) if known else None,
-            "highest_m": float(extremes.max()) if known else None,
-            "absolute_percentiles_m": _percentiles(distances),
+            "mean_m": float(self.sample_distances.mean()) if is_signed else None,
+            "standard_deviation_m": float(self.sample_distances.std()) if is_signed else None,
+            "lowest_m": float(extremes.min()) if is_signed else None,
+            "highest_m": float(extremes.max()) if is_signed else None,
+            "absolute_percentiles_m": _compute_percentiles(distances),
             "tolerance_m": self.tolerance,
-            "share_within": None,
-            "share_over": None,
-            "share_under": None,
+            "within_ratio": None,
+            "over_ratio": None,
+            "under_ratio": None,
             "color_range_m": self.color_range,
-            "worst": self._worst(),
+            "worst": self._find_worst_points(),
             "delta_e_2000": None,
         }
         if self.tolerance is not None:
-            told["share_within"] = float((distances <= self.tolerance).mean())
-            if known:
-                told["share_over"] = float((self.samples > self.tolerance).mean())
-                told["share_under"] = float((self.samples < -self.tolerance).mean())
+            metrics["within_ratio"] = float((distances <= self.tolerance).mean())
+            if is_signed:
+                metrics["over_ratio"] = float((self.sample_distances > self.tolerance).mean())
+                metrics["under_ratio"] = float((self.sample_distances < -self.tolerance).mean())
         if self.delta_e is not None:
-            told["delta_e_2000"] = {
+            metrics["delta_e_2000"] = {
                 "mean": float(self.delta_e.mean()),
-                "percentiles": _percentiles(self.delta_e),
+                "percentiles": _compute_percentiles(self.delta_e),
                 "maximum": float(self.delta_e.max()),
             }
-        return told
+        return metrics
 
-    def _worst(self) -> list[dict[str, Any]]:
+    def _find_worst_points(self) -> list[dict[str, Any]]:
         """Return up to ten points with the largest absolute distances, spaced apart."""
-        points, distances = self._all()
+        points, distances = self._collect_points()
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
-        left = np.abs(distances)
-        if len(left) > _LOOKED_AT:
-            rows = np.argpartition(left, -_LOOKED_AT)[-_LOOKED_AT:]
-            points, distances, left = points[rows], distances[rows], left[rows]
+        remaining = np.abs(distances)
+        if len(remaining) > _MAX_SEARCHED_POINTS:
+            rows = np.argpartition(remaining, -_MAX_SEARCHED_POINTS)[-_MAX_SEARCHED_POINTS:]
+            points, distances, remaining = points[rows], distances[rows], remaining[rows]
         found: list[dict[str, Any]] = []
-        while len(found) < _PLACES and left.max() >= 0:
-            at = int(left.argmax())
+        while len(found) < _MAX_WORST_POINTS and remaining.max() >= 0:
+            at = int(remaining.argmax())
             found.append({"point_m": points[at].tolist(), "distance_m": float(distances[at])})
-            left[np.linalg.norm(points - points[at], axis=1) <= _APART * size] = -1
+            remaining[np.linalg.norm(points - points[at], axis=1) <= _MIN_WORST_SPACING_RATIO * size] = -1
         return found
 
-    def _all(self) -> tuple[Floats, Floats]:
+    def _collect_points(self) -> tuple[Floats, Floats]:
         """Return sample points plus used vertices of the mesh, and their distances."""
-        if is_cloud(self.painted):
-            return self.points, self.samples
-        used = is_used(self.painted)
-        points = np.concatenate([self.points, self.painted.vertices[used]])
-        return points, np.concatenate([self.samples, self.at_vertices[used]])
+        if is_cloud(self.painted_mesh):
+            return self.sample_points, self.sample_distances
+        used = mask_used_vertices(self.painted_mesh)
+        points = np.concatenate([self.sample_points, self.painted_mesh.vertices[used]])
+        return points, np.concatenate([self.sample_distances, self.vertex_distances[used]])
 
 
 def deviations(
@@ -194,98 +200,119 @@ def deviations(
         If a parameter is out of range.
     """
     params = resolve(DeviationParams, params, changes)
-    fixed, measured = comparable(reference, "reference"), comparable(mesh, "mesh")
-    box = box_of(fixed, measured)
-    return _measured(asked(fixed, box), asked(measured, box), params)
+    fixed, measured = to_mesh_or_cloud(reference, "reference"), to_mesh_or_cloud(mesh, "mesh")
+    box = compute_joint_box(fixed, measured)
+    return _measure_deviations(make_distance_target(fixed, box), make_distance_target(measured, box), params)
 
 
-def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParams) -> Deviations:
+def measure_deviations_from(
+    surface: NeedleSafeSurface, measured: Mesh, params: DeviationParams
+) -> Deviations:
     """Measure deviations from a surface whose search structure already exists; see `deviations`.
 
     The box of `surface` contains both meshes, and both have passed `require_area`.
     """
-    box = box_of(surface.mesh, measured)
-    return _measured(asked(surface.mesh, box, surface), asked(measured, box), params)
+    box = compute_joint_box(surface.mesh, measured)
+    return _measure_deviations(
+        make_distance_target(surface.mesh, box, surface), make_distance_target(measured, box), params
+    )
 
 
-def _measured(target: Asked, source: Asked, params: DeviationParams) -> Deviations:
+def _measure_deviations(
+    target: DistanceTarget, source: DistanceTarget, params: DeviationParams
+) -> Deviations:
     measured = source.mesh
-    points = points_of(source, params, colored=target.has_color and source.has_color)
-    samples, seen = _distances(points.places, target, colored=points.colors is not None)
+    points = draw_measurement_points(source, params, colored=target.has_color and source.has_color)
+    samples, seen = _query_distances(points.positions, target, colored=points.colors is not None)
     if is_cloud(measured):
         at_vertices = samples
     else:
         at_vertices = np.zeros(len(measured.vertices))
         used = np.unique(measured.triangles)
-        at_vertices[used], _ = _distances(measured.vertices[used], target, colored=False)
-    found = Found(target.is_oriented, target.spacing, samples, seen, at_vertices)
-    return deviations_of(measured, points, found, params)
+        at_vertices[used], _ = _query_distances(measured.vertices[used], target, colored=False)
+    found = MeasuredDistances(target.is_oriented, target.spacing, samples, seen, at_vertices)
+    return evaluate_deviations(measured, points, found, params)
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class MeasuredDistances:
     """Measured distances and colours before evaluation; see `Deviations`.
 
-    `seen` are the reference's colours (k, 3) at the nearest points, or None.
+    `target_colors` are the reference's colours (k, 3) at the nearest points, or None.
     """
 
     is_signed: bool
     spacing: float | None
-    samples: Floats
-    seen: Levels | None
-    at_vertices: Floats
+    sample_distances: Floats
+    target_colors: Levels | None
+    vertex_distances: Floats
 
 
-def points_of(source: Spread, params: DeviationParams, *, colored: bool) -> Points:
+def draw_measurement_points(
+    source: SampledSurface, params: DeviationParams, *, colored: bool
+) -> SamplePoints:
     """Draw the points at which a mesh or cloud is measured."""
-    count = source.samples(params.signed_samples)
-    return source.spread(slice(0, count), count, np.random.default_rng(0), colored=colored)
+    count = source.count_samples(params.signed_samples)
+    return source.draw_points(slice(0, count), count, np.random.default_rng(0), colored=colored)
 
 
-def deviations_of(measured: Mesh, points: Points, found: Found, params: DeviationParams) -> Deviations:
+def evaluate_deviations(
+    measured: Mesh, points: SamplePoints, distances: MeasuredDistances, params: DeviationParams
+) -> Deviations:
     """Evaluate measured distances and colours, and paint the mesh by deviation."""
     delta_e = None
-    if points.colors is not None and found.seen is not None:
-        parts = [_delta_e(points.colors[rows], found.seen[rows]) for rows in chunks(len(found.samples))]
+    if points.colors is not None and distances.target_colors is not None:
+        parts = [
+            _compute_delta_e(points.colors[rows], distances.target_colors[rows])
+            for rows in iterate_chunks(len(distances.sample_distances))
+        ]
         delta_e = np.concatenate(parts)
-    most = params.color_range or _range_of(found.samples, params.tolerance)
-    within = params.tolerance if params.tolerance is not None else _WELL * most
-    painted = measured.with_(colors=colors_of(found.at_vertices, within, most, params.palette), texture=None)
+    color_range = params.color_range or _derive_color_range(distances.sample_distances, params.tolerance)
+    within = params.tolerance if params.tolerance is not None else _DEFAULT_TOLERANCE_RATIO * color_range
+    painted = measured.with_(
+        colors=colorize_distances(distances.vertex_distances, within, color_range, params.palette),
+        texture=None,
+    )
     return Deviations(
-        is_signed=found.is_signed,
-        spacing=found.spacing,
-        samples=found.samples,
-        points=points.places,
-        at_vertices=found.at_vertices,
+        is_signed=distances.is_signed,
+        spacing=distances.spacing,
+        sample_distances=distances.sample_distances,
+        sample_points=points.positions,
+        vertex_distances=distances.vertex_distances,
         delta_e=delta_e,
         tolerance=params.tolerance,
-        within=within,
-        color_range=most,
-        painted=painted,
+        in_tolerance_limit=within,
+        color_range=color_range,
+        painted_mesh=painted,
     )
 
 
-def _distances(points: Floats, target: Asked, *, colored: bool) -> tuple[Floats, NDArray[np.floating] | None]:
+def _query_distances(
+    points: Floats, target: DistanceTarget, *, colored: bool
+) -> tuple[Floats, NDArray[np.floating] | None]:
     """Query the distances (k,) from points to a target, and its colours (k, 3).
 
     Distances are signed if the target is oriented.
     """
-    found = [target.nearest(points[rows], colored=colored, signed=True) for rows in chunks(len(points))]
+    found = [
+        target.find_nearest(points[rows], colored=colored, signed=True)
+        for rows in iterate_chunks(len(points))
+    ]
     distances = np.concatenate([one.distances for one in found])
     colors = [one.colors for one in found if one.colors is not None]
     return distances, np.concatenate(colors) if colors else None
 
 
-def _range_of(samples: Floats, tolerance: float | None) -> float:
-    most = float(np.quantile(np.abs(samples), _IN_RANGE))
-    return max(most, 2 * (tolerance or 0.0), float(np.finfo(np.float64).tiny))
+def _derive_color_range(distances: Floats, tolerance: float | None) -> float:
+    max_distance = float(np.quantile(np.abs(distances), _COLOR_RANGE_QUANTILE))
+    return max(max_distance, 2 * (tolerance or 0.0), float(np.finfo(np.float64).tiny))
 
 
-def _percentiles(values: Floats) -> dict[str, float]:
+def _compute_percentiles(values: Floats) -> dict[str, float]:
     return {f"{p}": float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-def _delta_e(a: NDArray[np.floating], b: NDArray[np.floating]) -> Floats:
+def _compute_delta_e(a: NDArray[np.floating], b: NDArray[np.floating]) -> Floats:
     """Return ΔE2000 (Sharma, Wu and Dalal, 2005) between sRGB colours (k, 3), 0 to 255."""
     import skimage.color
 

@@ -6,14 +6,16 @@ import numpy as np
 
 from scanloom.stages._opencv import require_opencv
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 # Default colour range: quantile of the vertex distances. A few outliers must not compress the scale of all
 # other vertices.
-_WITHIN = 0.99
+_FULL_SCALE_QUANTILE = 0.99
 
 
-def distance_map(mesh: Mesh, other: Surface, full_scale: float | None = None) -> tuple[Mesh, float]:
+def paint_distances(
+    mesh: Mesh, other: RaycastingSurface, full_scale: float | None = None
+) -> tuple[Mesh, float]:
     """Paint a mesh by its vertices' distances from another surface (viridis, dark is near).
 
     For a normal mesh and its original, paint the original: the vertices of a normal mesh are on the original
@@ -33,10 +35,10 @@ def distance_map(mesh: Mesh, other: Surface, full_scale: float | None = None) ->
     require_opencv()
     import cv2
 
-    distances = other.closest(mesh.vertices).distances
+    distances = other.find_closest_points(mesh.vertices).distances
     if full_scale is None:
-        full_scale = float(np.quantile(distances, _WITHIN)) if len(distances) else 0.0
-    shares = distances / max(full_scale, np.finfo(np.float64).tiny)
-    levels = np.rint(255 * shares.clip(0, 1)).astype(np.uint8)
+        full_scale = float(np.quantile(distances, _FULL_SCALE_QUANTILE)) if len(distances) else 0.0
+    ratios = distances / max(full_scale, np.finfo(np.float64).tiny)
+    levels = np.rint(255 * ratios.clip(0, 1)).astype(np.uint8)
     colors = cv2.applyColorMap(levels[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
     return mesh.with_(colors=np.ascontiguousarray(colors), texture=None), full_scale

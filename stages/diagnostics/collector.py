@@ -10,7 +10,9 @@ from dataclasses import replace
 
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 
-_LISTENERS: ContextVar[tuple[Callable[[Diagnostic], object], ...]] = ContextVar("listeners", default=())
+_DIAGNOSTIC_LISTENERS: ContextVar[tuple[Callable[[Diagnostic], object], ...]] = ContextVar(
+    "listeners", default=()
+)
 
 
 class DiagnosticWarning(UserWarning):
@@ -22,10 +24,12 @@ class DiagnosticWarning(UserWarning):
 
 
 @contextmanager
-def listening(listener: Callable[[Diagnostic], object], *, forward: bool = True) -> Iterator[None]:
+def listen_to_diagnostics(
+    listener: Callable[[Diagnostic], object], *, forward: bool = True
+) -> Iterator[None]:
     """Call a function with each diagnostic emitted inside the block.
 
-    The block covers this thread and threads started by `read_ahead`. A generator must not yield inside the
+    The block covers this thread and threads started by `map_ordered`. A generator must not yield inside the
     block.
 
     Parameters
@@ -33,18 +37,18 @@ def listening(listener: Callable[[Diagnostic], object], *, forward: bool = True)
     forward : pass the diagnostics to enclosing blocks, too. False for attempts whose results may be
         discarded.
     """
-    token = _LISTENERS.set((*_LISTENERS.get(), listener) if forward else (listener,))
+    token = _DIAGNOSTIC_LISTENERS.set((*_DIAGNOSTIC_LISTENERS.get(), listener) if forward else (listener,))
     try:
         yield
     finally:
-        _LISTENERS.reset(token)
+        _DIAGNOSTIC_LISTENERS.reset(token)
 
 
 @contextmanager
 def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
     """Collect the diagnostics emitted inside the block, without duplicates.
 
-    `forward` as in `listening`.
+    `forward` as in `listen_to_diagnostics`.
     """
     collected: list[Diagnostic] = []
 
@@ -52,24 +56,24 @@ def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
         if diagnostic not in collected:
             collected.append(diagnostic)
 
-    with listening(add, forward=forward):
+    with listen_to_diagnostics(add, forward=forward):
         yield collected
 
 
 @contextmanager
-def changing(change: Callable[[Diagnostic], Diagnostic]) -> Iterator[None]:
+def transform_diagnostics(change: Callable[[Diagnostic], Diagnostic]) -> Iterator[None]:
     """Transform diagnostics of the block before enclosing blocks receive them.
 
     `change` may for example set their location.
     """
-    outer = _LISTENERS.get()
+    outer = _DIAGNOSTIC_LISTENERS.get()
 
     def forward(diagnostic: Diagnostic) -> None:
         changed = change(diagnostic)
         for listener in outer:
             listener(changed)
 
-    with listening(forward, forward=False):
+    with listen_to_diagnostics(forward, forward=False):
         yield
 
 
@@ -78,7 +82,7 @@ def emit(*diagnostics: Diagnostic) -> None:
 
     Without an enclosing block they become Python warnings.
     """
-    listeners = _LISTENERS.get()
+    listeners = _DIAGNOSTIC_LISTENERS.get()
     for diagnostic in diagnostics:
         if not listeners:
             warnings.warn(DiagnosticWarning(diagnostic), stacklevel=3)

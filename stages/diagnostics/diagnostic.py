@@ -28,7 +28,7 @@ class Severity(str, Enum):
 
 
 @dataclass(frozen=True)
-class Where:
+class DiagnosticLocation:
     """Location that a diagnostic refers to.
 
     Attributes
@@ -62,7 +62,7 @@ class Where:
         return f"{place}{section}{self.parameter} "
 
 
-Location = Where | Path | str | None
+LocationLike = DiagnosticLocation | Path | str | None
 
 
 @dataclass(frozen=True)
@@ -83,23 +83,23 @@ class Diagnostic:
     severity: Severity
     message: str
     remedy: str | None = None
-    where: Where | None = None
+    where: DiagnosticLocation | None = None
     values: Mapping[str, float | int | str] = field(default_factory=dict, hash=False)
 
     def __str__(self) -> str:
         where = "" if self.where is None else str(self.where)
         if self.remedy is None:
             return where + self.message
-        return f"{where}{self.message}{' ' if self.message.endswith(_ENDS) else '; '}{self.remedy}"
+        return f"{where}{self.message}{' ' if self.message.endswith(_SENTENCE_ENDS) else '; '}{self.remedy}"
 
-    def at(self, where: Location) -> Diagnostic:
+    def replace_location(self, where: LocationLike) -> Diagnostic:
         """Return a copy with another location."""
-        return replace(self, where=_as_where(where))
+        return replace(self, where=_to_location(where))
 
-    def within(self, **parts: str | None) -> Diagnostic:
+    def replace_location_fields(self, **parts: str | None) -> Diagnostic:
         """Return a copy with some location fields replaced, such as `stage` or `section`."""
-        where = replace(self.where or Where(), **parts)
-        return replace(self, where=None if where == Where() else where)
+        where = replace(self.where or DiagnosticLocation(), **parts)
+        return replace(self, where=None if where == DiagnosticLocation() else where)
 
     def figures(self) -> dict[str, Any]:
         """Return the diagnostic as a JSON object."""
@@ -128,7 +128,7 @@ class Diagnostic:
             Severity(figures["severity"]),
             figures["message"],
             figures.get("remedy"),
-            None if where is None else Where(**where),
+            None if where is None else DiagnosticLocation(**where),
             figures.get("values", {}),
         )
 
@@ -156,34 +156,36 @@ class Code:
     example: str
 
     def __post_init__(self) -> None:
-        if self.name in _DECLARED:
+        if self.name in _DECLARED_CODES:
             raise ValueError(f"the code {self.name} is declared twice")
-        _DECLARED[self.name] = self
+        _DECLARED_CODES[self.name] = self
 
-    def info(self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any) -> Diagnostic:
+    def info(
+        self, message: str, /, where: LocationLike = None, *, remedy: str = "", **values: Any
+    ) -> Diagnostic:
         """Create a notice that needs no action; see `create`."""
         return self.create(Severity.INFO, message, where, remedy, values)
 
     def warning(
-        self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+        self, message: str, /, where: LocationLike = None, *, remedy: str = "", **values: Any
     ) -> Diagnostic:
         """Create a warning; see `create`."""
         return self.create(Severity.WARNING, message, where, remedy, values)
 
     def unmet(
-        self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+        self, message: str, /, where: LocationLike = None, *, remedy: str = "", **values: Any
     ) -> Diagnostic:
         """Create a diagnostic for an unmet requirement; see `create`."""
         return self.create(Severity.UNMET, message, where, remedy, values)
 
     def error(
-        self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+        self, message: str, /, where: LocationLike = None, *, remedy: str = "", **values: Any
     ) -> Diagnostic:
         """Create an error without raising an exception; see `create`."""
         return self.create(Severity.ERROR, message, where, remedy, values)
 
     def create(
-        self, severity: Severity, message: str, where: Location, remedy: str, values: Mapping[str, Any]
+        self, severity: Severity, message: str, where: LocationLike, remedy: str, values: Mapping[str, Any]
     ) -> Diagnostic:
         """Create a diagnostic of this code.
 
@@ -196,24 +198,24 @@ class Code:
         """
         if values:
             message, remedy = message.format(**values), remedy.format(**values)
-        kept = {name: _simple(value) for name, value in values.items()}
-        return Diagnostic(self.name, severity, message, remedy or None, _as_where(where), kept)
+        kept = {name: _to_json_value(value) for name, value in values.items()}
+        return Diagnostic(self.name, severity, message, remedy or None, _to_location(where), kept)
 
 
-_ENDS = (".", "?", "!")
-_DECLARED: dict[str, Code] = {}
+_SENTENCE_ENDS = (".", "?", "!")
+_DECLARED_CODES: dict[str, Code] = {}
 
 
-def declared_codes() -> dict[str, Code]:
+def get_declared_codes() -> dict[str, Code]:
     """Return the codes of all imported modules by name."""
-    return dict(_DECLARED)
+    return dict(_DECLARED_CODES)
 
 
-def _as_where(where: Location) -> Where | None:
-    return where if where is None or isinstance(where, Where) else Where(str(where))
+def _to_location(where: LocationLike) -> DiagnosticLocation | None:
+    return where if where is None or isinstance(where, DiagnosticLocation) else DiagnosticLocation(str(where))
 
 
-def _simple(value: Any) -> float | int | str:
+def _to_json_value(value: Any) -> float | int | str:
     """Convert a value to one that JSON supports.
 
     Scalar arrays become numbers, other values text.
@@ -223,5 +225,5 @@ def _simple(value: Any) -> float | int | str:
     if isinstance(value, (int, float, str)):
         return value
     if hasattr(value, "item") and getattr(value, "size", 0) == 1:
-        return _simple(value.item())
+        return _to_json_value(value.item())
     return str(value)

@@ -7,14 +7,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scanloom.stages.diagnostics.diagnostic import Code, Diagnostic, Location, Severity
+from scanloom.stages.diagnostics.diagnostic import Code, Diagnostic, LocationLike, Severity
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 # Messages for lack of memory from the dynamic loader, Python threads and Open3D arrays. The loader's "cannot
 # allocate memory in static TLS block" has another cause, hence the `$`.
-_NO_ROOM = re.compile(
+_OUT_OF_MEMORY_MESSAGES = re.compile(
     "failed to map segment|cannot allocate memory$|can't start new thread|malloc failed|unable to allocate ",
     re.IGNORECASE,
 )
@@ -22,7 +22,7 @@ _NO_ROOM = re.compile(
 _OPENCV_NO_MEMORY = -4
 
 # Root of the package. Its modules are free of syntax errors.
-_OURS = Path(__file__).parents[2]
+_PACKAGE_ROOT = Path(__file__).parents[2]
 
 
 class ScanloomError(Exception):
@@ -44,31 +44,31 @@ class ScanloomError(Exception):
     """
 
     def __init__(
-        self, code: Code, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+        self, code: Code, message: str, /, where: LocationLike = None, *, remedy: str = "", **values: Any
     ) -> None:
-        self._set(code.create(Severity.ERROR, message, where, remedy, values))
+        self._set_diagnostic(code.create(Severity.ERROR, message, where, remedy, values))
 
-    def _set(self, diagnostic: Diagnostic) -> None:
+    def _set_diagnostic(self, diagnostic: Diagnostic) -> None:
         self.diagnostic = diagnostic
         super().__init__(str(diagnostic))
 
     @classmethod
-    def of(cls, diagnostic: Diagnostic) -> Self:
+    def from_diagnostic(cls, diagnostic: Diagnostic) -> Self:
         """Create an error from a diagnostic."""
         error = cls.__new__(cls)
-        error._set(diagnostic)
+        error._set_diagnostic(diagnostic)
         return error
 
-    def at(self, where: Location) -> Self:
+    def replace_location(self, where: LocationLike) -> Self:
         """Return a copy of the error with another location."""
-        return self.of(self.diagnostic.at(where))
+        return self.from_diagnostic(self.diagnostic.replace_location(where))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (type(self), self.diagnostic)
 
 
 def _restore(kind: type[ScanloomError], diagnostic: Diagnostic) -> ScanloomError:
-    return kind.of(diagnostic)
+    return kind.from_diagnostic(diagnostic)
 
 
 class InputError(ScanloomError):
@@ -90,13 +90,13 @@ class StageError(ScanloomError):
     """Failure of a stage on valid input, or lack of a machine resource (exit code 1)."""
 
 
-def bug_explained(error: BaseException) -> str:
+def format_bug_report(error: BaseException) -> str:
     """Format an unexpected exception as a request for a bug report."""
     what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
     return f"This is a bug in scanloom ({what}). Please report it with the output of --debug."
 
 
-def is_lack_of_memory(error: BaseException) -> bool:
+def is_out_of_memory(error: BaseException) -> bool:
     """Return True if an exception of any library means lack of memory."""
     if isinstance(error, MemoryError):
         return True
@@ -107,7 +107,7 @@ def is_lack_of_memory(error: BaseException) -> bool:
     if isinstance(error, SyntaxError):
         # Without cached bytecode, modules are compiled on import. If the parser runs out of memory, it raises
         # SyntaxError.
-        return error.filename is not None and _OURS in Path(error.filename).parents
+        return error.filename is not None and _PACKAGE_ROOT in Path(error.filename).parents
     if isinstance(error, (ImportError, RuntimeError)):
-        return _NO_ROOM.search(str(error)) is not None
+        return _OUT_OF_MEMORY_MESSAGES.search(str(error)) is not None
     return False

@@ -14,19 +14,19 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.exporting.codes import EXPORT_LEFT_OUT, EXPORT_UP_UNKNOWN
-from scanloom.stages.exporting.images import FORMATS, with_images
-from scanloom.stages.exporting.usd import SUFFIXES as USD
+from scanloom.stages.exporting.image_conversion import IMAGE_FORMATS, convert_images
+from scanloom.stages.exporting.usd import USD_SUFFIXES as USD
 from scanloom.stages.exporting.usd import require_usd, write_usd
-from scanloom.stages.params import check as check_params
+from scanloom.stages.params import check_parameters as check_params
 from scanloom.stages.params import param, resolve
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.codes import USAGE_EXTENSION_UNKNOWN
-from scanloom.stages.surface.convert import MeshLike, as_mesh
-from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, lattice_of
+from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, make_quantization_grid
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.mesh_files import EXTENSIONS, lost_with, write_mesh
-from scanloom.stages.surface.upright import direction_of, turn_along_y, turn_along_z
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.mesh_files import MESH_EXTENSIONS, list_unsupported_data, write_mesh
+from scanloom.stages.surface.up_direction import parse_up_direction, rotate_to_y, rotate_to_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 # Part of the cache key. Increase it when the same mesh and parameters produce a different file.
 RESULT_VERSION = 2
 
-SUFFIXES = (*EXTENSIONS, *USD)
-GLTF = (".glb", ".gltf")
+EXPORT_SUFFIXES = (*MESH_EXTENSIONS, *USD)
+GLTF_SUFFIXES = (".glb", ".gltf")
 # Formats with a fixed unit (metres) and a stated up axis.
-STANDING = (*GLTF, *USD)
+Y_UP_METRE_SUFFIXES = (*GLTF_SUFFIXES, *USD)
 
 AXES = ("scan", "y-up", "z-up")
-_FACTORS = {"m": 1.0, "mm": 1000.0}
+_UNIT_FACTORS = {"m": 1.0, "mm": 1000.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class ExportParams:
         choices=AXES,
     )
     unit: str = param(
-        "m", "Unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS), common=True
+        "m", "Unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_UNIT_FACTORS), common=True
     )
     on_floor: bool = param(
         False,
@@ -100,7 +100,9 @@ class ExportParams:
         "next to a material; viewers then draw them as metal.",
         choices=SHADINGS,
     )
-    images: str = param("keep", "Format of texture images; `keep` stores them unchanged.", choices=FORMATS)
+    images: str = param(
+        "keep", "Format of texture images; `keep` stores them unchanged.", choices=IMAGE_FORMATS
+    )
     quality: int = param(90, "Quality of JPEG and WebP images that are encoded.", low=1, high=100)
     image_size: int = param(
         16384, "Maximum longer side of texture images; larger ones are downsampled.", unit="pixels", low=16
@@ -113,11 +115,11 @@ class ExportParams:
     def __post_init__(self) -> None:
         check_params(self)
         if self.up is not None:
-            direction_of(self.up)
+            parse_up_direction(self.up)
 
 
 @dataclass(frozen=True, eq=False)
-class Exported:
+class ExportResult:
     """Result of an export.
 
     Attributes
@@ -138,8 +140,8 @@ class Exported:
     position_error: float
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return the statistics of the export as JSON-compatible values."""
@@ -157,7 +159,7 @@ def export(
     path: Path | str,
     params: ExportParams | None = None,
     **changes: Unpack[ExportKeywords],
-) -> Exported:
+) -> ExportResult:
     """Write a mesh for another program.
 
     The extension of `path`, one of SUFFIXES, selects the format.
@@ -185,21 +187,21 @@ def export(
         If the file cannot be written.
     """
     with collecting() as diagnostics:
-        exported = _export(mesh, Path(path), resolve(ExportParams, params, changes))
+        exported = _write_export(mesh, Path(path), resolve(ExportParams, params, changes))
     return replace(exported, diagnostics=tuple(diagnostics))
 
 
-def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
-    require_fitting(path, params)
+def _write_export(mesh: MeshLike, path: Path, params: ExportParams) -> ExportResult:
+    require_supported_params(path, params)
     given = as_mesh(mesh)
     if params.up is not None:
-        direction = direction_of(params.up)
+        direction = parse_up_direction(params.up)
         given = given.with_(up=None if direction is None else (direction[0], direction[1], direction[2]))
-    written = with_images(given, params.images, params.quality, params.image_size)
+    written = convert_images(given, params.images, params.quality, params.image_size)
     suffix = path.suffix.lower()
-    if suffix not in STANDING:
-        written = _placed(written, params)
-        if left_out := lost_with(suffix, given):
+    if suffix not in Y_UP_METRE_SUFFIXES:
+        written = _transform_mesh(written, params)
+        if left_out := list_unsupported_data(suffix, given):
             emit(
                 EXPORT_LEFT_OUT.warning(
                     "{suffix} stores geometry only: the {left_out} are left out",
@@ -208,7 +210,7 @@ def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
                     left_out=left_out,
                 )
             )
-    if suffix in GLTF:
+    if suffix in GLTF_SUFFIXES:
         write_gltf(
             path,
             written,
@@ -223,17 +225,17 @@ def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
         write_mesh(path, written)
     if params.watertight:
         _report_unprintable(given)
-    is_small = suffix in GLTF and params.compress != "none" and len(given.triangles) > 0
-    return Exported(
+    is_compressed = suffix in GLTF_SUFFIXES and params.compress != "none" and len(given.triangles) > 0
+    return ExportResult(
         file=path,
         triangles=len(given.triangles),
         bytes=path.stat().st_size,
         up=given.up,
-        position_error=_position_error(given, params.position_bits) if is_small else 0.0,
+        position_error=_compute_position_error(given, params.position_bits) if is_compressed else 0.0,
     )
 
 
-def require_fitting(path: Path, params: ExportParams) -> None:
+def require_supported_params(path: Path, params: ExportParams) -> None:
     """Check that the extension is known and the format supports the parameters.
 
     Call it before any work begins.
@@ -244,7 +246,7 @@ def require_fitting(path: Path, params: ExportParams) -> None:
         If the extension is unknown, the format ignores a given parameter, or `usd-core` is missing.
     """
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if suffix not in EXPORT_SUFFIXES:
         ending = path.suffix or "(none)"
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
@@ -252,16 +254,16 @@ def require_fitting(path: Path, params: ExportParams) -> None:
             remedy="use one of {suffixes}.",
             where=path,
             ending=ending,
-            suffixes=", ".join(SUFFIXES),
+            suffixes=", ".join(EXPORT_SUFFIXES),
         )
-    if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
+    if suffix not in GLTF_SUFFIXES and (params.compress != "none" or params.shading != "bare"):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
             "compress and shading apply only to glTF",
             remedy="write .glb.",
             where=path,
         )
-    if suffix in STANDING and (params.unit != "m" or params.on_floor):
+    if suffix in Y_UP_METRE_SUFFIXES and (params.unit != "m" or params.on_floor):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
             "unit and on_floor do not apply to {suffix}, which is always y-up and in metres",
@@ -273,11 +275,11 @@ def require_fitting(path: Path, params: ExportParams) -> None:
         require_usd()
 
 
-def _position_error(mesh: Mesh, bits: int) -> float:
-    return lattice_of(mesh.vertices[np.unique(mesh.triangles)], bits).farthest
+def _compute_position_error(mesh: Mesh, bits: int) -> float:
+    return make_quantization_grid(mesh.vertices[np.unique(mesh.triangles)], bits).max_error
 
 
-def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
+def _transform_mesh(mesh: Mesh, params: ExportParams) -> Mesh:
     """Rotate, translate and scale the mesh as `params` requests."""
     if params.axes != "scan":
         if mesh.up is None:
@@ -290,7 +292,7 @@ def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
             )
         else:
             up = np.array(mesh.up)
-            mesh = _turned(mesh, turn_along_y(up) if params.axes == "y-up" else turn_along_z(up))
+            mesh = _rotate_mesh(mesh, rotate_to_y(up) if params.axes == "y-up" else rotate_to_z(up))
     vertices = mesh.vertices
     if params.on_floor and len(vertices):
         height = 1 if params.axes == "y-up" else 2
@@ -298,10 +300,10 @@ def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
         origin = (low + high) / 2
         origin[height] = low[height]
         vertices = vertices - origin
-    return mesh.with_(vertices=vertices * _FACTORS[params.unit])
+    return mesh.with_(vertices=vertices * _UNIT_FACTORS[params.unit])
 
 
-def _turned(mesh: Mesh, turn: np.ndarray) -> Mesh:
+def _rotate_mesh(mesh: Mesh, turn: np.ndarray) -> Mesh:
     x, y, z = (turn @ np.array(mesh.up)).round(12).tolist()
     return mesh.with_(
         vertices=mesh.vertices @ turn.T,
@@ -315,6 +317,6 @@ def _report_unprintable(mesh: Mesh) -> None:
     """Emit the diagnostics that prevent 3-D printing: not watertight, inside out, self-intersecting."""
     found = check(mesh)
     emit(
-        *(found.unmet(["watertight"]) or found.unmet(["outward"])),
-        *found.unmet(["no-intersecting-triangles"]),
+        *(found.find_unmet(["watertight"]) or found.find_unmet(["outward"])),
+        *found.find_unmet(["no-intersecting-triangles"]),
     )

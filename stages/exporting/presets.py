@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.exporting.export import GLTF, STANDING, ExportParams
+from scanloom.stages.exporting.export import GLTF_SUFFIXES, Y_UP_METRE_SUFFIXES, ExportParams
 
 if TYPE_CHECKING:
     from scanloom.stages.params.keywords import ExportKeywords
@@ -28,8 +28,8 @@ PRESETS: dict[str, ExportKeywords] = {
 
 
 # Parameters without effect on other formats than glTF, and without effect on glTF and USD.
-_OF_GLTF = ("compress", "position_bits", "texel_steps", "shading")
-_OF_OTHERS = ("axes", "unit", "on_floor")
+_GLTF_ONLY_PARAMS = ("compress", "position_bits", "texel_steps", "shading")
+_NON_GLTF_PARAMS = ("axes", "unit", "on_floor")
 
 
 def preset(name: str, suffix: str = ".glb") -> ExportParams:
@@ -56,9 +56,12 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
             presets=", ".join(PRESETS),
         )
     suffix = suffix.lower()
-    left_out = (*(() if suffix in GLTF else _OF_GLTF), *(_OF_OTHERS if suffix in STANDING else ()))
+    left_out = (
+        *(() if suffix in GLTF_SUFFIXES else _GLTF_ONLY_PARAMS),
+        *(_NON_GLTF_PARAMS if suffix in Y_UP_METRE_SUFFIXES else ()),
+    )
     kept: Any = {key: value for key, value in PRESETS[name].items() if key not in left_out}
-    if kept.get("images") == "webp" and suffix not in GLTF:
+    if kept.get("images") == "webp" and suffix not in GLTF_SUFFIXES:
         kept["images"] = "jpeg"
     if name == "blender" and suffix == ".obj":
         # Blender imports OBJ as y-up by default, but PLY and STL as z-up.

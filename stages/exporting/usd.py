@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import StageError, UsageError
 from scanloom.stages.exporting.codes import EXPORT_IMAGE_AS_PNG, EXPORT_LEFT_OUT, EXPORT_USD_FAILED
-from scanloom.stages.files.image_bytes import encoded_png
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.atomic_files import write_file_atomically
+from scanloom.stages.files.image_bytes import encode_png
 from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING, USAGE_EXTENSION_UNKNOWN
-from scanloom.stages.surface.finite import LARGEST_SINGLE
-from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.finite_check import FLOAT32_MAX
+from scanloom.stages.surface.formats.color_conversion import convert_srgb_to_linear
 from scanloom.stages.surface.mesh import Mesh, require_writable
 from scanloom.stages.surface.texture import Image, Material, Texture
-from scanloom.stages.surface.upright import turn_along_y
+from scanloom.stages.surface.up_direction import rotate_to_y
 
-SUFFIXES = (".usda", ".usdz")
+USD_SUFFIXES = (".usda", ".usdz")
 # Image formats that phones and usdview support.
-_SHOWN = {"image/jpeg": ".jpg", "image/png": ".png"}
-_WRAPS = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}
+_SUPPORTED_IMAGES = {"image/jpeg": ".jpg", "image/png": ".png"}
+_WRAP_TOKENS = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}
 
 
 def require_usd() -> None:
@@ -65,12 +65,12 @@ def write_usd(path: Path, mesh: Mesh) -> None:
     """
     require_usd()
     require_writable(mesh, path, single_precision=True)
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in USD_SUFFIXES:
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
             "the extension of a USD file must be {suffixes}.",
             where=path,
-            suffixes=" or ".join(SUFFIXES),
+            suffixes=" or ".join(USD_SUFFIXES),
         )
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         folder = Path(kept)
@@ -78,9 +78,9 @@ def write_usd(path: Path, mesh: Mesh) -> None:
         images = _write_stage(text, mesh)
         if path.suffix.lower() == ".usda":
             for name in images:
-                with replacing(path.with_name(name)) as part:
+                with write_file_atomically(path.with_name(name)) as part:
                     shutil.copyfile(folder / name, part)
-            with replacing(path) as part:
+            with write_file_atomically(path) as part:
                 shutil.copyfile(text, part)
         else:
             _pack(text, folder / "packed.usdz", path)
@@ -93,7 +93,7 @@ def _pack(text: Path, packed: Path, path: Path) -> None:
         raise StageError(
             EXPORT_USD_FAILED, "usd-core could not create the package", remedy="write .usda.", where=path
         )
-    with replacing(path) as part:
+    with write_file_atomically(path) as part:
         shutil.copyfile(packed, part)
 
 
@@ -111,7 +111,7 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
     stage.SetDefaultPrim(root.GetPrim())
     if mesh.up is not None:
         turn = np.eye(4)
-        turn[:3, :3] = turn_along_y(np.array(mesh.up))
+        turn[:3, :3] = rotate_to_y(np.array(mesh.up))
         # USD multiplies row vectors from the left, so its matrix is transposed.
         root.AddTransformOp().Set(Gf.Matrix4d(*turn.T.reshape(-1).tolist()))
     shape = UsdGeom.Mesh.Define(stage, "/scan/mesh")
@@ -128,7 +128,7 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
     _add_normals(shape, mesh)
     primvars = UsdGeom.PrimvarsAPI(shape)
     if mesh.colors is not None:
-        light = linear_from_srgb(mesh.colors / 255).astype(np.float32)
+        light = convert_srgb_to_linear(mesh.colors / 255).astype(np.float32)
         primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex).Set(
             Vt.Vec3fArray.FromNumpy(light)
         )
@@ -159,7 +159,7 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     primvars = UsdGeom.PrimvarsAPI(shape)
-    uvs = texture.uvs.reshape(-1, 2).clip(-LARGEST_SINGLE, LARGEST_SINGLE)
+    uvs = texture.uvs.reshape(-1, 2).clip(-FLOAT32_MAX, FLOAT32_MAX)
     primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying).Set(
         Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32))
     )
@@ -171,23 +171,23 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list
         name = None
         if material.image is not None:
             if id(material.image) not in names:
-                names[id(material.image)] = _written(material.image, len(names), folder)
+                names[id(material.image)] = _write_image(material.image, len(names), folder)
             name = names[id(material.image)]
-        made = _material(stage, f"/scan/material{number}", material, name)
+        made = _add_material(stage, f"/scan/material{number}", material, name)
         part = UsdGeom.Subset.CreateGeomSubset(
-            shape, f"material{number}", UsdGeom.Tokens.face, Vt.IntArray.FromNumpy(rows), "materialBind"
+            shape, f"material{number}", UsdGeom.Tokens.face_area, Vt.IntArray.FromNumpy(rows), "materialBind"
         )
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(made)
     return [name for name in names.values() if name]
 
 
-def _written(image: Image, number: int, folder: Path) -> str:
+def _write_image(image: Image, number: int, folder: Path) -> str:
     """Write an image as JPEG or PNG; return its file name."""
     mime = image.mime
-    if mime in _SHOWN:
-        data, suffix = image.file_bytes, _SHOWN[mime]
+    if mime in _SUPPORTED_IMAGES:
+        data, suffix = image.file_bytes, _SUPPORTED_IMAGES[mime]
     else:
-        data, suffix = encoded_png(image.pixels), ".png"
+        data, suffix = encode_png(image.pixels), ".png"
         emit(
             EXPORT_IMAGE_AS_PNG.info(
                 "the image {name} is stored as PNG, because USD viewers read only PNG and JPEG",
@@ -199,14 +199,14 @@ def _written(image: Image, number: int, folder: Path) -> str:
     return name
 
 
-def _material(stage: Any, path: str, material: Material, image: str | None) -> Any:
+def _add_material(stage: Any, path: str, material: Material, image: str | None) -> Any:
     from pxr import Gf, Sdf, UsdShade
 
     made = UsdShade.Material.Define(stage, path)
-    surface = _surface(stage, made, path)
+    surface = _add_preview_surface(stage, made, path)
     color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     base = material.base_color or (1.0, 1.0, 1.0, 1.0)
-    light = [float(value) for value in linear_from_srgb(np.array(base[:3]))]
+    light = [float(value) for value in convert_srgb_to_linear(np.array(base[:3]))]
     if image is None:
         color.Set(Gf.Vec3f(*light))
         return made
@@ -219,7 +219,7 @@ def _material(stage: Any, path: str, material: Material, image: str | None) -> A
     picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{image}"))
     picture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
     for axis, wrap in zip("ST", material.wrap, strict=True):
-        picture.CreateInput(f"wrap{axis}", Sdf.ValueTypeNames.Token).Set(_WRAPS[wrap])
+        picture.CreateInput(f"wrap{axis}", Sdf.ValueTypeNames.Token).Set(_WRAP_TOKENS[wrap])
     if light != [1.0, 1.0, 1.0]:
         picture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*light, 1.0))
     picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place)
@@ -235,7 +235,7 @@ def _add_colors_material(stage: Any, shape: Any) -> None:
     from pxr import Sdf, UsdShade
 
     made = UsdShade.Material.Define(stage, "/scan/colors")
-    surface = _surface(stage, made, "/scan/colors")
+    surface = _add_preview_surface(stage, made, "/scan/colors")
     reader = UsdShade.Shader.Define(stage, "/scan/colors/reader")
     reader.CreateIdAttr("UsdPrimvarReader_float3")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
@@ -244,7 +244,7 @@ def _add_colors_material(stage: Any, shape: Any) -> None:
     UsdShade.MaterialBindingAPI.Apply(shape.GetPrim()).Bind(made)
 
 
-def _surface(stage: Any, made: Any, path: str) -> Any:
+def _add_preview_surface(stage: Any, made: Any, path: str) -> Any:
     from pxr import Sdf, UsdShade
 
     surface = UsdShade.Shader.Define(stage, f"{path}/surface")

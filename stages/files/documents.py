@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_PATH_OUTSIDE, FILE_TEXT_INVALID, FILE_UNREADABLE
-from scanloom.stages.files.inside import leads_inside
-from scanloom.stages.files.opening import opened, text_in
+from scanloom.stages.files.input_files import open_input, read_input_text
+from scanloom.stages.files.path_safety import is_safe_relative_path
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -26,15 +26,15 @@ _MAX_TEXT_BYTES = 1 << 29
 _MAX_DOCUMENT_BYTES = 1 << 22
 # Bytes; PyYAML parses only about 100 kB/s.
 _MAX_YAML_BYTES = 1 << 19
-_LONGEST_NAME = 255
-_WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")
-_NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f\x7f-\x84\x86-\x9f]")
+_MAX_NAME_BYTES = 255
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_CONTROL_CHARACTERS = re.compile("[\x00-\x08\x0e-\x1f\x7f-\x84\x86-\x9f]")
 # Maximum nesting depth; documents of scans have about ten levels.
-_DEEPEST = 64
-_TOO_DEEP = f"it is nested more than {_DEEPEST} levels deep"
+_MAX_NESTING = 64
+_TOO_DEEP = f"it is nested more than {_MAX_NESTING} levels deep"
 _TOO_LONG = "it holds an integer of more than 64 bits"
 # Maximum digits of a number in YAML. TOML integers and timestamps in nanoseconds fit 64 bits (19 digits).
-_LONGEST_NUMBER = 400
+_MAX_NUMBER_DIGITS = 400
 
 
 def read_text(path: Path) -> str:
@@ -58,13 +58,13 @@ def read_text(path: Path) -> str:
                 size=size,
                 limit=_MAX_TEXT_BYTES,
             )
-        with opened(path) as file:
-            is_wide = file.read(2) in _WIDE_MARKS
+        with open_input(path) as file:
+            is_wide = file.read(2) in _UTF16_MARKS
         try:
-            return text_in(path, "utf-16" if is_wide else "utf-8-sig")
+            return read_input_text(path, "utf-16" if is_wide else "utf-8-sig")
         except UnicodeDecodeError:
-            text = text_in(path, "latin-1")
-            if is_wide or _NO_TEXT.search(text):
+            text = read_input_text(path, "latin-1")
+            if is_wide or _CONTROL_CHARACTERS.search(text):
                 raise
             return text
     except OSError as error:
@@ -75,7 +75,7 @@ def read_text(path: Path) -> str:
         raise InputError(FILE_TEXT_INVALID, "a text file is expected; this one is binary.", path) from error
 
 
-def lines(path: Path) -> Iterator[tuple[int, str]]:
+def iterate_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield (line number from 1, text) of each line with content.
 
     `#` comments, surrounding white space and commas are stripped; empty lines are skipped.
@@ -86,7 +86,7 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, text
 
 
-def require_inside(name: str, path: Path, where: str) -> str:
+def require_inside(name: str, path: Path, location: str) -> str:
     r"""Validate a file name listed in a scan as a relative path.
 
     Scans come from untrusted sources, so their lists may only name files inside the scan folder. `\` is
@@ -101,14 +101,14 @@ def require_inside(name: str, path: Path, where: str) -> str:
     parts = name.split("/")
     if (
         not all(parts)
-        or not leads_inside(name)
-        or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME
+        or not is_safe_relative_path(name)
+        or max(len(part.encode("utf-8", "replace")) for part in parts) > _MAX_NAME_BYTES
     ):
         raise InputError(
             FILE_PATH_OUTSIDE,
             "{place}: {name!r} is not a path inside the folder.",
             path,
-            place=where,
+            place=location,
             name=name[:100],
         )
     return name
@@ -144,14 +144,14 @@ def require_shallow(document: object) -> None:
     Deeper nesting could overflow the stack of recursive functions.
     """
     level: list[Any] = [document]
-    for _ in range(_DEEPEST):
-        level = [item for held in level for item in _held(held) if isinstance(item, (dict, list))]
+    for _ in range(_MAX_NESTING):
+        level = [item for held in level for item in _get_children(held) if isinstance(item, (dict, list))]
         if not level:
             return
     raise ValueError(_TOO_DEEP)
 
 
-def _held(value: object) -> Iterable[object]:
+def _get_children(value: object) -> Iterable[object]:
     return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
@@ -165,14 +165,14 @@ def read_document(path: Path) -> dict[str, Any]:
     InputError
         If the file cannot be read or parsed, is too large, or is not a table of names and values.
     """
-    most = _MAX_DOCUMENT_BYTES if path.suffix in (".json", ".toml", ".xml") else _MAX_YAML_BYTES
-    if path.exists() and (size := path.stat().st_size) > most:
+    max_bytes = _MAX_DOCUMENT_BYTES if path.suffix in (".json", ".toml", ".xml") else _MAX_YAML_BYTES
+    if path.exists() and (size := path.stat().st_size) > max_bytes:
         raise InputError(
             FILE_TEXT_INVALID,
             "the file is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
             path,
             size=size,
-            limit=most,
+            limit=max_bytes,
         )
     text = read_text(path)
     try:
@@ -210,7 +210,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
     # Between separators there is one key or value. The parser needs quadratic time in the dots of a key, so
     # keys with too many dots are rejected first.
-    if any(piece.partition("#")[0].count(".") > _DEEPEST for piece in re.split(r"[,={}\[\]\n]", text)):
+    if any(piece.partition("#")[0].count(".") > _MAX_NESTING for piece in re.split(r"[,={}\[\]\n]", text)):
         raise ValueError(_TOO_DEEP)
     try:
         document: dict[str, Any] = tomllib.loads(text)
@@ -251,17 +251,17 @@ def _parse_xml(text: str) -> object:
         raise ValueError(str(error)) from error
     if root.tag != "opencv_storage":
         raise ValueError(f"it is not an OpenCV file: its root tag is {root.tag[:40]}, not opencv_storage")
-    return {node.tag: _xml_value(node) for node in root}
+    return {node.tag: _parse_xml_value(node) for node in root}
 
 
-def _xml_value(node: Element, depth: int = 0) -> object:
-    if depth > _DEEPEST:
+def _parse_xml_value(node: Element, depth: int = 0) -> object:
+    if depth > _MAX_NESTING:
         raise ValueError(_TOO_DEEP)
     if node.get("type_id") == "opencv-matrix":
         fields = {field.tag: (field.text or "").strip() for field in node}
         return {**fields, "data": fields.get("data", "").split()}
     if len(node):
-        return {field.tag: _xml_value(field, depth + 1) for field in node}
+        return {field.tag: _parse_xml_value(field, depth + 1) for field in node}
     words = (node.text or "").split()
     values = [_number_or_word(word) for word in words]
     return values[0] if len(values) == 1 else values
@@ -297,26 +297,26 @@ def _parse_yaml(text: str) -> object:
             return bool(super().add_indent(column))
 
     def require_shallow_at(depth: int) -> None:
-        if depth > _DEEPEST:
+        if depth > _MAX_NESTING:
             raise yaml.YAMLError(_TOO_DEEP)
 
-    def number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float | str:
+    def parse_number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float | str:
         # YAML 1.1 reads 1:30 as a base-60 number, and needs quadratic time for long ones.
         if ":" in node.value:
             return str(node.value)
-        if len(node.value) > _LONGEST_NUMBER:
+        if len(node.value) > _MAX_NUMBER_DIGITS:
             raise yaml.YAMLError(f"a number has {len(node.value):,} digits")
         is_whole = node.tag.endswith(":int")
         return loader.construct_yaml_int(node) if is_whole else loader.construct_yaml_float(node)
 
-    def matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
+    def create_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
         if not isinstance(node, yaml.MappingNode):
             raise yaml.YAMLError("an opencv-matrix is not a mapping")
         return loader.construct_mapping(node, deep=True)
 
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", create_matrix)
     for kind in ("int", "float"):
-        Loader.add_constructor(f"tag:yaml.org,2002:{kind}", number)
+        Loader.add_constructor(f"tag:yaml.org,2002:{kind}", parse_number)
     try:
         # OpenCV's first line, `%YAML:1.0`, is not a valid YAML directive (`%YAML 1.0` would be).
         header = re.match(r"%YAML:?\s*[\d.]+", text)

@@ -12,22 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages._opencv import require_opencv
-from scanloom.stages.files.room import require_room
+from scanloom.stages.files.memory_check import check_memory_available
 
 # Bytes per pixel: four 16-bit channels, held once by the decoder and once in the result.
-_PIXEL_BYTES = 16
+_BYTES_PER_PIXEL = 16
 # Maximum pixels of an image; no camera in use exceeds 134 megapixels, so a larger header is damaged or
 # hostile.
 MAX_PIXELS = 1 << 27
 # Maximum texels of a texture atlas: 16384².
-_MOST_TEXELS = 1 << 28
-PNG_START = b"\x89PNG\r\n\x1a\n"
+_MAX_TEXELS = 1 << 28
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 # JPEG markers of a frame header, which holds the image size: SOF0-15 without DHT, JPG and DAC.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 # Magic bytes, extension and media type. TGA has no magic bytes and is recognised by its file name.
-_BEGINNINGS = (
-    (PNG_START, ".png", "image/png"),
+_IMAGE_MAGICS = (
+    (PNG_MAGIC, ".png", "image/png"),
     (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
     (b"BM", ".bmp", "image/bmp"),
     (b"GIF8", ".gif", "image/gif"),
@@ -37,12 +37,12 @@ _BEGINNINGS = (
 _UNKNOWN = ("", "application/octet-stream")
 
 
-def kind_of(data: bytes, name: str = "") -> tuple[str, str]:
+def detect_image_type(data: bytes, name: str = "") -> tuple[str, str]:
     """Detect the extension and media type of an image file.
 
     Returns ("", "application/octet-stream") for unknown formats.
     """
-    for beginning, extension, mime in _BEGINNINGS:
+    for beginning, extension, mime in _IMAGE_MAGICS:
         if data.startswith(beginning):
             return extension, mime
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
@@ -52,7 +52,7 @@ def kind_of(data: bytes, name: str = "") -> tuple[str, str]:
     return _UNKNOWN
 
 
-def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
+def decode_image(data: bytes) -> NDArray[np.uint8] | None:
     """Decode an image as (h, w, 3) RGB or (h, w, 4) RGBA uint8.
 
     The top row comes first. 16-bit images are converted to 8 bits. Returns None if the image is damaged or
@@ -61,18 +61,18 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     require_opencv()
     import cv2
 
-    size = promised_size(data)
-    if size is not None and not is_possible(size, _MOST_TEXELS):
+    size = read_header_size(data)
+    if size is not None and not is_plausible_size(size, _MAX_TEXELS):
         return None
-    if data.startswith(PNG_START) and is_cut_short(data):
+    if data.startswith(PNG_MAGIC) and is_truncated(data):
         return None
     try:
         image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
         image = None
     if image is None:
-        require_room_for(size)
-        return _decoded_by_pillow(data)
+        require_image_memory(size)
+        return _decode_with_pillow(data)
     if image.dtype == np.uint16:
         image = np.rint(image / 257).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -84,7 +84,7 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     return np.asarray(cv2.cvtColor(image, code), np.uint8)
 
 
-def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
+def _decode_with_pillow(data: bytes) -> NDArray[np.uint8] | None:
     """Decode formats that OpenCV does not support, such as TGA.
 
     Returns None if damaged.
@@ -101,7 +101,7 @@ def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
         return None
 
 
-def encoded_png(image: NDArray[np.uint8]) -> bytes:
+def encode_png(image: NDArray[np.uint8]) -> bytes:
     """Encode an RGB or RGBA image, (h, w, 3) or (h, w, 4) uint8, as PNG."""
     require_opencv()
     import cv2
@@ -111,7 +111,7 @@ def encoded_png(image: NDArray[np.uint8]) -> bytes:
     return encoded.tobytes()
 
 
-def encoded_image(image: NDArray[np.uint8], kind: str, quality: int) -> bytes:
+def encode_image(image: NDArray[np.uint8], image_format: str, quality: int) -> bytes:
     """Encode an RGB image as "jpeg", "webp" or "png".
 
     Parameters
@@ -119,8 +119,8 @@ def encoded_image(image: NDArray[np.uint8], kind: str, quality: int) -> bytes:
     image : (h, w, 3) uint8.
     quality : 1 to 100, for JPEG and WebP; ignored for PNG.
     """
-    if kind == "png":
-        return encoded_png(image)
+    if image_format == "png":
+        return encode_png(image)
     require_opencv()
     import cv2
 
@@ -129,11 +129,13 @@ def encoded_image(image: NDArray[np.uint8], kind: str, quality: int) -> bytes:
         "jpeg": [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111],
         "webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
     }
-    _, encoded = cv2.imencode({"jpeg": ".jpg", "webp": ".webp"}[kind], image[:, :, ::-1], options[kind])
+    _, encoded = cv2.imencode(
+        {"jpeg": ".jpg", "webp": ".webp"}[image_format], image[:, :, ::-1], options[image_format]
+    )
     return encoded.tobytes()
 
 
-def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+def encode_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """Encode a single-channel image, (h, w) uint8 or uint16, as PNG."""
     import cv2
 
@@ -141,48 +143,48 @@ def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     return encoded.tobytes()
 
 
-def is_possible(size: tuple[int, int], most: int = MAX_PIXELS) -> bool:
-    """Return True if a (width, height) is positive and at most `most` pixels."""
-    return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= most
+def is_plausible_size(size: tuple[int, int], max_pixels: int = MAX_PIXELS) -> bool:
+    """Return True if a (width, height) is positive and at most `max_pixels` pixels."""
+    return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= max_pixels
 
 
-def require_room_for(size: tuple[int, int] | None) -> None:
+def require_image_memory(size: tuple[int, int] | None) -> None:
     """Raise MemoryError if decoding an image of this size lacks memory.
 
     OpenCV reports lack of memory as a failed decode, so callers check after a failure.
     """
     width, height = size or (0, 0)
-    require_room(_PIXEL_BYTES * width * height)
+    check_memory_available(_BYTES_PER_PIXEL * width * height)
 
 
-def is_cut_short(data: bytes) -> bool:
+def is_truncated(data: bytes) -> bool:
     """Return True if a PNG or JPEG lacks its end marker.
 
     Some decoders fill the missing part with grey. The chunk lengths of a PNG are followed to its end, because
     OpenCV allocates the length that a chunk claims, up to 4 GB, before reading the chunk.
     """
-    if data.startswith(PNG_START):
-        at = len(PNG_START)
+    if data.startswith(PNG_MAGIC):
+        at = len(PNG_MAGIC)
         while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
             at += 12 + int.from_bytes(data[at : at + 4], "big")
         return at + 12 > len(data)
     return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
 
 
-def promised_size(data: bytes) -> tuple[int, int] | None:
+def read_header_size(data: bytes) -> tuple[int, int] | None:
     """Read the (width, height) that an image header states, unchecked.
 
     Supports PNG, JPEG, PNM/PFM, TIFF, BMP, GIF and WebP; None for other formats and damaged headers.
     """
-    if data.startswith(PNG_START) and len(data) >= 24:
+    if data.startswith(PNG_MAGIC) and len(data) >= 24:
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if data.startswith(b"\xff\xd8"):
-        return _jpeg_size(data)
+        return _read_jpeg_size(data)
     pnm = re.match(rb"P[2356fF]\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s", data[:4096])
-    return (int(pnm[1]), int(pnm[2])) if pnm else _size_by_pillow(data)
+    return (int(pnm[1]), int(pnm[2])) if pnm else _read_size_with_pillow(data)
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+def _read_jpeg_size(data: bytes) -> tuple[int, int] | None:
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
@@ -192,9 +194,9 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
-def _size_by_pillow(data: bytes) -> tuple[int, int] | None:
+def _read_size_with_pillow(data: bytes) -> tuple[int, int] | None:
     """Read the size of a TIFF, BMP, GIF or WebP without decoding the image."""
-    kind = kind_of(data)[0]
+    kind = detect_image_type(data)[0]
     if kind not in (".tif", ".bmp", ".gif", ".webp"):
         return None
     from PIL import BmpImagePlugin, GifImagePlugin, TiffImagePlugin, WebPImagePlugin

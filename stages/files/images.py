@@ -14,28 +14,28 @@ from numpy.typing import NDArray
 from scanloom.stages._opencv import require_opencv
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
-from scanloom.stages.files.exr import exr_size, read_exr
+from scanloom.stages.files.exr import read_exr, read_exr_size
 from scanloom.stages.files.image_bytes import (
     MAX_PIXELS,
-    PNG_START,
-    is_cut_short,
-    is_possible,
-    promised_size,
-    require_room_for,
+    PNG_MAGIC,
+    is_plausible_size,
+    is_truncated,
+    read_header_size,
+    require_image_memory,
 )
-from scanloom.stages.files.numpy_files import NPY_FAULTS, mapped
-from scanloom.stages.files.opening import content_of, opened, said_of
-from scanloom.stages.files.room import require_room
+from scanloom.stages.files.input_files import describe_os_error, open_input, read_input_bytes
+from scanloom.stages.files.memory_check import check_memory_available
+from scanloom.stages.files.numpy_files import NPY_ERRORS, map_array
 
 # Bytes to read for the image size. JPEG metadata (EXIF, colour profile) in blocks of up to 64 kB may precede
 # it.
 _HEADER_BYTES = 1 << 19
 # Offset of the colour type in a PNG, and its values for grey + alpha and RGB + alpha.
-_PNG_COLOR_TYPE = 25
-_PNG_WITH_ALPHA = (b"\x04", b"\x06")
+_PNG_COLOR_TYPE_OFFSET = 25
+_PNG_ALPHA_TYPES = (b"\x04", b"\x06")
 
 
-def image_size(path: Path) -> tuple[int, int]:
+def read_image_size(path: Path) -> tuple[int, int]:
     """Read the (width, height) of an image or depth file, pixels.
 
     Only the header is read, except for formats without a supported header.
@@ -49,18 +49,18 @@ def image_size(path: Path) -> tuple[int, int]:
         height, width = read_raw_depth(path).shape
         return width, height
     if path.suffix.lower() == ".exr":
-        return exr_size(path)
+        return read_exr_size(path)
     try:
-        with opened(path) as file:
-            size = promised_size(file.read(_HEADER_BYTES))
+        with open_input(path) as file:
+            size = read_header_size(file.read(_HEADER_BYTES))
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=describe_os_error(error)
         ) from error
     if size is not None:
-        _require_possible(size, path)
+        _require_plausible_size(size, path)
         return size
-    height, width = read_stored(path).shape[:2]
+    height, width = read_stored_image(path).shape[:2]
     return width, height
 
 
@@ -81,16 +81,16 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
     elif path.suffix.lower() == ".exr":
         raw = read_exr(path)
     else:
-        raw = read_stored(path)
+        raw = read_stored_image(path)
     return require_raw_depth(raw, path)
 
 
-def read_array(path: Path, what: str) -> NDArray[Any]:
+def read_array(path: Path, description: str) -> NDArray[Any]:
     """Memory-map the array of a .npy file.
 
     Parameters
     ----------
-    what : name of the file's content in messages, such as "the depth map".
+    description : name of the file's content in messages, such as "the depth map".
 
     Raises
     ------
@@ -98,11 +98,11 @@ def read_array(path: Path, what: str) -> NDArray[Any]:
         If the file cannot be read.
     """
     try:
-        array = mapped(path)
-    except NPY_FAULTS as error:
-        require_room(path.stat().st_size if path.is_file() else 0)
+        array = map_array(path)
+    except NPY_ERRORS as error:
+        check_memory_available(path.stat().st_size if path.is_file() else 0)
         raise InputError(
-            FILE_UNREADABLE, "{what} cannot be read ({error}).", path, what=what, error=error
+            FILE_UNREADABLE, "{what} cannot be read ({error}).", path, what=description, error=error
         ) from error
     return array
 
@@ -151,7 +151,7 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     require_opencv()
     import cv2
 
-    image = _decoded(data, source)
+    image = _decode_stored(data, source)
     if image.dtype != np.uint8:
         raise InputError(
             FILE_IMAGE_FORMAT,
@@ -177,17 +177,17 @@ def decode_depth(data: bytes, source: Path | str) -> NDArray[Any]:
     InputError
         If the image does not decode, or is an 8-bit or colour image.
     """
-    return require_raw_depth(_decoded(data, source), source)
+    return require_raw_depth(_decode_stored(data, source), source)
 
 
 def has_alpha(path: Path) -> bool:
     """Return True if a file is a PNG with an alpha channel."""
     try:
-        with opened(path) as file:
-            start = file.read(_PNG_COLOR_TYPE + 1)
+        with open_input(path) as file:
+            start = file.read(_PNG_COLOR_TYPE_OFFSET + 1)
     except OSError:
         return False  # reported when the image is read
-    return start.startswith(PNG_START) and start[_PNG_COLOR_TYPE:] in _PNG_WITH_ALPHA
+    return start.startswith(PNG_MAGIC) and start[_PNG_COLOR_TYPE_OFFSET:] in _PNG_ALPHA_TYPES
 
 
 def read_alpha(path: Path) -> NDArray[np.uint8]:
@@ -202,13 +202,13 @@ def read_alpha(path: Path) -> NDArray[np.uint8]:
     InputError
         If the file is missing, does not decode, or has no 8-bit alpha channel.
     """
-    image = read_stored(path)
+    image = read_stored_image(path)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
         raise InputError(FILE_IMAGE_FORMAT, "an image with an 8-bit alpha channel (RGBA) is expected.", path)
     return np.asarray(255 * (image[:, :, 3] >= 128), np.uint8)
 
 
-def read_stored(path: Path) -> NDArray[Any]:
+def read_stored_image(path: Path) -> NDArray[Any]:
     """Read an image as stored, (h, w) or (h, w, channels).
 
     Channels are in OpenCV's order (BGR or BGRA), and the dtype is unchanged.
@@ -218,10 +218,10 @@ def read_stored(path: Path) -> NDArray[Any]:
     InputError
         If the file is missing or does not decode.
     """
-    return _decoded(file_bytes(path), path)
+    return _decode_stored(read_image_bytes(path), path)
 
 
-def file_bytes(path: Path) -> bytes:
+def read_image_bytes(path: Path) -> bytes:
     """Read the bytes of an image file.
 
     Raises
@@ -230,15 +230,15 @@ def file_bytes(path: Path) -> bytes:
         If the file cannot be opened.
     """
     try:
-        return content_of(path)
+        return read_input_bytes(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=said_of(error)
+            FILE_UNREADABLE, "the image cannot be opened ({reason}).", path, reason=describe_os_error(error)
         ) from error
 
 
-def _require_possible(size: tuple[int, int], source: Path | str) -> None:
-    if not is_possible(size):
+def _require_plausible_size(size: tuple[int, int], source: Path | str) -> None:
+    if not is_plausible_size(size):
         raise InputError(
             FILE_DAMAGED,
             "its header is damaged: it states {size}×{size_2} pixels.",
@@ -248,23 +248,23 @@ def _require_possible(size: tuple[int, int], source: Path | str) -> None:
         )
 
 
-def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
+def _decode_stored(data: bytes, source: Path | str) -> NDArray[Any]:
     require_opencv()
     import cv2
 
-    if is_cut_short(data):
+    if is_truncated(data):
         raise InputError(
             FILE_DAMAGED, "the image is cut short", source, remedy="copy it again or leave the frame out."
         )
-    size = promised_size(data)
+    size = read_header_size(data)
     if size is not None:
-        _require_possible(size, source)
+        _require_plausible_size(size, source)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
         image = None
     if image is None:
-        require_room_for(size)
+        require_image_memory(size)
         raise InputError(
             FILE_DAMAGED, "the image does not decode; it is damaged or has an unknown format.", source
         )

@@ -10,14 +10,14 @@ import struct
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_DAMAGED
-from scanloom.stages.files.room import require_room
+from scanloom.stages.files.memory_check import check_memory_available
 
 # Bytes. Encoders fill blocks of tens of kilobytes; a file of thousands of tiny blocks is an attack.
-_SMALLEST_BLOCK = 1 << 12
-_END = b"bvx$"
+_MIN_BLOCK_BYTES = 1 << 12
+_END_MARKER = b"bvx$"
 
 
-def decompress(data: bytes, size: int, source: str) -> bytes:
+def decompress_lzfse(data: bytes, size: int, source: str) -> bytes:
     """Decompress LZFSE data to exactly `size` bytes.
 
     Parameters
@@ -31,7 +31,7 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
     """
     import lzfse
 
-    promised = raw_size(data)
+    promised = sum_block_sizes(data)
     if promised is None:
         raise InputError(FILE_DAMAGED, "the LZFSE data is damaged or cut short.", source)
     if promised != size:
@@ -45,19 +45,19 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
     try:
         raw = bytes(lzfse.decompress(data))
     except (lzfse.error, ValueError, MemoryError) as error:
-        require_room(2 * size)
+        check_memory_available(2 * size)
         raise InputError(FILE_DAMAGED, "the LZFSE data is damaged or cut short.", source) from error
     if len(raw) != size:
         raise InputError(FILE_DAMAGED, "the LZFSE data is damaged or cut short.", source)
     return raw
 
 
-def raw_size(data: bytes) -> int | None:
+def sum_block_sizes(data: bytes) -> int | None:
     """Sum the decompressed sizes in the block headers, bytes; None if damaged."""
     at = total = blocks = 0
     try:
-        while data[at : at + 4] != _END:
-            raw, length = _block(data, at)
+        while data[at : at + 4] != _END_MARKER:
+            raw, length = _parse_block(data, at)
             total += raw
             blocks += 1
             at += length
@@ -65,10 +65,10 @@ def raw_size(data: bytes) -> int | None:
                 return None
     except (struct.error, ValueError):
         return None
-    return total if blocks <= total // _SMALLEST_BLOCK + 2 else None
+    return total if blocks <= total // _MIN_BLOCK_BYTES + 2 else None
 
 
-def _block(data: bytes, at: int) -> tuple[int, int]:
+def _parse_block(data: bytes, at: int) -> tuple[int, int]:
     """Parse the block header at an offset.
 
     Returns the decompressed size and the length of the block in the file, both in bytes.

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.files.opening import require_regular
+from scanloom.stages.files.input_files import require_regular_file
 
 # NumPy parses headers with Python's parser, which in CPython 3.11 occasionally fails when two threads use it
 # at once (python/cpython#106905).
-_PARSING = Lock()
+_PARSER_LOCK = Lock()
 # Exceptions that NumPy raises for damaged headers, which it parses as Python code. MemoryError comes from
 # deeply nested operators.
-NPY_FAULTS = (
+NPY_ERRORS = (
     OSError,
     ValueError,
     EOFError,
@@ -32,7 +32,7 @@ NPY_FAULTS = (
 )
 
 
-def mapped(path: Path) -> NDArray[Any]:
+def map_array(path: Path) -> NDArray[Any]:
     """Memory-map the array of a .npy file.
 
     Raises
@@ -41,12 +41,12 @@ def mapped(path: Path) -> NDArray[Any]:
         As NumPy; or another of NPY_FAULTS. A header that states more data than the file holds raises
         ValueError.
     """
-    with _PARSING:
-        array: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
+    with _PARSER_LOCK:
+        array: NDArray[Any] = np.load(require_regular_file(path), mmap_mode="r", allow_pickle=False)
     return array
 
 
-def array_of(content: BytesIO) -> NDArray[Any]:
+def parse_array(content: BytesIO) -> NDArray[Any]:
     """Parse the content of a .npy file without copying the data.
 
     Raises
@@ -55,7 +55,7 @@ def array_of(content: BytesIO) -> NDArray[Any]:
         If the content is not a .npy file, holds objects, or is shorter than its header states; or another of
         NPY_FAULTS.
     """
-    with _PARSING:
+    with _PARSER_LOCK:
         version = np.lib.format.read_magic(content)
         read = (
             np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -8,9 +8,9 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-_OF_WHOLE_NUMBERS = b"0123456789- \n"
+_INTEGER_CHARACTERS = b"0123456789- \n"
 # Larger integers are not exact in float64.
-_LARGEST = 2**53
+_MAX_EXACT_INTEGER = 2**53
 
 
 def parse_numbers(text: bytes) -> NDArray[np.float64]:
@@ -21,14 +21,14 @@ def parse_numbers(text: bytes) -> NDArray[np.float64]:
     ValueError
         If a word is not a number; the message is a sentence that quotes the first one.
     """
-    found = _parsed(text, np.float64)
+    found = _parse_fast(text, np.float64)
     if found is not None:
         return np.asarray(found, np.float64)
     bad = next((word for word in text.split() if not _is_number(word)), b"")
     raise ValueError(f"{bad[:40].decode('latin-1')!r} is not a number.")
 
 
-def parse_whole_numbers(text: bytes) -> NDArray[np.int64] | None:
+def parse_integers(text: bytes) -> NDArray[np.int64] | None:
     """Parse integers separated by white space.
 
     Returns None if a number is not an integer or exceeds 2⁵³.
@@ -39,17 +39,17 @@ def parse_whole_numbers(text: bytes) -> NDArray[np.int64] | None:
         If a word is not a number; the message is a sentence that quotes the first one.
     """
     # Parsing as int64 is three times as fast, but NumPy accepts `- 1` as a number.
-    if not text.translate(None, _OF_WHOLE_NUMBERS) and not re.search(rb"-(?![0-9])", text):
-        found = _parsed(text, np.int64)
-        if found is not None and (np.abs(found) < _LARGEST).all():
+    if not text.translate(None, _INTEGER_CHARACTERS) and not re.search(rb"-(?![0-9])", text):
+        found = _parse_fast(text, np.int64)
+        if found is not None and (np.abs(found) < _MAX_EXACT_INTEGER).all():
             return np.asarray(found, np.int64)
     numbers = parse_numbers(text)
-    if not (np.abs(numbers) < _LARGEST).all() or not (numbers == np.floor(numbers)).all():
+    if not (np.abs(numbers) < _MAX_EXACT_INTEGER).all() or not (numbers == np.floor(numbers)).all():
         return None
     return numbers.astype(np.int64)
 
 
-def _parsed(text: bytes, kind: type[np.generic]) -> NDArray[np.generic] | None:
+def _parse_fast(text: bytes, kind: type[np.generic]) -> NDArray[np.generic] | None:
     if not text.strip():
         return np.empty(0, kind)  # np.fromstring returns one number for empty text
     with warnings.catch_warnings():

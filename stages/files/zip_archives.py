@@ -9,10 +9,10 @@ from pathlib import Path
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_ARCHIVE_DAMAGED, FILE_DAMAGED
-from scanloom.stages.files.opening import require_regular
+from scanloom.stages.files.input_files import require_regular_file
 
 # Exceptions of reading an archive; RuntimeError is raised for encrypted entries.
-FAULTS = (
+ARCHIVE_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
     OSError,
@@ -24,10 +24,10 @@ FAULTS = (
     struct.error,
 )
 # zipfile limits the output of these methods only; other methods can expand kilobytes to gigabytes at once.
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_BOUNDED_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
-def opened_archive(path: Path) -> zipfile.ZipFile:
+def open_archive(path: Path) -> zipfile.ZipFile:
     """Open a ZIP archive and read its list of entries.
 
     Raises
@@ -36,8 +36,8 @@ def opened_archive(path: Path) -> zipfile.ZipFile:
         If the archive cannot be opened, or is damaged.
     """
     try:
-        return zipfile.ZipFile(require_regular(path))
-    except FAULTS as error:
+        return zipfile.ZipFile(require_regular_file(path))
+    except ARCHIVE_ERRORS as error:
         raise InputError(
             FILE_DAMAGED,
             "the archive does not open; it is damaged or was cut short.",
@@ -46,31 +46,31 @@ def opened_archive(path: Path) -> zipfile.ZipFile:
         ) from error
 
 
-def entry_content(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes:
+def read_entry(archive: zipfile.ZipFile, name: str, path: Path, max_bytes: int) -> bytes:
     """Read the content of an archive entry.
 
     Parameters
     ----------
     path : path of the archive, for messages.
-    most : maximum size of the unpacked entry, bytes.
+    max_bytes : maximum size of the unpacked entry, bytes.
 
     Raises
     ------
     InputError
-        If the entry is missing, damaged or larger than `most`, or uses another compression than deflate.
+        If the entry is missing, damaged or larger than `max_bytes`, or uses another compression than deflate.
     """
     try:
         entry = archive.getinfo(name)
-        if entry.file_size > most:
+        if entry.file_size > max_bytes:
             raise InputError(
                 FILE_ARCHIVE_DAMAGED,
                 "{name} is too large: it has {size:,} bytes, and at most {limit:,} are expected.",
                 path,
                 name=name,
                 size=entry.file_size,
-                limit=most,
+                limit=max_bytes,
             )
-        if not is_bounded(entry):
+        if not has_bounded_size(entry):
             raise InputError(
                 FILE_ARCHIVE_DAMAGED,
                 "{name} has an unsupported compression method; pack the archive again with deflate.",
@@ -80,12 +80,12 @@ def entry_content(archive: zipfile.ZipFile, name: str, path: Path, most: int) ->
         with archive.open(entry) as content:
             # read() without a size would unpack everything before the size is compared with the header.
             return content.read(max(entry.file_size, 1))
-    except FAULTS as error:
+    except ARCHIVE_ERRORS as error:
         raise InputError(
             FILE_DAMAGED, "{name} cannot be read from the archive; it is damaged.", path, name=name
         ) from error
 
 
-def is_bounded(entry: zipfile.ZipInfo) -> bool:
+def has_bounded_size(entry: zipfile.ZipInfo) -> bool:
     """Return True if zipfile limits the unpacked size of an entry (stored or deflated)."""
-    return entry.compress_type in _METHODS
+    return entry.compress_type in _BOUNDED_METHODS

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 
-MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
-def unpacked(data: bytes, most: int) -> bytes:
-    """Decompress a zstd block, up to the first `most` bytes.
+def decompress_zstd(data: bytes, max_bytes: int) -> bytes:
+    """Decompress a zstd block, up to the first `max_bytes` bytes.
 
     Raises
     ------
@@ -21,6 +21,6 @@ def unpacked(data: bytes, most: int) -> bytes:
         from backports import zstd
 
     try:
-        return bytes(zstd.ZstdDecompressor().decompress(data, most))
+        return bytes(zstd.ZstdDecompressor().decompress(data, max_bytes))
     except zstd.ZstdError as error:
         raise ValueError("damaged") from error

@@ -72,7 +72,7 @@ def orient_depth(
     return OrientedDepth(filtered, normal, obliqueness)
 
 
-def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
+def fill_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
     """Bridge gaps of one pixel between depths that agree.
 
     Returns depth and inverse depth (h, w); 0 where missing.
@@ -80,11 +80,11 @@ def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     depth = depth.copy()
     for axis in (1, 0):
-        _bridge_along(depth, inverse, axis, max_jump)
+        _fill_gaps_along(depth, inverse, axis, max_jump)
     return depth, inverse
 
 
-def _bridge_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
+def _fill_gaps_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
     """Fill single missing pixels between similar depths, in place."""
     # Transposed views let the same slices serve both axes.
     inverse, depth = (inverse, depth) if axis else (inverse.T, depth.T)
@@ -98,7 +98,7 @@ def _bridge_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float)
 
 
 @dataclass(frozen=True, eq=False)
-class Differences:
+class PixelDifferences:
     """Differences between neighbouring pixels along an axis.
 
     Attributes
@@ -110,10 +110,10 @@ class Differences:
     value: Image
     known: Image
 
-    def mean(self, window: int, at: Any = ...) -> Image:
+    def mean(self, window: int, pixels: Any = ...) -> Image:
         """Average the known differences in a window around each pixel.
 
-        `at` selects the pixels; by default all.
+        `pixels` selects the pixels; by default all.
         """
         import cv2
 
@@ -121,10 +121,12 @@ class Differences:
             cv2.boxFilter(image, -1, (window, window), normalize=False, borderType=cv2.BORDER_CONSTANT)
             for image in (self.value, self.known)
         )
-        return np.asarray(total[at] / np.maximum(count[at], 1))
+        return np.asarray(total[pixels] / np.maximum(count[pixels], 1))
 
 
-def inverse_depth_differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Differences:
+def compute_inverse_depth_differences(
+    inverse: Image, axis: int, max_jump: float, discontinuities: Mask
+) -> PixelDifferences:
     """Compute differences of inverse depth along an axis, and mark discontinuities.
 
     Parameters
@@ -132,7 +134,7 @@ def inverse_depth_differences(inverse: Image, axis: int, max_jump: float, torn: 
     inverse : (h, w) inverse depth, 0 where missing.
     axis : 0 along columns, 1 along rows.
     max_jump : maximum relative difference; more is a discontinuity.
-    torn : (h, w) mask; pixels on both sides of discontinuities are set in place.
+    discontinuities : (h, w) mask; pixels on both sides of discontinuities are set in place.
     """
     first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1, :], np.s_[1:, :])
     a, b = inverse[first], inverse[second]
@@ -140,9 +142,9 @@ def inverse_depth_differences(inverse: Image, axis: int, max_jump: float, torn: 
     smaller = np.minimum(a, b)
     both = smaller > 0
     jump = both & (np.abs(difference) > np.float32(max_jump) * smaller)
-    torn[first] |= jump
-    torn[second] |= jump
+    discontinuities[first] |= jump
+    discontinuities[second] |= jump
     value, known = np.zeros(inverse.shape, np.float32), np.zeros(inverse.shape, np.float32)
     known[first] = both & ~jump
     np.multiply(difference, known[first], out=value[first])
-    return Differences(value, known)
+    return PixelDifferences(value, known)

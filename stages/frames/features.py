@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 # Default contrast threshold of SIFT in OpenCV.
 _CONTRAST = 0.04
 # Ratio of the darkest and of the brightest pixels that stretching the contrast may clip.
-_TAILS = 0.01
+_CLIPPED_RATIO = 0.01
 # Maximum ratio of the distances of the best and the second-best match (ratio test).
 _MAX_RATIO = 0.8
 # RANSAC of the fundamental matrix: inlier threshold in pixels, trials, and minimum number of inliers.
@@ -49,7 +49,7 @@ def detect_keypoints(grey: NDArray[np.uint8], max_count: int, *, contrast: float
     )
 
 
-def root_descriptors(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+def compute_root_sift(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Convert SIFT descriptors to RootSIFT, of unit length (Arandjelović 2012)."""
     sums = descriptors.sum(axis=1, keepdims=True, dtype=np.float32)
     return np.asarray(np.sqrt(descriptors / sums.clip(1e-9)), np.float32)
@@ -91,6 +91,6 @@ def _stretch_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
     import cv2
 
     shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size
-    low, high = np.searchsorted(shares, (_TAILS, 1 - _TAILS))
+    low, high = np.searchsorted(shares, (_CLIPPED_RATIO, 1 - _CLIPPED_RATIO))
     table = np.clip((np.arange(256) - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(grey, table), np.uint8)

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.depth_filter import OrientedDepth, orient_depth
 from scanloom.stages.frames.rigid_pose import require_rigid_pose
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.images import read_depth
-from scanloom.stages.scans.model.scan import Camera, Frame, Pose, pinhole
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, to_pinhole
 
 # Maximum angle between the line of sight and the surface normal, degrees: with several frames, and with a
 # single frame. At grazing angles other frames see the surface better.
-MAX_ANGLE, MAX_ANGLE_ALONE = 87.0, 89.0
+MAX_ANGLE_DEG, MAX_ANGLE_SINGLE_FRAME_DEG = 87.0, 89.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,25 +40,25 @@ class PosedDepth:
     surface : depth within the limits, filtered, without lens distortion.
     camera : pinhole camera of the depth map.
     pose : (4, 4) world_from_camera.
-    valid : number of pixels with depth before filtering.
+    valid_pixel_count : number of pixels with depth before filtering.
     """
 
     surface: OrientedDepth
     camera: Camera
     pose: Pose
-    valid: int
+    valid_pixel_count: int
 
-    def points(self, step: int) -> NDArray[np.float64]:
+    def unproject_grid(self, step: int) -> NDArray[np.float64]:
         """Unproject every `step`-th row and column to world points (n, 3)."""
         rows, columns = np.nonzero(self.surface.depth[::step, ::step])
-        return self.world_points(rows * step, columns * step)
+        return self.unproject_to_world(rows * step, columns * step)
 
-    def world_points(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float64]:
+    def unproject_to_world(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float64]:
         """Unproject pixels to world points (n, 3)."""
-        points = self.camera_points(rows, columns).astype(np.float64)
+        points = self.unproject_to_camera(rows, columns).astype(np.float64)
         return np.asarray(points @ self.pose[:3, :3].T + self.pose[:3, 3])
 
-    def camera_points(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float32]:
+    def unproject_to_camera(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float32]:
         """Unproject pixels to points (n, 3) in camera axes."""
         z = self.surface.depth[rows, columns]
         x = ((columns - self.camera.cx) / self.camera.fx).astype(np.float32)
@@ -77,9 +77,9 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     pose = require_rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", DiagnosticLocation(frame=frame.name))
     valid = int(np.count_nonzero(depth))
-    camera = pinhole(frame.camera)
+    camera = to_pinhole(frame.camera)
     oriented = orient_depth(
         depth,
         camera,
@@ -94,5 +94,5 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
             if valid == 0
             else "no depth is within the limits of distance, depth jumps and angle."
         )
-        raise InputError(SCAN_FRAMES_SKIPPED, message, Where(frame=frame.name))
+        raise InputError(SCAN_FRAMES_SKIPPED, message, DiagnosticLocation(frame=frame.name))
     return PosedDepth(oriented, camera, pose, valid)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import FRAME_POSE_MISSING, POSE_INVALID
 from scanloom.stages.scans.model.scan import Frame, Pose
@@ -23,14 +23,16 @@ def require_rigid_pose(frame: Frame) -> Pose:
         If the frame has no pose, or its pose is not a rotation and a translation.
     """
     if frame.world_from_camera is None:
-        raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", Where(frame=frame.name))
+        raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", DiagnosticLocation(frame=frame.name))
     pose = np.asarray(frame.world_from_camera, np.float64)
     rotation = pose[:3, :3]
     if not np.isfinite(pose).all():
-        raise InputError(POSE_INVALID, "the camera pose is not finite.", Where(frame=frame.name))
+        raise InputError(POSE_INVALID, "the camera pose is not finite.", DiagnosticLocation(frame=frame.name))
     deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if deviation > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError(
-            POSE_INVALID, "the camera pose is not a rotation and a translation.", Where(frame=frame.name)
+            POSE_INVALID,
+            "the camera pose is not a rotation and a translation.",
+            DiagnosticLocation(frame=frame.name),
         )
     return pose

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.frames.posed_depth import PosedDepth
 from scanloom.stages.fusion.params import Corners, Point
-from scanloom.stages.fusion.scene import in_words
+from scanloom.stages.fusion.scene_extent import format_point
 from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
@@ -40,14 +40,16 @@ class Crop:
     def __str__(self) -> str:
         parts = []
         if self.box is not None:
-            parts.append(f"the box {in_words(self.box[:3])} to {in_words(self.box[3:])} m")
+            parts.append(f"the box {format_point(self.box[:3])} to {format_point(self.box[3:])} m")
         if self.center is not None and self.radius is not None:
-            parts.append(f"{self.radius:.4g} m around {in_words(self.center)}")
+            parts.append(f"{self.radius:.4g} m around {format_point(self.center)}")
         if self.normal is not None:
-            parts.append(f"the half-space above the plane {in_words(self.normal)} · p = {self.height:.4g} m")
+            parts.append(
+                f"the half-space above the plane {format_point(self.normal)} · p = {self.height:.4g} m"
+            )
         return " and ".join(parts) or "everything"
 
-    def outside(self, points: Floats) -> Floats:
+    def compute_distance(self, points: Floats) -> Floats:
         """Return the distance of points (n, 3) to the crop region.
 
         Returns
@@ -55,61 +57,63 @@ class Crop:
         (n,) metres; 0 or less inside. Near edges and corners the value is a lower bound of the Euclidean
         distance.
         """
-        far = np.full(len(points), -np.inf)
+        distance = np.full(len(points), -np.inf)
         if self.box is not None:
             low, high = np.array(self.box[:3]), np.array(self.box[3:])
-            far = np.maximum(far, np.maximum(low - points, points - high).max(axis=1))
+            distance = np.maximum(distance, np.maximum(low - points, points - high).max(axis=1))
         if self.center is not None and self.radius is not None:
-            far = np.maximum(far, np.linalg.norm(points - np.array(self.center), axis=1) - self.radius)
+            distance = np.maximum(
+                distance, np.linalg.norm(points - np.array(self.center), axis=1) - self.radius
+            )
         if self.normal is not None:
-            far = np.maximum(far, self.height - points @ np.array(self.normal))
-        return far
+            distance = np.maximum(distance, self.height - points @ np.array(self.normal))
+        return distance
 
 
-def shown(view: PosedDepth, crop: Crop, by: float = 0.0) -> Mask:
+def mask_pixels_inside(view: PosedDepth, crop: Crop, tolerance: float = 0.0) -> Mask:
     """Return a mask (h, w) of the pixels inside the crop.
 
     Parameters
     ----------
-    by : points at most this far outside count as inside, metres.
+    tolerance : points at most this far outside count as inside, metres.
     """
-    seen = np.asarray(view.surface.depth > 0)
+    inside = np.asarray(view.surface.depth > 0)
     if crop:
-        seen[seen] = crop.outside(view.points(1)) <= by
-    return seen
+        inside[inside] = crop.compute_distance(view.unproject_grid(1)) <= tolerance
+    return inside
 
 
-def cropped(view: PosedDepth, crop: Crop) -> PosedDepth:
+def crop_depth(view: PosedDepth, crop: Crop) -> PosedDepth:
     """Remove the depth of a view outside of the crop."""
-    depth = np.where(shown(view, crop), view.surface.depth, np.float32(0))
+    depth = np.where(mask_pixels_inside(view, crop), view.surface.depth, np.float32(0))
     return replace(view, surface=replace(view.surface, depth=depth))
 
 
-def cut(mesh: Mesh, crop: Crop) -> Mesh:
+def crop_mesh(mesh: Mesh, crop: Crop) -> Mesh:
     """Crop a mesh to the triangles whose three corners are inside.
 
     The order is preserved.
     """
-    return part_of(mesh, within(mesh, crop)) if crop else mesh
+    return select_triangles(mesh, mask_triangles_inside(mesh, crop)) if crop else mesh
 
 
-def within(mesh: Mesh, crop: Crop) -> Mask:
+def mask_triangles_inside(mesh: Mesh, crop: Crop) -> Mask:
     """Return a mask (m,) of the triangles inside the crop.
 
     A triangle is inside if its three corners are.
     """
-    return np.asarray((crop.outside(mesh.vertices) <= 0)[mesh.triangles].all(axis=1))
+    return np.asarray((crop.compute_distance(mesh.vertices) <= 0)[mesh.triangles].all(axis=1))
 
 
-def part_of(mesh: Mesh, kept: Mask) -> Mesh:
+def select_triangles(mesh: Mesh, kept: Mask) -> Mesh:
     """Return a mesh with the triangles selected by the mask `kept` (m,). The order is preserved."""
-    triangles, used = mesh.triangles[kept], corners_of(mesh, kept)
+    triangles, used = mesh.triangles[kept], mask_used_vertices(mesh, kept)
     rank = np.cumsum(used, dtype=np.int32) - 1
     colors = None if mesh.colors is None else mesh.colors[used]
     return Mesh(mesh.vertices[used], rank[triangles].astype(np.int32), colors)
 
 
-def corners_of(mesh: Mesh, kept: Mask) -> Mask:
+def mask_used_vertices(mesh: Mesh, kept: Mask) -> Mask:
     """Return a mask (n,) of the vertices of the triangles in `kept` (m,)."""
     used = np.zeros(len(mesh.vertices), np.bool_)
     used[mesh.triangles[kept]] = True

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 Point = tuple[float, float, float]
 Corners = tuple[float, float, float, float, float, float]
@@ -122,7 +122,7 @@ class FuseParams:
     )
     upsample_factor: int = param(2, "Factor by which upsampling increases width and height.", low=2, high=8)
     color: bool = param(True, "Give the mesh vertex colours if the frames have colour.")
-    max_bad_share: float = param(
+    max_skipped_ratio: float = param(
         0.2, "Maximum ratio of unusable frames (damaged, or without pose or depth).", low=0, high=1
     )
     memory: float = param(
@@ -155,11 +155,11 @@ class FuseParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.box is not None and not all(a < b for a, b in zip(self.box[:3], self.box[3:], strict=True)):
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {box} m; the first three numbers must be the lowest corner, the last three the highest.",
-                Where(parameter="box"),
+                DiagnosticLocation(parameter="box"),
                 box=" ".join(f"{x:g}" for x in self.box),
             )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import image_size
+from scanloom.stages.files.images import read_image_size
 from scanloom.stages.inspecting.codes import SCAN_IMAGES_SIZES_DIFFER, SCAN_IMAGES_UNREADABLE
 from scanloom.stages.scans.model.scan import Scan
 
@@ -21,7 +21,7 @@ def report_sizes(scan: Scan) -> None:
         for frame in scan.frames:
             image = getattr(frame, stream)
             if isinstance(image, Path):
-                sizes.setdefault(_size_or_none(image), []).append(image)
+                sizes.setdefault(_read_size_or_none(image), []).append(image)
         unread = sizes.pop(None, [])
         if unread:
             emit(
@@ -32,24 +32,24 @@ def report_sizes(scan: Scan) -> None:
                     first=unread[0].name,
                 )
             )
-        usual = max(sizes, key=lambda size: len(sizes[size]), default=None)
-        odd = {size: paths for size, paths in sizes.items() if size != usual}
-        if odd:
-            _report_odd(stream, odd, usual)
+        common_size = max(sizes, key=lambda size: len(sizes[size]), default=None)
+        different = {size: paths for size, paths in sizes.items() if size != common_size}
+        if different:
+            _report_different_sizes(stream, different, common_size)
 
 
-def _report_odd(
-    stream: str, odd: dict[tuple[int, int] | None, list[Path]], usual: tuple[int, int] | None
+def _report_different_sizes(
+    stream: str, different: dict[tuple[int, int] | None, list[Path]], common_size: tuple[int, int] | None
 ) -> None:
-    count = sum(map(len, odd.values()))
-    if len(odd) == 1:
-        ((size, paths),) = odd.items()
+    count = sum(map(len, different.values()))
+    if len(different) == 1:
+        ((size, paths),) = different.items()
         emit(
             SCAN_IMAGES_SIZES_DIFFER.warning(
                 "{count} {stream} images have another size ({size}), the first is {first}",
                 count=count,
                 stream=stream,
-                size=_size_words(size),
+                size=_format_size(size),
                 first=paths[0].name,
             )
         )
@@ -59,19 +59,19 @@ def _report_odd(
             "{count} {stream} images have {sizes} other sizes ({shown}) than most ({usual})",
             count=count,
             stream=stream,
-            sizes=len(odd),
-            shown=", ".join(map(_size_words, list(odd)[:3])) + (" …" if len(odd) > 3 else ""),
-            usual=_size_words(usual),
+            sizes=len(different),
+            shown=", ".join(map(_format_size, list(different)[:3])) + (" …" if len(different) > 3 else ""),
+            usual=_format_size(common_size),
         )
     )
 
 
-def _size_words(size: tuple[int, int] | None) -> str:
+def _format_size(size: tuple[int, int] | None) -> str:
     return "" if size is None else f"{size[0]}×{size[1]}"
 
 
-def _size_or_none(path: Path) -> tuple[int, int] | None:
+def _read_size_or_none(path: Path) -> tuple[int, int] | None:
     try:
-        return image_size(path)
+        return read_image_size(path)
     except InputError:
         return None

@@ -8,39 +8,43 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from scanloom.stages.adjusting.look import look, usable
-from scanloom.stages.adjusting.offset import offset, sights
-from scanloom.stages.adjusting.view import color_camera, has_one_camera, place_of_color
+from scanloom.stages.adjusting.agreement_check import find_usable_frames, measure_agreement
+from scanloom.stages.adjusting.silhouette_offset import estimate_photo_offset, observe_silhouettes
+from scanloom.stages.adjusting.view import get_color_camera, get_color_from_depth, has_common_color_camera
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.fusion.depth_upsampling import upsample_single_frame
+from scanloom.stages.fusion.fusion_plan import FusionPlan, make_plan
 from scanloom.stages.fusion.params import FuseParams
-from scanloom.stages.fusion.plan import Plan, make_plan
-from scanloom.stages.fusion.upsampling import upsampled_alone
-from scanloom.stages.inspecting import sanity
-from scanloom.stages.inspecting.camera_path import camera_path
+from scanloom.stages.inspecting import consistency_checks
+from scanloom.stages.inspecting.camera_path import measure_camera_path
 from scanloom.stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED, SCAN_FRAMES_BLURRED
-from scanloom.stages.inspecting.depth_seen import SCALES, depth_range, report_markers
+from scanloom.stages.inspecting.depth_range import KNOWN_DEPTH_SCALES, measure_depth_range, report_markers
+from scanloom.stages.inspecting.epipolar_check import check_view_poses
 from scanloom.stages.inspecting.image_sizes import report_sizes
 from scanloom.stages.inspecting.inspection import Inspection
-from scanloom.stages.inspecting.outlook import outlook
-from scanloom.stages.inspecting.unused import unused
-from scanloom.stages.inspecting.view_poses import check_view_poses
-from scanloom.stages.registration.focal import focal_of, is_guess, report_focal
-from scanloom.stages.registration.focal_by_marks import focal_by_marks
-from scanloom.stages.registration.subject import shows_thing
+from scanloom.stages.inspecting.resource_estimate import estimate_fusion
+from scanloom.stages.inspecting.unused_files import find_unused_files
+from scanloom.stages.registration.focal_length import (
+    estimate_focal_length,
+    has_guessed_camera,
+    report_focal_length,
+)
+from scanloom.stages.registration.focal_length_from_marks import estimate_focal_length_from_marks
+from scanloom.stages.registration.moving_object import has_moving_object
 from scanloom.stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.images import read_color, read_depth, read_right
-from scanloom.stages.scans.model.prefetch import workers
+from scanloom.stages.scans.model.prefetch import get_worker_count
 from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
-from scanloom.stages.scans.model.sharpness import least_sharp
-from scanloom.stages.scans.transforms.up import known_up
+from scanloom.stages.scans.model.sharpness import find_least_sharp
+from scanloom.stages.scans.transforms.up_direction import find_up_direction
 
-_SAMPLED = 8
+_SAMPLE_COUNT = 8
 # Sharpness relative to the median frame, below which a frame is reported as blurred.
-_BLURRED = 0.25
+_MIN_SHARPNESS_RATIO = 0.25
 # Pixels. Above this median misalignment between frames, colour detail is lost.
-_MISFIT_PX = 1.5
+_MAX_MISFIT_PX = 1.5
 
 
 def inspect(scan: Scan) -> Inspection:
@@ -66,74 +70,78 @@ def inspect(scan: Scan) -> Inspection:
 
 
 def _inspect(scan: Scan) -> Inspection:
-    samples = _samples(scan)
-    path, up = camera_path(scan), known_up(scan)
+    samples = _read_samples(scan)
+    path, up = measure_camera_path(scan), find_up_direction(scan)
     report_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
     misfit = None
     if scan.rig is not None and scan.rig.left.is_calibrated:
-        stereo_depth = _stereo_depth(scan.rig)
-        sanity.report_pairs([(one.color, one.right) for one in samples], scan.rig)
+        stereo_depth = _compute_stereo_depth(scan.rig)
+        consistency_checks.report_stereo_faults([(one.color, one.right) for one in samples], scan.rig)
     elif scan.is_views:
         suspicion = None if path is None else check_view_poses(scan.frames)[1]
         if suspicion is not None:
             emit(suspicion)
     elif scan.rig is None:
-        about_scale = None if path is None or not scan.is_metric else sanity.check_scale(scan.frames, SCALES)
-        depth = depth_range([one.depth for one in samples], scan, with_hints=about_scale is None)
+        scale_suspicion = (
+            None
+            if path is None or not scan.is_metric
+            else consistency_checks.check_scale(scan.frames, KNOWN_DEPTH_SCALES)
+        )
+        depth = measure_depth_range([one.depth for one in samples], scan, with_hints=scale_suspicion is None)
         report_markers([one.frame for one in samples])
-        errors, suspicion = ({}, None) if path is None else sanity.check_poses(scan.frames)
+        errors, suspicion = ({}, None) if path is None else consistency_checks.check_poses(scan.frames)
         # A wrong depth unit also makes the poses look wrong, so the unit is reported first.
-        suspicion = about_scale or suspicion
+        suspicion = scale_suspicion or suspicion
         if suspicion is not None:
             emit(suspicion)
         _report_unregistered(scan.frames)
-        misfit = _misfit(scan.frames)
+        misfit = _measure_misfit(scan.frames)
         if path is not None and misfit is None and suspicion is None:
-            sanity.pose_doubts(scan.frames)
-    sharpness = _least_sharp(scan)
-    plan = _plan(scan) if depth is not None and path is not None else None
+            consistency_checks.warn_inexact_poses(scan.frames)
+    sharpness = _find_blurriest_frames(scan)
+    plan = _make_fusion_plan(scan) if depth is not None and path is not None else None
     subject = None
     if depth is not None and path is None and len(scan.frames) > 1:
-        subject = "object" if shows_thing(scan.frames) else "scene"
+        subject = "object" if has_moving_object(scan.frames) else "scene"
     focal = None
-    if depth is not None and len(scan.frames) > 1 and is_guess(scan.frames):
-        focal = focal_of(scan.frames)
+    if depth is not None and len(scan.frames) > 1 and has_guessed_camera(scan.frames):
+        focal = estimate_focal_length(scan.frames)
         if focal is None and subject == "object":
-            focal = focal_by_marks(scan.frames)
-        report_focal(focal, scan.frames[0].camera)
+            focal = estimate_focal_length_from_marks(scan.frames)
+        report_focal_length(focal, scan.frames[0].camera)
     return Inspection(
         scan=scan,
-        color_size=_color_size(samples),
-        path=path,
+        color_size=_find_color_size(samples),
+        trajectory=path,
         depth=depth,
         stereo_depth_m=stereo_depth,
-        misfit_px=misfit,
+        reprojection_error_px=misfit,
         pose_errors_m=errors,
-        least_sharp=sharpness,
+        blurriest_frames=sharpness,
         scene=None if plan is None else plan.scene,
-        outlook=None if plan is None else outlook(scan.frames, plan),
+        fusion_estimate=None if plan is None else estimate_fusion(scan.frames, plan),
         up=up,
         subject=subject,
         focal=focal,
-        unused=unused(scan),
+        unused_files=find_unused_files(scan),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Sample:
+class _SampledFrame:
     frame: Frame
     color: ColorImage | None
     right: ColorImage | None
     depth: DepthImage | None
 
 
-def _samples(scan: Scan) -> list[_Sample]:
+def _read_samples(scan: Scan) -> list[_SampledFrame]:
     """Read frames evenly sampled over the scan; warn about unreadable ones."""
-    chosen = sample_evenly(len(scan.frames), _SAMPLED)
-    found = [_sample(scan.frames[i]) for i in chosen]
-    samples = [one for one in found if isinstance(one, _Sample)]
+    chosen = sample_evenly(len(scan.frames), _SAMPLE_COUNT)
+    found = [_read_sample(scan.frames[i]) for i in chosen]
+    samples = [one for one in found if isinstance(one, _SampledFrame)]
     faults = [one for one in found if isinstance(one, InputError)]
     if not samples:
         raise faults[0]
@@ -142,41 +150,45 @@ def _samples(scan: Scan) -> list[_Sample]:
     return samples
 
 
-def _sample(frame: Frame) -> _Sample | InputError:
+def _read_sample(frame: Frame) -> _SampledFrame | InputError:
     try:
-        return _Sample(frame, read_color(frame), read_right(frame), read_depth(frame))
+        return _SampledFrame(frame, read_color(frame), read_right(frame), read_depth(frame))
     except InputError as error:
         return error
 
 
-def _misfit(frames: Sequence[Frame]) -> float | None:
+def _measure_misfit(frames: Sequence[Frame]) -> float | None:
     """Measure the median reprojection error between frames, pixels.
 
     Emits a warning if it is large. Returns None if it cannot be measured.
     """
-    places = usable(frames)
-    seen = look(frames, places) if len(places) > 1 else None
-    if seen is None or seen.trouble:
+    places = find_usable_frames(frames)
+    seen = measure_agreement(frames, places) if len(places) > 1 else None
+    if seen is None or seen.failure_reason:
         return None
-    if seen.median >= _MISFIT_PX:
+    if seen.median_px >= _MAX_MISFIT_PX:
         emit(
             POSE_INCONSISTENT_WITH_IMAGES.warning(
                 "colour, depth and poses are misaligned by {off:.1f} px (median of {count:,} points seen in "
                 "two frames): `scanloom run` corrects them, `scanloom adjust` does only that",
-                off=seen.median,
+                off=seen.median_px,
                 count=len(seen.errors),
             )
         )
-    return seen.median
+    return seen.median_px
 
 
 def _report_unregistered(frames: Sequence[Frame]) -> None:
     """Warn if photos are offset from depth maps, judged by silhouettes."""
-    both = [n for n, frame in enumerate(frames) if frame.color is not None and frame.depth is not None]
-    if not both or not has_one_camera([frames[n] for n in both]):
+    frame_indices = [
+        n for n, frame in enumerate(frames) if frame.color is not None and frame.depth is not None
+    ]
+    if not frame_indices or not has_common_color_camera([frames[n] for n in frame_indices]):
         return
-    first = frames[both[0]]
-    found = offset(sights(frames, both), color_camera(first), place_of_color(first))
+    first = frames[frame_indices[0]]
+    found = estimate_photo_offset(
+        observe_silhouettes(frames, frame_indices), get_color_camera(first), get_color_from_depth(first)
+    )
     if found is not None and found.is_clear:
         emit(
             CAMERA_COLOR_UNREGISTERED.warning(
@@ -185,15 +197,15 @@ def _report_unregistered(frames: Sequence[Frame]) -> None:
                     "if frames have poses, `scanloom run` corrects the colour camera, `scanloom adjust` does "
                     "only that"
                 ),
-                shift=found.said,
+                shift=found.description,
             )
         )
 
 
-def _least_sharp(scan: Scan) -> tuple[tuple[str, float], ...]:
-    worst, measured = least_sharp(scan.frames)
+def _find_blurriest_frames(scan: Scan) -> tuple[tuple[str, float], ...]:
+    worst, measured = find_least_sharp(scan.frames)
     named = tuple((frame.name, value) for frame, value in worst)
-    blurred = [name for name, value in named if value < _BLURRED]
+    blurred = [name for name, value in named if value < _MIN_SHARPNESS_RATIO]
     if blurred:
         emit(
             SCAN_FRAMES_BLURRED.warning(
@@ -206,24 +218,30 @@ def _least_sharp(scan: Scan) -> tuple[tuple[str, float], ...]:
     return named
 
 
-def _plan(scan: Scan) -> Plan | None:
+def _make_fusion_plan(scan: Scan) -> FusionPlan | None:
     params = FuseParams()
     try:
         # Fusion emits the warnings of its plan itself.
         with collecting(forward=False):
-            return make_plan(upsampled_alone(scan.frames, params), params, scan.folder, workers())
+            return make_plan(
+                upsample_single_frame(scan.frames, params), params, scan.folder, get_worker_count()
+            )
     except InputError:
         return None
 
 
-def _color_size(samples: Sequence[_Sample]) -> tuple[int, int] | None:
+def _find_color_size(samples: Sequence[_SampledFrame]) -> tuple[int, int] | None:
     color = next((one.color for one in samples if one.color is not None), None)
     return None if color is None else (color.shape[1], color.shape[0])
 
 
-def _stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
+def _compute_stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
     """Compute the depth at the largest disparity (None if unknown) and at one pixel, metres."""
-    strength = rig.left.fx * rig.baseline
-    offset = rig.right.cx - rig.left.cx if rig.rectified else 0.0
-    near = None if rig.disparities is None else strength / max(rig.disparities + offset, 1.0)
-    return near, strength / max(1.0 + offset, 1.0)
+    depth_times_disparity = rig.left.fx * rig.baseline
+    offset = rig.right.cx - rig.left.cx if rig.is_rectified else 0.0
+    near = (
+        None
+        if rig.disparity_count is None
+        else depth_times_disparity / max(rig.disparity_count + offset, 1.0)
+    )
+    return near, depth_times_disparity / max(1.0 + offset, 1.0)

@@ -16,12 +16,12 @@ _DISTRIBUTIONS = {
 }
 
 
-def version_of(library: str) -> str | None:
+def find_version(library: str) -> str | None:
     """Return the installed version of a library, or None."""
     names = _DISTRIBUTIONS.get(library, (library,))
     return next((one.version for name in names for one in metadata.distributions(name=name)), None)
 
 
-def installed(*libraries: str) -> dict[str, str]:
+def list_installed_versions(*libraries: str) -> dict[str, str]:
     """Return the versions of libraries by name; "unknown" if not installed."""
-    return {library: version_of(library) or "unknown" for library in libraries}
+    return {library: find_version(library) or "unknown" for library in libraries}

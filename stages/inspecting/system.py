@@ -6,35 +6,35 @@ import os
 import sys
 from pathlib import Path
 
-from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.input_files import read_input_text
 
 if sys.platform == "win32":
-    from scanloom.stages.inspecting import windows
+    from scanloom.stages.inspecting import windows_system
 
 
-def memory_bytes() -> tuple[int | None, int | None]:
+def query_memory_bytes() -> tuple[int | None, int | None]:
     """Return total and available memory in bytes; None if unknown."""
     if sys.platform == "win32":
-        return windows.memory_bytes()
+        return windows_system.query_memory_bytes()
     else:  # noqa: RET505 - type checkers take the rest for unreachable on Windows
-        total, free = (_first(Path("/proc/meminfo"), key) for key in ("MemTotal", "MemAvailable"))
+        total, free = (_read_first_value(Path("/proc/meminfo"), key) for key in ("MemTotal", "MemAvailable"))
         if total is not None:
-            return _of_kilobytes(total), None if free is None else _of_kilobytes(free)
+            return _parse_kilobytes(total), None if free is None else _parse_kilobytes(free)
         try:
             return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), None
         except (OSError, ValueError):
             return None, None
 
 
-def of_processor(key: str) -> str | None:
+def query_processor(key: str) -> str | None:
     """Look up a property of the first processor in /proc/cpuinfo.
 
     Returns None if the file or the key does not exist.
     """
-    return _first(Path("/proc/cpuinfo"), key)
+    return _read_first_value(Path("/proc/cpuinfo"), key)
 
 
-def oddities(folder: Path) -> list[str]:
+def list_platform_notes(folder: Path) -> list[str]:
     """Return notes about untested or limiting properties of this platform.
 
     Parameters
@@ -48,34 +48,34 @@ def oddities(folder: Path) -> list[str]:
         ),
         "this is a 32-bit Python: scans may not fit into its address space.": sys.maxsize < 1 << 32,
         "this processor is big-endian, but scan files are little-endian.": sys.byteorder != "little",
-        f"{folder}: the file system does not distinguish upper and lower case.": ignores_case(folder),
+        f"{folder}: the file system does not distinguish upper and lower case.": is_case_insensitive(folder),
         "paths are limited to 260 characters: keep output folders near the drive root, or enable long paths "
-        "in Windows.": (sys.platform == "win32" and not windows.takes_long_paths()),
+        "in Windows.": (sys.platform == "win32" and not windows_system.supports_long_paths()),
     }
     return [sentence for sentence, holds in sentences.items() if holds]
 
 
-def ignores_case(folder: Path) -> bool:
+def is_case_insensitive(folder: Path) -> bool:
     """Return True if a folder's file system ignores case."""
-    there = folder.absolute()
-    lettered = next((p for p in (there, *there.parents) if p.name.swapcase() != p.name), None)
+    absolute = folder.absolute()
+    cased = next((p for p in (absolute, *absolute.parents) if p.name.swapcase() != p.name), None)
     try:
-        return lettered is not None and lettered.with_name(lettered.name.swapcase()).samefile(lettered)
+        return cased is not None and cased.with_name(cased.name.swapcase()).samefile(cased)
     except OSError:
         return False
 
 
-def _of_kilobytes(text: str) -> int:
+def _parse_kilobytes(text: str) -> int:
     return 1024 * int(text.split()[0])
 
 
-def _first(path: Path, key: str) -> str | None:
+def _read_first_value(path: Path, key: str) -> str | None:
     """Return the first value of a key in a system file.
 
     Returns None if the file or the key does not exist.
     """
     try:
-        lines = text_in(path, "utf-8").splitlines()
+        lines = read_input_text(path, "utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return None
     pairs = (line.partition(":") for line in lines)

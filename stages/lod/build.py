@@ -15,19 +15,29 @@ from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.lod.codes import LEVELS_BOUND_NOT_PROVEN, LEVELS_ISLANDS_DROPPED, LEVELS_LEFT_OUT
 from scanloom.stages.lod.hierarchy import Hierarchy
-from scanloom.stages.lod.model import packed
-from scanloom.stages.params import check as check_params
+from scanloom.stages.lod.source_mesh import encode_glb
+from scanloom.stages.params import check_parameters as check_params
 from scanloom.stages.params import param, resolve
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES
-from scanloom.stages.simplification.color_weight import balanced_weight
-from scanloom.stages.simplification.in_sheets import in_sheets, is_split, joined, report_split, sheets_of
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.simplification.certified.constants import (
+    EXPECTED_REDUCTION,
+    MAX_SUBDIVISIONS,
+    VERTEX_BOUND_RATIO,
+)
+from scanloom.stages.simplification.color_weight import compute_balanced_weight
+from scanloom.stages.simplification.manifold_sheets import (
+    build_sheet_mesh,
+    find_split_vertices,
+    report_split_vertices,
+    split_into_sheets,
+    weld_into_sheets,
+)
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.codes import MESH_NO_SURFACE
-from scanloom.stages.surface.color import attributes_of, color_at, is_textured
-from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 from scanloom.stages.surface.small_components import find_small_components
+from scanloom.stages.surface.surface_color import compute_surface_colors, get_vertex_attributes, is_textured
 from scanloom.stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
@@ -39,9 +49,9 @@ if TYPE_CHECKING:
 RESULT_VERSION = 5
 
 # Relative tolerance of proven bounds over measured errors: tighter bounds take longer than building levels.
-_TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
+_SHAPE_TOLERANCE, _COLOR_TOLERANCE = 0.15, 0.2
 # Maximum distance between two colours, levels.
-_FARTHEST_COLOR = 255 * math.sqrt(3)
+_MAX_COLOR_DISTANCE = 255 * math.sqrt(3)
 # Bound of the first level relative to the base error, if there is a base error.
 _FIRST_PER_BASE = 2.5
 # Bound of the first level relative to the median vertex height, if there is no base error.
@@ -103,7 +113,7 @@ def build(
     mesh: MeshLike,
     params: LodParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[LodKeywords],
 ) -> Hierarchy:
     """Build the levels of detail of a mesh.
@@ -142,30 +152,30 @@ def build(
         If a parameter is out of range.
     """
     with collecting() as diagnostics:
-        hierarchy = _built(as_mesh(mesh), resolve(LodParams, params, changes), progress)
+        hierarchy = _build_hierarchy(as_mesh(mesh), resolve(LodParams, params, changes), progress)
     return replace(hierarchy, diagnostics=tuple(diagnostics))
 
 
-def _built(given: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
-    require_measurable(given, "mesh")
-    if len(given.triangles) == 0:
+def _build_hierarchy(mesh: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
+    require_measurable(mesh, "mesh")
+    if len(mesh.triangles) == 0:
         raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; no levels can be built.")
-    kept, islands = _without_islands(given, params.drop_islands)
-    base, shape, color, progress = _base(_plain(kept), params, progress)
-    hierarchy = _of_any(base, params, shape, progress)
+    kept, islands = _drop_small_components(mesh, params.drop_islands)
+    base, shape, color, progress = _build_base(_strip_attributes(kept), params, progress)
+    hierarchy = _build_from_any(base, params, shape, progress)
     if shape:
-        hierarchy = further_off(hierarchy, shape, color)
+        hierarchy = widen_bounds(hierarchy, shape, color)
     return replace(
         hierarchy,
-        input_triangles=len(given.triangles),
+        input_triangles=len(mesh.triangles),
         dropped_islands=islands,
-        dropped_triangles=len(given.triangles) - len(kept.triangles),
-        up=given.up,
-        model_glb=packed(kept) if is_textured(kept) else None,
+        dropped_triangles=len(mesh.triangles) - len(kept.triangles),
+        up=mesh.up,
+        model_glb=encode_glb(kept) if is_textured(kept) else None,
     )
 
 
-def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
+def widen_bounds(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
     """Widen all bounds of a hierarchy by the deviation of its base mesh.
 
     Parameters
@@ -177,16 +187,16 @@ def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
     return replace(
         hierarchy,
         shape_bound=hierarchy.shape_bound + shape,
-        color_bound=np.minimum(hierarchy.color_bound + color, _FARTHEST_COLOR),
+        color_bound=np.minimum(hierarchy.color_bound + color, _MAX_COLOR_DISTANCE),
         base_shape_bound=hierarchy.base_shape_bound + shape,
         base_color_bound=hierarchy.base_color_bound + color,
     )
 
 
-def _plain(mesh: Mesh) -> Mesh:
+def _strip_attributes(mesh: Mesh) -> Mesh:
     """Return a mesh with vertex colours only, and warn about dropped attributes."""
-    lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals, "normals": mesh.normals}
-    names = [name for name, value in lost.items() if value is not None]
+    dropped = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals, "normals": mesh.normals}
+    names = [name for name, value in dropped.items() if value is not None]
     if names:
         emit(
             LEVELS_LEFT_OUT.warning(
@@ -194,11 +204,11 @@ def _plain(mesh: Mesh) -> Mesh:
             )
         )
     if is_textured(mesh):
-        mesh = mesh.with_(colors=_colors_of_vertices(mesh))
+        mesh = mesh.with_(colors=_average_vertex_colors(mesh))
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, up=mesh.up)
 
 
-def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
+def _drop_small_components(mesh: Mesh, size: float) -> tuple[Mesh, int]:
     """Remove connected components smaller than `size`, metres.
 
     Returns
@@ -229,17 +239,17 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
     return mesh.with_triangles(mesh.triangles[source], source), islands
 
 
-def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
+def _average_vertex_colors(mesh: Mesh) -> NDArray[np.uint8]:
     """Average the corner colours of each vertex, (n, 3); black for unused vertices."""
     corner = mesh.triangles.reshape(-1)
     weights = np.tile(np.eye(3), (len(mesh.triangles), 1))
-    found = color_at(mesh, np.repeat(np.arange(len(mesh.triangles)), 3), weights)
+    found = compute_surface_colors(mesh, np.repeat(np.arange(len(mesh.triangles)), 3), weights)
     count = np.maximum(np.bincount(corner, minlength=len(mesh.vertices)), 1)
     sums = [np.bincount(corner, channel, minlength=len(mesh.vertices)) for channel in found.T]
     return np.rint(np.stack(sums, axis=1) / count[:, None]).clip(0, 255).astype(np.uint8)
 
 
-def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, float, float, Progress]:
+def _build_base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, float, float, Progress]:
     """Build the finest level.
 
     Returns
@@ -249,59 +259,61 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
     if params.base_error == 0:
         return mesh, 0.0, 0.0, progress
     count = len(mesh.triangles)
-    half = count // 2
+    half_count = count // 2
     with collecting(forward=False):
-        light = simplify(
+        simplified = simplify(
             mesh,
             method="certified",
             max_shape=params.base_error,
-            certified={"close_bounds": mesh.colors is not None},
+            certified={"tight_bounds": mesh.colors is not None},
             threads=params.threads,
-            progress=_part(progress, 0, half, count),
+            progress=_map_progress(progress, 0, half_count, count),
         )
     # The proven bounds are used as they are, so an unmet request is no problem here.
-    emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
-    details = light.details
+    emit(*(one for one in simplified.diagnostics if one.severity != Severity.UNMET))
+    details = simplified.details
     bounds = float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
-    return light.mesh, *bounds, _part(progress, half, count, count)
+    return simplified.mesh, *bounds, _map_progress(progress, half_count, count, count)
 
 
-def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
+def _map_progress(progress: Progress, first: int, last: int, count: int) -> Progress:
     """Return a callback that maps the progress of a step to `first`…`last` of `count`."""
 
-    def tell(done: int, total: int) -> object:
+    def report(done: int, total: int) -> object:
         return progress(first + (last - first) * done // max(total, 1), count)
 
-    return tell
+    return report
 
 
-def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:
+def _build_from_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:
     """Build the hierarchy of a mesh that may be non-manifold or have duplicated vertices."""
-    sheets = joined(mesh)
+    sheets = weld_into_sheets(mesh)
     if sheets is None:
         try:
-            return _of_manifold(mesh, np.zeros(0, bool), params, base_error, progress)
+            return _build_from_manifold(mesh, np.zeros(0, bool), params, base_error, progress)
         except _kernels.InvalidMeshError:
             # Non-manifold: cut the mesh into manifold sheets.
-            sheets = sheets_of(mesh)
-    whole = in_sheets(mesh, sheets)
-    split = is_split(mesh, sheets)
-    report_split(split)
-    return _of_manifold(whole, split, params, base_error, progress)
+            sheets = split_into_sheets(mesh)
+    manifold = build_sheet_mesh(mesh, sheets)
+    is_split_vertex = find_split_vertices(mesh, sheets)
+    report_split_vertices(is_split_vertex)
+    return _build_from_manifold(manifold, is_split_vertex, params, base_error, progress)
 
 
-def _of_manifold(
+def _build_from_manifold(
     mesh: Mesh, locked: NDArray[np.bool_], params: LodParams, base_error: float, progress: Progress
 ) -> Hierarchy:
     weight = 0.0
     if mesh.colors is not None:
-        weight = balanced_weight(mesh, max(len(mesh.triangles) // REDUCTION, 1), params.threads or 0)
+        weight = compute_balanced_weight(
+            mesh, max(len(mesh.triangles) // EXPECTED_REDUCTION, 1), params.threads or 0
+        )
     first = params.first_error or (
         _FIRST_PER_BASE * base_error if base_error else _estimate_first_error(mesh)
     )
     levels = _kernels.build_levels(
         mesh.vertices,
-        attributes_of(mesh),
+        get_vertex_attributes(mesh),
         mesh.triangles,
         locked,
         first=first,
@@ -309,9 +321,9 @@ def _of_manifold(
         most=params.cell_triangles,
         root=params.root_triangles,
         weight=weight,
-        share=SHARE_OF_VERTICES,
-        tolerance=(_TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR),
-        effort=PIECES,
+        share=VERTEX_BOUND_RATIO,
+        tolerance=(_SHAPE_TOLERANCE, _COLOR_TOLERANCE),
+        effort=MAX_SUBDIVISIONS,
         single=bool((mesh.vertices == mesh.vertices.astype(np.float32)).all()),
         running=_kernels.Running(threads=params.threads or 0),
         progress=progress,
@@ -360,12 +372,12 @@ def _estimate_first_error(mesh: Mesh) -> float:
     mean = _sum_rows(corner, np.concatenate(others), count)
     valence = 2.0 * np.bincount(corner, minlength=count)
     length = np.linalg.norm(normal, axis=1)
-    told = (length > 0) & (valence > 0)
-    offset = mesh.vertices[told] - mean[told] / valence[told, None]
-    height = np.abs(np.einsum("ij,ij->i", offset, normal[told])) / length[told]
-    found = _FIRST_PER_HEIGHT * float(np.median(height)) if told.any() else 0.0
+    is_defined = (length > 0) & (valence > 0)
+    offset = mesh.vertices[is_defined] - mean[is_defined] / valence[is_defined, None]
+    height = np.abs(np.einsum("ij,ij->i", offset, normal[is_defined])) / length[is_defined]
+    estimate = _FIRST_PER_HEIGHT * float(np.median(height)) if is_defined.any() else 0.0
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    return max(found, _MIN_FIRST_PER_DIAGONAL * diagonal, float(np.finfo(np.float64).tiny))
+    return max(estimate, _MIN_FIRST_PER_DIAGONAL * diagonal, float(np.finfo(np.float64).tiny))
 
 
 def _sum_rows(at: NDArray[np.int32], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:

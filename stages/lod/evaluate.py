@@ -6,16 +6,16 @@ import heapq
 
 import numpy as np
 
-from scanloom.stages.lod import measures
+from scanloom.stages.lod import refinement_measures
 from scanloom.stages.lod.front import Front, Region
 from scanloom.stages.lod.levels import Levels
-from scanloom.stages.lod.measures import Rule, Weights
+from scanloom.stages.lod.refinement_measures import RefinementWeights, Rule
 from scanloom.stages.lod.view import View
 
 
 def evaluate(
     hierarchy: Levels, view: View, region: Region | None = None, *, rule: Rule = "corrected"
-) -> Weights:
+) -> RefinementWeights:
     """Compute the refinement priority of each node (Wang, Lu and Pan 2012, section 2.2).
 
     The error is the proven error of the node's coarse mesh, in pixels of the view.
@@ -25,36 +25,36 @@ def evaluate(
     hierarchy : levels to evaluate.
     view : view that determines visibility and pixel size.
     region : vertices inside count as marked by the user, for example for editing.
-    rule : "paper" for all measures exactly as in the paper; see `scanloom.stages.lod.measures`.
+    rule : "paper" for all measures exactly as in the paper; see `scanloom.stages.lod.refinement_measures`.
     """
     h = hierarchy
     middle, radius = h.spheres
     axis, angle = h.cones
-    frustum = measures.frustum_share(view, middle, radius)
-    silhouette = measures.silhouette_weight(view, middle, radius, axis, angle, rule=rule)
-    error = view.pixels(h.shape_bound, middle, radius)
+    frustum = refinement_measures.compute_frustum_ratio(view, middle, radius)
+    silhouette = refinement_measures.compute_silhouette_weight(view, middle, radius, axis, angle, rule=rule)
+    error = view.project_lengths(h.shape_bound, middle, radius)
     marked = np.zeros(h.nodes)
     if region is not None:
-        inside = region.holds(h.vertices)
-        vertices = np.array([len(h.vertices_of(n)) for n in range(h.nodes)], np.float64)
-        of_node = np.array([inside[h.vertices_of(n)].sum() for n in range(h.nodes)], np.float64)
+        inside = region.contains(h.vertices)
+        vertices = np.array([len(h.list_vertices(n)) for n in range(h.nodes)], np.float64)
+        marked_by_node = np.array([inside[h.list_vertices(n)].sum() for n in range(h.nodes)], np.float64)
         for node in range(h.nodes - 1, 0, -1):
-            of_node[h.parent[node]] = max(of_node[h.parent[node]], of_node[node])
-        marked = measures.marked_share(of_node, vertices, rule=rule)
-    local = measures.local_measure(frustum, silhouette, error, marked, rule=rule)
+            marked_by_node[h.parent[node]] = max(marked_by_node[h.parent[node]], marked_by_node[node])
+        marked = refinement_measures.compute_marked_ratio(marked_by_node, vertices, rule=rule)
+    local = refinement_measures.compute_local_measure(frustum, silhouette, error, marked, rule=rule)
     # Descendants can be refined only after their ancestors, so an ancestor inherits their priority.
     for node in range(h.nodes - 1, 0, -1):
         local[h.parent[node]] = max(local[h.parent[node]], local[node])
-    return Weights(frustum, silhouette, error, marked, local)
+    return RefinementWeights(frustum, silhouette, error, marked, local)
 
 
 def adjust(
     front: Front,
-    weights: Weights,
+    weights: RefinementWeights,
     limit: float,
     *,
-    split_above: float = measures.SPLIT_ABOVE,
-    merge_below: float = 0.8 * measures.SPLIT_ABOVE,
+    split_above: float = refinement_measures.SPLIT_THRESHOLD,
+    merge_below: float = 0.8 * refinement_measures.SPLIT_THRESHOLD,
 ) -> Front:
     """Adjust a front to the weights, with at most `limit` triangles (lambda_G).
 
@@ -74,19 +74,19 @@ def adjust(
     The front itself.
     """
     h = front.hierarchy
-    were_open = {int(p) for n in front.nodes for p in _above(h, n)}
+    refined_before = {int(p) for n in front.nodes for p in _list_ancestors(h, n)}
     state = {0: 0}
-    there = int(h.coarse[0])
+    triangle_count = int(h.coarse[0])
     heap = [(-float(weights.error_px[0]), 0)]
     while heap:
         _, node = heapq.heappop(heap)
-        if not weights.local[node] > (merge_below if node in were_open else split_above):
+        if not weights.local[node] > (merge_below if node in refined_before else split_above):
             continue
-        more = int(h.full[node] - h.coarse[node])
-        if there + more > limit:
-            state[node] = h.splits_for(node, int(limit) - there)
+        added_triangles = int(h.full[node] - h.coarse[node])
+        if triangle_count + added_triangles > limit:
+            state[node] = h.count_affordable_splits(node, int(limit) - triangle_count)
             break
-        there += more
+        triangle_count += added_triangles
         if not len(h.children[node]):
             state[node] = int(h.splits[node])
             continue
@@ -97,8 +97,8 @@ def adjust(
     return front.restore(state)
 
 
-def _above(hierarchy: Levels, node: int) -> list[int]:
-    above = []
+def _list_ancestors(hierarchy: Levels, node: int) -> list[int]:
+    ancestors = []
     while (node := int(hierarchy.parent[node])) >= 0:
-        above.append(node)
-    return above
+        ancestors.append(node)
+    return ancestors

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 class Region(Protocol):
     """Region of space, such as `scanloom.Sphere` and `scanloom.Box`."""
 
-    def holds(self, points: Floats) -> NDArray[np.bool_]:
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3) that are inside."""
 
 
@@ -53,8 +53,8 @@ class Cut:
     is_proven: NDArray[np.bool_]
     is_one_sided: bool = False
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     @property
     def shape_bound_m(self) -> float:
@@ -114,9 +114,9 @@ class Front:
     @property
     def triangles(self) -> int:
         """Number of triangles of the front."""
-        return sum(self._triangles(n, s) for n, s in self._splits.items())
+        return sum(self._count_triangles(n, s) for n, s in self._splits.items())
 
-    def _triangles(self, node: int, splits: int) -> int:
+    def _count_triangles(self, node: int, splits: int) -> int:
         h = self.hierarchy
         first = h.first_split[node]
         return int(h.coarse[node] + h.born_before[first + splits] - h.born_before[first])
@@ -137,9 +137,9 @@ class Front:
             If the node is not in the front, or count is below 1.
         """
         self._require(node, count)
-        all_of_it = int(self.hierarchy.splits[node])
-        if self._splits[node] < all_of_it:
-            self._splits[node] = min(self._splits[node] + count, all_of_it)
+        total = int(self.hierarchy.splits[node])
+        if self._splits[node] < total:
+            self._splits[node] = min(self._splits[node] + count, total)
         elif len(self.hierarchy.children[node]):
             del self._splits[node]
             self._splits.update((int(child), 0) for child in self.hierarchy.children[node])
@@ -165,10 +165,10 @@ class Front:
         if self._splits[node]:
             self._splits[node] = max(self._splits[node] - count, 0)
         elif node:
-            above = int(self.hierarchy.parent[node])
-            for n in [n for n in self._splits if self._is_below(n, above)]:
+            parent = int(self.hierarchy.parent[node])
+            for n in [n for n in self._splits if self._is_below(n, parent)]:
                 del self._splits[n]
-            self._splits[above] = int(self.hierarchy.splits[above])
+            self._splits[parent] = int(self.hierarchy.splits[parent])
         return self
 
     def _require(self, node: int, count: int) -> None:
@@ -177,10 +177,10 @@ class Front:
         if count < 1:
             raise UsageError(USAGE_ARGUMENT_INVALID, "count must be 1 or more.")
 
-    def _is_below(self, node: int, above: int) -> bool:
-        while node > above:
+    def _is_below(self, node: int, ancestor: int) -> bool:
+        while node > ancestor:
             node = int(self.hierarchy.parent[node])
-        return node == above
+        return node == ancestor
 
     def refine(
         self,
@@ -224,21 +224,21 @@ class Front:
                 USAGE_ARGUMENT_INVALID,
                 "no target for the refinement is given: triangles, error_px, max_shape or region.",
             )
-        asked = (("triangles", triangles, 1), ("error_px", error_px, 0), ("max_shape", max_shape, 0))
-        for name, value, least in asked:
-            if value is not None and not value >= least:
+        limits = (("triangles", triangles, 1), ("error_px", error_px, 0), ("max_shape", max_shape, 0))
+        for name, value, minimum in limits:
+            if value is not None and not value >= minimum:
                 raise UsageError(
-                    USAGE_ARGUMENT_INVALID, "{name} must be {least} or more.", name=name, least=least
+                    USAGE_ARGUMENT_INVALID, "{name} must be {least} or more.", name=name, least=minimum
                 )
         if not keep >= 1:
             raise UsageError(USAGE_ARGUMENT_INVALID, "keep must be 1 or more.")
-        wanted = self._wanted(view, error_px, max_shape, region)
-        open_before = self._above_front() if keep > 1 else set()
+        priorities = self._compute_priorities(view, error_px, max_shape, region)
+        refined_before = self._collect_ancestors() if keep > 1 else set()
         self._splits = {0: 0} if self.hierarchy.nodes else {}
-        self._descend(wanted, triangles, open_before, keep)
+        self._refine_by_priority(priorities, triangles, refined_before, keep)
         return self
 
-    def _wanted(
+    def _compute_priorities(
         self, view: View | None, error_px: float | None, max_shape: float | None, region: Region | None
     ) -> Floats:
         """Compute the refinement priority (n,) of each node.
@@ -246,57 +246,59 @@ class Front:
         The priority is the error relative to the requested error; nodes above 1 are refined.
         """
         h = self.hierarchy
-        urgency = np.zeros(h.nodes)
-        seen, length = np.ones(h.nodes, bool), h.shape_bound
+        priorities = np.zeros(h.nodes)
+        is_visible, length = np.ones(h.nodes, bool), h.shape_bound
         if view is not None:
-            seen = view.sees(*h.spheres)
-            length = np.where(seen, view.pixels(h.shape_bound, *h.spheres), 0.0)
+            is_visible = view.intersects(*h.spheres)
+            length = np.where(is_visible, view.project_lengths(h.shape_bound, *h.spheres), 0.0)
         if max_shape is not None:
-            urgency = np.where(seen, _over(h.shape_bound, max_shape), urgency)
+            priorities = np.where(is_visible, _divide_errors(h.shape_bound, max_shape), priorities)
         if error_px is not None:
-            urgency = np.maximum(urgency, _over(length, error_px))
+            priorities = np.maximum(priorities, _divide_errors(length, error_px))
         if error_px is None and max_shape is None:
             # Without a requested error only the order of priorities matters.
-            urgency = np.where(length > 0, 1 + length / max(float(length.max(initial=0.0)), 1e-300), 0.0)
+            priorities = np.where(length > 0, 1 + length / max(float(length.max(initial=0.0)), 1e-300), 0.0)
         if region is not None:
-            urgency = np.where(self._in_region(region), urgency, 0.0)
-        return np.asarray(urgency)
+            priorities = np.where(self._mask_region_nodes(region), priorities, 0.0)
+        return np.asarray(priorities)
 
-    def _in_region(self, region: Region) -> NDArray[np.bool_]:
+    def _mask_region_nodes(self, region: Region) -> NDArray[np.bool_]:
         """Return a mask (n,) of nodes with a vertex in a region, on any level."""
         h = self.hierarchy
-        inside = region.holds(h.vertices)
-        found = np.array([bool(inside[h.vertices_of(n)].any()) for n in range(h.nodes)], bool)
+        inside = region.contains(h.vertices)
+        found = np.array([bool(inside[h.list_vertices(n)].any()) for n in range(h.nodes)], bool)
         for node in range(h.nodes - 1, 0, -1):
             found[h.parent[node]] |= found[node]
         return found
 
-    def _above_front(self) -> set[int]:
-        above: set[int] = set()
+    def _collect_ancestors(self) -> set[int]:
+        ancestors: set[int] = set()
         for node in self._splits:
             n = int(self.hierarchy.parent[node])
-            while n >= 0 and n not in above:
-                above.add(n)
+            while n >= 0 and n not in ancestors:
+                ancestors.add(n)
                 n = int(self.hierarchy.parent[n])
-        return above
+        return ancestors
 
-    def _descend(self, urgency: Floats, triangles: int | None, open_before: set[int], keep: float) -> None:
+    def _refine_by_priority(
+        self, priorities: Floats, triangles: int | None, refined_before: set[int], keep: float
+    ) -> None:
         """Refine nodes in the order of priority while the number of triangles allows."""
         h = self.hierarchy
         if not h.nodes:
             return
-        there = self.triangles
-        heap = [(-float(urgency[0]), 0)]
+        triangle_count = self.triangles
+        heap = [(-float(priorities[0]), 0)]
         while heap:
-            minus, node = heapq.heappop(heap)
-            least = 1 / keep if node in open_before else 1.0
-            if -minus <= least:
+            negative_priority, node = heapq.heappop(heap)
+            threshold = 1 / keep if node in refined_before else 1.0
+            if -negative_priority <= threshold:
                 continue
-            more = int(h.full[node] - h.coarse[node])
-            if triangles is not None and there + more > triangles:
-                self._splits[node] = h.splits_for(node, triangles - there)
+            added_triangles = int(h.full[node] - h.coarse[node])
+            if triangles is not None and triangle_count + added_triangles > triangles:
+                self._splits[node] = h.count_affordable_splits(node, triangles - triangle_count)
                 return
-            there += more
+            triangle_count += added_triangles
             children = h.children[node]
             if not len(children):
                 self._splits[node] = int(h.splits[node])
@@ -304,7 +306,7 @@ class Front:
             del self._splits[node]
             for child in children:
                 self._splits[int(child)] = 0
-                heapq.heappush(heap, (-float(urgency[child]), int(child)))
+                heapq.heappush(heap, (-float(priorities[child]), int(child)))
 
     def rebuild(self, triangles: int) -> Front:
         """Refine to at most `triangles`, with the smallest possible error."""
@@ -329,5 +331,5 @@ class Front:
         )
 
 
-def _over(error: Floats, wanted: float) -> Floats:
-    return np.asarray(np.divide(error, wanted, out=np.where(error > 0, np.inf, 0.0), where=wanted > 0))
+def _divide_errors(error: Floats, requested: float) -> Floats:
+    return np.asarray(np.divide(error, requested, out=np.where(error > 0, np.inf, 0.0), where=requested > 0))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
-from scanloom.stages.lod.model import unpacked
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.lod.source_mesh import decode_glb
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.mesh import Mesh
 
 Ids = NDArray[np.int64]
@@ -84,8 +84,8 @@ class Levels:
     up: tuple[float, float, float] | None = None
     model_glb: bytes | None = None
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     @property
     def nodes(self) -> int:
@@ -101,7 +101,7 @@ class Levels:
         InputError, MeshError
             If `model_glb` is not a valid mesh.
         """
-        return None if self.model_glb is None else unpacked(self.model_glb)
+        return None if self.model_glb is None else decode_glb(self.model_glb)
 
     @property
     def is_one_sided(self) -> bool:
@@ -131,17 +131,17 @@ class Levels:
 
         It is the maximum of the children's bounds, or the base bound at a leaf.
         """
-        return self._below(self.shape_bound, self.base_shape_bound)
+        return self._compute_child_max(self.shape_bound, self.base_shape_bound)
 
     @cached_property
     def full_color_bound(self) -> Floats:
         """Colour bound of each node (n,) with all splits done, levels."""
-        return self._below(self.color_bound, self.base_color_bound)
+        return self._compute_child_max(self.color_bound, self.base_color_bound)
 
-    def _below(self, bound: Floats, base: float) -> Floats:
-        below = np.full(self.nodes, -np.inf)
-        np.maximum.at(below, self.parent[1:], bound[1:])
-        return np.where(np.isinf(below) & (below < 0), base, below)
+    def _compute_child_max(self, bounds: Floats, base_bound: float) -> Floats:
+        child_max = np.full(self.nodes, -np.inf)
+        np.maximum.at(child_max, self.parent[1:], bounds[1:])
+        return np.where(np.isinf(child_max) & (child_max < 0), base_bound, child_max)
 
     @cached_property
     def vertices_after(self) -> Ids:
@@ -159,7 +159,7 @@ class Levels:
         low, high = self.boxes
         middle, radius = 0.5 * (low + high), np.zeros(self.nodes)
         for node in range(self.nodes):
-            away = self.vertices[self.vertices_of(node)] - middle[node]
+            away = self.vertices[self.list_vertices(node)] - middle[node]
             radius[node] = np.sqrt(np.einsum("ij,ij->i", away, away).max(initial=0.0))
         for node in range(self.nodes - 1, 0, -1):
             above = self.parent[node]
@@ -172,7 +172,7 @@ class Levels:
         """Bounding boxes of each node and its descendants: minimum and maximum corners (n, 3), metres."""
         low, high = np.full((self.nodes, 3), np.inf), np.full((self.nodes, 3), -np.inf)
         for node in range(self.nodes - 1, -1, -1):
-            points = self.vertices[self.vertices_of(node)]
+            points = self.vertices[self.list_vertices(node)]
             low[node] = np.minimum(low[node], points.min(axis=0, initial=np.inf))
             high[node] = np.maximum(high[node], points.max(axis=0, initial=-np.inf))
             if node:
@@ -202,22 +202,28 @@ class Levels:
             angle[node] = np.arccos(np.clip(cosine.min(), -1, 1))
         return axis, angle
 
-    def vertices_of(self, node: int) -> NDArray[np.uint32]:
+    def list_vertices(self, node: int) -> NDArray[np.uint32]:
         """Return all vertices that a node uses at any number of splits, ascending."""
         a, b = self.vertices_after[self.first_split[node : node + 2]]
         corners = self.triangles[self.first_triangle[node] : self.first_triangle[node + 1]]
-        there = coarse = _distinct(corners.reshape(-1))
-        while len(coarse) and (beyond := coarse >= a).any():
-            coarse = _distinct(
-                np.where(beyond, self.origin[np.maximum(coarse, self.roots) - self.roots], coarse)
+        corner_vertices = coarse_vertices = _sort_unique(corners.reshape(-1))
+        while len(coarse_vertices) and (is_split := coarse_vertices >= a).any():
+            coarse_vertices = _sort_unique(
+                np.where(
+                    is_split,
+                    self.origin[np.maximum(coarse_vertices, self.roots) - self.roots],
+                    coarse_vertices,
+                )
             )
-        return _distinct(np.concatenate([there, coarse, np.arange(a, b, dtype=np.uint32)]))
+        return _sort_unique(
+            np.concatenate([corner_vertices, coarse_vertices, np.arange(a, b, dtype=np.uint32)])
+        )
 
-    def splits_for(self, node: int, more: int) -> int:
-        """Return the maximum number of a node's splits that add at most `more` triangles."""
+    def count_affordable_splits(self, node: int, max_triangles: int) -> int:
+        """Return the maximum number of a node's splits that add at most `max_triangles` triangles."""
         a, b = self.first_split[node : node + 2]
         born = self.born_before[a : b + 1] - self.born_before[a]
-        return int(np.searchsorted(born, max(more, 0), side="right")) - 1
+        return int(np.searchsorted(born, max(max_triangles, 0), side="right")) - 1
 
     def mesh(self, nodes: Sequence[int] | Ids, splits: Sequence[int] | Ids) -> Mesh:
         """Assemble the mesh of some nodes, each with a number of splits done.
@@ -285,7 +291,7 @@ class Levels:
         }
 
 
-def _distinct(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
+def _sort_unique(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Return the sorted unique ids (k,); ten times faster than np.unique, which hashes."""
     ids = np.sort(ids)
     return ids[np.flatnonzero(np.diff(ids, prepend=ids[:1] + 1))]

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.files.codes import FILE_UNREADABLE
-from scanloom.stages.files.opening import content_of, said_of
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.input_files import describe_os_error, read_input_bytes
 from scanloom.stages.lod.codes import LEVELS_CUT_OFF, LEVELS_FILE_DAMAGED
 from scanloom.stages.lod.hierarchy import Hierarchy
-from scanloom.stages.surface.finite import require_finite
-from scanloom.stages.surface.mesh import NOT_WRITTEN
+from scanloom.stages.surface.finite_check import require_finite
+from scanloom.stages.surface.mesh import WRITING_REMEDY
 
 _MAGIC = b"SLOD"
 # Version 2 adds the dropped components; without them, it equals version 1.
@@ -35,11 +35,11 @@ _FORMAT_VERSION = 2
 # Magic, version, size of the tree in bytes, and checksum of the tree.
 _HEADER = struct.Struct("<4sIQI")
 _CHECKSUM = struct.Struct("<I")
-_NODE = ("parent", "level", "coarse", "splits", "vertices", "triangles", "shape_bound", "color_bound")
+_NODE_COLUMNS = ("parent", "level", "coarse", "splits", "vertices", "triangles", "shape_bound", "color_bound")
 # Maximum count of elements: larger values come from damaged or foreign files.
-_MOST = 2**31 - 1
+_MAX_COUNT = 2**31 - 1
 # Tolerance of the length of a unit direction.
-_UNIT = 1e-9
+_UNIT_TOLERANCE = 1e-9
 
 
 def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
@@ -53,7 +53,7 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         If the file cannot be written.
     """
     h = hierarchy
-    require_finite([("vertex", h.vertices)], path, NOT_WRITTEN)
+    require_finite([("vertex", h.vertices)], path, WRITING_REMEDY)
     single = bool((h.vertices == h.vertices.astype(np.float32)).all())
     tree = {
         "coordinates": "float32" if single else "float64",
@@ -83,15 +83,15 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
     text = json.dumps(tree, separators=(",", ":")).encode()
     parts = [_HEADER.pack(_MAGIC, _FORMAT_VERSION, len(text), zlib.crc32(text)), text]
     for node in range(h.nodes):
-        block = _block(h, node, np.dtype("<f4" if single else "<f8"))
+        block = _encode_node(h, node, np.dtype("<f4" if single else "<f8"))
         parts += [block, _CHECKSUM.pack(zlib.crc32(block))]
     if h.model_glb is not None:
         parts += [h.model_glb, _CHECKSUM.pack(zlib.crc32(h.model_glb))]
-    with replacing(Path(path)) as draft:
+    with write_file_atomically(Path(path)) as draft:
         draft.write_bytes(b"".join(parts))
 
 
-def _block(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
+def _encode_node(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
     splits = slice(*h.first_split[node : node + 2])
     first, last = h.vertices_after[h.first_split[node : node + 2]]
     own = slice(0 if node == 0 else first, last)
@@ -118,9 +118,9 @@ def read_slod(path: Path | str) -> Hierarchy:
     """
     path = Path(path)
     try:
-        data = content_of(path)
+        data = read_input_bytes(path)
     except OSError as error:
-        raise InputError(FILE_UNREADABLE, said_of(error), path) from None
+        raise InputError(FILE_UNREADABLE, describe_os_error(error), path) from None
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise InputError(LEVELS_FILE_DAMAGED, "this is not a .slod file.", where=path)
     _, version, size, checksum = _HEADER.unpack_from(data)
@@ -139,7 +139,7 @@ def read_slod(path: Path | str) -> Hierarchy:
         )
     try:
         with collecting() as diagnostics:
-            hierarchy = _read(data, _HEADER.size + size, json.loads(text), path)
+            hierarchy = _read_nodes(data, _HEADER.size + size, json.loads(text), path)
         return replace(hierarchy, diagnostics=(*hierarchy.diagnostics, *diagnostics))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(
@@ -150,59 +150,60 @@ def read_slod(path: Path | str) -> Hierarchy:
         ) from None
 
 
-def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
-    columns = {name: tree["nodes"][name] for name in _NODE}
+def _read_nodes(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
+    columns = {name: tree["nodes"][name] for name in _NODE_COLUMNS}
     count = len(columns["parent"])
     if count == 0 or any(len(column) != count for column in columns.values()):
         raise ValueError("the tree is incomplete")
-    roots = _natural(tree["roots"])
+    roots = _parse_count(tree["roots"])
     coordinates: np.dtype[Any] = np.dtype({"float32": "<f4", "float64": "<f8"}[tree["coordinates"]])
     sizes = {
-        name: [_natural(x) for x in columns[name]] for name in ("coarse", "splits", "vertices", "triangles")
+        name: [_parse_count(x) for x in columns[name]]
+        for name in ("coarse", "splits", "vertices", "triangles")
     }
-    parts: list[list[NDArray[Any]]] = []
+    blocks: list[list[NDArray[Any]]] = []
     for node in range(count):
         own = sizes["vertices"][node]
-        there = own + (roots if node == 0 else 0)
+        vertex_count = own + (roots if node == 0 else 0)
         splits, triangles = sizes["splits"][node], sizes["triangles"][node]
-        kinds: list[tuple[np.dtype[Any], int]] = [
-            (coordinates, 3 * there),
-            (np.dtype("u1"), 3 * there if tree["colors"] else 0),
+        layout: list[tuple[np.dtype[Any], int]] = [
+            (coordinates, 3 * vertex_count),
+            (np.dtype("u1"), 3 * vertex_count if tree["colors"] else 0),
         ]
-        kinds += [(np.dtype("<u4"), own), (np.dtype("u1"), splits), (np.dtype("u1"), splits)]
-        kinds.append((np.dtype("<u4"), 3 * triangles))
-        size = sum(kind.itemsize * number for kind, number in kinds)
-        block = _whole(data, at, size)
+        layout += [(np.dtype("<u4"), own), (np.dtype("u1"), splits), (np.dtype("u1"), splits)]
+        layout.append((np.dtype("<u4"), 3 * triangles))
+        size = sum(kind.itemsize * number for kind, number in layout)
+        block = _read_block(data, at, size)
         if block is None:
             break
         at += size + _CHECKSUM.size
-        here, offset = [], 0
-        for kind, number in kinds:
-            here.append(np.frombuffer(block, kind, number, offset))
+        arrays, offset = [], 0
+        for kind, number in layout:
+            arrays.append(np.frombuffer(block, kind, number, offset))
             offset += kind.itemsize * number
-        parts.append(here)
+        blocks.append(arrays)
     # Children replace their parent together, so drop an incomplete group of siblings; siblings are
     # consecutive.
     parents = columns["parent"]
-    while 0 < len(parts) < count and parents[len(parts)] == parents[len(parts) - 1]:
-        parts.pop()
-    if not parts:
+    while 0 < len(blocks) < count and parents[len(blocks)] == parents[len(blocks) - 1]:
+        blocks.pop()
+    if not blocks:
         raise ValueError("the root is incomplete")
-    hierarchy = _joined(tree, columns, sizes, roots, parts)
-    _require_sound(hierarchy)
-    if len(parts) < count:
+    hierarchy = _assemble_hierarchy(tree, columns, sizes, roots, blocks)
+    _require_consistent(hierarchy)
+    if len(blocks) < count:
         emit(
             LEVELS_CUT_OFF.warning(
                 "the file ends after {there:,} of {count:,} nodes; finer levels are missing.",
                 path,
-                there=len(parts),
+                there=len(blocks),
                 count=count,
             )
         )
         return hierarchy
     if "model_bytes" not in tree:
         return hierarchy
-    model = _whole(data, at, _natural(tree["model_bytes"]))
+    model = _read_block(data, at, _parse_count(tree["model_bytes"]))
     if model is None:
         emit(
             LEVELS_CUT_OFF.warning(
@@ -214,7 +215,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     return replace(hierarchy, model_glb=model)
 
 
-def _whole(data: bytes, at: int, size: int) -> bytes | None:
+def _read_block(data: bytes, at: int, size: int) -> bytes | None:
     """Return the block of `size` bytes, or None if it is truncated or fails its checksum."""
     block = data[at : at + size]
     if len(data) < at + size + _CHECKSUM.size:
@@ -222,50 +223,50 @@ def _whole(data: bytes, at: int, size: int) -> bytes | None:
     return block if _CHECKSUM.unpack_from(data, at + size)[0] == zlib.crc32(block) else None
 
 
-def _joined(
+def _assemble_hierarchy(
     tree: dict[str, Any],
     columns: dict[str, list[Any]],
     sizes: dict[str, list[int]],
     roots: int,
-    parts: list[list[NDArray[Any]]],
+    blocks: list[list[NDArray[Any]]],
 ) -> Hierarchy:
-    there = len(parts)
+    node_count = len(blocks)
 
-    def all_of(i: int) -> NDArray[Any]:
-        return np.concatenate([part[i] for part in parts])
+    def concatenate_blocks(i: int) -> NDArray[Any]:
+        return np.concatenate([part[i] for part in blocks])
 
-    def offsets(name: str) -> NDArray[np.int64]:
-        return np.concatenate([[0], np.cumsum(sizes[name][:there], dtype=np.int64)])
+    def compute_offsets(name: str) -> NDArray[np.int64]:
+        return np.concatenate([[0], np.cumsum(sizes[name][:node_count], dtype=np.int64)])
 
-    def numbers(name: str, kind: Any) -> NDArray[Any]:
-        return np.asarray(columns[name][:there], kind)
+    def get_column(name: str, kind: Any) -> NDArray[Any]:
+        return np.asarray(columns[name][:node_count], kind)
 
     return Hierarchy(
-        vertices=all_of(0).reshape(-1, 3).astype(np.float64),
-        colors=all_of(1).reshape(-1, 3) if tree["colors"] else None,
+        vertices=concatenate_blocks(0).reshape(-1, 3).astype(np.float64),
+        colors=concatenate_blocks(1).reshape(-1, 3) if tree["colors"] else None,
         roots=roots,
-        origin=all_of(2).astype(np.uint32),
-        made=all_of(3),
-        born=all_of(4),
-        triangles=all_of(5).reshape(-1, 3).astype(np.uint32),
-        parent=numbers("parent", np.int32),
-        level=numbers("level", np.int32),
-        coarse=numbers("coarse", np.int32),
-        first_split=offsets("splits"),
-        first_triangle=offsets("triangles"),
-        shape_bound=numbers("shape_bound", np.float64),
-        color_bound=numbers("color_bound", np.float64),
+        origin=concatenate_blocks(2).astype(np.uint32),
+        made=concatenate_blocks(3),
+        born=concatenate_blocks(4),
+        triangles=concatenate_blocks(5).reshape(-1, 3).astype(np.uint32),
+        parent=get_column("parent", np.int32),
+        level=get_column("level", np.int32),
+        coarse=get_column("coarse", np.int32),
+        first_split=compute_offsets("splits"),
+        first_triangle=compute_offsets("triangles"),
+        shape_bound=get_column("shape_bound", np.float64),
+        color_bound=get_column("color_bound", np.float64),
         base_shape_bound=float(tree["base_shape_bound"]),
         base_color_bound=float(tree["base_color_bound"]),
-        input_triangles=_natural(tree["input_triangles"]),
-        diagnostics=tuple(map(_diagnostic, tree["diagnostics"])),
-        dropped_islands=_natural(tree["dropped_islands"]),
-        dropped_triangles=_natural(tree["dropped_triangles"]),
-        up=_direction(tree["up"]) if "up" in tree else None,
+        input_triangles=_parse_count(tree["input_triangles"]),
+        diagnostics=tuple(map(_parse_diagnostic, tree["diagnostics"])),
+        dropped_islands=_parse_count(tree["dropped_islands"]),
+        dropped_triangles=_parse_count(tree["dropped_triangles"]),
+        up=_parse_direction(tree["up"]) if "up" in tree else None,
     )
 
 
-def _diagnostic(value: object) -> Diagnostic:
+def _parse_diagnostic(value: object) -> Diagnostic:
     if not isinstance(value, dict) or not isinstance(value.get("values", {}), dict):
         raise ValueError(f"{value!r} is not a diagnostic")
     diagnostic = Diagnostic.from_figures(value)
@@ -275,22 +276,22 @@ def _diagnostic(value: object) -> Diagnostic:
     return diagnostic
 
 
-def _direction(value: object) -> tuple[float, float, float]:
+def _parse_direction(value: object) -> tuple[float, float, float]:
     if not isinstance(value, list) or [type(x) for x in value] != [float] * 3:
         raise ValueError(f"{value!r} is not a direction")
     x, y, z = value
-    if not abs(x * x + y * y + z * z - 1) < _UNIT:
+    if not abs(x * x + y * y + z * z - 1) < _UNIT_TOLERANCE:
         raise ValueError(f"{value!r} is not a direction of length 1")
     return x, y, z
 
 
-def _natural(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _MOST:
+def _parse_count(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _MAX_COUNT:
         raise ValueError(f"{value!r} is not a valid count")
     return value
 
 
-def _require_sound(h: Hierarchy) -> None:
+def _require_consistent(h: Hierarchy) -> None:
     """Raise ValueError if indices are out of range, cyclic or inconsistent."""
     numbers = np.arange(h.nodes)
     if h.parent[0] != -1 or (h.parent[1:] < 0).any() or (h.parent[1:] >= numbers[1:]).any():
@@ -301,7 +302,7 @@ def _require_sound(h: Hierarchy) -> None:
         raise ValueError("invalid bound: negative or not finite")
     if (h.made < 1).any() or (h.made > 2).any() or (h.born > 2).any():
         raise ValueError("invalid split: it must add 1 or 2 vertices and at most 2 triangles")
-    if (np.diff(h.vertices_after[h.first_split]) != _own_vertices(h)).any():
+    if (np.diff(h.vertices_after[h.first_split]) != _count_node_vertices(h)).any():
         raise ValueError("the number of vertices contradicts the splits")
     own = np.arange(h.roots, len(h.vertices))
     if (h.origin >= own).any():
@@ -314,5 +315,5 @@ def _require_sound(h: Hierarchy) -> None:
         raise ValueError("the number of triangles contradicts the splits")
 
 
-def _own_vertices(h: Hierarchy) -> NDArray[np.int64]:
+def _count_node_vertices(h: Hierarchy) -> NDArray[np.int64]:
     return np.asarray(np.add.reduceat(np.append(h.made, 0), h.first_split[:-1]) * (h.splits > 0))

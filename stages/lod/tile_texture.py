@@ -19,42 +19,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import encoded_image
+from scanloom.stages.files.image_bytes import encode_image
 from scanloom.stages.lod.codes import LEVELS_MODEL_MISMATCH
-from scanloom.stages.params import check, param
-from scanloom.stages.scans.model.prefetch import read_ahead, workers
-from scanloom.stages.surface.color import color_at, has_color
+from scanloom.stages.params import check_parameters, param
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box
+from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, compute_bounding_box
+from scanloom.stages.surface.surface_color import compute_surface_colors, has_color
 from scanloom.stages.surface.texture import Image, Material, Texture
-from scanloom.stages.surface.topology import areas, require_area
-from scanloom.stages.texturing.detail import detail_of, details_of
-from scanloom.stages.texturing.facing import FacingColors
-from scanloom.stages.texturing.pages import Pages, in_one
-from scanloom.stages.texturing.painted_pages import painted_pages
-from scanloom.stages.texturing.reducing import reduced
+from scanloom.stages.surface.topology import compute_areas, require_area
+from scanloom.stages.texturing.atlas_layout import AtlasLayout, lay_out_single
+from scanloom.stages.texturing.atlas_painting import paint_pages
+from scanloom.stages.texturing.color_lookup import ColorLookup
+from scanloom.stages.texturing.detail_size import estimate_mesh_detail, estimate_triangle_details
+from scanloom.stages.texturing.source_downscaling import downscale_images
 
 # Group of these parameters in the help.
-_IMAGES = "Images"
+_GROUP_IMAGES = "Images"
 # Samples per detail length. The larger value of single baked images changes the RMS colour error by less than
 # 0.1 levels, and takes four times as long for texels as large as the model's.
 _SAMPLES_PER_DETAIL = 1.3
 # Maximum samples along a texel's side; finer detail is sampled from finer tiles or averaged before.
-_MOST_SAMPLES = 4
-_FINER = _MOST_SAMPLES / _SAMPLES_PER_DETAIL
+_MAX_SAMPLES = 4
+_MAX_DETAIL_RATIO = _MAX_SAMPLES / _SAMPLES_PER_DETAIL
 # Texels larger than requested by more than this factor mean that the image was too small. The factor allows
 # for the compression of charts.
-_COARSER = 1.15
+_MAX_TEXEL_RATIO = 1.15
 # Number of precomputed copies of the model's images, each at half the resolution of the previous one.
-_HALVINGS = 3
+_HALVED_COPIES = 3
 # Maximum of 16-bit texture coordinates.
 _UV_STEPS = 65535
 # Maximum median distance between levels and model, relative to the levels' size; beyond, the model is
 # rejected as another surface. Number of vertices sampled for it.
-_FAR = 0.02
-_PROBES = 20_000
+_MAX_DISTANCE_RATIO = 0.02
+_DISTANCE_PROBES = 20_000
 # Points of a tile at which the model's detail and the colour error are sampled.
-_POINTS = 4000
+_SAMPLE_POINTS = 4000
 # Margin around a tile's bounding box from which colours are sampled, in texels and in multiples of both
 # tiles' errors.
 _REACH_TEXELS, _REACH_ERRORS = 8.0, 2.0
@@ -68,23 +68,23 @@ class TileImageParams:
         4.0,
         "Texels per length of the tile's proven error, never finer than the model's images. Viewers show a "
         "tile until its error is about 16 pixels.",
-        group=_IMAGES,
+        group=_GROUP_IMAGES,
         low=0.1,
         high=100,
     )
     image_side: int = param(
-        2048, "Longest side of a tile's image.", unit="texels", group=_IMAGES, low=64, high=8192
+        2048, "Longest side of a tile's image.", unit="texels", group=_GROUP_IMAGES, low=64, high=8192
     )
     image_format: str = param(
         "jpeg",
         "File format of the images; webp is smaller, but viewers must support EXT_texture_webp.",
-        group=_IMAGES,
+        group=_GROUP_IMAGES,
         choices=("jpeg", "webp", "png"),
     )
-    image_quality: int = param(90, "Quality of JPEG and WebP images.", group=_IMAGES, low=1, high=100)
+    image_quality: int = param(90, "Quality of JPEG and WebP images.", group=_GROUP_IMAGES, low=1, high=100)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,8 @@ class TileImage:
     size : width and height, texels.
     texel_size : mean size of a texel on the tile, metres.
     coverage : ratio of the image that shows the surface.
-    is_full : the image was too small for the requested texel size.
-    color_rms, color_95, color_most : colour error in levels, at points sampled on the tile, against the
+    is_coarser_than_requested : the image was too small for the requested texel size.
+    color_rms, color_95, color_max : colour error in levels, at points sampled on the tile, against the
         model's colours at the nearest points that face the same way. Sampled, so not proven. RMS is over
         points and channels; 95th percentile and maximum are of the largest channel difference of each point.
     """
@@ -107,22 +107,22 @@ class TileImage:
     size: tuple[int, int]
     texel_size: float
     coverage: float
-    is_full: bool
+    is_coarser_than_requested: bool
     color_rms: float
     color_95: float
-    color_most: float
+    color_max: float
 
     def figures(self) -> dict[str, Any]:
         """Return the metrics written to tileset.json."""
         return {
-            "texel_size_m": _three_digits(self.texel_size),
-            "color_rms_levels_sampled": _three_digits(self.color_rms),
-            "color_95_levels_sampled": _three_digits(self.color_95),
-            "color_max_levels_sampled": _three_digits(self.color_most),
+            "texel_size_m": _round_to_three_digits(self.texel_size),
+            "color_rms_levels_sampled": _round_to_three_digits(self.color_rms),
+            "color_95_levels_sampled": _round_to_three_digits(self.color_95),
+            "color_max_levels_sampled": _round_to_three_digits(self.color_max),
         }
 
 
-def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
+def summarize_images(images: Sequence[TileImage]) -> dict[str, Any]:
     """Summarise sizes and colour errors of the images of tiles, root first."""
     return {
         "total_bytes": sum(image.bytes for image in images),
@@ -133,7 +133,7 @@ def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
         "coverage": float(np.median([image.coverage for image in images])),
         "finest_texel_m": min(image.texel_size for image in images),
         "coarsest_texel_m": max(image.texel_size for image in images),
-        "tiles_without_room": sum(image.is_full for image in images),
+        "tiles_coarser_than_requested": sum(image.is_coarser_than_requested for image in images),
         "color_rms_levels_sampled": {
             "median": float(np.median([image.color_rms for image in images])),
             "largest": max(image.color_rms for image in images),
@@ -142,56 +142,56 @@ def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class ColorSource:
     """Colour source of the images of tiles.
 
     Attributes
     ----------
     surface : model in the coordinates of the tiles.
-    coarser : the same surface with images halved one or more times; empty without images.
+    halved_copies : the same surface with images halved one or more times; empty without images.
     details : (m,) detail size of each triangle, from its texels or vertex colours, metres.
     """
 
-    surface: Surface
-    coarser: Sequence[Surface]
+    surface: RaycastingSurface
+    halved_copies: Sequence[RaycastingSurface]
     details: Floats
 
-    def detail_on(self, mesh: Mesh) -> float:
+    def estimate_detail(self, mesh: Mesh) -> float:
         """Return the mean detail size of the model near a mesh, metres, averaged over texels."""
-        triangles, weights = _spread(mesh)
+        triangles, weights = _sample_points(mesh)
         points = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
-        details = self.details[self.surface.closest(points).triangles]
+        details = self.details[self.surface.find_closest_points(points).triangles]
         return float(1 / np.sqrt((1 / details**2).mean()))
 
-    def for_texels(self, texel_size: float, detail: float) -> tuple[Surface, float]:
+    def select_resolution(self, texel_size: float, detail: float) -> tuple[RaycastingSurface, float]:
         """Select the copy of the model that a few samples per texel can resolve.
 
         Returns
         -------
         The surface, and its detail size in metres.
         """
-        halvings = max(math.ceil(math.log2(texel_size / (_FINER * detail))), 0)
-        halvings = min(halvings, len(self.coarser))
-        return self.coarser[halvings - 1] if halvings else self.surface, detail * 2**halvings
+        halvings = max(math.ceil(math.log2(texel_size / (_MAX_DETAIL_RATIO * detail))), 0)
+        halvings = min(halvings, len(self.halved_copies))
+        return self.halved_copies[halvings - 1] if halvings else self.surface, detail * 2**halvings
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class TileMesh:
     """Mesh of a tile and the tiles its image is sampled from.
 
     Attributes
     ----------
     mesh : without colours.
     error : proven shape error, metres.
-    below : indices of finer tiles that together cover the whole surface; empty for the finest.
+    finer_tiles : indices of finer tiles that together cover the whole surface; empty for the finest.
     """
 
     mesh: Mesh
     error: float
-    below: tuple[int, ...]
+    finer_tiles: tuple[int, ...]
 
 
-def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
+def prepare_color_source(mesh: Mesh, levels: Mesh, origin: Floats) -> ColorSource:
     """Prepare a mesh as colour source for the levels.
 
     Parameters
@@ -212,12 +212,12 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
         )
     if origin.any():
         mesh = mesh.with_(vertices=mesh.vertices - origin)
-    box = bounding_box(mesh, levels)
-    surface = Surface(mesh, box)
-    probes = levels.vertices[:: math.ceil(len(levels.vertices) / _PROBES)]
-    away = float(np.median(surface.closest(probes).distances))
+    box = compute_bounding_box(mesh, levels)
+    surface = RaycastingSurface(mesh, box)
+    probes = levels.vertices[:: math.ceil(len(levels.vertices) / _DISTANCE_PROBES)]
+    median_distance = float(np.median(surface.find_closest_points(probes).distances))
     size = float(np.linalg.norm(np.ptp(levels.vertices, axis=0)))
-    if away > _FAR * size:
+    if median_distance > _MAX_DISTANCE_RATIO * size:
         raise MeshError(
             LEVELS_MODEL_MISMATCH,
             (
@@ -225,24 +225,24 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
                 "than {away:.3g} m away from it. It is another surface, or has other coordinates."
             ),
             "model",
-            away=away,
+            away=median_distance,
             size=size,
         )
-    detail = detail_of(mesh)
-    coarser = [
-        surface.showing(reduced(mesh, detail * 2**halvings, 1.0))
-        for halvings in range(1, _HALVINGS + 1)
+    detail = estimate_mesh_detail(mesh)
+    halved_copies = [
+        surface.replace_mesh(downscale_images(mesh, detail * 2**halvings, 1.0))
+        for halvings in range(1, _HALVED_COPIES + 1)
         if mesh.texture is not None
     ]
-    return Model(surface, coarser, details_of(mesh))
+    return ColorSource(surface, halved_copies, estimate_triangle_details(mesh))
 
 
-def with_images(
-    pieces: Sequence[Piece], model: Model, params: TileImageParams
+def paint_tile_images(
+    tiles: Sequence[TileMesh], color_source: ColorSource, params: TileImageParams
 ) -> Iterator[tuple[int, Mesh, TileImage]]:
     """Paint the images of all tiles.
 
-    Tiles are painted after all tiles in their `below`. The result does not depend on the number of threads.
+    Tiles are painted after all tiles in their `finer_tiles`. The result does not depend on the number of threads.
 
     Yields
     ------
@@ -254,31 +254,31 @@ def with_images(
         If a tile has no area or only degenerate triangles, or has too many charts for an image of
         `image_side`.
     """
-    waiting = set(range(len(pieces)))
+    pending = set(range(len(tiles)))
     painted: dict[int, tuple[Mesh, float]] = {}
-    while waiting:
-        now = sorted(number for number in waiting if painted.keys() >= set(pieces[number].below))
-        waiting -= set(now)
-        paint = partial(_painted, pieces, model, params, painted)
-        done = {}
-        threads = workers()
+    while pending:
+        batch = sorted(number for number in pending if painted.keys() >= set(tiles[number].finer_tiles))
+        pending -= set(batch)
+        paint = partial(_paint_tile, tiles, color_source, params, painted)
+        painted_now = {}
+        threads = get_worker_count()
         for number, result in zip(
-            now, read_ahead(paint, now, threads=threads, ahead=threads + 1), strict=True
+            batch, map_ordered(paint, batch, threads=threads, max_pending=threads + 1), strict=True
         ):
-            done[number] = result.plain, result.image.texel_size
+            painted_now[number] = result.plain, result.image.texel_size
             yield number, result.mesh, result.image
-        painted |= done
-        needed = {other for number in waiting for other in pieces[number].below}
+        painted |= painted_now
+        needed = {other for number in pending for other in tiles[number].finer_tiles}
         for number in painted.keys() - needed:
             # Release the mesh; the texel size and the fact that the tile is painted are still needed.
-            painted[number] = _NOTHING, painted[number][1]
+            painted[number] = _EMPTY_MESH, painted[number][1]
 
 
-_NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+_EMPTY_MESH = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 
 @dataclass(frozen=True, eq=False)
-class _Painted:
+class _PaintedTile:
     """Tile with its image, raw (`plain`) and encoded (`mesh`)."""
 
     plain: Mesh
@@ -286,73 +286,80 @@ class _Painted:
     image: TileImage
 
 
-def _painted(
-    pieces: Sequence[Piece],
-    model: Model,
+def _paint_tile(
+    tiles: Sequence[TileMesh],
+    color_source: ColorSource,
     params: TileImageParams,
-    finer: Mapping[int, tuple[Mesh, float]],
+    painted_tiles: Mapping[int, tuple[Mesh, float]],
     number: int,
-) -> _Painted:
-    piece = pieces[number]
-    mesh = piece.mesh
+) -> _PaintedTile:
+    tile = tiles[number]
+    mesh = tile.mesh
     require_area(mesh, "tile")
-    detail = model.detail_on(mesh)
-    wanted = max(piece.error / params.texels_per_error, detail)
-    pages = in_one(mesh, wanted, max_side=params.image_side)
-    texel_size = pages.texel_size(mesh)
-    if piece.below and texel_size > _FINER * detail:
-        surface, detail = _around(piece, texel_size, pieces, finer)
+    detail = color_source.estimate_detail(mesh)
+    requested_texel_size = max(tile.error / params.texels_per_error, detail)
+    pages = lay_out_single(mesh, requested_texel_size, max_side=params.image_side)
+    texel_size = pages.compute_mean_texel_size(mesh)
+    if tile.finer_tiles and texel_size > _MAX_DETAIL_RATIO * detail:
+        surface, detail = _merge_nearby_tiles(tile, texel_size, tiles, painted_tiles)
     else:
-        surface, detail = model.for_texels(texel_size, detail)
-    samples = min(max(round(_SAMPLES_PER_DETAIL * texel_size / detail), 1), _MOST_SAMPLES)
-    colors_of = FacingColors(surface, mesh, texel_size)
+        surface, detail = color_source.select_resolution(texel_size, detail)
+    samples = min(max(round(_SAMPLES_PER_DETAIL * texel_size / detail), 1), _MAX_SAMPLES)
+    colors_of = ColorLookup(surface, mesh, texel_size)
     # One thread: tiles are already painted in parallel.
-    found = painted_pages(mesh, pages, samples, colors_of, goes_on=True, threads=1)
-    (pixels,) = found.images
-    encoded = encoded_image(pixels, params.image_format, params.image_quality)
-    uvs = _rounded(pages)
+    painted = paint_pages(mesh, pages, samples, colors_of, continues_beyond=True, threads=1)
+    (pixels,) = painted.images
+    encoded = encode_image(pixels, params.image_format, params.image_quality)
+    uvs = _quantize_uvs(pages)
 
-    def with_image(image: Image) -> Mesh:
+    def attach_image(image: Image) -> Mesh:
         material = Material(image=image, wrap=("clamp", "clamp"))
         return mesh.with_(texture=Texture(uvs, pages.images, (material,)))
 
     # A separate Image object: decoding caches the pixels, which must not be kept with the result.
-    rms, most_of_95, most = _differences(with_image(Image(encoded=encoded)), model.surface, texel_size)
-    is_full = texel_size > _COARSER * wanted
+    rms, color_95, color_max = _compute_color_error(
+        attach_image(Image(encoded=encoded)), color_source.surface, texel_size
+    )
+    is_coarser = texel_size > _MAX_TEXEL_RATIO * requested_texel_size
     height, width = pixels.shape[:2]
     image = TileImage(
-        len(encoded), (width, height), texel_size, found.coverage, is_full, rms, most_of_95, most
+        len(encoded), (width, height), texel_size, painted.coverage, is_coarser, rms, color_95, color_max
     )
-    return _Painted(with_image(Image(given=pixels)), with_image(Image(encoded=encoded)), image)
+    return _PaintedTile(attach_image(Image(given=pixels)), attach_image(Image(encoded=encoded)), image)
 
 
-def _rounded(pages: Pages) -> Floats:
+def _quantize_uvs(pages: AtlasLayout) -> Floats:
     """Round texture coordinates to 16 bits, as in the file."""
     return np.asarray(np.rint(pages.uvs * _UV_STEPS).clip(0, _UV_STEPS) / _UV_STEPS)
 
 
-def _around(
-    piece: Piece, texel_size: float, pieces: Sequence[Piece], finer: Mapping[int, tuple[Mesh, float]]
-) -> tuple[Surface, float]:
+def _merge_nearby_tiles(
+    tile: TileMesh,
+    texel_size: float,
+    tiles: Sequence[TileMesh],
+    painted_tiles: Mapping[int, tuple[Mesh, float]],
+) -> tuple[RaycastingSurface, float]:
     """Merge the finer tiles around a tile into one surface.
 
     Returns
     -------
     The surface, and the minimum texel size of the tiles, metres.
     """
-    low, high = bounding_box(piece.mesh)
-    chosen = []
-    for number in piece.below:
-        reach = _REACH_TEXELS * texel_size + _REACH_ERRORS * (piece.error + pieces[number].error)
-        its_low, its_high = bounding_box(pieces[number].mesh)
-        if ((its_low <= high + reach) & (its_high >= low - reach)).all():
-            chosen.append(number)
-    meshes = [finer[number][0] for number in chosen]
-    mesh = _joined(meshes)
-    return Surface(mesh, bounding_box(mesh, piece.mesh)), min(finer[number][1] for number in chosen)
+    low, high = compute_bounding_box(tile.mesh)
+    nearby = []
+    for number in tile.finer_tiles:
+        margin = _REACH_TEXELS * texel_size + _REACH_ERRORS * (tile.error + tiles[number].error)
+        tile_low, tile_high = compute_bounding_box(tiles[number].mesh)
+        if ((tile_low <= high + margin) & (tile_high >= low - margin)).all():
+            nearby.append(number)
+    meshes = [painted_tiles[number][0] for number in nearby]
+    mesh = _merge_textured_meshes(meshes)
+    return RaycastingSurface(mesh, compute_bounding_box(mesh, tile.mesh)), min(
+        painted_tiles[number][1] for number in nearby
+    )
 
 
-def _joined(meshes: Sequence[Mesh]) -> Mesh:
+def _merge_textured_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Merge textured meshes into one, with one material per mesh."""
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     textures = [mesh.texture for mesh in meshes if mesh.texture is not None]
@@ -367,7 +374,7 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
+def _sample_points(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
     """Sample points uniformly and reproducibly on a mesh.
 
     Returns
@@ -375,24 +382,30 @@ def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
     Triangles (k,) and barycentric weights (k, 3).
     """
     rng = np.random.default_rng(0)
-    area = areas(mesh.vertices, mesh.triangles)
-    triangles = np.sort(rng.choice(len(area), _POINTS, p=area / area.sum())).astype(np.int64)
-    return triangles, rng.dirichlet((1, 1, 1), _POINTS)
+    area = compute_areas(mesh.vertices, mesh.triangles)
+    triangles = np.sort(rng.choice(len(area), _SAMPLE_POINTS, p=area / area.sum())).astype(np.int64)
+    return triangles, rng.dirichlet((1, 1, 1), _SAMPLE_POINTS)
 
 
-def _differences(mesh: Mesh, model: Surface, texel_size: float) -> tuple[float, float, float]:
+def _compute_color_error(
+    mesh: Mesh, reference: RaycastingSurface, texel_size: float
+) -> tuple[float, float, float]:
     """Compute the colour error of a textured mesh against a model, levels.
 
     Returns
     -------
     RMS over points and channels, 95th percentile and maximum over points.
     """
-    triangles, weights = _spread(mesh)
-    was, _ = FacingColors(model, mesh, texel_size)(triangles, weights)
-    apart = np.abs(color_at(mesh, triangles, weights) - was)
-    of_points = apart.max(axis=1)
-    return float(np.sqrt((apart**2).mean())), float(np.quantile(of_points, 0.95)), float(of_points.max())
+    triangles, weights = _sample_points(mesh)
+    reference_colors, _ = ColorLookup(reference, mesh, texel_size)(triangles, weights)
+    differences = np.abs(compute_surface_colors(mesh, triangles, weights) - reference_colors)
+    max_differences = differences.max(axis=1)
+    return (
+        float(np.sqrt((differences**2).mean())),
+        float(np.quantile(max_differences, 0.95)),
+        float(max_differences.max()),
+    )
 
 
-def _three_digits(value: float) -> float:
+def _round_to_three_digits(value: float) -> float:
     return float(f"{value:.3g}")

@@ -18,32 +18,32 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.opening import content_of
-from scanloom.stages.files.replacing_folder import replacing_folder
-from scanloom.stages.files.written_by import installed_version
+from scanloom.stages.files.atomic_folders import write_folder_atomically
+from scanloom.stages.files.input_files import read_input_bytes
+from scanloom.stages.files.version import get_installed_version
 from scanloom.stages.lod.codes import LEVELS_CUT_OFF, LEVELS_LEFT_OUT
-from scanloom.stages.lod.grid import Grid, on_grid
 from scanloom.stages.lod.hierarchy import Hierarchy
-from scanloom.stages.lod.tile_glb import tile_glb
+from scanloom.stages.lod.position_grid import PositionGrid, snap_to_grid
+from scanloom.stages.lod.tile_glb import encode_tile_glb
 from scanloom.stages.lod.tile_texture import (
-    Piece,
     TileImage,
     TileImageParams,
-    figures_of,
-    model_of,
-    with_images,
+    TileMesh,
+    paint_tile_images,
+    prepare_color_source,
+    summarize_images,
 )
-from scanloom.stages.params import check as check_params
+from scanloom.stages.params import check_parameters as check_params
 from scanloom.stages.params import param, resolve
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.printing.rounding import rounded_up
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.surface.color import is_transparent
-from scanloom.stages.surface.convert import MeshLike, as_mesh
-from scanloom.stages.surface.finite import require_finite
+from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.printing.rounding import round_up
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.surface.finite_check import require_finite
 from scanloom.stages.surface.mean_normal import estimate_mean_normal
-from scanloom.stages.surface.mesh import NOT_WRITTEN, Mesh
-from scanloom.stages.surface.upright import direction_of, turn_along_z
+from scanloom.stages.surface.mesh import WRITING_REMEDY, Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.surface_color import is_transparent
+from scanloom.stages.surface.up_direction import parse_up_direction, rotate_to_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -57,18 +57,18 @@ Tree = dict[str, Any]
 Floats = NDArray[np.float64]
 
 TILESET = "tileset.json"
-_FOLDER = "tiles"
+_TILES_FOLDER = "tiles"
 # Files of the viewer page, which the command may add to the tileset folder.
 PAGE_INDEX, PAGE_FOLDER = "index.html", "page"
 COMPRESSIONS = ("none", "meshopt")
 # Description of the expected content, for the error if the output folder contains something else.
-WHAT = "a tileset of scanloom"
+TILESET_DESCRIPTION = "a tileset of scanloom"
 # Maximum triangles of a tile relative to its only child; a larger tile is skipped, and the child replaces it.
-_MOST_OF_CHILD = 0.8
+_MAX_CHILD_RATIO = 0.8
 # Up axis in camera coordinates, which are the world coordinates of scans without given poses.
-_OF_CAMERAS = "-y"
+_CAMERA_UP = "-y"
 # Significant digits of a bound, rounded up.
-_DIGITS = 6
+_BOUND_DIGITS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class TilesParams:
     def __post_init__(self) -> None:
         check_params(self)
         if self.up is not None:
-            direction_of(self.up)
+            parse_up_direction(self.up)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class Tileset:
     diagnostics : warnings, such as dropped attributes.
     """
 
-    grid: Grid
+    grid: PositionGrid
     sizes: NDArray[np.int64]
     triangles: NDArray[np.int64]
     tree: Tree
@@ -117,8 +117,8 @@ class Tileset:
     images: tuple[TileImage, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return counts and sizes for JSON, with units in the keys."""
@@ -131,10 +131,10 @@ class Tileset:
             "largest_bytes": int(self.sizes.max()),
             "positions": "16 bits" if self.grid.in_16_bits else "single precision",
             "grid_step_m": self.grid.step,
-            "grid_share_m": self.grid.share_m,
+            "grid_displacement_m": self.grid.max_displacement_m,
             "geometric_error_m": float(self.tree["root"]["geometricError"]),
             "up": self.up,
-            "images": figures_of(self.images) if self.images else None,
+            "images": summarize_images(self.images) if self.images else None,
             "one_sided": "one_sided" in self.tree["asset"]["extras"],
         }
 
@@ -146,7 +146,7 @@ def write_tiles(
     *,
     texture: MeshLike | None = None,
     images: TileImageParams | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[TilesKeywords],
 ) -> Tileset:
     """Write a hierarchy as 3D Tiles 1.1.
@@ -204,56 +204,56 @@ def _write_tiles(
     images: TileImageParams | None,
     progress: Progress,
 ) -> Tileset:
-    _require_whole(hierarchy)
-    require_finite([("vertex", hierarchy.vertices)], outdir, NOT_WRITTEN)
+    _require_complete(hierarchy)
+    require_finite([("vertex", hierarchy.vertices)], outdir, WRITING_REMEDY)
     model = hierarchy.model if texture is None else as_mesh(texture, "model")
-    with replacing_folder(outdir, is_tileset, WHAT) as draft:
-        placed, grid = on_grid(hierarchy)
-        (draft / _FOLDER).mkdir()
-        tiles = _tiles(hierarchy, grid)
+    with write_folder_atomically(outdir, is_tileset, TILESET_DESCRIPTION) as draft:
+        snapped, grid = snap_to_grid(hierarchy)
+        (draft / _TILES_FOLDER).mkdir()
+        tiles = _list_tiles(hierarchy, grid)
         sizes, triangles = np.zeros((2, len(tiles)), np.int64)
-        found: dict[int, TileImage] = {}
-        for done, (number, mesh, image) in enumerate(_meshes(placed, tiles, grid, model, images)):
+        images_by_tile: dict[int, TileImage] = {}
+        for done, (number, mesh, image) in enumerate(_iterate_meshes(snapped, tiles, grid, model, images)):
             # Compression metadata makes tiny tiles larger, so keep the smaller file.
-            ways = (False, True) if params.compress == "meshopt" else (False,)
-            content = min((tile_glb(mesh, grid, pack=pack) for pack in ways), key=len)
+            pack_options = (False, True) if params.compress == "meshopt" else (False,)
+            content = min((encode_tile_glb(mesh, grid, compress=pack) for pack in pack_options), key=len)
             (draft / tiles[number].uri).write_bytes(content)
             sizes[number], triangles[number] = len(content), len(mesh.triangles)
             if image is not None:
-                found[number] = image
+                images_by_tile[number] = image
             progress(done + 1, len(tiles))
-        of_tiles = tuple(found[number] for number in sorted(found))
-        up = _up(params, hierarchy, model)
-        tree = _tileset(placed, tiles, of_tiles, grid, up)
+        tile_images = tuple(images_by_tile[number] for number in sorted(images_by_tile))
+        up = _resolve_up(params, hierarchy, model)
+        tree = _build_tileset(snapped, tiles, tile_images, grid, up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), encoding="utf-8", newline="\n")
     if model is not None and is_transparent(model):
         emit(LEVELS_LEFT_OUT.warning("tiles drop the transparency of the model's images."))
-    told = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
-    return Tileset(grid, sizes, triangles, tree, told, of_tiles)
+    up_direction = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
+    return Tileset(grid, sizes, triangles, tree, up_direction, tile_images)
 
 
-def _up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats | None:
+def _resolve_up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats | None:
     """Return the up direction (3,), unit length; None to rotate nothing."""
     if params.up is not None:
-        return direction_of(params.up)
-    known = hierarchy.up if model is None or hierarchy.up is not None else model.up
-    return direction_of(_OF_CAMERAS) if known is None else np.array(known)
+        return parse_up_direction(params.up)
+    up_direction = hierarchy.up if model is None or hierarchy.up is not None else model.up
+    return parse_up_direction(_CAMERA_UP) if up_direction is None else np.array(up_direction)
 
 
 def is_tileset(folder: Path) -> bool:
     """Return True if a folder contains only a scanloom tileset, with or without its page."""
-    found, own = {entry.name for entry in folder.iterdir()}, {TILESET, _FOLDER}
+    found, own = {entry.name for entry in folder.iterdir()}, {TILESET, _TILES_FOLDER}
     # An interrupted command may leave an incomplete page.
     if not own <= found <= own | {PAGE_INDEX, PAGE_FOLDER}:
         return False
     try:
-        tree = json.loads(content_of(folder / TILESET))
+        tree = json.loads(read_input_bytes(folder / TILESET))
         return "scanloom" in tree["asset"]["extras"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
 
 
-def _require_whole(h: Hierarchy) -> None:
+def _require_complete(h: Hierarchy) -> None:
     for node, children in enumerate(h.children):
         below = int(h.coarse[children].sum())
         if below != h.full[node] if len(children) else h.level[node] > 0:
@@ -275,114 +275,116 @@ class _Tile:
     color_bound: float
 
 
-def _tiles(h: Hierarchy, grid: Grid) -> list[_Tile]:
+def _list_tiles(h: Hierarchy, grid: PositionGrid) -> list[_Tile]:
     """List all tiles: nodes by index, then the base tiles below leaves."""
 
-    def tile(node: int, is_base: bool, shape: float, color: float) -> _Tile:
-        bound = rounded_up(math.nextafter(shape + grid.share_m, math.inf), _DIGITS)
-        uri = f"{_FOLDER}/{node}{'-base' if is_base else ''}.glb"
+    def make_tile(node: int, is_base: bool, shape: float, color: float) -> _Tile:
+        bound = round_up(math.nextafter(shape + grid.max_displacement_m, math.inf), _BOUND_DIGITS)
+        uri = f"{_TILES_FOLDER}/{node}{'-base' if is_base else ''}.glb"
         return _Tile(node, is_base, uri, bound, color)
 
     found, base = [], []
     for node, children in enumerate(h.children):
-        if len(children) > 1 or h.coarse[node] <= _MOST_OF_CHILD * h.full[node]:
-            found.append(tile(node, False, float(h.shape_bound[node]), float(h.color_bound[node])))
+        if len(children) > 1 or h.coarse[node] <= _MAX_CHILD_RATIO * h.full[node]:
+            found.append(make_tile(node, False, float(h.shape_bound[node]), float(h.color_bound[node])))
         if not len(children):
-            base.append(tile(node, True, h.base_shape_bound, h.base_color_bound))
+            base.append(make_tile(node, True, h.base_shape_bound, h.base_color_bound))
     return found + base
 
 
-def _meshes(
-    placed: Hierarchy,
+def _iterate_meshes(
+    snapped: Hierarchy,
     tiles: list[_Tile],
-    grid: Grid,
-    textured: Mesh | None,
+    grid: PositionGrid,
+    source_mesh: Mesh | None,
     params: TileImageParams | None,
 ) -> Iterator[tuple[int, Mesh, TileImage | None]]:
     """Yield index, mesh and image metrics of each tile; None without an image."""
 
-    def mesh_of(tile: _Tile) -> Mesh:
-        return placed.mesh([tile.node], [int(placed.splits[tile.node]) if tile.is_base else 0])
+    def assemble_mesh(tile: _Tile) -> Mesh:
+        return snapped.mesh([tile.node], [int(snapped.splits[tile.node]) if tile.is_base else 0])
 
-    if textured is None:
+    if source_mesh is None:
         for number, tile in enumerate(tiles):
-            yield number, mesh_of(tile), None
+            yield number, assemble_mesh(tile), None
         return
-    model = model_of(textured, placed.mesh(leaves := _leaves(placed), placed.splits[leaves]), grid.origin)
-    pieces = [
-        Piece(mesh_of(tile).with_(colors=None), tile.shape_bound, below)
-        for tile, below in zip(tiles, _below(placed, tiles), strict=True)
+    color_source = prepare_color_source(
+        source_mesh, snapped.mesh(leaves := _list_leaves(snapped), snapped.splits[leaves]), grid.origin
+    )
+    tile_meshes = [
+        TileMesh(assemble_mesh(tile).with_(colors=None), tile.shape_bound, finer_tiles)
+        for tile, finer_tiles in zip(tiles, _list_finer_tiles(snapped, tiles), strict=True)
     ]
-    yield from with_images(pieces, model, params or TileImageParams())
+    yield from paint_tile_images(tile_meshes, color_source, params or TileImageParams())
 
 
-def _leaves(h: Hierarchy) -> NDArray[np.int64]:
+def _list_leaves(h: Hierarchy) -> NDArray[np.int64]:
     return np.flatnonzero([not len(children) for children in h.children])
 
 
-def _below(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
+def _list_finer_tiles(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
     """List the source tiles of each tile: the next finer level, covering the whole surface."""
     number_of = {(tile.node, tile.is_base): number for number, tile in enumerate(tiles)}
 
-    def standing_for(node: int) -> int:
+    def find_representative(node: int) -> int:
         while (node, False) not in number_of and len(h.children[node]):
             (node,) = h.children[node].tolist()
         return number_of.get((node, False), number_of.get((node, True), -1))
 
-    def front(level: int) -> tuple[int, ...]:
+    def list_front(level: int) -> tuple[int, ...]:
         todo, found = [0], []
         while todo:
             node = todo.pop()
             if h.level[node] < level:
-                found.append(standing_for(node))
+                found.append(find_representative(node))
             elif len(h.children[node]):
                 todo += h.children[node].tolist()
             else:
                 found.append(number_of[node, True])
         return tuple(sorted(found))
 
-    fronts = {level: front(level) for level in set(h.level.tolist())}
+    fronts = {level: list_front(level) for level in set(h.level.tolist())}
     return [() if tile.is_base else fronts[int(h.level[tile.node])] for tile in tiles]
 
 
-def _tileset(
-    placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: Grid, up: Floats | None
+def _build_tileset(
+    snapped: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: PositionGrid, up: Floats | None
 ) -> Tree:
     """Build the content of tileset.json."""
-    low, high = placed.boxes
-    described: dict[int, Tree] = {}
-    own = {(tile.node, tile.is_base): tile for tile in tiles}
-    shown = {tile.uri: image for tile, image in zip(tiles, images, strict=False)}
+    low, high = snapped.boxes
+    entries: dict[int, Tree] = {}
+    tiles_by_node = {(tile.node, tile.is_base): tile for tile in tiles}
+    images_by_uri = {tile.uri: image for tile, image in zip(tiles, images, strict=False)}
     # From the last node to the root: children are described before their parent.
-    for node in range(placed.nodes - 1, -1, -1):
-        box = {"box": _box(low[node], high[node], grid)}
-        below = [described[int(child)] for child in placed.children[node]]
-        for tile in (own.get((node, True)), own.get((node, False))):
+    for node in range(snapped.nodes - 1, -1, -1):
+        box = {"box": _make_box(low[node], high[node], grid)}
+        children = [entries[int(child)] for child in snapped.children[node]]
+        for tile in (tiles_by_node.get((node, True)), tiles_by_node.get((node, False))):
             if tile is not None:
-                colors = {} if placed.colors is None else {"color_bound_levels": tile.color_bound}
-                if tile.uri in shown:
-                    colors = shown[tile.uri].figures()
-                below = [_described(tile, box, below, colors, placed.is_one_sided)]
-        (described[node],) = below
-    root = described[0]
+                colors = {} if snapped.colors is None else {"color_bound_levels": tile.color_bound}
+                if tile.uri in images_by_uri:
+                    colors = images_by_uri[tile.uri].figures()
+                children = [_describe_tile(tile, box, children, colors, snapped.is_one_sided)]
+        (entries[node],) = children
+    root = entries[0]
     transform = np.eye(4)
-    transform[:3, :3] = turn_along_z(up)
+    transform[:3, :3] = rotate_to_z(up)
     transform[:3, 3] = transform[:3, :3] @ grid.origin
     moves = not np.array_equal(transform, np.eye(4))
     # The tileset's error applies if no tile is shown: then the whole model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
-    about: Tree = {"scanloom": installed_version()}
-    look = estimate_mean_normal(placed.mesh([0], [0]), turn_along_z(up))
-    if look is not None:
-        about["facing"] = look
-    if placed.is_one_sided:
-        about |= {
+    extras: Tree = {"scanloom": get_installed_version()}
+    facing = estimate_mean_normal(snapped.mesh([0], [0]), rotate_to_z(up))
+    if facing is not None:
+        extras["facing"] = facing
+    if snapped.is_one_sided:
+        extras |= {
             "one_sided": True,
-            "dropped_islands": placed.dropped_islands,
-            "dropped_triangles": placed.dropped_triangles,
+            "dropped_islands": snapped.dropped_islands,
+            "dropped_triangles": snapped.dropped_triangles,
         }
     return {
-        "asset": {"version": "1.1", "extras": about},
+        "asset": {"version": "1.1", "extras": extras},
         "geometricError": max(diagonal, root["geometricError"]),
         "root": {
             **({"transform": transform.T.reshape(-1).tolist()} if moves else {}),
@@ -392,20 +394,20 @@ def _tileset(
     }
 
 
-def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_one_sided: bool) -> Tree:
+def _describe_tile(tile: _Tile, volume: Tree, children: list[Tree], colors: Tree, is_one_sided: bool) -> Tree:
     """Build the tileset.json entry of a tile with its bounds and children."""
     extras: Tree = {"shape_bound_m": tile.shape_bound, **colors}
     if is_one_sided:
         extras["one_sided"] = True
     return {
         "boundingVolume": volume,
-        "geometricError": max([tile.shape_bound, *(child["geometricError"] for child in below)]),
+        "geometricError": max([tile.shape_bound, *(child["geometricError"] for child in children)]),
         "content": {"uri": tile.uri, "extras": extras},
-        **({"children": below} if below else {}),
+        **({"children": children} if children else {}),
     }
 
 
-def _box(low: Floats, high: Floats, grid: Grid) -> list[float]:
+def _make_box(low: Floats, high: Floats, grid: PositionGrid) -> list[float]:
     """Return a bounding box as centre and half axes.
 
     It is enlarged by a grid step on all sides. The margin gives flat boxes a thickness. Nested boxes stay

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.picturing.viewpoints import Viewpoint
-from scanloom.stages.printing import by_fields
+from scanloom.stages.printing import format_by_fields
+from scanloom.stages.rendering.viewpoints import Viewpoint
 
 Floats = NDArray[np.float64]
 
 # Minimum distance from the eye relative to a node's radius, for nodes that contain the eye.
-_NEAREST = 1e-3
+_MIN_DISTANCE_RATIO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class View:
     near: float = 1e-3
     far: float = math.inf
 
-    __repr__ = by_fields
+    __repr__ = format_by_fields
 
     def __post_init__(self) -> None:
         points = (self.eye, self.look, self.up)
@@ -66,18 +66,25 @@ class View:
     def of(viewpoint: Viewpoint, *, near: float = 1e-3, far: float = math.inf) -> View:
         """Return the view of a viewpoint, ignoring its principal point."""
         camera, pose = viewpoint.camera, np.asarray(viewpoint.world_from_camera, np.float64)
-        eye, ahead, down = pose[:3, 3], pose[:3, 2], pose[:3, 1]
+        eye, direction, down = pose[:3, 3], pose[:3, 2], pose[:3, 1]
         field = 2 * math.degrees(math.atan2(0.5 * camera.height, camera.fy))
 
-        def three(p: Floats) -> tuple[float, float, float]:
+        def to_tuple(p: Floats) -> tuple[float, float, float]:
             return float(p[0]), float(p[1]), float(p[2])
 
         return View(
-            three(eye), three(eye + ahead), three(-down), camera.width, camera.height, field, near, far
+            to_tuple(eye),
+            to_tuple(eye + direction),
+            to_tuple(-down),
+            camera.width,
+            camera.height,
+            field,
+            near,
+            far,
         )
 
     @property
-    def ahead(self) -> Floats:
+    def direction(self) -> Floats:
         """Viewing direction (3,), unit length."""
         way = np.subtract(self.look, self.eye)
         return np.asarray(way / np.linalg.norm(way))
@@ -87,42 +94,47 @@ class View:
         """Focal length in pixels."""
         return 0.5 * self.height / math.tan(math.radians(0.5 * self.field))
 
-    def planes(self) -> tuple[Floats, Floats]:
+    def compute_planes(self) -> tuple[Floats, Floats]:
         """Compute the planes of the frustum: outward normals (k, 3) and offsets (k,).
 
         A point x is inside if normals @ x <= offsets. There are five planes, or six with a finite far plane.
         """
-        ahead = self.ahead
-        right = np.cross(ahead, self.up)
+        direction = self.direction
+        right = np.cross(direction, self.up)
         length = float(np.linalg.norm(right))
         if length < 1e-9 * float(np.linalg.norm(self.up)):
             # Viewing along the up direction: any horizontal axis will do.
-            right = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
+            right = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
             length = float(np.linalg.norm(right))
         right = right / length
-        up = np.cross(right, ahead)
-        half = math.tan(math.radians(0.5 * self.field))
-        wide = half * self.width / self.height
-        sides = [right - wide * ahead, -right - wide * ahead, up - half * ahead, -up - half * ahead]
-        normals = [side / np.linalg.norm(side) for side in sides] + [-ahead]
+        up = np.cross(right, direction)
+        half_height = math.tan(math.radians(0.5 * self.field))
+        half_width = half_height * self.width / self.height
+        sides = [
+            right - half_width * direction,
+            -right - half_width * direction,
+            up - half_height * direction,
+            -up - half_height * direction,
+        ]
+        normals = [side / np.linalg.norm(side) for side in sides] + [-direction]
         eye = np.asarray(self.eye, np.float64)
-        offsets = [float(n @ eye) for n in normals[:4]] + [float(-ahead @ eye) - self.near]
+        offsets = [float(n @ eye) for n in normals[:4]] + [float(-direction @ eye) - self.near]
         if math.isfinite(self.far):
-            normals.append(ahead)
-            offsets.append(float(ahead @ eye) + self.far)
+            normals.append(direction)
+            offsets.append(float(direction @ eye) + self.far)
         return np.stack(normals), np.asarray(offsets)
 
-    def sees(self, middle: Floats, radius: Floats) -> NDArray[np.bool_]:
+    def intersects(self, middle: Floats, radius: Floats) -> NDArray[np.bool_]:
         """Return a mask (n,) of the spheres (n, 3), (n,) that may intersect the frustum."""
-        normals, offsets = self.planes()
+        normals, offsets = self.compute_planes()
         return np.asarray((middle @ normals.T - offsets <= radius[:, None]).all(axis=1))
 
-    def pixels(self, length: Floats, middle: Floats, radius: Floats) -> Floats:
+    def project_lengths(self, length: Floats, middle: Floats, radius: Floats) -> Floats:
         """Compute the maximum projected size of lengths (n,) in spheres (n, 3), (n,), pixels."""
         distance = np.linalg.norm(middle - np.asarray(self.eye), axis=1) - radius
-        least = np.maximum(self.near, _NEAREST * radius)
+        min_distance = np.maximum(self.near, _MIN_DISTANCE_RATIO * radius)
         # At the image border, perspective enlarges a length by the squared secant of the viewing angle.
         half = math.tan(math.radians(0.5 * self.field))
         secant2 = 1 + half**2 * (1 + (self.width / self.height) ** 2)
-        depth = np.maximum(distance, least) / math.sqrt(secant2)
+        depth = np.maximum(distance, min_distance) / math.sqrt(secant2)
         return np.asarray(length * self.focal_px / np.maximum(depth, self.near) * math.sqrt(secant2))

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.files.codes import FILE_UNREADABLE
-from scanloom.stages.files.opening import content_of
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.input_files import read_input_bytes
 from scanloom.stages.lod.codes import LEVELS_FILE_DAMAGED
 from scanloom.stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
-from scanloom.stages.printing import by_fields, by_figures, table
+from scanloom.stages.printing import format_by_fields, format_by_metrics, render_table
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh, require_writable
 from scanloom.stages.surface.mesh_files import write_mesh
@@ -54,7 +54,7 @@ class Offsets:
     predicted: NDArray[np.float64]
     normals: NDArray[np.float64]
 
-    __repr__ = by_fields
+    __repr__ = format_by_fields
 
     def count(self, kind: int) -> int:
         """Count the vertices of a kind: SCALAR, EXCEPTION or BOUNDARY."""
@@ -72,7 +72,7 @@ class NormalMesh:
         and begins with the vertices of that level, unchanged.
     offsets : `offsets[k]` refines `levels[k]` to `levels[k + 1]`.
     confidence : (n,) float64 per level; None if the vertices have no confidence.
-    promised : number of refinements in the original file; `levels` can hold fewer.
+    encoded_levels : number of refinements in the original file; `levels` can hold fewer.
     damage : error in the remaining part of the file; None if there is no error.
     data : encoded file, up to the end of the finest level in `levels`.
     level_ends : end of each level in `data`, in bytes.
@@ -96,7 +96,7 @@ class NormalMesh:
     levels: tuple[Mesh, ...]
     offsets: tuple[Offsets, ...]
     confidence: tuple[NDArray[np.float64], ...] | None
-    promised: int
+    encoded_levels: int
     damage: str | None
     data: bytes
     level_ends: tuple[int, ...]
@@ -109,8 +109,8 @@ class NormalMesh:
     max_distances_m: tuple[float, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     @property
     def base(self) -> Mesh:
@@ -118,7 +118,7 @@ class NormalMesh:
         return self.levels[0]
 
     @property
-    def folded(self) -> int:
+    def folded_count(self) -> int:
         """Number of flipped or degenerate triangles in the finest level; 0 if decoded."""
         return self.folded_by_level[-1] if self.folded_by_level else 0
 
@@ -130,10 +130,10 @@ class NormalMesh:
     def figures(self) -> dict[str, Any]:
         """Return counts and sizes as JSON-compatible values.
 
-        `exceptions_share` is the ratio of EXCEPTION vertices to all new vertices that are not on the
+        `exception_ratio` is the ratio of EXCEPTION vertices to all new vertices that are not on the
         boundary.
         """
-        by_level = [self._level_figures(level) for level in range(len(self.levels))]
+        by_level = [self._summarize_level(level) for level in range(len(self.levels))]
         exceptions = sum(offsets.count(EXCEPTION) for offsets in self.offsets)
         inside = exceptions + sum(offsets.count(SCALAR) for offsets in self.offsets)
         rounding = {
@@ -145,11 +145,11 @@ class NormalMesh:
             "triangles": len(self.mesh.triangles),
             "vertices": len(self.mesh.vertices),
             "levels": len(self.offsets),
-            "levels_promised": self.promised,
+            "levels_encoded": self.encoded_levels,
             "base_triangles": len(self.base.triangles),
             "exceptions": exceptions,
-            "exceptions_share": exceptions / inside if inside else 0.0,
-            "folded_triangles": self.folded,
+            "exception_ratio": exceptions / inside if inside else 0.0,
+            "folded_triangles": self.folded_count,
             **{name: value for name, value in rounding.items() if value is not None},
             "file_bytes": len(self.data),
             "bits_per_vertex": 8 * len(self.data) / len(self.mesh.vertices),
@@ -157,7 +157,7 @@ class NormalMesh:
             "damage": self.damage,
         }
 
-    def _level_figures(self, level: int) -> dict[str, Any]:
+    def _summarize_level(self, level: int) -> dict[str, Any]:
         figures: dict[str, Any] = {
             "level": level,
             "triangles": len(self.levels[level].triangles),
@@ -198,7 +198,7 @@ class NormalMesh:
         end = self.level_ends[-1 if level is None else self._require_level(level)]
         for coarse in self.levels:
             require_writable(coarse, path)
-        with replacing(Path(path)) as part:
+        with write_file_atomically(Path(path)) as part:
             part.write_bytes(self.data[:end])
 
     def write(self, path: Path | str, level: int | None = None) -> None:
@@ -251,7 +251,7 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     """Decode an `.snm` file; the meshes are bit-identical to the result of `remesh`.
 
     From a truncated or damaged file, the intact levels are returned and `damage` describes the error. A file
-    truncated at a level boundary is valid; `promised` still holds its original number of refinements.
+    truncated at a level boundary is valid; `encoded_levels` still holds its original number of refinements.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     if isinstance(source, (str, Path)):
         where = str(source)
         try:
-            data = content_of(Path(source))
+            data = read_input_bytes(Path(source))
         except OSError as error:
             raise InputError(
                 FILE_UNREADABLE, "cannot be read: {detail}.", where, detail=error.strerror or error
@@ -300,10 +300,10 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
             levels=found.levels,
             why=why,
         )
-    return normal_mesh_of(found)
+    return convert_kernel_mesh(found)
 
 
-def normal_mesh_of(
+def convert_kernel_mesh(
     found: _kernels.NormalMesh, mesh_diagnostics: tuple[Diagnostic, ...] = (), **known: Any
 ) -> NormalMesh:
     """Convert the kernel's result to a NormalMesh.
@@ -333,7 +333,7 @@ def normal_mesh_of(
             for level in numbers[1:]
         ),
         confidence=confidence or None,
-        promised=found.promised,
+        encoded_levels=found.promised,
         damage=found.damage,
         data=found.data,
         level_ends=tuple(found.level_ends),

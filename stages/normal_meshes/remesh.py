@@ -24,19 +24,24 @@ from scanloom.stages.normal_meshes.codes import (
     LEVELS_TOO_FINE,
     LEVELS_VERTICES_SPLIT,
 )
-from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
-from scanloom.stages.simplification.kernel_input import texture_left_out
+from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, convert_kernel_mesh
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.simplification.kernel_input import create_texture_warning
+from scanloom.stages.simplification.manifold_sheets import (
+    build_sheet_mesh,
+    find_split_vertices,
+    split_into_sheets,
+    weld_into_sheets,
+)
 from scanloom.stages.simplification.simplify import simplify
-from scanloom.stages.surface.color import attributes_of
-from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface, bounding_box
-from scanloom.stages.surface.sheets import Sheets
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
+from scanloom.stages.surface.sheet_decomposition import Sheets
+from scanloom.stages.surface.surface_color import get_vertex_attributes
 from scanloom.stages.surface.topology import require_area
-from scanloom.stages.surface.traced import Traced
+from scanloom.stages.surface.tracked_mesh import TrackedMesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -47,13 +52,13 @@ RESULT_VERSION = 7
 
 # Ratio of actual to requested base triangles above which a warning is emitted: all levels grow by that
 # factor.
-_FAR_FROM_WANTED = 1.5
+_MAX_BASE_RATIO = 1.5
 
 # Levels that the default base size is derived from if `levels` is not given.
-_MOST_LEVELS = 4
+_DEFAULT_LEVELS = 4
 
 # Precision of 32-bit floats, as a ratio of the bounding-box diagonal.
-_FINEST = 5e-8
+_FLOAT32_PRECISION = 5e-8
 
 # Texts for the kernel's identifiers of the tolerance's origin.
 _TOLERANCE_SOURCES = {
@@ -64,9 +69,9 @@ _TOLERANCE_SOURCES = {
     "precision": "from the precision of 32-bit floats, because the finest level is practically exact",
 }
 
-_HOW_FAR = "Base mesh and levels"
-_HOW = "Method"
-_FILE = "Precision of the file"
+_LEVELS_GROUP = "Base mesh and levels"
+_METHOD_GROUP = "Method"
+_PRECISION_GROUP = "Precision of the file"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +82,7 @@ class RemeshParams:
         None,
         "Refinements of the base mesh; each splits a triangle into four. Default: 1 to 4, so that the finest "
         "level has about as many triangles as the input; with max_error at most 4.",
-        group=_HOW_FAR,
+        group=_LEVELS_GROUP,
         low=0,
         high=10,
         common=True,
@@ -88,7 +93,7 @@ class RemeshParams:
         "levels 0, and without base_error and max_error, the base is the simplified mesh, whose vertices are "
         "moved to minimise the distance to the input. Default, unless base_error is given: the finest level "
         "gets about as many triangles as the input, or more where fewer would be inaccurate.",
-        group=_HOW_FAR,
+        group=_LEVELS_GROUP,
         low=1,
         common=True,
     )
@@ -96,7 +101,7 @@ class RemeshParams:
         None,
         "Maximum distance from the input that a collapse may add while the base mesh is made. With "
         "base_triangles, collapsing stops at whichever limit comes first.",
-        group=_HOW_FAR,
+        group=_LEVELS_GROUP,
         unit="m",
         low=0,
         low_open=True,
@@ -105,7 +110,7 @@ class RemeshParams:
         None,
         "Stop at the first level whose measured maximum distance from the input, in both directions, is at "
         "most this. If no level reaches it, all levels are written.",
-        group=_HOW_FAR,
+        group=_LEVELS_GROUP,
         unit="m",
         low=0,
         low_open=True,
@@ -114,21 +119,21 @@ class RemeshParams:
         "linear",
         "Prediction of new vertices: at the middle of their edge (`linear`), or by the modified butterfly "
         "scheme, which gives smaller offsets on smooth shapes.",
-        group=_HOW,
+        group=_METHOD_GROUP,
         choices=("linear", "butterfly"),
     )
     relaxations: int = param(
         1,
         "Tangential smoothing steps of new vertices before their offsets are computed, for more regular "
         "triangles.",
-        group=_HOW,
+        group=_METHOD_GROUP,
         low=0,
         high=100,
     )
     threads: int | None = param(
         None,
         "CPU threads; the result is the same for any number. Default: all.",
-        group=_HOW,
+        group=_METHOD_GROUP,
         low=1,
         high=256,
         invalidates=False,
@@ -140,23 +145,23 @@ class RemeshParams:
         "Default: a third of the RMS distance of the finest level from the input; half of it where noise of "
         "the mesh hides that distance; three times it for the simplified mesh, whose actual rounding is far "
         "smaller. It is at most a sixteenth of max_error, and at least the precision of 32-bit floats, 5e-8.",
-        group=_FILE,
+        group=_PRECISION_GROUP,
         low=1e-9,
         high=0.01,
     )
     color_tolerance: float = param(
         2.0,
         "Maximum rounding error of a channel of a vertex colour.",
-        group=_FILE,
+        group=_PRECISION_GROUP,
         unit="8-bit levels",
         low=0,
         high=64,
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
-    def wanted_base(self, triangles: int) -> int:
+    def derive_base_triangles(self, triangle_count: int) -> int:
         """Return the target triangle count of the base mesh.
 
         Parameters
@@ -170,8 +175,8 @@ class RemeshParams:
         """
         if self.base_triangles is not None:
             return self.base_triangles
-        levels = _MOST_LEVELS if self.levels is None else self.levels
-        return 0 if self.base_error is not None else max(round(triangles / 4**levels), 1)
+        levels = _DEFAULT_LEVELS if self.levels is None else self.levels
+        return 0 if self.base_error is not None else max(round(triangle_count / 4**levels), 1)
 
 
 def remesh(
@@ -179,7 +184,7 @@ def remesh(
     params: RemeshParams | None = None,
     *,
     confidence: ArrayLike | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[RemeshKeywords],
 ) -> NormalMesh:
     """Remesh a surface to a normal mesh.
@@ -229,44 +234,46 @@ def remesh(
     """
     with collecting() as diagnostics:
         params = resolve(RemeshParams, params, changes)
-        result = _normal_mesh(as_mesh(mesh), params, confidence, progress)
+        result = _remesh_validated(as_mesh(mesh), params, confidence, progress)
     return replace(result, diagnostics=tuple(diagnostics))
 
 
-def _normal_mesh(
+def _remesh_validated(
     mesh: Mesh, params: RemeshParams, confidence: ArrayLike | None, progress: Progress
 ) -> NormalMesh:
-    values = _confidence(confidence, len(mesh.vertices))
+    values = _validate_confidence(confidence, len(mesh.vertices))
     require_area(mesh, "mesh")
-    wanted = params.wanted_base(len(mesh.triangles))
+    wanted = params.derive_base_triangles(len(mesh.triangles))
     _require_resolution(mesh, params)
     bare = mesh.with_(texture=None, normals=None, corner_normals=None, part_ids=None)
-    start, original = _start(bare, params, progress)
-    sheets = joined(start.mesh)
-    traced = _traced(start, sheets)
+    start, original = _make_start_mesh(bare, params, progress)
+    sheets = weld_into_sheets(start.mesh)
+    traced = _cut_sheets(start, sheets)
     try:
-        found = _remeshed(traced, original, values, params, wanted, progress)
+        found = _run_kernel(traced, original, values, params, wanted, progress)
     except _kernels.InvalidMeshError:
         # Non-manifold meshes are rare, so the cost of cutting sheets is paid only after the kernel refuses
         # the mesh.
-        sheets = sheets_of(start.mesh)
-        traced = _traced(start, sheets)
-        found = _remeshed(traced, original, values, params, wanted, progress)
-    split = 0 if sheets is None else len(np.unique(sheets.vertex_source[is_split(start.mesh, sheets)]))
+        sheets = split_into_sheets(start.mesh)
+        traced = _cut_sheets(start, sheets)
+        found = _run_kernel(traced, original, values, params, wanted, progress)
+    split = (
+        0 if sheets is None else len(np.unique(sheets.vertex_source[find_split_vertices(start.mesh, sheets)]))
+    )
     if original is None:
         hits = [traced.triangle_source[found.hit_triangle(level)] for level in range(found.levels + 1)]
     else:
-        hits = [_nearest(original, found.vertices(0))]
+        hits = [_find_nearest_triangles(original, found.vertices(0))]
     _report_left_out(mesh)
-    _report(found, params, wanted, split)
-    return normal_mesh_of(
+    _report_result(found, params, wanted, split)
+    return convert_kernel_mesh(
         found,
         mesh.diagnostics,
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=tuple(triangles.astype(np.int32) for triangles in hits),
         max_distances_m=tuple(found.reached),
         folded_by_level=tuple(found.folded),
-        **_tolerance(found, traced.mesh),
+        **_describe_tolerance(found, traced.mesh),
     )
 
 
@@ -276,7 +283,7 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
     A single stray vertex far away from the surface has that effect.
     """
     corners = mesh.vertices[mesh.triangles]
-    finest = min(params.tolerance or _FINEST, _FINEST) * _diagonal(mesh)
+    finest = min(params.tolerance or _FLOAT32_PRECISION, _FLOAT32_PRECISION) * _compute_diagonal(mesh)
     lengths = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
     if np.median(lengths) < finest:
         away = np.linalg.norm(mesh.vertices - np.median(corners.reshape(-1, 3), axis=0), axis=1)
@@ -296,12 +303,12 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
         )
 
 
-def _diagonal(mesh: Mesh) -> float:
+def _compute_diagonal(mesh: Mesh) -> float:
     """Return the bounding-box diagonal of all vertices used by triangles, in metres."""
     return float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.triangles)], axis=0)))
 
 
-def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced, Mesh | None]:
+def _make_start_mesh(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[TrackedMesh, Mesh | None]:
     """Return the mesh to remesh, and the input mesh if different.
 
     Without refinements, the base mesh need not consist of input vertices. The result of `simplify` is used
@@ -310,38 +317,43 @@ def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced
     wanted = params.base_triangles
     bounds = (params.base_error, params.max_error)
     if params.levels != 0 or wanted is None or wanted >= len(mesh.triangles) or any(bounds):
-        return Traced.start(mesh), None
+        return TrackedMesh.start(mesh), None
 
-    def still(done: int, total: int) -> object:  # noqa: ARG001
+    def report_start(done: int, total: int) -> object:  # noqa: ARG001
         return progress(0, 1)
 
     with collecting(forward=False):
-        light = simplify(
-            mesh, method="quadric", triangles=wanted, threads=params.threads, bake=False, progress=still
+        simplified = simplify(
+            mesh,
+            method="quadric",
+            triangles=wanted,
+            threads=params.threads,
+            bake=False,
+            progress=report_start,
         )
     # The base triangle count is a target, not a requirement.
-    emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
-    sources = light.vertex_source.astype(np.int64), light.triangle_source.astype(np.int64)
-    return Traced(light.mesh, *sources), mesh
+    emit(*(one for one in simplified.diagnostics if one.severity != Severity.UNMET))
+    sources = simplified.vertex_source.astype(np.int64), simplified.triangle_source.astype(np.int64)
+    return TrackedMesh(simplified.mesh, *sources), mesh
 
 
-def _remeshed(
-    traced: Traced,
+def _run_kernel(
+    traced: TrackedMesh,
     original: Mesh | None,
     confidence: NDArray[np.float64],
     params: RemeshParams,
-    wanted_base: int,
+    target_base_triangles: int,
     progress: Progress,
 ) -> _kernels.NormalMesh:
     mesh = traced.mesh
     return _kernels.remesh(
         mesh.vertices,
-        attributes_of(mesh),
+        get_vertex_attributes(mesh),
         confidence[traced.vertex_source] if len(confidence) else confidence,
         mesh.triangles,
         None if original is None else (original.vertices, original.triangles),
         levels=params.levels,
-        base_triangles=wanted_base,
+        base_triangles=target_base_triangles,
         base_error=np.inf if params.base_error is None else params.base_error,
         at_any_price=params.base_triangles is not None or params.base_error is not None,
         max_error=params.max_error or 0.0,
@@ -355,22 +367,22 @@ def _remeshed(
     )
 
 
-def _nearest(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.integer[Any]]:
+def _find_nearest_triangles(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.integer[Any]]:
     """Return the index of the triangle nearest to each point."""
-    box = bounding_box(mesh)
+    box = compute_bounding_box(mesh)
     box = np.stack([np.minimum(box[0], points.min(axis=0)), np.maximum(box[1], points.max(axis=0))])
-    return Surface(mesh, box).closest(points).triangles
+    return RaycastingSurface(mesh, box).find_closest_points(points).triangles
 
 
-def _traced(start: Traced, sheets: Sheets | None) -> Traced:
+def _cut_sheets(start: TrackedMesh, sheets: Sheets | None) -> TrackedMesh:
     """Return the mesh cut into its manifold sheets, or unchanged without sheets."""
     if sheets is None:
         return start
     sources = start.vertex_source[sheets.vertex_source], start.triangle_source[sheets.triangle_source]
-    return Traced(in_sheets(start.mesh, sheets), *sources)
+    return TrackedMesh(build_sheet_mesh(start.mesh, sheets), *sources)
 
 
-def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
+def _validate_confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
     if values is None:
         return np.zeros(0)
     array = np.asarray(values)
@@ -389,13 +401,13 @@ def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
-def _tolerance(found: _kernels.NormalMesh, mesh: Mesh) -> dict[str, float | str]:
+def _describe_tolerance(found: _kernels.NormalMesh, mesh: Mesh) -> dict[str, float | str]:
     """Return the result's tolerance as a diagonal ratio and in metres, and its origin."""
     if found.tolerance is None or found.tolerance_source is None:
         return {}
     return {
         "tolerance": found.tolerance,
-        "tolerance_m": found.tolerance * _diagonal(mesh),
+        "tolerance_m": found.tolerance * _compute_diagonal(mesh),
         "tolerance_source": _TOLERANCE_SOURCES[found.tolerance_source],
     }
 
@@ -411,28 +423,30 @@ def _report_left_out(mesh: Mesh) -> None:
             )
         )
     if mesh.texture is not None:
-        emit(texture_left_out("remesh"))
+        emit(create_texture_warning("remesh"))
 
 
-def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, split: int) -> None:
-    if split:
+def _report_result(
+    found: _kernels.NormalMesh, params: RemeshParams, target_base_triangles: int, split_count: int
+) -> None:
+    if split_count:
         emit(
             LEVELS_VERTICES_SPLIT.warning(
                 "{count:,} pinched {were} split: each fan of triangles around it has its own copy.",
-                count=split,
-                were="vertex was" if split == 1 else "vertices were",
+                count=split_count,
+                were="vertex was" if split_count == 1 else "vertices were",
             )
         )
     base = len(found.triangles(0))
     asked = params.base_triangles is not None or params.levels is not None
-    if asked and wanted_base and base > _FAR_FROM_WANTED * wanted_base:
+    if asked and target_base_triangles and base > _MAX_BASE_RATIO * target_base_triangles:
         emit(
             LEVELS_BASE_LARGE.warning(
                 "the base mesh has {base:,} triangles, not {wanted_base:,}: connected components, holes and "
                 "handles are preserved, or the mesh cannot be refined well from fewer. The finest level has "
                 "{finest:,} triangles; lower levels to reduce that.",
                 base=base,
-                wanted_base=wanted_base,
+                wanted_base=target_base_triangles,
                 finest=len(found.triangles(found.levels)),
             )
         )

@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 
 P = TypeVar("P")
@@ -26,7 +26,7 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class Described:
+class ParameterInfo:
     """Metadata of a parameter: help text, unit, range, choices and flags; see `param`."""
 
     text: str
@@ -69,11 +69,11 @@ def param(
     group : heading that groups related parameters in a long help.
     is_path : the value is the name of a file or folder.
     """
-    about = Described(text, unit, low, high, low_open, choices, invalidates, group, is_path, common)
+    about = ParameterInfo(text, unit, low, high, low_open, choices, invalidates, group, is_path, common)
     return field(default=default, metadata={"param": about})
 
 
-def described(cls: type) -> dict[str, Described]:
+def describe_own(cls: type) -> dict[str, ParameterInfo]:
     """Return name and metadata of each parameter of a class, in declaration order.
 
     Nested parameters are not included; see `describe_all`.
@@ -84,18 +84,20 @@ def described(cls: type) -> dict[str, Described]:
 def find_nested(cls: type) -> dict[str, type]:
     """Return the nested parameter classes by field name."""
     return {
-        f.name: type(f.default) for f in fields(cls) if is_dataclass(f.default) and described(type(f.default))
+        f.name: type(f.default)
+        for f in fields(cls)
+        if is_dataclass(f.default) and describe_own(type(f.default))
     }
 
 
-def describe_all(cls: type) -> dict[str, Described]:
+def describe_all(cls: type) -> dict[str, ParameterInfo]:
     """Return the metadata of all parameters, nested ones named like `planar.crease_angle`."""
     below = {
         f"{section}.{name}": about
         for section, own in find_nested(cls).items()
         for name, about in describe_all(own).items()
     }
-    return {**described(cls), **below}
+    return {**describe_own(cls), **below}
 
 
 def get_value(params: Any, name: str) -> Any:
@@ -103,7 +105,7 @@ def get_value(params: Any, name: str) -> Any:
     return reduce(getattr, name.split("."), params)
 
 
-def find_owner(cls: type, name: str) -> type:
+def find_declaring_class(cls: type, name: str) -> type:
     """Return the class that declares a parameter: `cls` or a nested class."""
     *sections, _ = name.split(".")
     return reduce(lambda owner, section: find_nested(owner)[section], sections, cls)
@@ -111,13 +113,13 @@ def find_owner(cls: type, name: str) -> type:
 
 def get_hint(cls: type, name: str) -> Any:
     """Return the type hint of a parameter by its name, such as `planar.crease_angle`."""
-    return hints_of(find_owner(cls, name))[name.rpartition(".")[2]]
+    return resolve_hints(find_declaring_class(cls, name))[name.rpartition(".")[2]]
 
 
 def get_default(cls: type, name: str) -> Any:
     """Return the declared default of a parameter by its name, such as `planar.crease_angle`."""
     own = name.rpartition(".")[2]
-    return next(f.default for f in fields(find_owner(cls, name)) if f.name == own)
+    return next(f.default for f in fields(find_declaring_class(cls, name)) if f.name == own)
 
 
 def get_group(cls: type, name: str) -> str:
@@ -125,7 +127,7 @@ def get_group(cls: type, name: str) -> str:
 
     The heading is its group, or else the summary of the nested class that declares it.
     """
-    owner = find_owner(cls, name)
+    owner = find_declaring_class(cls, name)
     summary = (owner.__doc__ or "").split("\n")[0].replace("`", "").removesuffix(".")
     return describe_all(cls)[name].group or ("" if owner is cls else summary)
 
@@ -147,18 +149,18 @@ def find_changed(params: Any) -> list[str]:
     return [name for name in describe_all(cls) if get_value(params, name) != get_default(cls, name)]
 
 
-def hints_of(cls: Any) -> Mapping[str, Any]:
+def resolve_hints(cls: Any) -> Mapping[str, Any]:
     """Return the type hints of a class, cached because resolving takes about 1 ms."""
-    return _hints_of(cls)
+    return _resolve_hints_cached(cls)
 
 
 # Annotated as Any: mypy does not accept `type[Any]` as hashable.
 @cache
-def _hints_of(cls: Any) -> Mapping[str, Any]:
+def _resolve_hints_cached(cls: Any) -> Mapping[str, Any]:
     return MappingProxyType(get_type_hints(cls))
 
 
-def kinds_of(hint: Any) -> tuple[Any, ...]:
+def get_allowed_types(hint: Any) -> tuple[Any, ...]:
     """Return the types that a type hint allows, without None.
 
     A tuple of numbers counts as one type.
@@ -168,9 +170,9 @@ def kinds_of(hint: Any) -> tuple[Any, ...]:
     return tuple(kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
 
 
-def row_length(hint: Any) -> int:
+def get_row_length(hint: Any) -> int:
     """Return the length of a tuple-valued parameter (`tuple[float, ...]`); 0 for others."""
-    rows = [kind for kind in kinds_of(hint) if get_origin(kind) is tuple]
+    rows = [kind for kind in get_allowed_types(hint) if get_origin(kind) is tuple]
     return len(get_args(rows[0])) if rows else 0
 
 
@@ -193,7 +195,7 @@ _KIND_NAMES: dict[Any, str] = {
 }
 
 
-def check(params: Any) -> None:
+def check_parameters(params: Any) -> None:
     """Check the type and range of every parameter; called by `__post_init__`.
 
     A tuple of numbers may be given as any sequence and is stored as a tuple.
@@ -204,19 +206,19 @@ def check(params: Any) -> None:
         For the first invalid value.
     """
     cls: Any = type(params)
-    for name, about, kinds, length, may_be_none in _checked(cls):
+    for name, about, kinds, length, may_be_none in _collect_checks(cls):
         value = getattr(params, name)
         if value is None and may_be_none:
             continue
         if length:
-            object.__setattr__(params, name, _row(name, value, length))
+            object.__setattr__(params, name, _convert_row(name, value, length))
             continue
         _check_type(name, value, kinds)
         if about.choices and value not in about.choices:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {value!r}; it must be one of {choices}.",
-                Where(parameter=name),
+                DiagnosticLocation(parameter=name),
                 name=name,
                 value=value,
                 choices=", ".join(about.choices),
@@ -228,25 +230,25 @@ def check(params: Any) -> None:
 
 
 @cache
-def _checked(cls: Any) -> tuple[tuple[str, Described, tuple[Any, ...], int, bool], ...]:
-    """Collect the facts that `check` needs of each parameter, cached per class.
+def _collect_checks(cls: Any) -> tuple[tuple[str, ParameterInfo, tuple[Any, ...], int, bool], ...]:
+    """Collect the facts that `check_parameters` needs of each parameter, cached per class.
 
     Returns name, metadata, allowed types, tuple length (0 for scalars), and True if None is allowed.
     """
-    hints = hints_of(cls)
+    hints = resolve_hints(cls)
     return tuple(
         (
             name,
             about,
-            kinds_of(hints[name]),
-            row_length(hints[name]),
+            get_allowed_types(hints[name]),
+            get_row_length(hints[name]),
             type(None) in getattr(hints[name], "__args__", ()),
         )
-        for name, about in described(cls).items()
+        for name, about in describe_own(cls).items()
     )
 
 
-def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
+def _convert_row(name: str, value: Any, count: int) -> tuple[float, ...]:
     numbers = () if isinstance(value, str) or not hasattr(value, "__len__") else tuple(value)
     try:
         row = tuple(float(number) for number in numbers if not isinstance(number, (str, bool)))
@@ -256,48 +258,48 @@ def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {value!r}; it must be {count} finite numbers.",
-            Where(parameter=name),
+            DiagnosticLocation(parameter=name),
             value=value,
             count=count,
         )
     return row
 
 
-def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
-    accepted = (*kinds, int) if float in kinds else kinds
-    if not isinstance(value, accepted) or (isinstance(value, bool) and bool not in kinds):
+def _check_type(name: str, value: Any, types: tuple[Any, ...]) -> None:
+    accepted = (*types, int) if float in types else types
+    if not isinstance(value, accepted) or (isinstance(value, bool) and bool not in types):
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {value!r}; it must be {names}.",
-            Where(parameter=name),
+            DiagnosticLocation(parameter=name),
             value=value,
-            names=describe_kinds(kinds),
+            names=describe_kinds(types),
         )
 
 
-def _check_range(name: str, value: float, about: Described) -> None:
-    unit = f" {about.unit}" if about.unit else ""
+def _check_range(name: str, value: float, info: ParameterInfo) -> None:
+    unit = f" {info.unit}" if info.unit else ""
     if math.isnan(value):
-        raise UsageError(USAGE_VALUE_INVALID, "is not a number.", Where(parameter=name))
-    if about.low is not None and (value < about.low or (about.low_open and value == about.low)):
-        bound = "more than" if about.low_open else "at least"
+        raise UsageError(USAGE_VALUE_INVALID, "is not a number.", DiagnosticLocation(parameter=name))
+    if info.low is not None and (value < info.low or (info.low_open and value == info.low)):
+        bound = "more than" if info.low_open else "at least"
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {value:g}{unit}; it must be {bound} {low:g}{unit}.",
-            Where(parameter=name),
+            DiagnosticLocation(parameter=name),
             value=value,
             unit=unit,
             bound=bound,
-            low=about.low,
+            low=info.low,
         )
-    if about.high is not None and value > about.high:
+    if info.high is not None and value > info.high:
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {value:g}{unit}; it must be at most {high:g}{unit}.",
-            Where(parameter=name),
+            DiagnosticLocation(parameter=name),
             value=value,
             unit=unit,
-            high=about.high,
+            high=info.high,
         )
 
 
@@ -315,7 +317,7 @@ def resolve(cls: type[P], params: P | None, changes: Mapping[str, object], *, se
     UsageError
         If a changed parameter does not exist, or its value is invalid.
     """
-    unknown = sorted(set(changes) - set(described(cls)) - set(find_nested(cls)))
+    unknown = sorted(set(changes) - set(describe_own(cls)) - set(find_nested(cls)))
     if unknown:
         raise UsageError(
             CONFIG_PARAMETER_UNKNOWN,
@@ -340,13 +342,15 @@ def apply_changes(params: P, changes: Mapping[str, object]) -> P:
                 if where is None or where.parameter is None:
                     raise
                 nested_name = f"{name}.{where.parameter}"
-                raise UsageError.of(error.diagnostic.within(parameter=nested_name)) from error
+                raise UsageError.from_diagnostic(
+                    error.diagnostic.replace_location_fields(parameter=nested_name)
+                ) from error
     return replace(params, **values)  # type: ignore[type-var]
 
 
 def suggest_parameter(word: str, cls: type) -> str:
     """Suggest an existing parameter for an unknown name, as part of a sentence."""
-    names = [*described(cls), *find_nested(cls)]
+    names = [*describe_own(cls), *find_nested(cls)]
     below = [name for name in describe_all(cls) if name.endswith(f".{word}")]
     near = below or difflib.get_close_matches(word, [*names, *describe_all(cls)], n=1)
     return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}."

@@ -27,7 +27,7 @@ class AdjustKeywords(TypedDict, total=False):
     enabled: bool | None
     camera: bool | None
     shutter: bool | None
-    pose_deviation: float
+    pose_sigma: float
 
 
 class BakeKeywords(TypedDict, total=False):
@@ -43,7 +43,7 @@ class BakeKeywords(TypedDict, total=False):
 class CertifiedKeywords(TypedDict, total=False):
     """Fields of `CertifiedParams`."""
 
-    close_bounds: bool
+    tight_bounds: bool
 
 
 class CertifyKeywords(TypedDict, total=False):
@@ -54,7 +54,7 @@ class CertifyKeywords(TypedDict, total=False):
     color_floor: float
     max_shape: float | None
     max_color: float | None
-    only_decide: bool
+    check_only: bool
     effort: float
     slack: float | None
     threads: int
@@ -101,13 +101,13 @@ class CoverageKeywords(TypedDict, total=False):
     """Fields of `CoverageParams`."""
 
     few_frames: int | None
-    oblique: float
-    far: float | None
+    max_angle: float
+    max_distance: float | None
     spread: float | None
-    least_area: float | None
-    place_size: float | None
+    min_area: float | None
+    max_patch_size: float | None
     spacing: float | None
-    places: int
+    max_defects: int
 
 
 class DepthKeywords(TypedDict, total=False):
@@ -131,15 +131,15 @@ class DepthKeywords(TypedDict, total=False):
     refine: bool
     views: str
     partners: int
-    agreeing_views: int
-    agreement: float | None
-    backdrop: float
-    on_hull: bool
-    on_planes: bool
+    min_consistent_views: int
+    consistency_tolerance: float | None
+    max_backdrop_contrast: float
+    fill_from_visual_hull: bool
+    fill_from_planes: bool
     max_side: int
     max_pose_error: float
-    turn_back: bool
-    max_skipped: float
+    fix_upside_down: bool
+    max_skipped_ratio: float
     threads: int | None
     sgbm: SgbmParams | SgbmKeywords
 
@@ -189,7 +189,7 @@ class FuseKeywords(TypedDict, total=False):
     upsample: str
     upsample_factor: int
     color: bool
-    max_bad_share: float
+    max_skipped_ratio: float
     memory: float
     brick_size: float | None
     backend: str
@@ -270,9 +270,9 @@ class ReadingKeywords(TypedDict, total=False):
     pose_convention: str
     poses_by_order: bool
     masks: str | None
-    adjusted: str | None
+    adjusted_cameras: str | None
     depth_scale: float | None
-    least_confidence: int | None
+    min_confidence: int | None
     align_axes: bool
     check_poses: bool
     first: int
@@ -337,9 +337,9 @@ class ScanKeywords(TypedDict, total=False):
     pose_convention: str
     poses_by_order: bool
     masks: str | None
-    adjusted: str | None
+    adjusted_cameras: str | None
     depth_scale: float | None
-    least_confidence: int | None
+    min_confidence: int | None
     align_axes: bool
     check_poses: bool
     first: int
@@ -361,10 +361,10 @@ class SeamsKeywords(TypedDict, total=False):
     texture_weight: float
     normal_weight: float
     shape_weight: float
-    across_textures: float
-    across_parts: float
+    material_border_penalty: float
+    part_border_penalty: float
     valence_penalty: float
-    set_penalty: float
+    duplicate_penalty: float
     max_seam_drift: float | None
 
 
@@ -428,7 +428,7 @@ class TextureKeywords(TypedDict, total=False):
     padding: int
     views: int
     exposure: bool
-    rounds: int
+    alignment_iterations: int
 
 
 class TileImageKeywords(TypedDict, total=False):
@@ -451,8 +451,8 @@ class TradeoffKeywords(TypedDict, total=False):
     """Fields of `TradeoffParams`."""
 
     steps: int
-    least: float
-    within: float | None
+    min_ratio: float
+    max_distance: float | None
     samples: int
     glb_bytes: bool
 

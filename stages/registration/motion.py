@@ -10,36 +10,45 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.registration.codes import REGISTER_PAIR_NOT_ALIGNED
-from scanloom.stages.registration.features import Recognised, recognise
-from scanloom.stages.registration.odometry import align, align_from_afar, meeting, told
-from scanloom.stages.registration.points import Matched, at_source, joined
-from scanloom.stages.registration.view import View
-from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.registration.features import FeatureMotion, estimate_motions
+from scanloom.stages.registration.matched_points import (
+    MatchedPoints,
+    combine_motions,
+    transform_information_to_source,
+)
+from scanloom.stages.registration.surface_alignment import (
+    align,
+    align_from_afar,
+    compute_overlap,
+    compute_surface_information,
+)
+from scanloom.stages.registration.view import RegistrationView
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.scan import Pose
 
 # Number of inlier matches from which a motion is accepted without agreement of surfaces.
-_SURE_POINTS = 15
-# Minimum `View.firmness`. Below, the surface is nearly a plane, cylinder or sphere, and slides along itself.
-_FIRM = 2e-3
+_MIN_CERTAIN_POINTS = 15
+# Minimum `RegistrationView.firmness`. Below, the surface is nearly a plane, cylinder or sphere, and slides along itself.
+_MIN_FIRMNESS = 2e-3
 # Minimum overlap (ratio of a view's surface that meets the other surface): with a good initial guess; with a
-# poor one; with a poor one and no match although both views have `_RICH` features; with enough inlier
+# poor one; with a poor one and no match although both views have `_RICH_FEATURE_COUNT` features; with enough inlier
 # matches.
-_LEAST_FITNESS = 0.3
-_LEAST_FROM_AFAR = 0.5
-_LEAST_UNRECOGNISED, _RICH = 0.75, 100
-_LEAST_BESIDE_POINTS = 0.1
+_MIN_FITNESS = 0.3
+_MIN_FITNESS_FROM_AFAR = 0.5
+_MIN_FITNESS_UNMATCHED, _RICH_FEATURE_COUNT = 0.75, 100
+_MIN_FITNESS_WITH_POINTS = 0.1
 # Minimum overlap of another motion, relative to the motion with most inliers.
-_FIRST = 1.05
+_MIN_FITNESS_LEAD = 1.05
 # Minimum overlap of a motion from surfaces, relative to the motion from matched points.
-_CLEARLY = 1.25
+_MIN_SURFACE_LEAD = 1.25
 # With less overlap, matches may be on an independently moving object, so surfaces are aligned separately.
-_DOUBTFUL = 0.6
+_DOUBTFUL_FITNESS = 0.6
 # Maximum difference between two estimates of one motion: translation in median depths, rotation in radians.
-_AGREED_SHIFT = 0.03
-_AGREED_TURN = 0.03
+_NEGLIGIBLE_SHIFT_RATIO = 0.03
+_NEGLIGIBLE_ROTATION_RAD = 0.03
 # Maximum error of an approximately known motion, in the same units.
-_NEAR_SHIFT = 0.1
-_NEAR_TURN = 0.1
+_DRIFT_SHIFT_RATIO = 0.1
+_DRIFT_ROTATION_RAD = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,30 +62,30 @@ class Motion:
     fitness : overlap: ratio of the source's surface that meets the target's surface, 0 to 1.
     rmse_m : point-to-plane distance of the overlap, root mean square, metres; None if the motion comes from
         matched points alone.
-    points : number of inlier matches; 0 if nothing was matched.
-    is_split : another part of the view moved differently.
-    held : inlier matches held out from the estimation; None if nothing was matched.
+    inlier_count : number of inlier matches; 0 if nothing was matched.
+    has_moving_part : another part of the view moved differently.
+    held_out : inlier matches held out from the estimation; None if nothing was matched.
     """
 
     target_from_source: Pose
     information: NDArray[np.float64]
     fitness: float
     rmse_m: float | None
-    points: int
-    is_split: bool = False
-    held: Matched | None = None
+    inlier_count: int
+    has_moving_part: bool = False
+    held_out: MatchedPoints | None = None
 
 
 @dataclass(frozen=True)
-class NoMotion:
+class AlignmentFailure:
     """Reason why two views could not be aligned."""
 
     diagnostic: Diagnostic
 
 
-def motion_between(
-    source: View, target: View, max_depth: float, guess: Pose | None = None
-) -> Motion | NoMotion:
+def estimate_motion(
+    source: RegistrationView, target: RegistrationView, max_depth: float, guess: Pose | None = None
+) -> Motion | AlignmentFailure:
     """Estimate the motion between two views.
 
     Parameters
@@ -85,46 +94,55 @@ def motion_between(
     max_depth : farther depth is ignored, metres.
     guess : (4, 4) initial target_from_source if nothing is matched; by default the identity.
     """
-    seen = recognise(source.features, target.features)
+    seen = estimate_motions(source.features, target.features)
     start = np.eye(4) if guess is None else guess
     if not seen:
-        return by_surface(source, target, max_depth, start)
-    found = by_points(source, target, seen, max_depth)
-    if isinstance(found, Motion) and found.fitness >= _DOUBTFUL:
+        return align_surfaces(source, target, max_depth, start)
+    found = align_by_points(source, target, seen, max_depth)
+    if isinstance(found, Motion) and found.fitness >= _DOUBTFUL_FITNESS:
         return found
-    other = by_surface(source, target, max_depth, start)
-    if isinstance(other, NoMotion):
+    other = align_surfaces(source, target, max_depth, start)
+    if isinstance(other, AlignmentFailure):
         return found
-    if isinstance(found, NoMotion):
+    if isinstance(found, AlignmentFailure):
         return other
-    if agree(inverted(found.target_from_source) @ other.target_from_source, source.depth_m):
+    if is_negligible(invert_pose(found.target_from_source) @ other.target_from_source, source.depth_m):
         return found
-    if other.fitness > _FIRST * found.fitness:
-        return replace(other, is_split=True)
-    return replace(found, is_split=found.is_split or other.fitness * _CLEARLY > found.fitness)
+    if other.fitness > _MIN_FITNESS_LEAD * found.fitness:
+        return replace(other, has_moving_part=True)
+    return replace(
+        found, has_moving_part=found.has_moving_part or other.fitness * _MIN_SURFACE_LEAD > found.fitness
+    )
 
 
-def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion:
+def refine_motion(
+    source: RegistrationView, target: RegistrationView, max_depth: float, approximate: Pose
+) -> Motion:
     """Refine an approximate motion; keep it if no better one is found.
 
     Parameters
     ----------
-    given : (4, 4) target_from_source.
+    approximate : (4, 4) target_from_source.
     """
-    meets = meeting(source, target, given)
-    kept = _of(given, told(target, meets) + np.eye(6), meets, None)
-    found = motion_between(source, target, max_depth, given)
-    if isinstance(found, NoMotion):
+    meets = compute_overlap(source, target, approximate)
+    kept = _create_motion(approximate, compute_surface_information(target, meets) + np.eye(6), meets, None)
+    found = estimate_motion(source, target, max_depth, approximate)
+    if isinstance(found, AlignmentFailure):
         return kept
-    sure = found.points >= _SURE_POINTS
-    if is_near(inverted(given) @ found.target_from_source, source.depth_m):
-        return found if sure or found.fitness > _FIRST * kept.fitness else kept
-    return found if sure and found.fitness > _CLEARLY * kept.fitness else kept
+    sure = found.inlier_count >= _MIN_CERTAIN_POINTS
+    if is_within_drift(invert_pose(approximate) @ found.target_from_source, source.depth_m):
+        return found if sure or found.fitness > _MIN_FITNESS_LEAD * kept.fitness else kept
+    return found if sure and found.fitness > _MIN_SURFACE_LEAD * kept.fitness else kept
 
 
-def by_surface(
-    source: View, target: View, max_depth: float, guess: Pose, *, near: bool = False
-) -> Motion | NoMotion:
+def align_surfaces(
+    source: RegistrationView,
+    target: RegistrationView,
+    max_depth: float,
+    guess: Pose,
+    *,
+    is_good_guess: bool = False,
+) -> Motion | AlignmentFailure:
     """Align two views by their surfaces alone.
 
     Alignments in both directions must agree.
@@ -132,33 +150,38 @@ def by_surface(
     Parameters
     ----------
     guess : (4, 4) initial target_from_source.
-    near : the guess is good, so that no coarse alignment and less overlap are needed.
+    is_good_guess : the guess is good, so that no coarse alignment and less overlap are needed.
     """
-    fit = align if near else align_from_afar
-    rich = min(len(source.features.points), len(target.features.points)) >= _RICH
-    least = _LEAST_FITNESS if near else _LEAST_UNRECOGNISED if rich else _LEAST_FROM_AFAR
-    if min(source.firmness, target.firmness) < _FIRM:
-        return NoMotion(
+    fit = align if is_good_guess else align_from_afar
+    rich = min(len(source.features.points), len(target.features.points)) >= _RICH_FEATURE_COUNT
+    least = _MIN_FITNESS if is_good_guess else _MIN_FITNESS_UNMATCHED if rich else _MIN_FITNESS_FROM_AFAR
+    if min(source.firmness, target.firmness) < _MIN_FIRMNESS:
+        return AlignmentFailure(
             REGISTER_PAIR_NOT_ALIGNED.warning(
                 "the surface in view is flat or slides along itself, and no keypoints match, so that nothing "
                 "constrains the motion"
             )
         )
     there = fit(source, target, guess, max_depth)
-    meets = None if there is None else meeting(source, target, there[0])
+    meets = None if there is None else compute_overlap(source, target, there[0])
     if there is None or meets is None or meets < least:
-        return _apart(meets, is_recognised=near or not rich)
-    back = fit(target, source, inverted(guess), max_depth)
-    if back is None or not agree(back[0] @ there[0], source.depth_m):
-        return NoMotion(
+        return _create_overlap_failure(meets, has_matches=is_good_guess or not rich)
+    back = fit(target, source, invert_pose(guess), max_depth)
+    if back is None or not is_negligible(back[0] @ there[0], source.depth_m):
+        return AlignmentFailure(
             REGISTER_PAIR_NOT_ALIGNED.warning(
                 "alignments in both directions disagree, because the surfaces fit in several ways"
             )
         )
-    return _of(there[0], told(target, meets), meets, there[1])
+    return _create_motion(there[0], compute_surface_information(target, meets), meets, there[1])
 
 
-def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth: float) -> Motion | NoMotion:
+def align_by_points(
+    source: RegistrationView,
+    target: RegistrationView,
+    feature_motions: Sequence[FeatureMotion],
+    max_depth: float,
+) -> Motion | AlignmentFailure:
     """Estimate the motion from matched points, and refine it by surfaces.
 
     If the matches agree on several motions, something in view moves independently. The motion with the
@@ -167,99 +190,118 @@ def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth:
 
     Parameters
     ----------
-    seen : motions from `recognise`, not empty.
+    feature_motions : motions from `estimate_motions`, not empty.
     """
-    first = inverted(seen[0].target_from_source)
-    others = [one for one in seen if not agree(first @ one.target_from_source, source.depth_m)]
+    first = invert_pose(feature_motions[0].target_from_source)
+    others = [
+        one for one in feature_motions if not is_negligible(first @ one.target_from_source, source.depth_m)
+    ]
     if not others:
-        return _refined(source, target, seen[0], max_depth)
-    seen = [seen[0], *others]
-    meets = [meeting(source, target, one.target_from_source) for one in seen]
-    best = max(range(len(seen)), key=lambda i: meets[i] * (_FIRST if i == 0 else 1))
-    found = _refined(source, target, seen[best], max_depth, held=seen[best].points >= _SURE_POINTS)
-    return found if isinstance(found, NoMotion) else replace(found, is_split=True)
+        return _combine_with_surface(source, target, feature_motions[0], max_depth)
+    feature_motions = [feature_motions[0], *others]
+    meets = [compute_overlap(source, target, one.target_from_source) for one in feature_motions]
+    best = max(range(len(feature_motions)), key=lambda i: meets[i] * (_MIN_FITNESS_LEAD if i == 0 else 1))
+    found = _combine_with_surface(
+        source,
+        target,
+        feature_motions[best],
+        max_depth,
+        points_only=feature_motions[best].inlier_count >= _MIN_CERTAIN_POINTS,
+    )
+    return found if isinstance(found, AlignmentFailure) else replace(found, has_moving_part=True)
 
 
-def _refined(
-    source: View, target: View, seen: Recognised, max_depth: float, *, held: bool = False
-) -> Motion | NoMotion:
+def _combine_with_surface(
+    source: RegistrationView,
+    target: RegistrationView,
+    feature_motion: FeatureMotion,
+    max_depth: float,
+    *,
+    points_only: bool = False,
+) -> Motion | AlignmentFailure:
     """Combine the motions from points and surfaces, weighted by their information.
 
-    `held` uses the points alone.
+    `held_out` uses the points alone.
     """
-    points = seen.target_from_source
-    sure = seen.points >= _SURE_POINTS
-    aligned = None if held else align(source, target, points, max_depth)
-    if aligned is not None and min(source.firmness, target.firmness) >= _FIRM:
+    points = feature_motion.target_from_source
+    sure = feature_motion.inlier_count >= _MIN_CERTAIN_POINTS
+    aligned = None if points_only else align(source, target, points, max_depth)
+    if aligned is not None and min(source.firmness, target.firmness) >= _MIN_FIRMNESS:
         pose, rmse = aligned
-        meets = meeting(source, target, pose)
-        same = agree(inverted(points) @ pose, source.depth_m)
+        meets = compute_overlap(source, target, pose)
+        same = is_negligible(invert_pose(points) @ pose, source.depth_m)
         # On disagreement, the points may be on an object that moves independently; larger overlap decides.
-        if same or (sure and meets > _CLEARLY * meeting(source, target, points)):
-            if meets < (_LEAST_BESIDE_POINTS if same and sure else _LEAST_FITNESS):
-                return _apart(meets)
-            information = told(target, meets)
+        if same or (sure and meets > _MIN_SURFACE_LEAD * compute_overlap(source, target, points)):
+            if meets < (_MIN_FITNESS_WITH_POINTS if same and sure else _MIN_FITNESS):
+                return _create_overlap_failure(meets)
+            information = compute_surface_information(target, meets)
             if same:
-                pose, information = joined(points, seen.information, pose, information)
-            return _of(pose, information, meets, rmse, seen if same else None)
+                pose, information = combine_motions(points, feature_motion.information, pose, information)
+            return _create_motion(pose, information, meets, rmse, feature_motion if same else None)
     if not sure:
-        return NoMotion(
+        return AlignmentFailure(
             REGISTER_PAIR_NOT_ALIGNED.warning(
                 "{points} matched keypoints and the surface disagree on the motion",
-                points=seen.points,
+                points=feature_motion.inlier_count,
             )
         )
-    meets = meeting(source, target, points)
-    if meets < _LEAST_BESIDE_POINTS:
-        return _apart(meets)
-    return _of(points, seen.information, meets, None, seen)
+    meets = compute_overlap(source, target, points)
+    if meets < _MIN_FITNESS_WITH_POINTS:
+        return _create_overlap_failure(meets)
+    return _create_motion(points, feature_motion.information, meets, None, feature_motion)
 
 
-def _of(
+def _create_motion(
     pose: Pose,
     information: NDArray[np.float64],
     fitness: float,
     rmse: float | None,
-    seen: Recognised | None = None,
+    feature_motion: FeatureMotion | None = None,
 ) -> Motion:
     """Create a motion from an information matrix in target axes."""
-    information = at_source(information, pose)
-    if seen is None:
+    information = transform_information_to_source(information, pose)
+    if feature_motion is None:
         return Motion(pose, information, fitness, rmse, 0)
-    return Motion(pose, information, fitness, rmse, seen.points, held=seen.held)
+    return Motion(
+        pose, information, fitness, rmse, feature_motion.inlier_count, held_out=feature_motion.held_out
+    )
 
 
-def _apart(meets: float | None, *, is_recognised: bool = True) -> NoMotion:
+def _create_overlap_failure(overlap: float | None, *, has_matches: bool = True) -> AlignmentFailure:
     message = "only {share:.0%} of the surface overlaps with the other view"
-    if not is_recognised:
+    if not has_matches:
         message = f"no keypoints match, and {message}"
-    return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning(message, share=0.0 if meets is None else meets))
+    return AlignmentFailure(
+        REGISTER_PAIR_NOT_ALIGNED.warning(message, share=0.0 if overlap is None else overlap)
+    )
 
 
-def agree(difference: Pose, depth: float) -> bool:
+def is_negligible(difference: Pose, median_depth_m: float) -> bool:
     """Check whether a motion is negligible.
 
     Parameters
     ----------
     difference : (4, 4) motion, metres.
-    depth : median depth of the views, metres.
+    median_depth_m : median depth of the views, metres.
     """
-    return _is_within(difference, _AGREED_SHIFT * depth, _AGREED_TURN)
+    return _is_within(difference, _NEGLIGIBLE_SHIFT_RATIO * median_depth_m, _NEGLIGIBLE_ROTATION_RAD)
 
 
-def is_near(difference: Pose, depth: float) -> bool:
+def is_within_drift(difference: Pose, median_depth_m: float) -> bool:
     """Check whether a motion is within the drift of a chain.
 
-    The parameters are as for `agree`.
+    The parameters are as for `is_negligible`.
     """
-    return _is_within(difference, _NEAR_SHIFT * depth, _NEAR_TURN)
+    return _is_within(difference, _DRIFT_SHIFT_RATIO * median_depth_m, _DRIFT_ROTATION_RAD)
 
 
-def _is_within(motion: Pose, shift: float, turn: float) -> bool:
-    return bool(np.linalg.norm(motion[:3, 3]) <= shift and angle(motion) <= turn)
+def _is_within(motion: Pose, max_shift_m: float, max_rotation_rad: float) -> bool:
+    return bool(
+        np.linalg.norm(motion[:3, 3]) <= max_shift_m and compute_rotation_angle(motion) <= max_rotation_rad
+    )
 
 
-def angle(pose: Pose) -> float:
+def compute_rotation_angle(pose: Pose) -> float:
     """Compute the rotation angle of a pose, radians."""
     # The trace is inaccurate at small angles: poses rounded in text files would give a tenth of a degree.
     return float(2 * np.arcsin(min(np.linalg.norm(pose[:3, :3] - np.eye(3)) / np.sqrt(8), 1)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 _HOW = "How"
 
@@ -53,4 +53,4 @@ class RegisterParams:
     loops: bool = param(True, "Detect places that were seen before, and close loops.", group=_HOW)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)

@@ -15,23 +15,32 @@ from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.sampling import sample_evenly
 from scanloom.stages.params import resolve
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.registration.chain import Chain, key_edges, make_chain
-from scanloom.stages.registration.choosing import Placed, placed
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.registration.codes import REGISTER_FRAMES_UNUSABLE, REGISTER_NOT_CONNECTED
-from scanloom.stages.registration.focal import focal_of, is_guess, report_focal
-from scanloom.stages.registration.focal_by_marks import focal_by_marks
-from scanloom.stages.registration.graph import Edge, pieces
-from scanloom.stages.registration.loops import loops
-from scanloom.stages.registration.motion import NoMotion
-from scanloom.stages.registration.odometry import one_thread_each
+from scanloom.stages.registration.focal_length import (
+    estimate_focal_length,
+    has_guessed_camera,
+    report_focal_length,
+)
+from scanloom.stages.registration.focal_length_from_marks import estimate_focal_length_from_marks
+from scanloom.stages.registration.loop_closure import find_loop_closures
+from scanloom.stages.registration.motion import AlignmentFailure
+from scanloom.stages.registration.moving_object import (
+    create_object_error,
+    detect_moving_object,
+    has_moving_object,
+    mask_to_object,
+)
+from scanloom.stages.registration.odometry_chain import OdometryChain, align_key_frames, build_odometry_chain
 from scanloom.stages.registration.params import RegisterParams
-from scanloom.stages.registration.registered import Registration
-from scanloom.stages.registration.reporting import report_pieces, report_poses
-from scanloom.stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
+from scanloom.stages.registration.pose_graph import PoseGraphEdge, find_components
+from scanloom.stages.registration.pose_selection import PoseSolution, select_poses
+from scanloom.stages.registration.registration_result import Registration
+from scanloom.stages.registration.registration_warnings import report_pieces, report_poses
+from scanloom.stages.registration.surface_alignment import limit_threads
 from scanloom.stages.scans.codes import POSE_MISSING
 from scanloom.stages.scans.model.images import read_depth
-from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
@@ -42,18 +51,18 @@ if TYPE_CHECKING:
 RESULT_VERSION = 4
 
 # Default maximum depth, in median depths, and number of frames sampled for the median.
-_MEDIANS, _SAMPLED = 2.5, 7
+_MAX_DEPTH_MEDIANS, _SAMPLE_COUNT = 2.5, 7
 # Fitness from which an edge needs no confirmation by other edges. Edges with few matches need more fitness:
 # the keys of a keyboard look alike, and a blurred view of them fits in wrong positions. Edges without matches
 # need no more, because their alignment started from the pose of the previous frame.
-_MIN_FITNESS, _SURE_POINTS, _SURE_FITNESS = 0.4, 15, 0.6
+_MIN_FITNESS, _MIN_CERTAIN_POINTS, _MIN_FITNESS_FEW_POINTS = 0.4, 15, 0.6
 
 
 def register(
     scan: Scan | Sequence[Frame],
     params: RegisterParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[RegisterKeywords],
 ) -> Registration:
     """Estimate the poses of frames with depth.
@@ -99,50 +108,55 @@ def register(
 def _register(scan: Scan | Sequence[Frame], params: RegisterParams, progress: Progress) -> Registration:
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
-    given = _given(frames) if params.refine else {}
+    given = _collect_given_poses(frames) if params.refine else {}
     if params.refine and not given:
         raise InputError(POSE_MISSING, "no frame has a pose that could be refined.", where)
-    if not (params.focal and is_guess(frames)):
-        return _of_scene_or_thing(frames, given, params, where, progress)
+    if not (params.focal and has_guessed_camera(frames)):
+        return _register_subject(frames, given, params, where, progress)
     guess = frames[0].camera
-    focal = focal_of(frames)
-    if focal is None and params.subject != "scene" and shows_thing(frames):
-        focal = focal_by_marks(frames)
+    focal = estimate_focal_length(frames)
+    if focal is None and params.subject != "scene" and has_moving_object(frames):
+        focal = estimate_focal_length_from_marks(frames)
     if focal is not None:
-        frames = [replace(frame, camera=focal.camera(frame.camera)) for frame in frames]
-    found = _of_scene_or_thing(frames, given, params, where, progress)
-    report_focal(focal, guess)
-    return replace(found, focal=focal)
+        frames = [replace(frame, camera=focal.to_camera(frame.camera)) for frame in frames]
+    found = _register_subject(frames, given, params, where, progress)
+    report_focal_length(focal, guess)
+    return replace(found, focal_estimate=focal)
 
 
-def _of_scene_or_thing(
+def _register_subject(
     frames: Sequence[Frame],
-    given: Mapping[int, Pose],
+    given_poses: Mapping[int, Pose],
     params: RegisterParams,
     where: Path | None,
     progress: Progress,
 ) -> Registration:
-    thing = None if given else thing_in(frames, params.subject, where)
+    thing = None if given_poses else detect_moving_object(frames, params.subject, where)
     if thing is None:
-        return _registered(frames, given, given, params, where, progress)
+        return _register_frames(frames, given_poses, given_poses, params, where, progress)
     try:
-        found = _registered(thing.frames, thing.poses, {}, params, where, progress)
+        found = _register_frames(thing.masked_frames, thing.initial_poses, {}, params, where, progress)
     except InputError as error:
-        raise thing_not_placed(error.diagnostic.message, where) from error
+        raise create_object_error(error.diagnostic.message, where) from error
     return replace(
         found,
         frames=tuple(
-            alone(frames, dict(zip(found.places, found.frames, strict=True)), thing, where).values()
+            mask_to_object(
+                frames, dict(zip(found.frame_indices, found.frames, strict=True)), thing, where
+            ).values()
         ),
-        apart={number: alone(frames, piece, thing, where) for number, piece in found.apart.items()},
+        other_pieces={
+            number: mask_to_object(frames, piece, thing, where)
+            for number, piece in found.other_pieces.items()
+        },
         subject="object",
     )
 
 
-def _registered(
+def _register_frames(
     frames: Sequence[Frame],
-    guesses: Mapping[int, Pose],
-    given: Mapping[int, Pose],
+    initial_poses: Mapping[int, Pose],
+    given_poses: Mapping[int, Pose],
     params: RegisterParams,
     where: Path | None,
     progress: Progress,
@@ -151,33 +165,35 @@ def _registered(
 
     Parameters
     ----------
-    guesses : initial world_from_camera by frame index; may be empty.
-    given : world_from_camera by frame index that stay unless improved, and define the world; may be empty.
+    initial_poses : initial world_from_camera by frame index; may be empty.
+    given_poses : world_from_camera by frame index that stay unless improved, and define the world; may be empty.
     """
-    max_depth = params.max_depth or _max_depth(frames)
-    with one_thread_each():
-        chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, guesses)
-        if len(chain.seen) < 2:
+    max_depth = params.max_depth or _compute_max_depth(frames)
+    with limit_threads():
+        chain = build_odometry_chain(
+            frames, max_depth, _report_first_half(progress) if params.loops else progress, initial_poses
+        )
+        if len(chain.summaries) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(
                 REGISTER_FRAMES_UNUSABLE,
                 "{seen_count} of {count} frames can be used, but registration needs at least two{first}",
                 where,
-                seen_count=len(chain.seen),
+                seen_count=len(chain.summaries),
                 count=len(frames),
                 first=first,
             )
-        edges = list(key_edges(chain, max_depth))
+        edges = list(align_key_frames(chain, max_depth))
         if params.loops:
-            edges += loops(chain, max_depth, guesses, progress)
-        if chain.breaks:
-            edges = _drop_unconfirmed(chain.keys, edges)
-        groups = pieces(len(chain.keys), edges)
-        found = placed(chain, groups, edges, given)
-    return _result(frames, chain, groups, found, where, given, params.piece)
+            edges += find_loop_closures(chain, max_depth, initial_poses, progress)
+        if chain.break_indices:
+            edges = _drop_unconfirmed(chain.key_indices, edges)
+        groups = find_components(len(chain.key_indices), edges)
+        found = select_poses(chain, groups, edges, given_poses)
+    return _create_result(frames, chain, groups, found, where, given_poses, params.piece)
 
 
-def _drop_unconfirmed(keys: Sequence[int], edges: Sequence[Edge]) -> list[Edge]:
+def _drop_unconfirmed(keys: Sequence[int], edges: Sequence[PoseGraphEdge]) -> list[PoseGraphEdge]:
     """Drop uncertain edges that alone connect two parts of the graph.
 
     Parameters
@@ -188,18 +204,18 @@ def _drop_unconfirmed(keys: Sequence[int], edges: Sequence[Edge]) -> list[Edge]:
     kept = list(edges)
     for edge in edges:
         motion = edge.motion
-        is_few = 0 < motion.points < _SURE_POINTS
-        least = _SURE_FITNESS if is_few else _MIN_FITNESS
+        is_few = 0 < motion.inlier_count < _MIN_CERTAIN_POINTS
+        least = _MIN_FITNESS_FEW_POINTS if is_few else _MIN_FITNESS
         is_between = edge.is_certain and keys[edge.source] - keys[edge.target] != 1
         if motion.fitness >= least or is_between:
             continue
         others = [one for one in kept if one is not edge]
-        if len(pieces(len(keys), others)) > len(pieces(len(keys), kept)):
+        if len(find_components(len(keys), others)) > len(find_components(len(keys), kept)):
             kept = others
     return kept
 
 
-def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
+def _collect_given_poses(frames: Sequence[Frame]) -> dict[int, Pose]:
     return {
         place: pose
         for place, frame in enumerate(frames)
@@ -207,42 +223,42 @@ def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
     }
 
 
-def _max_depth(frames: Sequence[Frame]) -> float:
+def _compute_max_depth(frames: Sequence[Frame]) -> float:
     """Compute the default maximum depth, metres.
 
     Far depth is noisier, and constrains the motion less.
     """
     medians = []
-    for i in sample_evenly(len(frames), _SAMPLED):
+    for i in sample_evenly(len(frames), _SAMPLE_COUNT):
         try:
             depth = read_depth(frames[i])
         except InputError:
             continue
         if depth is not None and depth.any():
             medians.append(float(np.median(depth[depth > 0])))
-    return _MEDIANS * float(np.median(medians)) if medians else np.inf
+    return _MAX_DEPTH_MEDIANS * float(np.median(medians)) if medians else np.inf
 
 
-def _result(
+def _create_result(
     frames: Sequence[Frame],
-    chain: Chain,
-    groups: Sequence[Sequence[int]],
-    found: Placed,
+    chain: OdometryChain,
+    components: Sequence[Sequence[int]],
+    solution: PoseSolution,
     where: Path | None,
-    given: Mapping[int, Pose],
+    given_poses: Mapping[int, Pose],
     piece: int,
 ) -> Registration:
-    keys, numbers, poses = chain.keys, list(chain.seen), found.poses
-    piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
+    keys, numbers, poses = chain.key_indices, list(chain.summaries), solution.poses
+    piece_of_key = {keys[key]: piece for piece, group in enumerate(components) for key in group}
     piece_of = {n: piece_of_key[keys[bisect_right(keys, n) - 1]] for n in numbers}
-    sizes: list[list[int]] = [[] for _ in groups]
+    sizes: list[list[int]] = [[] for _ in components]
     for n in numbers:
         sizes[piece_of[n]].append(n)
-    order = sorted(range(len(groups)), key=lambda piece: (-len(sizes[piece]), piece))
+    order = sorted(range(len(components)), key=lambda piece: (-len(sizes[piece]), piece))
     breaks = tuple(
         SkippedFrame(frames[after].name, motion.diagnostic)
         for after, motion in zip(numbers[1:], chain.motions.values(), strict=True)
-        if isinstance(motion, NoMotion)
+        if isinstance(motion, AlignmentFailure)
     )
     usable = sum(len(size) > 1 for size in sizes)
     if not usable:
@@ -278,19 +294,20 @@ def _result(
         if rank[piece_of[n]] != piece
     ]
     in_worlds = {
-        rank[index]: _in_their_world(frames, members, poses, given) for index, members in enumerate(sizes)
+        rank[index]: _transform_to_world(frames, members, poses, given_poses)
+        for index, members in enumerate(sizes)
     }
     report_pieces(len(order), usable, piece, breaks)
-    report_poses(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong)
+    report_poses(frames, chain, [poses[n] for n in in_worlds[piece]], solution.accepted, solution.rejected)
     return Registration(
         frames=tuple(in_worlds[piece].values()),
-        places=tuple(in_worlds[piece]),
+        frame_indices=tuple(in_worlds[piece]),
         skipped=(*chain.skipped, *left_out),
         pieces=tuple(tuple(frames[n].name for n in sizes[index]) for index in order),
-        apart={number: in_worlds[number] for number in sorted(in_worlds) if number != piece},
+        other_pieces={number: in_worlds[number] for number in sorted(in_worlds) if number != piece},
         edges=tuple(
-            _edge(edge, keys, is_used)
-            for edges, is_used in ((found.used, True), (found.wrong, False))
+            _describe_edge(edge, keys, is_used)
+            for edges, is_used in ((solution.accepted, True), (solution.rejected, False))
             for edge in edges
         ),
         breaks=breaks,
@@ -298,48 +315,51 @@ def _result(
     )
 
 
-def _first_half(progress: Progress) -> Progress:
+def _report_first_half(progress: Progress) -> Progress:
     return lambda done, total: progress(done, 2 * total)
 
 
-def _in_their_world(
-    frames: Sequence[Frame], members: Sequence[int], poses: Mapping[int, Pose], given: Mapping[int, Pose]
+def _transform_to_world(
+    frames: Sequence[Frame],
+    frame_indices: Sequence[int],
+    poses: Mapping[int, Pose],
+    given_poses: Mapping[int, Pose],
 ) -> dict[int, Frame]:
     """Return the frames of a component by index, in their final world.
 
     This is the world of the given poses, if any, or else the camera of the first frame.
     """
-    known = [n for n in members if n in given]
-    into = inverted(poses[members[0]])
-    if known and all(poses[n] is given[n] for n in known):
+    known = [n for n in frame_indices if n in given_poses]
+    into = invert_pose(poses[frame_indices[0]])
+    if known and all(poses[n] is given_poses[n] for n in known):
         into = np.eye(4)
     elif known:
-        into = _nearest([poses[n] for n in known], [given[n] for n in known])
-    return {n: replace(frames[n], world_from_camera=into @ poses[n]) for n in members}
+        into = _fit_world_transform([poses[n] for n in known], [given_poses[n] for n in known])
+    return {n: replace(frames[n], world_from_camera=into @ poses[n]) for n in frame_indices}
 
 
-def _nearest(poses: Sequence[Pose], given: Sequence[Pose]) -> Pose:
+def _fit_world_transform(poses: Sequence[Pose], target_poses: Sequence[Pose]) -> Pose:
     """Fit the rigid motion between two sets of poses.
 
     The rotation is the mean of the relative rotations; the translation aligns the mean camera centres.
     """
     from scipy.spatial.transform import Rotation
 
-    turns = [other[:3, :3] @ pose[:3, :3].T for pose, other in zip(poses, given, strict=True)]
+    turns = [other[:3, :3] @ pose[:3, :3].T for pose, other in zip(poses, target_poses, strict=True)]
     into = np.eye(4)
     into[:3, :3] = Rotation.from_matrix(np.stack(turns)).mean().as_matrix()
-    centres, others = (np.mean([pose[:3, 3] for pose in some], axis=0) for some in (poses, given))
+    centres, others = (np.mean([pose[:3, 3] for pose in some], axis=0) for some in (poses, target_poses))
     into[:3, 3] = others - into[:3, :3] @ centres
     return into
 
 
-def _edge(edge: Edge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
+def _describe_edge(edge: PoseGraphEdge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
     return {
         "source": keys[edge.source],
         "target": keys[edge.target],
         "fitness": edge.motion.fitness,
         "rmse_m": edge.motion.rmse_m,
-        "points": edge.motion.points,
+        "points": edge.motion.inlier_count,
         "is_loop": not edge.is_certain,
         "is_used": is_used,
     }

@@ -8,27 +8,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages._open3d import import_open3d
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.frames.projection import unproject
 from scanloom.stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from scanloom.stages.registration.features import PIXELS, Features, features_of
-from scanloom.stages.registration.points import deviation
+from scanloom.stages.registration.features import MAX_PIXELS, Features, detect_features
+from scanloom.stages.registration.matched_points import predict_depth_sigma
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
 from scanloom.stages.scans.model.images import read_color, read_depth
-from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, scale_camera, to_pinhole
 
 # Maximum width of depth maps, pixels. Wider ones are downscaled by an integer; alignment does not benefit
 # from more.
-_WIDEST = 400
+_MAX_WIDTH_PX = 400
 # Approximate number of points for the firmness of a view.
-_SAMPLED = 4000
+_SAMPLE_POINT_COUNT = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RegistrationView:
     """Depth image and features of a frame.
 
     Attributes
@@ -40,9 +40,9 @@ class View:
     firmness : constraint of the pose by the surface alone, 0 to 1/3. It is the smallest eigenvalue of the
         mean point-to-plane information matrix, with lengths relative to the root-mean-square radius of the
         points.
-    hold : (6, 6) information matrix of rotation and translation, averaged over the points of the surface.
+    information_per_point : (6, 6) information matrix of rotation and translation, averaged over the points of the surface.
     depth_m : median depth, metres.
-    pixels : number of pixels of `image` with depth.
+    valid_pixel_count : number of pixels of `image` with depth.
     mean_color : mean grey level, 0 to 255; NaN if the colour image was not read.
     """
 
@@ -51,20 +51,22 @@ class View:
     image: Any
     features: Features
     firmness: float
-    hold: NDArray[np.float64]
+    information_per_point: NDArray[np.float64]
     depth_m: float
-    pixels: int
+    valid_pixel_count: int
     mean_color: float
 
 
-def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> View:
+def read_registration_view(
+    frame: Frame, max_depth: float, known_features: Features | None = None
+) -> RegistrationView:
     """Read a frame, and detect its features unless given.
 
     Parameters
     ----------
     frame : frame with depth.
     max_depth : farther depth is dropped, metres.
-    known : features detected before.
+    known_features : features detected before.
 
     Raises
     ------
@@ -75,52 +77,56 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
 
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", DiagnosticLocation(frame=frame.name))
     depth[depth > max_depth] = 0
     valid = depth[depth > 0]
     if valid.size == 0:
-        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", Where(frame=frame.name))
+        raise InputError(
+            SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", DiagnosticLocation(frame=frame.name)
+        )
     grey = None
-    features = Features.none() if known is None else known
-    if frame.color is not None and known is None:
-        color, camera = _color(frame, depth)
+    features = Features.create_empty() if known_features is None else known_features
+    if frame.color is not None and known_features is None:
+        color, camera = _read_color(frame, depth)
         grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
-        features = features_of(grey, camera, depth)
-    step = max(-(-frame.camera.width // _WIDEST), 1)
-    small = smaller(depth, step)
-    camera = scaled(pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
-    firmness, hold = _surface(small, camera)
-    return View(
+        features = detect_features(grey, camera, depth)
+    step = max(-(-frame.camera.width // _MAX_WIDTH_PX), 1)
+    small = downscale_depth(depth, step)
+    camera = scale_camera(to_pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
+    firmness, hold = _compute_firmness(small, camera)
+    return RegistrationView(
         name=frame.name,
         camera=camera,
-        image=_image(small),
+        image=_create_rgbd_image(small),
         features=features,
         firmness=firmness,
-        hold=hold,
+        information_per_point=hold,
         depth_m=float(np.median(valid)),
-        pixels=int(np.count_nonzero(small)),
+        valid_pixel_count=int(np.count_nonzero(small)),
         mean_color=float("nan") if grey is None else float(grey.mean()),
     )
 
 
-def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
+def _read_color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
     """Read the downscaled colour image and its camera.
 
     The image is reprojected to the position of the depth camera if necessary.
     """
     import cv2
 
-    color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
+    color = read_color_aligned_to_depth(frame, depth) if frame.color_camera is not None else read_color(frame)
     if color is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
-    share = min((PIXELS / (color.shape[0] * color.shape[1])) ** 0.5, 1.0)
+        raise InputError(
+            FRAME_IMAGE_MISSING, "there is no colour image.", DiagnosticLocation(frame=frame.name)
+        )
+    share = min((MAX_PIXELS / (color.shape[0] * color.shape[1])) ** 0.5, 1.0)
     size = (max(round(color.shape[1] * share), 1), max(round(color.shape[0] * share), 1))
     if size != (color.shape[1], color.shape[0]):
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return color, scaled(pinhole(frame.camera), *size)
+    return color, scale_camera(to_pinhole(frame.camera), *size)
 
 
-def smaller(depth: DepthImage, step: int) -> DepthImage:
+def downscale_depth(depth: DepthImage, block_px: int) -> DepthImage:
     """Downscale a depth map by the median of blocks.
 
     A mean would blend depths across edges; a missing pixel leaves no hole.
@@ -128,11 +134,11 @@ def smaller(depth: DepthImage, step: int) -> DepthImage:
     Parameters
     ----------
     depth : (h, w) metres, 0 where missing.
-    step : side of a block, pixels.
+    block_px : side of a block, pixels.
     """
-    height, width = (side // step for side in depth.shape)
-    inside = depth[: height * step, : width * step]
-    values = [inside[i::step, j::step] for i in range(step) for j in range(step)]
+    height, width = (side // block_px for side in depth.shape)
+    inside = depth[: height * block_px, : width * block_px]
+    values = [inside[i::block_px, j::block_px] for i in range(block_px) for j in range(block_px)]
     values = [np.where(one > 0, one, np.float32(np.inf)) for one in values]
     count = np.sum([one < np.inf for one in values], axis=0)
     median = np.zeros((height, width), np.float32)
@@ -144,16 +150,16 @@ def smaller(depth: DepthImage, step: int) -> DepthImage:
     return median
 
 
-def _image(depth: NDArray[np.float32]) -> Any:
-    o3d = open3d()
+def _create_rgbd_image(depth: NDArray[np.float32]) -> Any:
+    o3d = import_open3d()
     # Colours are not used: surfaces alone align better if colour and depth are not exactly registered.
     blank = np.zeros((*depth.shape, 3), np.uint8)
     color, metres = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (blank, depth))
     return o3d.t.geometry.RGBDImage(color, metres)
 
 
-def _surface(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray[np.float64]]:
-    """Compute the firmness of a view and its information matrix, see `View`."""
+def _compute_firmness(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray[np.float64]]:
+    """Compute the firmness of a view and its information matrix, see `RegistrationView`."""
     import cv2
 
     smooth = cv2.medianBlur(depth, 5)
@@ -169,19 +175,21 @@ def _surface(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray
     rows, columns = np.nonzero((least > 0) & (most - least < 0.1 * most) & (middle > 0))
     if len(rows) < 100:
         return 0.0, np.zeros((6, 6))
-    some = slice(None, None, max(len(rows) // _SAMPLED, 1))
+    some = slice(None, None, max(len(rows) // _SAMPLE_POINT_COUNT, 1))
     rows, columns = rows[some] + gap, columns[some] + gap
 
-    def points(down: int, across: int) -> NDArray[np.float64]:
+    def unproject_at(down: int, across: int) -> NDArray[np.float64]:
         v, u = rows + down, columns + across
         return unproject(u, v, smooth[v, u], camera)
 
-    n = np.cross(points(0, gap) - points(0, -gap), points(gap, 0) - points(-gap, 0))
+    n = np.cross(unproject_at(0, gap) - unproject_at(0, -gap), unproject_at(gap, 0) - unproject_at(-gap, 0))
     n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)
-    p = points(0, 0)
+    p = unproject_at(0, 0)
     centre = p.mean(axis=0)
     unit = np.sqrt(((p - centre) ** 2).sum(axis=1).mean())
     rows6 = np.concatenate([np.cross((p - centre) / unit, n), n], axis=1)
     firmness = float(np.linalg.eigvalsh(rows6.T @ rows6 / len(rows6))[0])
-    told = np.concatenate([np.cross(p, n), n], axis=1) / deviation(p[:, 2].astype(np.float64))[:, None]
+    told = (
+        np.concatenate([np.cross(p, n), n], axis=1) / predict_depth_sigma(p[:, 2].astype(np.float64))[:, None]
+    )
     return firmness, np.asarray(told.T @ told / len(told))

@@ -70,7 +70,7 @@ CAMERA_ADJUSTED_MISMATCH = Code(
     "camera.adjusted-mismatch",
     "A cameras.json of another scan",
     """
-`--adjusted` takes the file that `scanloom adjust`, or the stage `adjust` of a run, wrote for this scan.
+`--adjusted-cameras` takes the file that `scanloom adjust`, or the stage `adjust` of a run, wrote for this scan.
 Frames are matched by name.
 """,
     "room/cameras.json: a cameras.json of `scanloom adjust` is expected.",
@@ -425,11 +425,11 @@ SCAN_CONFIDENCE = Code(
     "Depth of low confidence",
     """
 Phones store a confidence for each depth value. By default, only depth of the lowest confidence is ignored;
-`scan.least_confidence` changes the threshold.
+`scan.min_confidence` changes the threshold.
 """,
     (
-        "depth of confidence 1 or higher (levels 0, 1, 2) is used: scan.least_confidence=2 keeps only the "
-        "highest level, scan.least_confidence=0 keeps everything. Depth of phones is unreliable beyond 5 m;"
+        "depth of confidence 1 or higher (levels 0, 1, 2) is used: scan.min_confidence=2 keeps only the "
+        "highest level, scan.min_confidence=0 keeps everything. Depth of phones is unreliable beyond 5 m;"
         " fuse.max_depth=5 ignores it"
     ),
 )
@@ -458,7 +458,7 @@ SCAN_TOO_MANY_FRAMES_SKIPPED = Code(
     "scan.too-many-frames-skipped",
     "Too many frames cannot be used",
     """
-A stage skips single unusable frames, up to a ratio of all frames (`fuse.max_bad_share`, `depth.max_skipped`).
+A stage skips single unusable frames, up to a ratio of all frames (`fuse.max_skipped_ratio`, `depth.max_skipped_ratio`).
 With more, there is a problem with the whole scan. The message has the reason of the first or last skipped
 frame, which these pages explain.
 """,

@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import param
+from scanloom.stages.scans.layout_table import LAYOUTS
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.tags import FAMILIES
-from scanloom.stages.scans.table import LAYOUTS
+from scanloom.stages.scans.model.tags import TAG_FAMILIES
 
 # Parameters that make a scan metric; they exclude each other.
-_SCALES = ("scale", "known_distance", "tag_size")
+_SCALE_PARAMETERS = ("scale", "known_distance", "tag_size")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +49,13 @@ class ScanParams(ReadingParams):
         low_open=True,
         high=1e3,
     )
-    tag_family: str = param("apriltag-36h11", "Family of the tags with edge `tag_size`.", choices=FAMILIES)
+    tag_family: str = param(
+        "apriltag-36h11", "Family of the tags with edge `tag_size`.", choices=TAG_FAMILIES
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [name for name in _SCALES if getattr(self, name) is not None]
+        given = [name for name in _SCALE_PARAMETERS if getattr(self, name) is not None]
         if len(given) > 1:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
@@ -62,9 +64,9 @@ class ScanParams(ReadingParams):
                 given=given[0],
                 given_2=given[1],
             )
-        self.stated_scale()
+        self.resolve_scale()
 
-    def stated_scale(self) -> float | None:
+    def resolve_scale(self) -> float | None:
         """Return the metres per unit from `scale` or `known_distance`.
 
         Returns None if neither is given.
@@ -90,7 +92,7 @@ class ScanParams(ReadingParams):
                 "is {known_distance!r}; it must be a measured length and its true length in metres, "
                 "such as `1.37 0.75`, or two points and their distance in metres, such as `x,y,z "
                 "x,y,z 0.75`.",
-                Where(parameter="known_distance"),
+                DiagnosticLocation(parameter="known_distance"),
                 known_distance=self.known_distance,
             )
         return metres / units

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from scanloom.stages import _kernels
-from scanloom.stages.surface.color import attributes_of
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.surface_color import get_vertex_attributes
 
 
-def color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
+def compute_color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
     """Compute the colour weight for a mesh and a target triangle count.
 
     The result is the balanced weight or a smaller one: the largest tested at which colours increase the shape
@@ -29,10 +29,10 @@ def color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
     _kernels.InvalidMeshError
         For an index out of range or a value that is not finite.
     """
-    return _weight(mesh, triangles, threads, tried=True)
+    return _compute_weight(mesh, triangles, threads, is_tested=True)
 
 
-def balanced_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
+def compute_balanced_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
     """Compute the weight at which shape and colour errors balance.
 
     Shape gets a slight preference.
@@ -41,17 +41,17 @@ def balanced_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
     plane estimates the shape error. The deviation of their colours from the best linear fit estimates the
     colour error.
 
-    Parameters, result and errors are the same as for `color_weight`.
+    Parameters, result and errors are the same as for `compute_color_weight`.
     """
-    return _weight(mesh, triangles, threads, tried=False)
+    return _compute_weight(mesh, triangles, threads, is_tested=False)
 
 
-def _weight(mesh: Mesh, triangles: int, threads: int, *, tried: bool) -> float:
+def _compute_weight(mesh: Mesh, triangles: int, threads: int, *, is_tested: bool) -> float:
     return _kernels.color_weight(
         mesh.vertices,
-        attributes_of(mesh),
+        get_vertex_attributes(mesh),
         mesh.triangles,
         target=max(triangles, 1),
-        tried=tried,
+        tried=is_tested,
         wanted_threads=threads,
     )

@@ -1,6 +1,6 @@
 """Conversion between meshes with corner attributes and kernel arrays.
 
-`kernel_input` is the counterpart for meshes whose only attribute is vertex colours.
+`make_kernel_input` is the counterpart for meshes whose only attribute is vertex colours.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ Ids = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
-class LightCorners:
+class SimplifiedCorners:
     """Kernel result: a simplified mesh with corner attributes.
 
     Attributes
     ----------
-    places : (p, 3) float64, vertex positions in metres, relative to `CornerAttributes.origin`.
+    positions : (p, 3) float64, vertex positions in metres, relative to `CornerAttributes.origin`.
     triangles : (q, 3) int32.
     corners : (3 q, k) float64, corner attributes, in the columns of `CornerAttributes.columns`.
     corner_source : (3 q,) int32, input corner with bit-identical attributes; −1 for none.
     vertex_source, triangle_source : (p,) and (q,) int32, indices into the input.
     """
 
-    places: Floats
+    positions: Floats
     triangles: Ids
     corners: Floats
     corner_source: Ids
@@ -70,7 +70,7 @@ class CornerAttributes:
         normals = others[:, -3:] / self.normal_scale if self.has_normals else None
         return uvs, colors, normals
 
-    def as_mesh(self, mesh: Mesh, left: LightCorners) -> tuple[Mesh, Ids]:
+    def to_mesh(self, mesh: Mesh, simplified: SimplifiedCorners) -> tuple[Mesh, Ids]:
         """Build the simplified mesh, and map its vertices to the input.
 
         Unchanged values are bit-identical to the input. A vertex whose corners differ in colour is
@@ -81,28 +81,28 @@ class CornerAttributes:
         mesh : the input.
         left : kernel result.
         """
-        uvs, colors, normals = self.split(left.corners)
-        kept = left.corner_source >= 0
-        source = left.corner_source[kept]
+        uvs, colors, normals = self.split(simplified.corners)
+        kept = simplified.corner_source >= 0
+        source = simplified.corner_source[kept]
         if uvs is not None and mesh.texture is not None:
             uvs[kept] = mesh.texture.uvs.reshape(-1, 2)[source]
             uvs = uvs.reshape(-1, 3, 2)
-        own, triangles = _shared(left)
-        vertex_source, places, levels = left.vertex_source[own], left.places[own], None
+        own, triangles = _merge_coincident(simplified)
+        vertex_source, places, levels = simplified.vertex_source[own], simplified.positions[own], None
         before = self.positions[vertex_source]
         moved = (places != before - self.origin).any(axis=1, keepdims=True)
         vertices = np.where(moved, places + self.origin, before)
         if colors is not None and mesh.colors is not None:
             levels = np.rint(colors).clip(0, 255).astype(np.uint8)
             levels[kept] = mesh.colors[mesh.triangles.reshape(-1)[source]]
-            own, triangles, levels = _one_color_each(triangles, levels)
+            own, triangles, levels = _split_by_color(triangles, levels)
             vertices, vertex_source = vertices[own], vertex_source[own]
         base = mesh.with_(vertices=vertices, colors=levels, normals=None)
-        light = base.with_triangles(triangles, left.triangle_source, uvs=uvs)
-        return (light if normals is None else _with_normals(light, normals)), vertex_source
+        result = base.with_triangles(triangles, simplified.triangle_source, uvs=uvs)
+        return (result if normals is None else _set_normals(result, normals)), vertex_source
 
 
-def is_in_pieces(mesh: Mesh) -> bool:
+def has_corner_attributes(mesh: Mesh) -> bool:
     """Return True if a mesh has materials, texture, parts or corner normals."""
     texture = mesh.texture
     has_texture = texture is not None and ((texture.material_ids >= 0).any() or texture.has_uvs().any())
@@ -110,7 +110,7 @@ def is_in_pieces(mesh: Mesh) -> bool:
     return bool(has_texture or has_parts or mesh.corner_normals is not None)
 
 
-def _shared(left: LightCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _merge_coincident(simplified: SimplifiedCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Merge coincident vertices that came from one input vertex.
 
     The kernel gives each touching sheet a separate vertex.
@@ -120,14 +120,14 @@ def _shared(left: LightCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     own : representative of each merged vertex.
     triangles : (q, 3) int32, indices of merged vertices.
     """
-    _, first, inverse = np.unique(left.vertex_source, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(simplified.vertex_source, return_index=True, return_inverse=True)
     same = first[inverse.reshape(-1)]
-    is_there = (left.places == left.places[same]).all(axis=1)
+    is_there = (simplified.positions == simplified.positions[same]).all(axis=1)
     own, number = np.unique(np.where(is_there, same, np.arange(len(same))), return_inverse=True)
-    return own, number.reshape(-1).astype(np.int32)[left.triangles]
+    return own, number.reshape(-1).astype(np.int32)[simplified.triangles]
 
 
-def _one_color_each(
+def _split_by_color(
     triangles: NDArray[np.int32], levels: NDArray[np.uint8]
 ) -> tuple[NDArray[Any], NDArray[np.int32], NDArray[np.uint8]]:
     """Duplicate the vertices whose corners differ in colour.
@@ -145,7 +145,7 @@ def _one_color_each(
     return key >> 24, inverse.reshape(-1, 3).astype(np.int32), levels[first]
 
 
-def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
+def _set_normals(mesh: Mesh, normals: Floats) -> Mesh:
     """Set corner normals, or vertex normals if all corners agree."""
     with np.errstate(over="ignore"):  # A normal with infinite length becomes zero.
         length = np.linalg.norm(normals, axis=1, keepdims=True)

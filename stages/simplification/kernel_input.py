@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.progress import Progress
 from scanloom.stages.simplification.codes import (
@@ -17,26 +17,26 @@ from scanloom.stages.simplification.codes import (
     SIMPLIFY_TEXTURE_LEFT_OUT,
     USAGE_METHOD_MISMATCH,
 )
-from scanloom.stages.surface.color import attributes_of
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import bounding_box
+from scanloom.stages.surface.raycasting import compute_bounding_box
+from scanloom.stages.surface.surface_color import get_vertex_attributes
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]
 Levels = NDArray[np.uint8]
 
 
-def texture_left_out(who: str) -> Diagnostic:
+def create_texture_warning(function_name: str) -> Diagnostic:
     """Create the warning of a function that discards the texture.
 
     Parameters
     ----------
-    who : name of the function.
+    function_name : name of the function.
     """
     return SIMPLIFY_TEXTURE_LEFT_OUT.warning(
         "{who} discards the texture",
         remedy="method seams preserves it, and bake creates a new image from the old one.",
-        who=who,
+        who=function_name,
     )
 
 
@@ -59,7 +59,7 @@ class KernelInput:
     vertices: Floats
     attributes: Levels
 
-    def placed_back(self, points: Floats, source: Ids) -> Floats:
+    def to_world(self, points: Floats, source: Ids) -> Floats:
         """Transform points (p, 3) back to mesh coordinates.
 
         Points at the position of their source vertex get its coordinates bit for bit.
@@ -73,14 +73,14 @@ class KernelInput:
         return np.where(moved, points + self.origin, self.mesh.vertices.take(source, axis=0))
 
 
-def kernel_input(mesh: Mesh) -> KernelInput:
+def make_kernel_input(mesh: Mesh) -> KernelInput:
     """Move the mesh to the centre of its bounding box."""
     if len(mesh.triangles):
-        low, high = bounding_box(mesh)
+        low, high = compute_bounding_box(mesh)
         origin = 0.5 * low + 0.5 * high
     else:
         origin = np.zeros(3)
-    return KernelInput(mesh, origin, mesh.vertices - origin, attributes_of(mesh))
+    return KernelInput(mesh, origin, mesh.vertices - origin, get_vertex_attributes(mesh))
 
 
 def require_colors(mesh: Mesh, max_color: float | None) -> None:
@@ -89,13 +89,13 @@ def require_colors(mesh: Mesh, max_color: float | None) -> None:
         raise UsageError(
             USAGE_METHOD_MISMATCH,
             "is given, but the mesh has no vertex colours",
-            Where(parameter="max_color"),
+            DiagnosticLocation(parameter="max_color"),
             remedy="leave it out.",
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class ReducedMesh:
     """Kernel result: a simplified mesh without corner attributes.
 
     Attributes
@@ -104,25 +104,25 @@ class Light:
     attributes : (p, k) float64, colours in levels.
     triangles : (q, 3) int32.
     vertex_source : (p,) int32, input vertex of each vertex.
-    became : (n,) int32, vertex that each input vertex was merged into; −1 for none.
+    merged_into : (n,) int32, vertex that each input vertex was merged into; −1 for none.
     """
 
     vertices: Floats
     attributes: Floats
     triangles: Ids
     vertex_source: Ids
-    became: Ids
+    merged_into: Ids
 
 
-def fitted(
-    light: Light, given: KernelInput, lock: NDArray[np.bool_], threads: int, progress: Progress
+def fit_to_input(
+    reduced: ReducedMesh, kernel_input: KernelInput, lock: NDArray[np.bool_], threads: int, progress: Progress
 ) -> tuple[Floats, Floats]:
     """Fit a simplified mesh to its input by least squares.
 
     Parameters
     ----------
-    light : simplified mesh.
-    given : the input.
+    reduced : simplified mesh.
+    kernel_input : the input.
     lock : (n,) bool, input vertices that stay unchanged.
     threads : 0 for one per core.
     progress : called with (steps done, all steps); an exception stops the fit.
@@ -133,30 +133,30 @@ def fitted(
     attributes : (p, k) float64.
     """
     vertices, attributes = _kernels.fit(
-        light.vertices - given.origin,
-        light.attributes,
-        light.triangles,
-        lock[light.vertex_source],
-        given.vertices,
-        given.attributes,
-        given.mesh.triangles,
-        light.became,
+        reduced.vertices - kernel_input.origin,
+        reduced.attributes,
+        reduced.triangles,
+        lock[reduced.vertex_source],
+        kernel_input.vertices,
+        kernel_input.attributes,
+        kernel_input.mesh.triangles,
+        reduced.merged_into,
         threads=threads,
         progress=progress,
     )
-    return given.placed_back(vertices, light.vertex_source), attributes
+    return kernel_input.to_world(vertices, reduced.vertex_source), attributes
 
 
-def as_result(
-    mesh: Mesh, vertices: Floats, attributes: Floats, triangles: Ids, vertex_source: Ids, who: str
+def build_result_mesh(
+    mesh: Mesh, vertices: Floats, attributes: Floats, triangles: Ids, vertex_source: Ids, function_name: str
 ) -> Mesh:
     """Build the simplified mesh, and report attributes that it cannot keep.
 
     Parameters
     ----------
     mesh : the input.
-    vertices, attributes, triangles, vertex_source : see `Light`.
-    who : name of the function in diagnostics.
+    vertices, attributes, triangles, vertex_source : see `ReducedMesh`.
+    function_name : name of the function in diagnostics.
     """
     colors = None
     if mesh.colors is not None:
@@ -166,13 +166,13 @@ def as_result(
     lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals}
     names = [name for name, value in lost.items() if value is not None]
     if mesh.texture is not None:
-        emit(texture_left_out(who))
+        emit(create_texture_warning(function_name))
     if names:
         emit(
             SIMPLIFY_ATTRIBUTES_LOST.warning(
                 "{who} discards {names}",
                 remedy="method seams preserves them.",
-                who=who,
+                who=function_name,
                 names=", ".join(names),
             )
         )

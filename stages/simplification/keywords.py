@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         importance: ArrayLike | None
         regions: Sequence[Region]
         record: bool
-        partial: bool
+        keep_on_interrupt: bool
         progress: Progress
 
     class QuadricCall(_Call, total=False):

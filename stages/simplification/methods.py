@@ -1,7 +1,7 @@
 """Registry of simplification methods: capabilities, parameters, entry points and result types.
 
 To add a method, create a package next to this file and add a row below. Parameters that only this method has
-are a field of SimplifyParams. The help of `method` and the selection by `auto` are derived from the rows.
+are a field of SimplifyParams. The help of `method` and the selection by `is_automatic` are derived from the rows.
 Type checkers cannot evaluate the table, so `keywords.py` lists the keyword arguments for each method.
 """
 
@@ -23,7 +23,7 @@ from scanloom.stages.simplification.planar.details import PlanarDetails
 from scanloom.stages.simplification.planar.params import PlanarParams
 from scanloom.stages.simplification.quadric import run as quadric
 from scanloom.stages.simplification.quadric.details import QuadricDetails
-from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.simplification.result import Details, SimplificationResult
 from scanloom.stages.simplification.seams import run as seams
 from scanloom.stages.simplification.seams.details import SeamsDetails
 from scanloom.stages.simplification.seams.params import SeamsParams
@@ -34,27 +34,29 @@ D = TypeVar("D", bound=Details)
 
 
 @dataclass(frozen=True)
-class Need:
+class Requirement:
     """Requirement of a method: at least one of some parameters.
 
     Attributes
     ----------
-    what : requirement in words.
-    names : parameters, any of which meets the requirement.
+    description : requirement in words.
+    parameters : parameters, any of which meets the requirement.
     advice : remedy for error messages.
     """
 
-    what: str
-    names: tuple[str, ...]
+    description: str
+    parameters: tuple[str, ...]
     advice: str
 
 
-COUNT = Need("a triangle count", ("triangles", "ratio"), "give triangles or ratio")
-BOUND = Need("an error bound", ("max_shape", "max_color"), "give max_shape, max_color or both")
+COUNT_REQUIREMENT = Requirement("a triangle count", ("triangles", "ratio"), "give triangles or ratio")
+BOUND_REQUIREMENT = Requirement(
+    "an error bound", ("max_shape", "max_color"), "give max_shape, max_color or both"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Takes:
+class Capabilities:
     """Capabilities of a method, apart from its parameters.
 
     Attributes
@@ -63,7 +65,7 @@ class Takes:
     texture : preserves texture, materials, parts and corner normals.
     lock, importance : supports locked vertices, and a factor on the error of each vertex.
     record : can record its collapses.
-    partial : returns the mesh simplified so far when interrupted.
+    keep_on_interrupt : returns the mesh simplified so far when interrupted.
     """
 
     count: bool = True
@@ -71,7 +73,7 @@ class Takes:
     lock: bool = True
     importance: bool = True
     record: bool = True
-    partial: bool = True
+    keep_on_interrupt: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,22 +88,22 @@ class Method(Generic[P, D]):
     shared : supported parameters that several methods share.
     details : class of the result details.
     run : entry point.
-    needs : requirement, None without any.
-    takes : capabilities.
-    auto : False if `auto` never selects the method.
-    proves : True if the details have `shape_bound` and `color_bound`, proven for every triangle.
+    requirement : requirement, None without any.
+    capabilities : capabilities.
+    is_automatic : False if `is_automatic` never selects the method.
+    proves_bounds : True if the details have `shape_bound` and `color_bound`, proven for every triangle.
     """
 
     name: str
     text: str
     params: type[P] | None
     details: type[D]
-    run: Callable[[Task[P]], Simplified[D]]
+    run: Callable[[Task[P]], SimplificationResult[D]]
     shared: tuple[str, ...] = ()
-    needs: Need | None = None
-    takes: Takes = Takes()
-    auto: bool = True
-    proves: bool = False
+    requirement: Requirement | None = None
+    capabilities: Capabilities = Capabilities()
+    is_automatic: bool = True
+    proves_bounds: bool = False
 
     @property
     def result_version(self) -> int:
@@ -109,19 +111,19 @@ class Method(Generic[P, D]):
         version: int = sys.modules[self.run.__module__].RESULT_VERSION
         return version
 
-    def knows(self, name: str) -> bool:
+    def supports(self, name: str) -> bool:
         """Return True if the method supports a parameter.
 
         Nested parameters are written as `planar.crease_angle`.
         """
         return name in self.shared or name.startswith(f"{self.name}.")
 
-    def own(self, params: Any) -> Any:
+    def get_own_params(self, params: Any) -> Any:
         """Return the parameters that only this method has."""
         return None if self.params is None else getattr(params, self.name)
 
 
-# `auto` tries the methods in this order.
+# `is_automatic` tries the methods in this order.
 METHODS: tuple[Method[Any, Any], ...] = (
     Method(
         name="quadric",
@@ -130,7 +132,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=QuadricDetails,
         run=quadric.run,
         shared=("attribute_scale",),
-        needs=COUNT,
+        requirement=COUNT_REQUIREMENT,
     ),
     Method(
         name="certified",
@@ -140,9 +142,9 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=CertifiedDetails,
         run=certified.run,
         shared=("max_shape", "max_color", "attribute_scale"),
-        needs=BOUND,
-        takes=Takes(texture=True),
-        proves=True,
+        requirement=BOUND_REQUIREMENT,
+        capabilities=Capabilities(texture=True),
+        proves_bounds=True,
     ),
     Method(
         name="seams",
@@ -152,8 +154,8 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=SeamsDetails,
         run=seams.run,
         shared=("attribute_scale",),
-        needs=COUNT,
-        takes=Takes(texture=True),
+        requirement=COUNT_REQUIREMENT,
+        capabilities=Capabilities(texture=True),
     ),
     Method(
         name="jia01",
@@ -162,7 +164,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=Jia01Details,
         run=jia01.run,
         shared=("max_shape", "max_color", "attribute_scale"),
-        takes=Takes(importance=False),
+        capabilities=Capabilities(importance=False),
     ),
     Method(
         name="planar",
@@ -172,7 +174,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=PlanarDetails,
         run=planar.run,
         shared=("max_shape", "max_color"),
-        takes=Takes(count=False, importance=False, record=False),
-        auto=False,
+        capabilities=Capabilities(count=False, importance=False, record=False),
+        is_automatic=False,
     ),
 )

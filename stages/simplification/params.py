@@ -12,19 +12,21 @@ from scanloom.stages.simplification.jia01.params import Jia01Params
 from scanloom.stages.simplification.methods import METHODS, Method
 from scanloom.stages.simplification.planar.params import PlanarParams
 from scanloom.stages.simplification.seams.params import SeamsParams
-from scanloom.stages.simplification.shared_params import HOW, SharedParams
+from scanloom.stages.simplification.shared_params import METHOD_GROUP, SharedParams
 
 AUTO = "auto"
 
 
-def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
+def _build_method_help(methods: Sequence[Method[Any, Any]]) -> str:
     """Build the help text of the parameter `method`."""
-    asked = ", ".join(method.name for method in methods if method.auto)
-    carrying = " or ".join(method.name for method in methods if method.auto and method.takes.texture)
+    automatic_names = ", ".join(method.name for method in methods if method.is_automatic)
+    texture_names = " or ".join(
+        method.name for method in methods if method.is_automatic and method.capabilities.texture
+    )
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
     return (
-        f"{texts} {AUTO}: the first of {asked} that supports all given parameters and has everything it "
-        f"requires; {carrying} is preferred if the mesh has materials, parts or corner normals, or if "
+        f"{texts} {AUTO}: the first of {automatic_names} that supports all given parameters and has everything it "
+        f"requires; {texture_names} is preferred if the mesh has materials, parts or corner normals, or if "
         "keep_uv is given. A textured model without a target is simplified within 1/1000 of its size."
     )
 
@@ -40,8 +42,8 @@ class SimplifyParams(SharedParams):
 
     method: str = param(
         AUTO,
-        _method_text(METHODS),
-        group=HOW,
+        _build_method_help(METHODS),
+        group=METHOD_GROUP,
         choices=(AUTO, *(method.name for method in METHODS)),
         common=True,
     )

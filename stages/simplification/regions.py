@@ -14,7 +14,9 @@ from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification.codes import USAGE_REGION_INVALID
 from scanloom.stages.surface.mesh import Mesh
 
-_FORMS = '"sphere x y z radius ..." or "box x y z x y z ...", with an importance, "lock" or both at the end'
+_REGION_FORMS = (
+    '"sphere x y z radius ..." or "box x y z x y z ...", with an importance, "lock" or both at the end'
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +62,9 @@ class Sphere(_Region):
         self._check_effect()
 
     def __str__(self) -> str:
-        return f"sphere about {_words(self.center)} of radius {self.radius:g} m"
+        return f"sphere about {_format_point(self.center)} of radius {self.radius:g} m"
 
-    def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3), metres, inside the sphere."""
         away = points - np.asarray(self.center)
         return np.asarray(np.einsum("ij,ij->i", away, away) <= self.radius**2)
@@ -94,9 +96,9 @@ class Box(_Region):
         self._check_effect()
 
     def __str__(self) -> str:
-        return f"box from {_words(self.low)} to {_words(self.high)}"
+        return f"box from {_format_point(self.low)} to {_format_point(self.high)}"
 
-    def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3), metres, inside the box."""
         inside = (points >= np.asarray(self.low)) & (points <= np.asarray(self.high))
         return np.asarray(inside.all(axis=1))
@@ -115,7 +117,7 @@ def _check_point(region: Region, point: Sequence[float]) -> None:
         )
 
 
-def _words(point: Sequence[float]) -> str:
+def _format_point(point: Sequence[float]) -> str:
     return f"({', '.join(f'{x:g}' for x in point)})"
 
 
@@ -137,7 +139,7 @@ def parse_region(text: str) -> Region:
             remedy="write {forms}.",
             text=text,
             why=why,
-            forms=_FORMS,
+            forms=_REGION_FORMS,
         )
 
     shape, *words = text.replace(",", " ").split() or [""]
@@ -159,7 +161,7 @@ def parse_region(text: str) -> Region:
     return Box(first, (numbers[3], numbers[4], numbers[5]), **effect)
 
 
-def resolve_control(
+def resolve_vertex_control(
     mesh: Mesh, lock: ArrayLike | None, importance: ArrayLike | None, regions: Sequence[Region]
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Convert locks, importance and regions to values per vertex.
@@ -182,11 +184,11 @@ def resolve_control(
         For a wrong shape or value, or a region without vertices.
     """
     count = len(mesh.vertices)
-    locked = np.zeros(count, bool) if lock is None else _locked(np.asarray(lock), count)
-    own = None if importance is None else _factors(np.asarray(importance), count)
+    locked = np.zeros(count, bool) if lock is None else _resolve_lock(np.asarray(lock), count)
+    own = None if importance is None else _resolve_importance(np.asarray(importance), count)
     largest = np.zeros(count)
     for region in regions:
-        inside = region.holds(mesh.vertices)
+        inside = region.contains(mesh.vertices)
         if not inside.any():
             raise UsageError(
                 USAGE_REGION_INVALID,
@@ -201,7 +203,7 @@ def resolve_control(
     return locked, factors if (factors != 1).any() else np.zeros(0)
 
 
-def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
+def _resolve_lock(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
     if lock.dtype == bool:
         if lock.shape != (count,):
             raise UsageError(
@@ -230,7 +232,7 @@ def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
     return locked
 
 
-def _factors(importance: NDArray[Any], count: int) -> NDArray[np.float64]:
+def _resolve_importance(importance: NDArray[Any], count: int) -> NDArray[np.float64]:
     if importance.shape != (count,) or importance.dtype.kind not in "iuf":
         raise UsageError(
             USAGE_REGION_INVALID,

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.simplification.dropping import Dropped
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.small_feature_removal import RemovalCounts
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.texturing.bake import Baked
+from scanloom.stages.texturing.bake import BakeResult
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class Details:
     def figures(self) -> dict[str, Any]:
         """Return all fields except arrays, ready for JSON."""
         names = (field.name for field in fields(self) if field.name not in self.arrays)
-        return {name: _plain(getattr(self, name)) for name in names}
+        return {name: _to_json_value(getattr(self, name)) for name in names}
 
-    def report(self, result: Simplified[Any]) -> None:
+    def report(self, result: SimplificationResult[Any]) -> None:
         """Emit warnings about the result; none by default."""
 
-    def text(self) -> str:
+    def describe(self) -> str:
         """Return additional explanations for the user; empty by default."""
         return ""
 
@@ -60,7 +60,7 @@ D_co = TypeVar("D_co", bound=Details, covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Simplified(Generic[D_co]):
+class SimplificationResult(Generic[D_co]):
     """Simplified mesh, its relation to the input, and the reasons for stopping.
 
     Attributes
@@ -90,8 +90,8 @@ class Simplified(Generic[D_co]):
     diagnostics : warnings about changed or lost data, and unmet requirements.
     """
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     mesh: Mesh
     vertex_source: NDArray[np.int32]
@@ -104,13 +104,13 @@ class Simplified(Generic[D_co]):
     triangles_before: int
     details: D_co
     record: CollapseRecord | None = None
-    dropped: Dropped | None = None
+    dropped: RemovalCounts | None = None
     kept_images: KeptImages | None = None
-    baked: Baked | None = None
+    baked: BakeResult | None = None
     default_max_shape: float | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    def follow(self, values: NDArray[Any]) -> NDArray[Any]:
+    def map_vertex_values(self, values: NDArray[Any]) -> NDArray[Any]:
         """Map vertex values (n, …) of the input to the result (p, …)."""
         return values[self.vertex_source]
 
@@ -137,7 +137,7 @@ class Simplified(Generic[D_co]):
         }
 
 
-def _plain(value: Any) -> Any:
+def _to_json_value(value: Any) -> Any:
     if isinstance(value, dict):
         return dict(value)
     return list(value) if isinstance(value, tuple) else value

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 # Headings of the help.
-HOW_FAR = "Target: a triangle count, bounds or both"
-HOW = "Method"
+TARGET_GROUP = "Target: a triangle count, bounds or both"
+METHOD_GROUP = "Method"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,14 +23,14 @@ class SharedParams:
     triangles: int | None = param(
         None,
         "Stop when at most this many triangles are left.",
-        group=HOW_FAR,
+        group=TARGET_GROUP,
         low=1,
         common=True,
     )
     ratio: float | None = param(
         None,
         "Stop when at most this fraction of the input's triangles is left.",
-        group=HOW_FAR,
+        group=TARGET_GROUP,
         low=0,
         high=1,
         low_open=True,
@@ -45,7 +45,7 @@ class SharedParams:
         "planar: maximum distance between a mesh and its simplified patches; the thickness "
         "of a patch is at most 0.8 of it. Default: 0.5 % of the bounding box's diagonal.",
         unit="m",
-        group=HOW_FAR,
+        group=TARGET_GROUP,
         low=0,
         low_open=True,
         common=True,
@@ -60,7 +60,7 @@ class SharedParams:
         "its counterpart on the other surface; the colours of a patch are within 0.4 of it "
         "of a linear function. Default for coloured meshes: 60; 1000 is effectively no bound.",
         unit="8-bit levels",
-        group=HOW_FAR,
+        group=TARGET_GROUP,
         low=0,
         common=True,
     )
@@ -69,7 +69,7 @@ class SharedParams:
         "Before simplification, remove connected components and fill holes whose bounding box has a shorter "
         "diagonal than this. The result reports their number and area; no bound covers them.",
         unit="m",
-        group=HOW_FAR,
+        group=TARGET_GROUP,
         low=0,
         low_open=True,
     )
@@ -79,20 +79,20 @@ class SharedParams:
         "and jia01. Default: derived from the mesh and the triangle count; for jia01 "
         "max_shape / max_color.",
         unit="m per level",
-        group=HOW,
+        group=METHOD_GROUP,
         low=0,
     )
     fit: bool = param(
         True,
         "Fit vertices (quadric: colours, too) to the input by least squares at the end; "
         "borders stay. For quadric and seams.",
-        group=HOW,
+        group=METHOD_GROUP,
     )
     keep_uv: bool = param(
         False,
         "Keep the model's own texture coordinates and images instead of baking new ones; "
         "texture seams then restrict the simplification.",
-        group=HOW,
+        group=METHOD_GROUP,
         common=True,
     )
     bake: bool | None = param(
@@ -101,37 +101,37 @@ class SharedParams:
         "with at most their number of texels; vertex colours are baked, too. Off: textures "
         "are discarded. Default: on if the input has images, unless keep_uv or a method that "
         "preserves them is given.",
-        group=HOW,
+        group=METHOD_GROUP,
         common=True,
     )
     threads: int | None = param(
         None,
         "Number of threads; the result does not depend on it. Default: one per core.",
-        group=HOW,
+        group=METHOD_GROUP,
         low=1,
         high=256,
         invalidates=False,
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         require_finite(self, "max_shape", "max_color", "attribute_scale")
         if self.keep_uv and self.bake:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "and bake are both given",
-                Where(parameter="keep_uv"),
+                DiagnosticLocation(parameter="keep_uv"),
                 remedy="give one of them.",
             )
         if self.triangles is not None and self.ratio is not None:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "and ratio are both given",
-                Where(parameter="triangles"),
+                DiagnosticLocation(parameter="triangles"),
                 remedy="give one of them.",
             )
 
-    def target(self, triangles: int) -> int | None:
+    def compute_target_count(self, triangles: int) -> int | None:
         """Return the target triangle count; None without a target.
 
         Parameters
@@ -148,6 +148,6 @@ def require_finite(params: Any, *names: str) -> None:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is infinite",
-                Where(parameter=name),
+                DiagnosticLocation(parameter=name),
                 remedy="leave it out, and give triangles or ratio instead.",
             )

@@ -14,36 +14,36 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.params import resolve
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.simplification.auto import chosen, has_no_goal, require_taken
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.simplification.bake_planning import (
+    choose_texture,
+    derive_max_shape,
+    exceeds_count,
+    has_few_seams,
+    has_texture_images,
+    is_better_baked,
+    is_visibly_different,
+    plan_baking,
+)
 from scanloom.stages.simplification.codes import (
     SIMPLIFY_ATTRIBUTES_LOST,
     SIMPLIFY_COORDINATES_UNUSABLE,
     SIMPLIFY_IMAGES_KEPT,
     SIMPLIFY_IMAGES_REBAKED,
 )
-from scanloom.stages.simplification.corner_attributes import is_in_pieces
-from scanloom.stages.simplification.dropping import drop_small
-from scanloom.stages.simplification.kernel_input import texture_left_out
-from scanloom.stages.simplification.lines import report_lost_lines
+from scanloom.stages.simplification.corner_attributes import has_corner_attributes
+from scanloom.stages.simplification.isolated_triangles import report_isolated_degenerates
+from scanloom.stages.simplification.kernel_input import create_texture_warning
+from scanloom.stages.simplification.method_selection import has_no_goal, require_supported, select_method
 from scanloom.stages.simplification.params import AUTO, SimplifyParams
-from scanloom.stages.simplification.regions import Region, resolve_control
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.regions import Region, resolve_vertex_control
+from scanloom.stages.simplification.requirements import report_unmet_requirements
+from scanloom.stages.simplification.result import SimplificationResult
+from scanloom.stages.simplification.small_feature_removal import remove_small_features
 from scanloom.stages.simplification.task import Task
-from scanloom.stages.simplification.textured import (
-    choose_texture,
-    derive_max_shape,
-    has_few_seams,
-    has_texture_images,
-    is_better_baked,
-    is_visibly_different,
-    misses_count,
-    plan_baking,
-)
-from scanloom.stages.simplification.unmet import report_unmet
 from scanloom.stages.surface.codes import MESH_NO_SURFACE
-from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 from scanloom.stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from scanloom.stages.simplification.quadric.details import QuadricDetails
     from scanloom.stages.simplification.seams.details import SeamsDetails
 
-__all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
+__all__ = ["RESULT_VERSION", "SimplificationResult", "SimplifyParams", "simplify"]
 
 RESULT_VERSION = 14
 
@@ -69,7 +69,7 @@ def simplify(
     *,
     method: Literal["quadric"],
     **changes: Unpack[keywords.QuadricCall],
-) -> Simplified[QuadricDetails]: ...
+) -> SimplificationResult[QuadricDetails]: ...
 @overload
 def simplify(
     mesh: MeshLike,
@@ -77,7 +77,7 @@ def simplify(
     *,
     method: Literal["certified"],
     **changes: Unpack[keywords.CertifiedCall],
-) -> Simplified[CertifiedDetails]: ...
+) -> SimplificationResult[CertifiedDetails]: ...
 @overload
 def simplify(
     mesh: MeshLike,
@@ -85,7 +85,7 @@ def simplify(
     *,
     method: Literal["seams"],
     **changes: Unpack[keywords.SeamsCall],
-) -> Simplified[SeamsDetails]: ...
+) -> SimplificationResult[SeamsDetails]: ...
 @overload
 def simplify(
     mesh: MeshLike,
@@ -93,7 +93,7 @@ def simplify(
     *,
     method: Literal["jia01"],
     **changes: Unpack[keywords.Jia01Call],
-) -> Simplified[Jia01Details]: ...
+) -> SimplificationResult[Jia01Details]: ...
 @overload
 def simplify(
     mesh: MeshLike,
@@ -101,7 +101,7 @@ def simplify(
     *,
     method: Literal["planar"],
     **changes: Unpack[keywords.PlanarCall],
-) -> Simplified[PlanarDetails]: ...
+) -> SimplificationResult[PlanarDetails]: ...
 # With method `auto`, the type of the details is known only at run time.
 @overload
 def simplify(
@@ -112,10 +112,10 @@ def simplify(
     importance: ArrayLike | None = None,
     regions: Sequence[Region] = (),
     record: bool = False,
-    partial: bool = False,
-    progress: Progress = silent,
+    keep_on_interrupt: bool = False,
+    progress: Progress = ignore_progress,
     **changes: Unpack[SimplifyKeywords],
-) -> Simplified[Any]: ...
+) -> SimplificationResult[Any]: ...
 def simplify(
     mesh: MeshLike,
     params: SimplifyParams | None = None,
@@ -124,10 +124,10 @@ def simplify(
     importance: ArrayLike | None = None,
     regions: Sequence[Region] = (),
     record: bool = False,
-    partial: bool = False,
-    progress: Progress = silent,
+    keep_on_interrupt: bool = False,
+    progress: Progress = ignore_progress,
     **changes: Unpack[SimplifyKeywords],
-) -> Simplified[Any]:
+) -> SimplificationResult[Any]:
     """Simplify a mesh to a triangle count or within error bounds.
 
     The result has the topology, the border loops and the orientation of the input. Borders shrink only along
@@ -150,7 +150,7 @@ def simplify(
         must be at least 1, and divides them.
     regions : `scanloom.Sphere` and `scanloom.Box`, which lock their vertices or give them importance.
     record : record all collapses, so that every intermediate mesh can be restored.
-    partial : on Ctrl-C, return the mesh simplified so far instead of raising KeyboardInterrupt.
+    keep_on_interrupt : on Ctrl-C, return the mesh simplified so far instead of raising KeyboardInterrupt.
     progress : called about ten times per second with the numbers of removed triangles and of triangles to
         remove. If it returns False, the mesh simplified so far is returned; an exception stops the
         simplification.
@@ -159,7 +159,7 @@ def simplify(
     -------
     Simplified
         With `details` of the method's type. Images of the input are baked anew (`baked`, see
-        `scanloom.stages.simplification.textured`), unless `keep_uv` or a method that preserves them is given.
+        `scanloom.stages.simplification.bake_planning`), unless `keep_uv` or a method that preserves them is given.
         Without images, the mesh has vertex colours if the input has. `diagnostics` contain lost attributes
         and unmet requirements: a triangle count without a bound, and bounds that are not proven.
 
@@ -175,9 +175,11 @@ def simplify(
         params = resolve(SimplifyParams, params, dict(changes))
         mesh = as_mesh(mesh)
         require_measurable(mesh, "mesh")
-        control = _Control(*resolve_control(mesh, lock, importance, regions), record, partial, progress)
-        found = _simplified(mesh, params, control)
-        report_unmet(params, found.figures())
+        control = _Control(
+            *resolve_vertex_control(mesh, lock, importance, regions), record, keep_on_interrupt, progress
+        )
+        found = _simplify_validated(mesh, params, control)
+        report_unmet_requirements(params, found.figures())
     return replace(found, diagnostics=tuple(diagnostics))
 
 
@@ -189,20 +191,20 @@ class _Control:
     ----------
     lock : (n,) bool.
     importance : (n,) float64; (0,) if it is 1 everywhere.
-    record, partial, progress : see `simplify`.
+    record, keep_on_interrupt, progress : see `simplify`.
     """
 
     lock: NDArray[np.bool_]
     importance: NDArray[np.float64]
     record: bool
-    partial: bool
+    keep_on_interrupt: bool
     progress: Progress
 
 
-def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simplified[Any]:
+def _simplify_validated(mesh: Mesh, params: SimplifyParams, control: _Control) -> SimplificationResult[Any]:
     """Simplify with validated arguments, without reporting unmet requirements."""
     if params.drop_below is not None:
-        return _simplified_remainder(mesh, params, params.drop_below, control)
+        return _simplify_remaining(mesh, params, params.drop_below, control)
     plan, reason = plan_baking(mesh, params, record=control.record)
     bound = None
     if has_no_goal(params) and has_texture_images(mesh):
@@ -211,28 +213,30 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
     if plan is not None and params.max_shape is not None:
         # The bound is proven for the shape with joined duplicates. Reducing it by their shift makes it hold
         # for the given mesh.
-        params = resolve(SimplifyParams, params, {"max_shape": max(params.max_shape - plan.shift, 0.0)})
+        params = resolve(
+            SimplifyParams, params, {"max_shape": max(params.max_shape - plan.max_displacement, 0.0)}
+        )
     # The result of an attempt may be discarded, and its diagnostics with it.
     with collecting(forward=False) as diagnostics:
-        report_lost_lines(mesh)
+        report_isolated_degenerates(mesh)
         if reason is not None:
             emit(reason)
         shape = mesh if plan is None else plan.shape
         if params.bake is False and not params.keep_uv and has_texture_images(mesh) and params.method == AUTO:
             shape = mesh.with_(texture=None)
-            emit(texture_left_out("simplify"))
-        target = params.target(len(mesh.triangles))
-        found = replace(_run(shape, params, target, control), default_max_shape=bound)
+            emit(create_texture_warning("simplify"))
+        target = params.compute_target_count(len(mesh.triangles))
+        found = replace(_run_method(shape, params, target, control), default_max_shape=bound)
 
-    def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
+    def report_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
         return control.progress(found.collapses, found.collapses)
 
-    def simplify_again(**changes: bool) -> Simplified[Any]:
-        again = replace(control, record=False, progress=at_end)
-        return _simplified(mesh, resolve(SimplifyParams, params, changes), again)
+    def simplify_again(**changes: bool) -> SimplificationResult[Any]:
+        again = replace(control, record=False, progress=report_end)
+        return _simplify_validated(mesh, resolve(SimplifyParams, params, changes), again)
 
     if plan is None:
-        is_missed = target is not None and misses_count(found, target) and found.stopped_by == "bounds"
+        is_missed = target is not None and exceeds_count(found, target) and found.stopped_by == "bounds"
         if reason is None or not is_missed or params.max_shape is not None:
             emit(*diagnostics)
             return found
@@ -255,7 +259,7 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
             ),
         )
         return remade
-    baked: Simplified[Any] | None = None
+    baked: SimplificationResult[Any] | None = None
     failure: Diagnostic | None = None
     try:
         with collecting(forward=False) as of_baking:
@@ -299,45 +303,49 @@ def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simpli
     return replace(kept, default_max_shape=bound)
 
 
-def _simplified_remainder(
+def _simplify_remaining(
     mesh: Mesh, params: SimplifyParams, size: float, control: _Control
-) -> Simplified[Any]:
+) -> SimplificationResult[Any]:
     """Simplify after removing components and holes smaller than `size` metres."""
-    remainder = drop_small(mesh, size, control.lock)
-    remainder.dropped.report()
-    target = params.target(len(mesh.triangles))
-    rest = resolve(
+    remainder = remove_small_features(mesh, size, control.lock)
+    remainder.removal_counts.report()
+    target = params.compute_target_count(len(mesh.triangles))
+    remaining_params = resolve(
         SimplifyParams,
         params,
         {"drop_below": None, "triangles": None if target is None else max(target, 1), "ratio": None},
     )
     source, importance = remainder.vertex_source, control.importance
-    own = resolve_control(
+    own = resolve_vertex_control(
         remainder.mesh, control.lock[source], importance[source] if len(importance) else None, ()
     )
-    found = _simplified(remainder.mesh, rest, replace(control, lock=own[0], importance=own[1]))
+    found = _simplify_validated(
+        remainder.mesh, remaining_params, replace(control, lock=own[0], importance=own[1])
+    )
     return replace(
         found,
         vertex_source=remainder.vertex_source[found.vertex_source],
         triangle_source=remainder.triangle_source[found.triangle_source],
         triangles_before=len(mesh.triangles),
-        dropped=remainder.dropped,
+        dropped=remainder.removal_counts,
     )
 
 
-def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Control) -> Simplified[Any]:
+def _run_method(
+    mesh: Mesh, params: SimplifyParams, target: int | None, control: _Control
+) -> SimplificationResult[Any]:
     """Simplify with the given method, or the one that `auto` selects."""
-    method = chosen(params, in_pieces=is_in_pieces(mesh))
-    require_taken(
+    method = select_method(params, has_corner_attributes=has_corner_attributes(mesh))
+    require_supported(
         method,
         lock=bool(control.lock.any()),
         importance=len(control.importance) > 0,
         record=control.record,
-        partial=control.partial,
+        keep_on_interrupt=control.keep_on_interrupt,
     )
     task = Task(
         mesh=mesh,
-        params=method.own(params),
+        params=method.get_own_params(params),
         triangles=target,
         lock=control.lock,
         importance=control.importance,
@@ -347,13 +355,13 @@ def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Contr
         fit=params.fit,
         threads=params.threads or 0,
         record=control.record,
-        partial=control.partial,
-        progress=_contented(control.progress) if control.partial else control.progress,
+        keep_on_interrupt=control.keep_on_interrupt,
+        progress=_stop_on_interrupt(control.progress) if control.keep_on_interrupt else control.progress,
     )
     try:
         found = method.run(task)
     except _kernels.InvalidMeshError as error:
-        if method.takes.texture:
+        if method.capabilities.texture:
             raise MeshError(
                 SIMPLIFY_COORDINATES_UNUSABLE,
                 (
@@ -369,7 +377,7 @@ def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Contr
     return found
 
 
-def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any]) -> bool:
+def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: SimplificationResult[Any]) -> bool:
     """Return True if the model's own images may beat baked ones."""
     is_count = params.triangles is not None or params.ratio is not None
     is_open = params.method == AUTO and params.bake is None
@@ -380,7 +388,7 @@ def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any])
     return has_few_seams(mesh, len(baked.mesh.triangles))
 
 
-def _contented(progress: Progress) -> Progress:
+def _stop_on_interrupt(progress: Progress) -> Progress:
     """Make Ctrl-C during progress callbacks a request to stop early."""
 
     def tell(done: int, total: int) -> object:

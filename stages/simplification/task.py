@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.surface.mesh import Mesh
 
 P = TypeVar("P")
@@ -29,7 +29,7 @@ class Task(Generic[P]):
     importance : (n,) float64 above 0, factor on the squared error; (0,) for 1 everywhere.
     threads : 0 for one per core.
     record : record all collapses.
-    partial : on Ctrl-C, or if `progress` returns False, return the mesh simplified so far.
+    keep_on_interrupt : on Ctrl-C, or if `progress` returns False, return the mesh simplified so far.
     progress : called about ten times per second; an exception stops the simplification.
     """
 
@@ -44,10 +44,10 @@ class Task(Generic[P]):
     fit: bool
     threads: int = 0
     record: bool = False
-    partial: bool = False
-    progress: Progress = silent
+    keep_on_interrupt: bool = False
+    progress: Progress = ignore_progress
 
-    def running(self, region_triangles: int) -> _kernels.Running:
+    def make_kernel_options(self, region_triangles: int) -> _kernels.Running:
         """Build the options of a collapse kernel.
 
         Parameters
@@ -59,5 +59,5 @@ class Task(Generic[P]):
             threads=self.threads,
             region_triangles=region_triangles,
             record=self.record,
-            partial=self.partial,
+            partial=self.keep_on_interrupt,
         )

@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.comparing.measurable import measurable
-from scanloom.stages.comparing.needles import WithNeedles
-from scanloom.stages.comparing.sampling import sampled
+from scanloom.stages.comparing.comparison_inputs import to_measurable_mesh
+from scanloom.stages.comparing.needle_search import NeedleSafeSurface
+from scanloom.stages.comparing.surface_sampling import sample_stratified
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import by_figures, rows_table, table
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_by_metrics, render_rows, render_table
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.simplification.codes import (
     SIMPLIFY_COUNT_NOT_REACHED,
     SIMPLIFY_EDGES_BLOCKED,
@@ -33,12 +33,19 @@ from scanloom.stages.simplification.codes import (
 )
 from scanloom.stages.simplification.records.record import CollapseRecord
 from scanloom.stages.simplification.simplify import simplify
-from scanloom.stages.surface.color import color_at, has_color
-from scanloom.stages.surface.convert import MeshLike
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike
 from scanloom.stages.surface.mesh_files import write_mesh
-from scanloom.stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated, is_used
-from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.raycasting import (
+    ClosestPoints,
+    Floats,
+    RaycastingSurface,
+    compute_bounding_box,
+    interpolate_values,
+    mask_used_vertices,
+)
+from scanloom.stages.surface.surface_color import compute_surface_colors, has_color
+from scanloom.stages.surface.topology import compute_areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -47,7 +54,7 @@ if TYPE_CHECKING:
 
 _PERCENT = 95
 # Diagnostics that only concern the smallest triangle count.
-_OF_FEWEST = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_EDGES_BLOCKED.name, SIMPLIFY_SEAM_DRIFT.name)
+_COUNT_CODES = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_EDGES_BLOCKED.name, SIMPLIFY_SEAM_DRIFT.name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,14 +64,14 @@ class TradeoffParams:
     steps: int = param(
         12, "Number of triangle counts to measure, in a geometric progression.", low=2, high=1000
     )
-    least: float = param(
+    min_ratio: float = param(
         0.01,
         "Smallest triangle count to measure, as a fraction of the input's triangles.",
         low=0,
         high=1,
         low_open=True,
     )
-    within: float | None = param(
+    max_distance: float | None = param(
         None,
         "Suggest the smallest triangle count at which 95 % of both surfaces are within this "
         "distance of the other. Default: suggest the count where the curve of distance over "
@@ -82,7 +89,7 @@ class TradeoffParams:
     glb_bytes: bool = param(False, "Also report the size of each mesh as a GLB file.")
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,21 +99,21 @@ class TradeoffPoint:
     Attributes
     ----------
     triangles : triangle count.
-    share : ratio of the input's triangle count.
+    ratio : ratio of the input's triangle count.
     rms_m, percentile_95_m, maximum_m : distances over both directions, metres.
     color_rmse_levels : colour difference of corresponding points, 8-bit levels; None without colours.
     glb_bytes : size as a GLB file; None if not requested.
     """
 
     triangles: int
-    share: float
+    ratio: float
     rms_m: float
     percentile_95_m: float
     maximum_m: float
     color_rmse_levels: float | None
     glb_bytes: int | None
 
-    __repr__ = by_figures
+    __repr__ = format_by_metrics
 
     def figures(self) -> dict[str, Any]:
         """Return all fields, with units in the names."""
@@ -121,8 +128,8 @@ class Tradeoff:
     ----------
     method : simplification method.
     points : errors, by decreasing triangle count.
-    suggested : triangle count; None if no count is within the requested error, or there are too few counts.
-    why : criterion of the suggestion, in words.
+    suggested_triangles : triangle count; None if no count is within the requested error, or there are too few counts.
+    criterion : criterion of the suggestion, in words.
     mesh : mesh at the suggested count, or at the smallest one without a suggestion.
     record : collapses, which restore the mesh at any other count.
     diagnostics : warnings of the simplification and of the comparison.
@@ -130,41 +137,41 @@ class Tradeoff:
 
     method: str
     points: tuple[TradeoffPoint, ...]
-    suggested: int | None
-    why: str
+    suggested_triangles: int | None
+    criterion: str
     mesh: Mesh
     record: CollapseRecord
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
+    __repr__ = format_by_metrics
 
     def figures(self) -> dict[str, Any]:
         """Return the curve for JSON, with units in the names."""
         return {
             "method": self.method,
-            "suggested_triangles": self.suggested,
-            "suggested_for": self.why,
+            "suggested_triangles": self.suggested_triangles,
+            "suggested_for": self.criterion,
             "points": [point.figures() for point in self.points],
         }
 
-    def rows(self) -> list[list[str]]:
+    def to_rows(self) -> list[list[str]]:
         """Return the curve as text rows, header first, without empty columns."""
-        head = ["triangles", "share", "RMS m", "95 % m", "maximum m", "colour levels", "GLB bytes"]
+        head = ["triangles", "ratio", "RMS m", "95 % m", "maximum m", "colour levels", "GLB bytes"]
         rows = [
             [
                 f"{point.triangles:,}",
-                f"{100 * point.share:.3g} %",
+                f"{100 * point.ratio:.3g} %",
                 *(f"{value:.3g}" for value in (point.rms_m, point.percentile_95_m, point.maximum_m)),
                 "" if point.color_rmse_levels is None else f"{point.color_rmse_levels:.3g}",
                 "" if point.glb_bytes is None else f"{point.glb_bytes:,}",
             ]
             for point in self.points
         ]
-        told = [any(column) for column in zip(*rows, strict=True)]
-        return [[word for word, shown in zip(row, told, strict=True) if shown] for row in (head, *rows)]
+        has_values = [any(column) for column in zip(*rows, strict=True)]
+        return [[word for word, shown in zip(row, has_values, strict=True) if shown] for row in (head, *rows)]
 
     def _repr_html_(self) -> str:
-        return table(self) + rows_table(self.rows())
+        return render_table(self) + render_rows(self.to_rows())
 
 
 def tradeoff(
@@ -172,7 +179,7 @@ def tradeoff(
     params: TradeoffParams | None = None,
     *,
     counts: Sequence[int] = (),
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[TradeoffKeywords],
 ) -> Tradeoff:
     """Measure a mesh's error at several triangle counts, and suggest one.
@@ -184,7 +191,7 @@ def tradeoff(
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres.
     params : TradeoffParams; single fields can be given as keywords instead.
-    counts : triangle counts, instead of `steps` and `least`.
+    counts : triangle counts, instead of `steps` and `min_ratio`.
     progress : called with (meshes measured, all meshes).
 
     Returns
@@ -208,26 +215,26 @@ def tradeoff(
 
 
 def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], progress: Progress) -> Tradeoff:
-    reference = measurable(mesh, "mesh")
+    reference = to_measurable_mesh(mesh, "mesh")
     before = len(reference.triangles)
-    wanted = _wanted(before, params, counts)
-    progress(0, len(wanted) + 1)
+    counts_to_measure = _select_counts(before, params, counts)
+    progress(0, len(counts_to_measure) + 1)
     with collecting(forward=False):
-        light = simplify(reference, triangles=wanted[-1], record=True)
+        light = simplify(reference, triangles=counts_to_measure[-1], record=True)
     # The smallest count was not requested by the user, so diagnostics about it alone are dropped.
-    emit(*(one for one in light.diagnostics if one.code not in _OF_FEWEST))
-    progress(1, len(wanted) + 1)
+    emit(*(one for one in light.diagnostics if one.code not in _COUNT_CODES))
+    progress(1, len(counts_to_measure) + 1)
     record = light.record
     assert record is not None, "it was asked for"
     fewest = len(light.mesh.triangles)
-    if fewest > wanted[-1]:
+    if fewest > counts_to_measure[-1]:
         emit(
             SIMPLIFY_TRADEOFF.warning(
                 "no edge can collapse below {fewest:,} triangles, which holes, handles and components need",
                 fewest=fewest,
             )
         )
-        wanted = [*(count for count in wanted if count > fewest), fewest]
+        counts_to_measure = [*(count for count in counts_to_measure if count > fewest), fewest]
     if record.wedges is not None:
         emit(
             SIMPLIFY_TRADEOFF.info(
@@ -235,25 +242,25 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
                 "mesh cannot repeat; simplify with a triangle count comes closer to the input"
             )
         )
-    measure = _Measure(reference, params.samples)
+    measure = _ErrorMeasurement(reference, params.samples)
     points, meshes = [], []
-    for done, count in enumerate(wanted, 2):
+    for done, count in enumerate(counts_to_measure, 2):
         with collecting(forward=False):
             meshes.append(record.replay(triangles=count, fit=record.wedges is None).mesh)
-        points.append(measure.point(meshes[-1], before, with_bytes=params.glb_bytes))
-        progress(done, len(wanted) + 1)
-    at, why = _suggested(points, params.within)
+        points.append(measure.measure_point(meshes[-1], before, with_bytes=params.glb_bytes))
+        progress(done, len(counts_to_measure) + 1)
+    at, why = _suggest_point(points, params.max_distance)
     return Tradeoff(
         method=light.method,
         points=tuple(points),
-        suggested=None if at is None else points[at].triangles,
-        why=why,
+        suggested_triangles=None if at is None else points[at].triangles,
+        criterion=why,
         mesh=meshes[-1 if at is None else at],
         record=record,
     )
 
 
-def _wanted(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[int]:
+def _select_counts(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[int]:
     """Return the triangle counts to measure, in decreasing order."""
     if len(counts):
         if min(counts) < 1:
@@ -263,78 +270,83 @@ def _wanted(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[
                 counts=min(counts),
             )
         return sorted({min(count, before) for count in counts}, reverse=True)
-    least = max(round(params.least * before), 1)
-    return sorted({round(count) for count in np.geomspace(before, least, params.steps)}, reverse=True)
+    min_count = max(round(params.min_ratio * before), 1)
+    return sorted({round(count) for count in np.geomspace(before, min_count, params.steps)}, reverse=True)
 
 
-class _Measure:
+class _ErrorMeasurement:
     """Measurement of meshes against one reference, whose search structures are built once."""
 
     def __init__(self, reference: Mesh, samples: int) -> None:
         self._reference, self._samples = reference, samples
         # The box of the reference suffices, because simplified meshes exceed it only slightly.
-        self._box = bounding_box(reference)
-        self._surface = WithNeedles(Surface(reference, self._box), self._box)
-        self._points = _spread(reference, samples, 0)
+        self._box = compute_bounding_box(reference)
+        self._surface = NeedleSafeSurface(RaycastingSurface(reference, self._box), self._box)
+        self._points = _sample_surface(reference, samples, 0)
 
-    def point(self, mesh: Mesh, before: int, *, with_bytes: bool) -> TradeoffPoint:
-        surface = WithNeedles(Surface(mesh, self._box), self._box)
+    def measure_point(self, mesh: Mesh, before: int, *, with_bytes: bool) -> TradeoffPoint:
+        surface = NeedleSafeSurface(RaycastingSurface(mesh, self._box), self._box)
         ways = (
             (self._reference, self._points, surface),
-            (mesh, _spread(mesh, self._samples, 1), self._surface),
+            (mesh, _sample_surface(mesh, self._samples, 1), self._surface),
         )
-        found = [_differences(one, at, other) for one, at, other in ways]
+        found = [_measure_differences(one, at, other) for one, at, other in ways]
         distances = np.concatenate([distance for distance, _ in found])
-        vertices = [other.closest(one.vertices[is_used(one)]).distances.max() for one, _, other in ways]
+        vertices = [
+            other.find_closest_points(one.vertices[mask_used_vertices(one)]).distances.max()
+            for one, _, other in ways
+        ]
         colors = [color for _, color in found if color is not None]
         return TradeoffPoint(
             triangles=len(mesh.triangles),
-            share=len(mesh.triangles) / before,
+            ratio=len(mesh.triangles) / before,
             rms_m=float(np.sqrt((distances**2).mean())),
             percentile_95_m=float(np.percentile(distances, _PERCENT)),
             maximum_m=float(max(distances.max(), *vertices)),
             color_rmse_levels=float(np.sqrt(np.mean(colors))) if colors else None,
-            glb_bytes=_glb_bytes(mesh) if with_bytes else None,
+            glb_bytes=_measure_glb_bytes(mesh) if with_bytes else None,
         )
 
 
-def _spread(mesh: Mesh, count: int, seed: int) -> Located:
-    cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
-    return sampled(cumulative, slice(0, count), count, np.random.default_rng((0, seed)))
+def _sample_surface(mesh: Mesh, count: int, seed: int) -> ClosestPoints:
+    cumulative = np.cumsum(compute_areas(mesh.vertices, mesh.triangles))
+    return sample_stratified(cumulative, slice(0, count), count, np.random.default_rng((0, seed)))
 
 
-def _differences(mesh: Mesh, at: Located, other: WithNeedles) -> tuple[Floats, Floats | None]:
+def _measure_differences(
+    mesh: Mesh, at: ClosestPoints, other: NeedleSafeSurface
+) -> tuple[Floats, Floats | None]:
     """Measure distances and mean squared colour differences of points to a surface."""
-    nearest = other.closest(interpolated(mesh.vertices, mesh, at))
+    nearest = other.find_closest_points(interpolate_values(mesh.vertices, mesh, at))
     if not (has_color(mesh) and has_color(other.mesh)):
         return nearest.distances, None
-    own = color_at(mesh, at.triangles, at.weights)
-    seen = color_at(other.mesh, nearest.triangles, nearest.weights)
+    own = compute_surface_colors(mesh, at.triangles, at.weights)
+    seen = compute_surface_colors(other.mesh, nearest.triangles, nearest.weights)
     return nearest.distances, ((own - seen) ** 2).mean(axis=1)
 
 
-def _glb_bytes(mesh: Mesh) -> int:
+def _measure_glb_bytes(mesh: Mesh) -> int:
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         path = Path(folder) / "mesh.glb"
         write_mesh(path, mesh)
         return path.stat().st_size
 
 
-def _suggested(points: Sequence[TradeoffPoint], within: float | None) -> tuple[int | None, str]:
+def _suggest_point(points: Sequence[TradeoffPoint], max_distance: float | None) -> tuple[int | None, str]:
     """Select the suggested point; return its index, or None, and the criterion."""
-    if within is not None:
-        near = [k for k, point in enumerate(points) if point.percentile_95_m <= within]
-        return (near[-1] if near else None), f"95 % of the surface within {within:g} m"
-    why = "more triangles gain little, fewer lose much"
+    if max_distance is not None:
+        near = [k for k, point in enumerate(points) if point.percentile_95_m <= max_distance]
+        return (near[-1] if near else None), f"95 % of the surface within {max_distance:g} m"
+    criterion = "more triangles gain little, fewer lose much"
     if len(points) < 3:
-        return None, why
+        return None, criterion
     along = -np.log([point.triangles for point in points])
     error = np.array([point.rms_m for point in points])
-    below = _share_of(along) - _share_of(error)
-    return int(below.argmax()), why
+    below = _normalize_values(along) - _normalize_values(error)
+    return int(below.argmax()), criterion
 
 
-def _share_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalize_values(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale values linearly to 0 … 1; all 0 if equal."""
     above = values - values.min()
     return np.asarray(above / max(float(above.max()), np.finfo(np.float64).tiny))

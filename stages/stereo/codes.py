@@ -70,15 +70,15 @@ DEPTH_COVERAGE_LOW = Code(
 A warning. It lists the reasons for missing depth, the most frequent one first.
 
 - *Too little texture*: plain pixels are treated as background, such as a wall or the sky. With a backdrop
-  of one colour in all views, or with masks, plain parts of the object are measured, too. `depth.backdrop=0`
+  of one colour in all views, or with masks, plain parts of the object are measured, too. `depth.max_backdrop_contrast=0`
   measures all plain pixels, such as the walls of rooms.
 - *No reliable match in another view*: more texture or light helps, or a smaller distance between views.
   Angles of 5° to 15° between neighbours are best.
 - *Low confidence, or not confirmed* by enough other views: such depth is wrong, plain, or observed from too
-  few sides. Take more views, or lower `depth.min_confidence` and `depth.agreeing_views`.
+  few sides. Take more views, or lower `depth.min_confidence` and `depth.min_consistent_views`.
 """,
     (
-        "depth covers only 9% of the views' pixels: 71% have too little texture (depth.backdrop=0 keeps "
+        "depth covers only 9% of the views' pixels: 71% have too little texture (depth.max_backdrop_contrast=0 keeps "
         "them), 18% have no reliable match in another view (depth.min_confidence=1 and "
         "depth.sgbm.uniqueness=0 keep more)"
     ),
@@ -122,11 +122,11 @@ DEPTH_SCENE_INCOMPLETE = Code(
     """
 A warning. Floors, walls and table tops without texture have no measured depth. They are filled from a plane
 through the depth in and around them if other views agree. Surfaces that are almost flat become flat. Filled
-pixels have a confidence of 1, so that `scan.least_confidence=2` drops them.
+pixels have a confidence of 1, so that `scan.min_confidence=2` drops them.
 """,
     (
         "31% of the depth is not measured, but filled from planes through the depth around it "
-        "(depth.on_planes=false drops it)"
+        "(depth.fill_from_planes=false drops it)"
     ),
 )
 DEPTH_OBJECT_INCOMPLETE = Code(
@@ -135,12 +135,12 @@ DEPTH_OBJECT_INCOMPLETE = Code(
     """
 A warning. If views surround an object with masks or a backdrop, unmeasured surface is filled from the
 visual hull of its silhouettes. It is right for convex parts, and too far out in concavities. Filled pixels
-have a confidence of 1, so that `scan.least_confidence=2` drops them. More views, more light on dark parts,
+have a confidence of 1, so that `scan.min_confidence=2` drops them. More views, more light on dark parts,
 or neighbours 5° to 15° apart increase the measured part.
 """,
     (
         "24% of the object's depth is not measured, but filled from the visual hull of its silhouettes "
-        "(depth.on_hull=false drops it; more views measure more)"
+        "(depth.fill_from_visual_hull=false drops it; more views measure more)"
     ),
 )
 DEPTH_VIEW_WITHOUT_PARTNER = Code(
@@ -159,7 +159,7 @@ DEPTH_VIEW_UNCONFIRMED = Code(
     "depth.view-unconfirmed",
     "Views without confirmed depth",
     """
-No depth of the view agrees with enough other views (`depth.agreeing_views`), and the view is skipped. Its
+No depth of the view agrees with enough other views (`depth.min_consistent_views`), and the view is skipped. Its
 pose may be wrong, its image blurred or without texture, or too few other views see the same surface.
 """,
     "its depth does not agree with other views",
@@ -178,7 +178,7 @@ DEPTH_IMAGES_TURNED = Code(
     "Upside-down images were rotated",
     """
 For information. Some data sets store images upside down relative to their poses. Feature matches reveal
-these images, and they are rotated by 180°. `depth.turn_back=false` keeps all images unchanged.
+these images, and they are rotated by 180°. `depth.fix_upside_down=false` keeps all images unchanged.
 """,
     (
         "3 images are upside down relative to their poses and were rotated by 180 degrees; the first is "

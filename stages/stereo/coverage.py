@@ -13,88 +13,88 @@ from scanloom.stages.stereo.params import SWEEP, DepthParams
 
 # Minimum depth coverage: of an object with known outline, and of whole images, where much may be outside of
 # every partner's view.
-_OF_A_THING = 0.5
-_OF_AN_IMAGE = 0.15
+_MIN_OBJECT_COVERAGE = 0.5
+_MIN_IMAGE_COVERAGE = 0.15
 # Minimum ratio of pixels that a step must have removed to be named in the warning.
-_MUCH = 0.1
+_MIN_REPORTED_RATIO = 0.1
 
 
 @dataclass(frozen=True)
-class Counts:
+class CoverageCounts:
     """Pixel counts of one view or of several.
 
     Attributes
     ----------
-    all : all pixels.
-    shown : pixels of the scene: neither masked out nor backdrop.
-    plain : `shown` pixels without texture, treated as background.
-    matched : remaining `shown` pixels with depth from any partner.
-    kept : `matched` pixels that enough other views agree with.
-    filled : pixels filled from the visual hull.
-    planar : pixels filled from planes.
+    total : all pixels.
+    foreground : pixels of the scene: neither masked out nor backdrop.
+    textureless : `foreground` pixels without texture, treated as background.
+    matched : remaining `foreground` pixels with depth from any partner.
+    consistent : `matched` pixels that enough other views agree with.
+    hull_filled : pixels filled from the visual hull.
+    plane_filled : pixels filled from planes.
     outlined : pixels of views in which a mask or a backdrop separates the object.
     """
 
-    all: int = 0
-    shown: int = 0
-    plain: int = 0
+    total: int = 0
+    foreground: int = 0
+    textureless: int = 0
     matched: int = 0
-    kept: int = 0
-    filled: int = 0
-    planar: int = 0
+    consistent: int = 0
+    hull_filled: int = 0
+    plane_filled: int = 0
     outlined: int = 0
 
-    def __add__(self, other: Counts) -> Counts:
+    def __add__(self, other: CoverageCounts) -> CoverageCounts:
         """Return the sum of both counts."""
-        return Counts(
-            self.all + other.all,
-            self.shown + other.shown,
-            self.plain + other.plain,
+        return CoverageCounts(
+            self.total + other.total,
+            self.foreground + other.foreground,
+            self.textureless + other.textureless,
             self.matched + other.matched,
-            self.kept + other.kept,
-            self.filled + other.filled,
-            self.planar + other.planar,
+            self.consistent + other.consistent,
+            self.hull_filled + other.hull_filled,
+            self.plane_filled + other.plane_filled,
             self.outlined + other.outlined,
         )
 
 
-def report_coverage(counts: Counts, params: DepthParams) -> None:
+def report_coverage(counts: CoverageCounts, params: DepthParams) -> None:
     """Warn if depth covers little, or if much of it was filled."""
     _report_low_coverage(counts, params)
-    share = _share_of_depth(counts.filled, counts)
-    if share >= _MUCH:
+    ratio = _compute_filled_ratio(counts.hull_filled, counts)
+    if ratio >= _MIN_REPORTED_RATIO:
         emit(
             DEPTH_OBJECT_INCOMPLETE.warning(
                 "{share:.0%} of the object's depth is not measured, but filled from the visual hull of its "
-                "silhouettes (depth.on_hull=false drops it; more views measure more)",
-                share=share,
+                "silhouettes (depth.fill_from_visual_hull=false drops it; more views measure more)",
+                share=ratio,
             )
         )
-    share = _share_of_depth(counts.planar, counts)
-    if share >= _MUCH:
+    ratio = _compute_filled_ratio(counts.plane_filled, counts)
+    if ratio >= _MIN_REPORTED_RATIO:
         emit(
             DEPTH_SCENE_INCOMPLETE.warning(
                 "{share:.0%} of the depth is not measured, but filled from planes through the depth around "
-                "it (depth.on_planes=false drops it)",
-                share=share,
+                "it (depth.fill_from_planes=false drops it)",
+                share=ratio,
             )
         )
 
 
-def _report_low_coverage(counts: Counts, params: DepthParams) -> None:
-    is_thing = counts.outlined > counts.all / 2
-    least = _OF_A_THING if is_thing else _OF_AN_IMAGE
-    kept = counts.kept + counts.planar
-    if not counts.shown or kept >= least * counts.shown:
+def _report_low_coverage(counts: CoverageCounts, params: DepthParams) -> None:
+    is_object = counts.outlined > counts.total / 2
+    min_coverage = _MIN_OBJECT_COVERAGE if is_object else _MIN_IMAGE_COVERAGE
+    kept = counts.consistent + counts.plane_filled
+    if not counts.foreground or kept >= min_coverage * counts.foreground:
         return
-    what = "the pixels inside masks or in front of the backdrop" if is_thing else "the views' pixels"
-    rest = counts.shown - counts.plain
-    unsure, asks = "", "a lower depth.agreeing_views keeps more"
+    area = "the pixels inside masks or in front of the backdrop" if is_object else "the views' pixels"
+    rest = counts.foreground - counts.textureless
+    uncertain_text, advice = "", "a lower depth.min_consistent_views keeps more"
     if params.views == SWEEP:
-        unsure = "have low confidence or "
-        asks = "depth.min_confidence=128 and a lower depth.agreeing_views keep more"
+        uncertain_text = "have low confidence or "
+        advice = "depth.min_confidence=128 and a lower depth.min_consistent_views keep more"
     steps = (
-        (counts.plain, "have too little texture (depth.backdrop=0 keeps them)"),
+        (counts.textureless, "have too little texture (depth.max_backdrop_contrast=0 keeps them)"),
         (
             rest - counts.matched,
             (
@@ -104,20 +104,22 @@ def _report_low_coverage(counts: Counts, params: DepthParams) -> None:
         ),
         (
             counts.matched - kept,
-            f"{unsure}are not confirmed by {params.agreeing_views} other views ({asks})",
+            f"{uncertain_text}are not confirmed by {params.min_consistent_views} other views ({advice})",
         ),
     )
-    shares = [(count / counts.shown, text) for count, text in steps]
-    named = ", ".join(f"{share:.0%} {text}" for share, text in sorted(shares, reverse=True) if share >= _MUCH)
+    ratios = [(count / counts.foreground, text) for count, text in steps]
+    reasons = ", ".join(
+        f"{share:.0%} {text}" for share, text in sorted(ratios, reverse=True) if share >= _MIN_REPORTED_RATIO
+    )
     emit(
         DEPTH_COVERAGE_LOW.warning(
             "depth covers only {share:.0%} of {what}: {named}",
-            share=kept / counts.shown,
-            what=what,
-            named=named,
+            share=kept / counts.foreground,
+            what=area,
+            named=reasons,
         )
     )
 
 
-def _share_of_depth(filled: int, counts: Counts) -> float:
-    return filled / max(counts.kept + filled, 1)
+def _compute_filled_ratio(filled: int, counts: CoverageCounts) -> float:
+    return filled / max(counts.consistent + filled, 1)

@@ -13,57 +13,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import collecting
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.params import resolve
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
 from scanloom.stages.scans.model import images
-from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.prefetch import map_ordered
 from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
-from scanloom.stages.scans.model.threads import threads_to_use
-from scanloom.stages.stereo.by_network import completed, network_disparity, network_of, report_agreement
+from scanloom.stages.scans.model.threads import get_thread_count
 from scanloom.stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_RANGE_EMPTY
-from scanloom.stages.stereo.confidence import confidence
 from scanloom.stages.stereo.depth_map import DepthMap
-from scanloom.stages.stereo.disparity import stereo_disparity, volume_bytes
-from scanloom.stages.stereo.matching import (
+from scanloom.stages.stereo.disparity import compute_volume_bytes, stereo_disparity
+from scanloom.stages.stereo.disparity_confidence import compute_confidence
+from scanloom.stages.stereo.network_depth import (
+    compute_network_disparity,
+    fill_missing_depth,
+    load_network,
+    report_agreement,
+)
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.opencv_matching import (
     LARGEST_DISPARITY,
     SUBPIXELS,
     Disparity16,
-    Matcher,
+    OpenCVMatcher,
     SearchRange,
-    consistency,
-    matched_pixels,
-    narrowed,
-    projected,
-    textured,
+    approximate_left_right_residual,
+    compute_left_right_residual,
+    mask_matched_pixels,
+    mask_textured_pixels,
+    narrow_search_range,
 )
-from scanloom.stages.stereo.networks.network import Network
-from scanloom.stages.stereo.pairs import report_rows, require_pair
-from scanloom.stages.stereo.params import AUTO, FAST, SEVERAL, DepthParams, SgbmParams
-from scanloom.stages.stereo.rectify import RectifiedRig, rectified_rig
-from scanloom.stages.stereo.subpixel import refined
+from scanloom.stages.stereo.pair_checks import check_pair, check_rows
+from scanloom.stages.stereo.params import AUTO, FAST, MIN_SEVERAL_PAIRS, DepthParams, SgbmParams
+from scanloom.stages.stereo.rectify import RectifiedRig, rectify_rig
+from scanloom.stages.stereo.subpixel_refinement import refine_disparity
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from scanloom.stages.params.keywords import DepthKeywords
 
-__all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
+__all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairMatcher", "depth", "depth_scan"]
 
 RESULT_VERSION = 4
 
 _Image = NDArray[np.uint8]
 
 # Maximum disparity relative to the image width if the minimum depth is unknown.
-_WIDEST = 0.25
+_MAX_DISPARITY_RATIO = 0.25
 # Default minimum confidence and uniqueness (%), for one or two pairs and for more. With more pairs, fusion
 # rejects outliers, so that less certain matches, such as grass and foliage, are useful.
-_ALONE = (128, 20)
-_AMONG_OTHERS = (16, 5)
+_SINGLE_PAIR_DEFAULTS = (128, 20)
+_SEVERAL_PAIRS_DEFAULTS = (16, 5)
 # The same minimum confidence for the census matcher, whose confidence is a probability.
-_SURE_ALONE, _SURE_AMONG_OTHERS = 204, 128
+_SINGLE_PAIR_MIN_CONFIDENCE, _SEVERAL_PAIRS_MIN_CONFIDENCE = 204, 128
 
 
 def depth(
@@ -82,7 +87,7 @@ def depth(
     Parameters
     ----------
     left, right : (h, w, 3) RGB or (h, w) grey uint8, of the calibrated size.
-    rig : calibration; `rig.rectified` states that rows already correspond.
+    rig : calibration; `rig.rectify_pair` states that rows already correspond.
     params, changes : parameters, and changes to them by name.
 
     Raises
@@ -99,11 +104,13 @@ def depth(
     Hirschmüller 2008 (semi-global matching); Min et al. 2014 (the optional smoothing).
     """
     params = resolve(DepthParams, params, changes)
-    network = network_of(params)
-    stage = PairStage(rectified_rig(rig), params, pairs=1, stated=rig.disparities, network=network)
+    network = load_network(params)
+    stage = PairMatcher(
+        rectify_rig(rig), params, pair_count=1, calibrated_disparities=rig.disparity_count, network=network
+    )
     with collecting() as diagnostics:
-        pair = stage.rectified(left, right)
-        stage.report_rows(*pair)
+        pair = stage.rectify_pair(left, right)
+        stage.check_rows(*pair)
         measured = stage.measure(*pair)
     return replace(measured, diagnostics=tuple(diagnostics))
 
@@ -111,7 +118,7 @@ def depth(
 def depth_scan(
     scan: Scan,
     params: DepthParams | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
     """Compute depth for every stereo pair of a scan.
@@ -127,7 +134,7 @@ def depth_scan(
     Raises
     ------
     InputError
-        If the scan has no pairs, left and right are swapped, or more than `max_skipped` of the frames cannot
+        If the scan has no pairs, left and right are swapped, or more than `max_skipped_ratio` of the frames cannot
         be used.
     """
     params = resolve(DepthParams, params, changes)
@@ -137,22 +144,24 @@ def depth_scan(
             "the scan has no stereo pairs, so there is nothing to match.",
             scan.folder,
         )
-    stage = PairStage(
-        rectified_rig(scan.rig),
+    stage = PairMatcher(
+        rectify_rig(scan.rig),
         params,
-        pairs=len(scan.frames),
-        stated=scan.rig.disparities,
-        network=network_of(params),
+        pair_count=len(scan.frames),
+        calibrated_disparities=scan.rig.disparity_count,
+        network=load_network(params),
     )
     _report_first_pair(stage, scan)
-    threads = params.threads or threads_to_use()
+    threads = params.threads or get_thread_count()
     total = len(scan.frames)
     skipped = 0
-    results = read_ahead(partial(_measure_frame, stage), scan.frames, threads=threads, ahead=threads + 2)
+    results = map_ordered(
+        partial(_measure_frame, stage), scan.frames, threads=threads, max_pending=threads + 2
+    )
     for done, (frame, result) in enumerate(results, 1):
         if isinstance(result, SkippedFrame):
             skipped += 1
-            if skipped > params.max_skipped * total:
+            if skipped > params.max_skipped_ratio * total:
                 raise InputError(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
@@ -162,7 +171,7 @@ def depth_scan(
                     scan.folder,
                     skipped=skipped,
                     total=total,
-                    max_skipped=params.max_skipped,
+                    max_skipped_ratio=params.max_skipped_ratio,
                     last=frame.name,
                     reason=result.reason,
                 )
@@ -170,7 +179,7 @@ def depth_scan(
         yield frame, result
 
 
-def _report_first_pair(stage: PairStage, scan: Scan) -> None:
+def _report_first_pair(stage: PairMatcher, scan: Scan) -> None:
     """Check the first readable pair for swapped images and misaligned rows.
 
     One pair suffices, because all pairs share the calibration.
@@ -181,30 +190,30 @@ def _report_first_pair(stage: PairStage, scan: Scan) -> None:
         except InputError:
             continue  # reported when the frame is measured
         try:
-            stage.report_rows(*pair)
+            stage.check_rows(*pair)
         except InputError as error:
-            raise error.at(scan.folder) from error
+            raise error.replace_location(scan.folder) from error
         return
 
 
-def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
+def _read_pair(stage: PairMatcher, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
     left, right = images.read_color(frame), images.read_right(frame)
     if left is None or right is None:
         raise InputError(
             FRAME_IMAGE_MISSING,
             "the {side} image is missing.",
-            Where(frame=frame.name),
+            DiagnosticLocation(frame=frame.name),
             side="left" if left is None else "right",
         )
     files = [source if isinstance(source, Path) else None for source in (frame.color, frame.right)]
-    return stage.rectified(left, right, (files[0], files[1]))
+    return stage.rectify_pair(left, right, (files[0], files[1]))
 
 
-def _measure_frame(stage: PairStage, frame: Frame) -> tuple[Frame, DepthMap | SkippedFrame]:
+def _measure_frame(stage: PairMatcher, frame: Frame) -> tuple[Frame, DepthMap | SkippedFrame]:
     try:
         pair = _read_pair(stage, frame)
     except InputError as error:
-        return frame, SkippedFrame(frame.name, error.diagnostic.within(frame=None))
+        return frame, SkippedFrame(frame.name, error.diagnostic.replace_location_fields(frame=None))
     with collecting() as diagnostics:
         result = stage.measure(*pair)
     result = replace(result, diagnostics=tuple(diagnostics))
@@ -225,7 +234,7 @@ def _measure_frame(stage: PairStage, frame: Frame) -> tuple[Frame, DepthMap | Sk
     return measured, result
 
 
-class PairStage:
+class PairMatcher:
     """Matching setup shared by all pairs of a rig.
 
     It holds the search range, the matcher and the depth limit.
@@ -244,88 +253,96 @@ class PairStage:
         self,
         rig: RectifiedRig,
         params: DepthParams,
-        pairs: int,
-        stated: int | None = None,
+        pair_count: int,
+        calibrated_disparities: int | None = None,
         network: Network | None = None,
     ) -> None:
         self.params = params
         self.network = network
-        self.is_by_network = network is not None and network.is_stereo
-        derived = _AMONG_OTHERS if pairs >= SEVERAL else _ALONE
+        self.uses_network = network is not None and network.is_stereo
+        defaults = _SEVERAL_PAIRS_DEFAULTS if pair_count >= MIN_SEVERAL_PAIRS else _SINGLE_PAIR_DEFAULTS
         given = params.min_confidence, params.sgbm.uniqueness
-        least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
+        min_confidence, uniqueness = (d if g is None else g for d, g in zip(defaults, given, strict=True))
         # A stereo network does not use the search range; disparities outside the image width are rejected
         # afterwards.
-        self.search = _search_range(rig, params, stated, 1.0 if self.is_by_network else _WIDEST)
-        volume = volume_bytes(rig.left.width, rig.left.height, self.search.count)
-        self.is_own = not self.is_by_network and params.is_own(pairs, volume)
-        if self.is_own and params.min_confidence is None:
-            least = _SURE_AMONG_OTHERS if pairs >= SEVERAL else _SURE_ALONE
+        self.search = _derive_search_range(
+            rig, params, calibrated_disparities, 1.0 if self.uses_network else _MAX_DISPARITY_RATIO
+        )
+        volume = compute_volume_bytes(rig.left.width, rig.left.height, self.search.count)
+        self.uses_census = not self.uses_network and params.uses_census(pair_count, volume)
+        if self.uses_census and params.min_confidence is None:
+            min_confidence = (
+                _SEVERAL_PAIRS_MIN_CONFIDENCE
+                if pair_count >= MIN_SEVERAL_PAIRS
+                else _SINGLE_PAIR_MIN_CONFIDENCE
+            )
         # Several pairs are matched in parallel instead, one per core.
-        self.threads = 1 if pairs > 1 else params.threads
+        self.threads = 1 if pair_count > 1 else params.threads
         # A confidence of 0 means no measurement.
-        self.least_confidence = max(least, 1)
+        self.min_confidence = max(min_confidence, 1)
         self.rig = rig
         # The census matcher uses the fast matcher only to narrow the search range.
-        self.matcher = Matcher(
-            FAST if self.is_own or params.matcher == AUTO else params.matcher,
+        self.matcher = OpenCVMatcher(
+            FAST if self.uses_census or params.matcher == AUTO else params.matcher,
             params.sgbm.block_size,
             *params.sgbm.penalties,
             params.sgbm.prefilter_cap,
             uniqueness,
         )
-        self.narrow = (
-            not self.is_by_network
+        self.narrows_search = (
+            not self.uses_network
             and params.min_depth is None
             and params.disparities is None
-            and stated is None
+            and calibrated_disparities is None
         )
-        self.max_depth = _depth_bound(rig, params)
+        self.max_depth = _compute_max_depth(rig, params)
 
-    def rectified(
+    def rectify_pair(
         self,
         left: NDArray[np.uint8],
         right: NDArray[np.uint8],
         files: tuple[Path | None, Path | None] = (None, None),
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         """Validate a pair against the calibration, and rectify it."""
-        require_pair(left, right, self.rig.left, files)
+        check_pair(left, right, self.rig.left, files)
         return self.rig.apply(left, right)
 
-    def report_rows(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
-        """Warn if rows of a rectified pair differ; see `scanloom.stages.stereo.pairs`."""
-        report_rows(_grey(left), _grey(right), self.rig.principal_offset)
+    def check_rows(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
+        """Warn if rows of a rectified pair differ; see `scanloom.stages.stereo.pair_checks`."""
+        check_rows(_to_grey(left), _to_grey(right), self.rig.principal_offset)
 
     def measure(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> DepthMap:
         """Compute depth of a rectified pair."""
-        pair = _grey(left), _grey(right)
-        search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
-        if self.network is not None and self.is_by_network:
-            disparity, trust = network_disparity(self.network, left, right, self.rig, search, self.params)
-            report_agreement(self.network, trust)
-        elif self.is_own:
-            disparity, trust = self._own(left, right, pair, search)
+        pair = _to_grey(left), _to_grey(right)
+        search = narrow_search_range(*pair, self.search, self.matcher) if self.narrows_search else self.search
+        if self.network is not None and self.uses_network:
+            disparity, confidence_map = compute_network_disparity(
+                self.network, left, right, self.rig, search, self.params
+            )
+            report_agreement(self.network, confidence_map)
+        elif self.uses_census:
+            disparity, confidence_map = self._match_with_census(left, right, pair, search)
         else:
-            disparity, trust = self._matched(left, pair, search)
-        near = self.params.min_depth or 0.0
+            disparity, confidence_map = self._match_with_opencv(left, pair, search)
+        min_depth = self.params.min_depth or 0.0
         if self.params.refine and not self.params.sgbm.smooth:
-            disparity = refined(*pair, disparity, trust >= self.least_confidence)
+            disparity = refine_disparity(*pair, disparity, confidence_map >= self.min_confidence)
         measured = DepthMap(
-            self._depth(disparity, trust),
-            trust,
+            self._convert_to_depth(disparity, confidence_map),
+            confidence_map,
             disparity,
-            _rgb(left),
+            _to_rgb(left),
             self.rig.left,
             self.rig.rectified_from_left,
             search,
-            max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), near),
+            max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), min_depth),
             self.max_depth,
         )
-        if self.network is None or self.is_by_network:
+        if self.network is None or self.uses_network:
             return measured
-        return completed(measured, self.network, self.params)
+        return fill_missing_depth(measured, self.network, self.params)
 
-    def _own(
+    def _match_with_census(
         self, left: _Image, right: _Image, pair: tuple[_Image, _Image], search: SearchRange
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Match a pair with the census matcher.
@@ -338,19 +355,19 @@ class PairStage:
             left, right, search.end - 1, min_disparity=search.lowest, min_confidence=0, threads=self.threads
         )
         trust = np.rint(255 * found.confidence).astype(np.uint8)
-        trust[~textured(pair[0], self.params.min_texture)] = 0
+        trust[~mask_textured_pixels(pair[0], self.params.min_texture)] = 0
         return found.disparity, trust
 
-    def _matched(
+    def _match_with_opencv(
         self, left: _Image, pair: tuple[_Image, _Image], search: SearchRange
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Match a pair with an OpenCV matcher; returns as `_own`."""
-        first = self.matcher.left(*pair, search)
+        """Match a pair with an OpenCV matcher; returns as `_match_with_census`."""
+        first = self.matcher.match_left(*pair, search)
         if self.params.sgbm.left_right == "match":
-            residual = consistency(first, self.matcher.right(*pair, search), search)
+            residual = compute_left_right_residual(first, self.matcher.match_right(*pair, search), search)
         else:
-            residual = projected(first, search, self.params.left_right_tolerance)
-        matched = matched_pixels(
+            residual = approximate_left_right_residual(first, search, self.params.left_right_tolerance)
+        matched = mask_matched_pixels(
             first,
             residual,
             search,
@@ -358,22 +375,24 @@ class PairStage:
             speckle_size=self.params.speckle_size,
             speckle_range=self.params.speckle_range,
         )
-        matched &= textured(pair[0], self.params.min_texture)
-        trust = confidence(first, residual, matched, search)
+        matched &= mask_textured_pixels(pair[0], self.params.min_texture)
+        trust = compute_confidence(first, residual, matched, search)
         if self.params.sgbm.smooth:
-            second = self.matcher.right(*pair, search)
-            first = _smooth_disparity(first, second, _rgb(left), self.params.sgbm)
+            second = self.matcher.match_right(*pair, search)
+            first = _smooth_disparity(first, second, _to_rgb(left), self.params.sgbm)
         none = first < SUBPIXELS * search.lowest
         return np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS)), trust
 
-    def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
+    def _convert_to_depth(
+        self, disparity: NDArray[np.float32], confidence_map: NDArray[np.uint8]
+    ) -> DepthImage:
         """Convert disparity to depth.
 
         Depth is z = f·b / (d + cx_right − cx_left), and 0 where the confidence is too low or z is out of
         range.
         """
         parallel = disparity + np.float32(self.rig.principal_offset)
-        used = (trust >= self.least_confidence) & (parallel > 0)
+        used = (confidence_map >= self.min_confidence) & (parallel > 0)
         z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
         z[(z < (self.params.min_depth or 0)) | (z > self.max_depth)] = 0
         return np.asarray(z, np.float32)
@@ -397,7 +416,7 @@ def _smooth_disparity(
     return np.asarray(wls.filter(left, guide, disparity_map_right=right), np.int16)
 
 
-def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:
+def _compute_max_depth(rig: RectifiedRig, params: DepthParams) -> float:
     """Return the maximum depth.
 
     It is the depth at which σ_z = z²/(f·b)·σ_d reaches the allowed ratio of z, or `max_depth` if smaller.
@@ -406,13 +425,15 @@ def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:
     return min(bound, params.max_depth) if params.max_depth is not None else bound
 
 
-def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, widest: float) -> SearchRange:
+def _derive_search_range(
+    rig: RectifiedRig, params: DepthParams, calibrated_disparities: int | None, max_width_ratio: float
+) -> SearchRange:
     """Derive the disparity search range from the depth range.
 
     Parameters
     ----------
-    stated : number of disparities stated by the calibration, from 0; None if not stated.
-    widest : maximum disparity relative to the image width, if the minimum depth is unknown.
+    calibrated_disparities : number of disparities stated by the calibration, from 0; None if not stated.
+    max_width_ratio : maximum disparity relative to the image width, if the minimum depth is unknown.
 
     Raises
     ------
@@ -427,32 +448,32 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, wi
         highest = lowest + params.disparities - 1.0
     elif params.min_depth is not None:
         highest = rig.focal_baseline / params.min_depth - offset
-    elif stated is not None:
+    elif calibrated_disparities is not None:
         lowest = max(lowest, 0)
-        highest = stated - 1.0
+        highest = calibrated_disparities - 1.0
     else:
-        highest = max(lowest, 0) + width * widest
+        highest = max(lowest, 0) + width * max_width_ratio
     # At a disparity of the image width, the images do not overlap.
     limit = min(width - 1, LARGEST_DISPARITY)
     if lowest > limit or highest < lowest:
         raise UsageError(
             DEPTH_RANGE_EMPTY,
             "is {max_depth:g} m, but the rig measures depth from {focal_baseline:.3g} m only",
-            Where(parameter="max_depth"),
+            DiagnosticLocation(parameter="max_depth"),
             remedy="increase it.",
             max_depth=params.max_depth,
             focal_baseline=rig.focal_baseline / (min(highest, limit) + offset),
         )
-    return SearchRange.covering(lowest, min(highest, limit))
+    return SearchRange.from_bounds(lowest, min(highest, limit))
 
 
-def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     import cv2
 
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
-def _rgb(image: NDArray[np.uint8]) -> ColorImage:
+def _to_rgb(image: NDArray[np.uint8]) -> ColorImage:
     import cv2
 
     return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB), np.uint8)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage
-from scanloom.stages.stereo.matching import SearchRange
+from scanloom.stages.stereo.opencv_matching import SearchRange
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class DepthMap:
     filled: NDArray[np.bool_] | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return JSON-ready statistics for reports, with units in the keys."""
@@ -55,12 +55,12 @@ class DepthMap:
         return {
             "width_px": self.camera.width,
             "height_px": self.camera.height,
-            "lowest_disparity_px": self.search.lowest,
+            "min_disparity_px": self.search.lowest,
             "disparities_px": self.search.count,
             "min_depth_m": self.min_depth,
             "max_depth_m": self.max_depth,
-            "matched_share": float(np.count_nonzero(self.confidence) / self.confidence.size),
-            "used_share": float(np.count_nonzero(used) / used.size),
-            **({} if self.filled is None else {"filled_share": float(self.filled.mean())}),
+            "matched_ratio": float(np.count_nonzero(self.confidence) / self.confidence.size),
+            "used_ratio": float(np.count_nonzero(used) / used.size),
+            **({} if self.filled is None else {"filled_ratio": float(self.filled.mean())}),
             "median_depth_m": float(np.median(self.depth[used])) if used.any() else None,
         }

@@ -16,27 +16,27 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError, UsageError
-from scanloom.stages.files.room import require_room
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.files.memory_check import check_memory_available
+from scanloom.stages.printing import format_by_metrics, render_table
 
 Map = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 # Tolerance of the left–right check, px.
-_AGREE = 1
+_LEFT_RIGHT_TOLERANCE = 1
 # Disparity difference of a jump, px; window around a jump in which a pixel may belong to either side, px.
-_JUMP = 2
-_BESIDE = 7
+_MIN_JUMP = 2
+_JUMP_WINDOW = 7
 # Radius of the weighted median, px, and colour difference with weight 1/e, grey levels. The wide window is
 # for pixels with too few matched pixels of their colour in the narrow one.
-_NARROW, _WIDE = (5, 8.0), (13, 6.0)
-_TOO_LITTLE = 0.15
+_NARROW_MEDIAN, _WIDE_MEDIAN = (5, 8.0), (13, 6.0)
+_MIN_KNOWN_WEIGHT = 0.15
 # Windows of the confidence indicators, px: ratio of matched pixels, and range of disparities.
-_AROUND, _NEAR = 11, 5
+_MATCHED_WINDOW, _SPREAD_WINDOW = 11, 5
 # Number of aggregation paths; costs are sums over all paths.
-_PATHS = 8
+_PATH_COUNT = 8
 # Logistic regression of the event that the disparity is right within 2 px: weights of each indicator and of
 # its square. Fitted to pairs with ground truth, with equal numbers of pixels, occluded pixels included:
 # Motorcycle and Adirondack (Middlebury 2014), Cones (2003), Cloth3, Reindeer and Wood2 (2006), and four pairs
@@ -50,11 +50,11 @@ _WEIGHTS = {
 }
 _BIAS = 0.0967
 # Clipping limit of the disparity range, px; a wider range carries no more information.
-_MOST_SPREAD = 12
+_MAX_SPREAD = 12
 # Bytes per pixel and disparity for the three cost volumes.
 _VOLUME_BYTES = 6
-_LANES = 16
-_WIDEST = 1 << 13
+_DISPARITY_STEP = 16
+_MAX_RANGE = 1 << 13
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +72,8 @@ class Disparity:
     confidence: Map
     filled: Mask
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     def figures(self) -> dict[str, Any]:
         """Return JSON-ready statistics, with units in the keys."""
@@ -81,8 +81,8 @@ class Disparity:
         return {
             "width_px": self.disparity.shape[1],
             "height_px": self.disparity.shape[0],
-            "sure_share": float(sure.mean()),
-            "filled_share": float((sure & self.filled).mean()),
+            "confident_ratio": float(sure.mean()),
+            "filled_ratio": float((sure & self.filled).mean()),
             "median_disparity_px": float(np.median(self.disparity[sure])) if sure.any() else None,
             "mean_confidence": float(self.confidence.mean()),
         }
@@ -120,15 +120,15 @@ def stereo_disparity(
     """
     import cv2
 
-    first, second = (_colored(image, name) for image, name in ((left, "left"), (right, "right")))
+    first, second = (_check_image(image, name) for image, name in ((left, "left"), (right, "right")))
     if first.shape != second.shape:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
             "left and right image differ in size: {size} and {size_2} px.",
-            size=_size(first),
-            size_2=_size(second),
+            size=_format_size(first),
+            size_2=_format_size(second),
         )
-    if not 0 <= max_disparity - min_disparity < _WIDEST:
+    if not 0 <= max_disparity - min_disparity < _MAX_RANGE:
         raise UsageError(
             USAGE_ARGUMENT_INVALID,
             (
@@ -137,23 +137,23 @@ def stereo_disparity(
             ),
             max_disparity=max_disparity,
             min_disparity=min_disparity,
-            min_disparity_2=min_disparity + _WIDEST - 1,
+            min_disparity_2=min_disparity + _MAX_RANGE - 1,
         )
     if not 0 <= min_confidence <= 1:
         raise UsageError(
             USAGE_ARGUMENT_INVALID,
             "is {min_confidence:g}; it must be from 0 to 1.",
-            Where(parameter="min_confidence"),
+            DiagnosticLocation(parameter="min_confidence"),
             min_confidence=min_confidence,
         )
-    count = -(-(max_disparity - min_disparity + 1) // _LANES) * _LANES
-    require_room(volume_bytes(first.shape[1], first.shape[0], count))
+    count = -(-(max_disparity - min_disparity + 1) // _DISPARITY_STEP) * _DISPARITY_STEP
+    check_memory_available(compute_volume_bytes(first.shape[1], first.shape[0], count))
     found, of_right, _, margin, _ = _kernels.match_pair(
         first, second, lowest=min_disparity, count=count, wanted_threads=threads or 0
     )
-    agrees = np.abs(found - _facing(found, of_right)) <= _AGREE
+    agrees = np.abs(found - _look_up_right_disparity(found, of_right)) <= _LEFT_RIGHT_TOLERANCE
 
-    def medians(known: Mask, wanted: Mask, window: tuple[int, float]) -> tuple[Map, Map, Map]:
+    def compute_medians(known: Mask, wanted: Mask, window: tuple[int, float]) -> tuple[Map, Map, Map]:
         return _kernels.weighted_medians(
             first,
             np.where(known, found, np.float32(np.nan)),
@@ -165,39 +165,39 @@ def stereo_disparity(
             wanted_threads=threads or 0,
         )
 
-    middle, agreeing, known = medians(agrees, np.ones_like(agrees), _NARROW)
-    kernel = np.ones((_BESIDE, _BESIDE), np.uint8)
+    median_disparity, agreeing, known = compute_medians(agrees, np.ones_like(agrees), _NARROW_MEDIAN)
+    kernel = np.ones((_JUMP_WINDOW, _JUMP_WINDOW), np.uint8)
     highest = cv2.dilate(np.where(agrees, found, np.float32(min_disparity - 1)), kernel)
     lowest = cv2.erode(np.where(agrees, found, np.float32(max_disparity + 1)), kernel)
-    doubtful = (highest - lowest > _JUMP) | ~agrees
-    moved = doubtful & (np.abs(middle - found) > _AGREE)
-    found = np.where(moved, middle, found)
-    lost = ~agrees & (known < _TOO_LITTLE)
-    if lost.any():
-        middle, _, _ = medians(agrees, lost, _WIDE)
-        filled = lost & np.isfinite(middle)
-        found, moved = np.where(filled, middle, found), moved | filled
-    near = np.ones((_NEAR, _NEAR), np.uint8)
-    signs = {
-        "margin": np.log1p(np.maximum(margin, 0).astype(np.float32) / _PATHS),
+    doubtful = (highest - lowest > _MIN_JUMP) | ~agrees
+    replaced = doubtful & (np.abs(median_disparity - found) > _LEFT_RIGHT_TOLERANCE)
+    found = np.where(replaced, median_disparity, found)
+    without_support = ~agrees & (known < _MIN_KNOWN_WEIGHT)
+    if without_support.any():
+        median_disparity, _, _ = compute_medians(agrees, without_support, _WIDE_MEDIAN)
+        filled = without_support & np.isfinite(median_disparity)
+        found, replaced = np.where(filled, median_disparity, found), replaced | filled
+    near = np.ones((_SPREAD_WINDOW, _SPREAD_WINDOW), np.uint8)
+    indicators = {
+        "margin": np.log1p(np.maximum(margin, 0).astype(np.float32) / _PATH_COUNT),
         "agreeing": agreeing,
         "known": known,
-        "matched": cv2.boxFilter(agrees.astype(np.float32), -1, (_AROUND, _AROUND)),
-        "spread": np.minimum(cv2.dilate(found, near) - cv2.erode(found, near), _MOST_SPREAD),
+        "matched": cv2.boxFilter(agrees.astype(np.float32), -1, (_MATCHED_WINDOW, _MATCHED_WINDOW)),
+        "spread": np.minimum(cv2.dilate(found, near) - cv2.erode(found, near), _MAX_SPREAD),
     }
     logit = np.full(found.shape, _BIAS, np.float32)
-    for name, sign in signs.items():
-        straight, bent = _WEIGHTS[name]
-        logit += (straight + bent * sign) * sign
+    for name, indicator in indicators.items():
+        weight, weight_squared = _WEIGHTS[name]
+        logit += (weight + weight_squared * indicator) * indicator
     confidence = (1 / (1 + np.exp(-logit))).astype(np.float32)
     # The kernel rounds the range up to multiples of 16; disparities beyond the requested range are dropped.
     outside = (found < min_disparity - 0.5) | (found > max_disparity + 0.5) | ~np.isfinite(found)
     confidence[outside] = 0
-    sure = (confidence >= min_confidence) & ~outside
-    return Disparity(np.where(sure, found, np.float32(np.nan)), confidence, moved)
+    is_confident = (confidence >= min_confidence) & ~outside
+    return Disparity(np.where(is_confident, found, np.float32(np.nan)), confidence, replaced)
 
 
-def volume_bytes(width: int, height: int, count: int) -> int:
+def compute_volume_bytes(width: int, height: int, count: int) -> int:
     """Return the memory of the cost volumes in bytes.
 
     Parameters
@@ -208,7 +208,7 @@ def volume_bytes(width: int, height: int, count: int) -> int:
     return _VOLUME_BYTES * width * height * count
 
 
-def _facing(disparity: Map, of_right: Map) -> Map:
+def _look_up_right_disparity(disparity: Map, of_right: Map) -> Map:
     """Look up the right disparity at the match of each left pixel.
 
     The result is NaN outside of the image.
@@ -220,7 +220,7 @@ def _facing(disparity: Map, of_right: Map) -> Map:
     return np.where(inside, there, np.float32(np.nan))
 
 
-def _colored(image: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
+def _check_image(image: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
     if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
@@ -233,5 +233,5 @@ def _colored(image: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(colored)
 
 
-def _size(image: NDArray[np.uint8]) -> str:
+def _format_size(image: NDArray[np.uint8]) -> str:
     return f"{image.shape[1]} × {image.shape[0]}"

@@ -6,22 +6,22 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, find_changed, param
-from scanloom.stages.stereo.matching import LARGEST_DISPARITY
+from scanloom.stages.params import check_parameters, find_changed, param
+from scanloom.stages.stereo.opencv_matching import LARGEST_DISPARITY
 
 # Methods for single views.
 SWEEP, PAIRS = "sweep", "pairs"
 # Matchers: automatic choice, the built-in census matcher, and the fast mode of OpenCV.
 AUTO, CENSUS, FAST = "auto", "census", "3way"
 # Sections and parameters without effect on the census matcher.
-_OF_OTHERS = ("sgbm", "left_right_tolerance", "speckle_size", "speckle_range")
+_OPENCV_PARAMETERS = ("sgbm", "left_right_tolerance", "speckle_size", "speckle_range")
 # From this number of pairs on, fusion observes most surfaces several times and rejects outliers of single
 # pairs.
-SEVERAL = 3
+MIN_SEVERAL_PAIRS = 3
 # Memory limit in bytes above which `auto` does not choose the census matcher.
-_LARGEST_VOLUME = 4 << 30
+_MAX_VOLUME_BYTES = 4 << 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,19 +79,19 @@ class SgbmParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.block_size % 2 == 0:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {block_size}; it must be odd.",
-                Where(parameter="block_size"),
+                DiagnosticLocation(parameter="block_size"),
                 block_size=self.block_size,
             )
         if self.penalties[0] >= self.penalties[1]:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {penalties}; it must be below p2, {penalties_2}.",
-                Where(parameter="p1"),
+                DiagnosticLocation(parameter="p1"),
                 penalties=self.penalties[0],
                 penalties_2=self.penalties[1],
             )
@@ -241,14 +241,14 @@ class DepthParams:
         low=1,
         high=32,
     )
-    agreeing_views: int = param(
+    min_consistent_views: int = param(
         2,
         "Single views: minimum number of other views whose depth maps must agree for depth to be kept",
         unit="views",
         low=0,
         high=64,
     )
-    agreement: float | None = param(
+    consistency_tolerance: float | None = param(
         None,
         "Single views: maximum relative difference of depth between maps that agree. Default: the depth "
         "difference of one pixel of disparity between neighbouring views",
@@ -256,7 +256,7 @@ class DepthParams:
         low_open=True,
         high=1,
     )
-    backdrop: float = param(
+    max_backdrop_contrast: float = param(
         3.0,
         "Single views: texture limit of the backdrop, the mean difference between pixels two apart. Plainer "
         "pixels match anything and get no depth. If all views have a backdrop of one colour around the "
@@ -265,13 +265,13 @@ class DepthParams:
         unit="grey levels",
         low=0,
     )
-    on_hull: bool = param(
+    fill_from_visual_hull: bool = param(
         True,
         "Single views of an object with masks or a backdrop: fill unmeasured depth from the visual hull of "
         "the silhouettes, offset to fit the measured depth around it, with a confidence of 1. Otherwise "
         "these pixels remain holes",
     )
-    on_planes: bool = param(
+    fill_from_planes: bool = param(
         True,
         "Single views of a scene (views=sweep): fill areas without texture from planes through the measured "
         "depth around them if other views agree, with a confidence of 1. Otherwise these pixels stay holes",
@@ -291,11 +291,11 @@ class DepthParams:
         low=0,
         low_open=True,
     )
-    turn_back: bool = param(
+    fix_upside_down: bool = param(
         True,
         "Single views: rotate images by 180° that are upside down relative to their poses, with a warning",
     )
-    max_skipped: float = param(
+    max_skipped_ratio: float = param(
         0.5, "Maximum ratio of frames that cannot be used; scans with more are rejected", low=0, high=1
     )
     threads: int | None = param(
@@ -308,19 +308,19 @@ class DepthParams:
     sgbm: SgbmParams = field(default=SgbmParams())
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.min_depth is not None and self.max_depth is not None and self.min_depth >= self.max_depth:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {min_depth:g} m; it must be below max_depth, {max_depth:g} m.",
-                Where(parameter="min_depth"),
+                DiagnosticLocation(parameter="min_depth"),
                 min_depth=self.min_depth,
                 max_depth=self.max_depth,
             )
         if self.matcher == CENSUS:
-            self.require_default(_OF_OTHERS, f"matcher {CENSUS}")
+            self.require_default(_OPENCV_PARAMETERS, f"matcher {CENSUS}")
 
-    def is_own(self, pairs: int, volume: int) -> bool:
+    def uses_census(self, pair_count: int, volume_bytes: int) -> bool:
         """Return True if the census matcher is used.
 
         Parameters
@@ -330,31 +330,35 @@ class DepthParams:
         """
         if self.matcher != AUTO:
             return self.matcher == CENSUS
-        return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.find_idle(_OF_OTHERS)
+        return (
+            pair_count < MIN_SEVERAL_PAIRS
+            and volume_bytes <= _MAX_VOLUME_BYTES
+            and not self.find_changed_parameters(_OPENCV_PARAMETERS)
+        )
 
-    def find_idle(self, names: Collection[str]) -> list[str]:
+    def find_changed_parameters(self, names: Collection[str]) -> list[str]:
         """Return changed parameters with these names, or in sections with these names."""
         return [name for name in find_changed(self) if name.partition(".")[0] in names]
 
-    def require_default(self, names: Collection[str], place: str) -> None:
+    def require_default(self, names: Collection[str], context: str) -> None:
         """Raise UsageError for a changed parameter that would have no effect."""
-        if idle := self.find_idle(names):
+        if idle := self.find_changed_parameters(names):
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "has no effect with {place}",
-                Where(parameter=idle[0]),
+                DiagnosticLocation(parameter=idle[0]),
                 remedy="omit it.",
-                place=place,
+                place=context,
             )
 
 
 # Parameters without effect on plane sweeps.
-OF_PAIRS = (
+PAIR_PARAMETERS = (
     "max_relative_depth_error",
     "disparity_sigma",
     "matcher",
     "disparities",
-    *_OF_OTHERS,
+    *_OPENCV_PARAMETERS,
     "min_texture",
     "refine",
 )

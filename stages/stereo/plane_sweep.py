@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
-from scanloom.stages.scans.model.scan import Camera, DepthImage, scaled
-from scanloom.stages.stereo.plane_fit import refined
+from scanloom.stages.scans.model.scan import Camera, DepthImage, scale_camera
 from scanloom.stages.stereo.posed_views import PosedView
-from scanloom.stages.stereo.view_images import Seen
+from scanloom.stages.stereo.subplane_refinement import refine_inverse_depth
+from scanloom.stages.stereo.view_images import ViewImage
 
 Grey = NDArray[np.uint8]
 Map = NDArray[np.float32]
@@ -33,57 +33,57 @@ Mask = NDArray[np.bool_]
 _COARSEST_PX = 256
 _COARSEST_PLANES = 192
 # The kernel takes a multiple of this number of planes per pixel, up to the maximum.
-_LANES = 16
-_MOST = 96
+_PLANE_STEP = 16
+_MAX_PLANES_PER_PIXEL = 96
 # Additional planes on either side of the range found around a pixel.
-_BEYOND = 3
-# Minimum distinctness of a reliable result (see `Swept`).
-_DISTINCT = 0.3
+_PLANE_MARGIN = 3
+# Minimum distinctness of a reliable result (see `SweepResult`).
+_MIN_DISTINCTNESS = 0.3
 # Reach in px for collecting reliable planes around a pixel; the wide one if the narrow one has none.
-_NEAR, _WIDE = 1, 5
+_NEAR_RADIUS, _WIDE_RADIUS = 1, 5
 # Maximum area of a warped partner image relative to the view: parallax moves its content beyond the image
 # edges.
-_LARGEST_AREA = 3.0
+_MAX_AREA_RATIO = 3.0
 # Grid of rays for measuring parallax, per side.
-_GRID = 5
+_GRID_SIZE = 5
 # Margin between the best and the second-best cost, summed over eight paths, at which distinctness is one
 # half.
 HALF_MARGIN = 120.0
 # State of a warped partner pixel, as in the kernel: outside of the image, scene, background of the object.
-_NOTHING, _SCENE, _EMPTY = 0, 1, 2
+_OUTSIDE, _SCENE, _BACKGROUND = 0, 1, 2
 # Additional cost of the farthest plane relative to a plane on the visual hull.
-_LEAN = 120.0
+_HULL_PREFERENCE_COST = 120.0
 # Margin around the object, px, so that coarse levels have context.
-_ROOM = 32
+_WINDOW_MARGIN_PX = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Swept:
+class SweepResult:
     """Result of a plane sweep.
 
     Attributes
     ----------
     depth : (h, w) float32 metres along the optical axis; 0 only outside of the object's window.
-    distinct : (h, w) float32 from 0 to 1, distinctness of the best plane from its competitors; one half at a
+    distinctness : (h, w) float32 from 0 to 1, distinctness of the best plane from its competitors; one half at a
         cost margin of 120.
-    planes : number of planes.
+    plane_count : number of planes.
     """
 
     depth: DepthImage
-    distinct: Map
-    planes: int
+    distinctness: Map
+    plane_count: int
 
 
-def plane_sweep(
-    main: Seen, partners: Sequence[Seen], front: DepthImage | None = None, threads: int = 1
-) -> Swept:
+def sweep_view(
+    main: ViewImage, partners: Sequence[ViewImage], hull_depth: DepthImage | None = None, threads: int = 1
+) -> SweepResult:
     """Estimate the depth of each pixel of a view from its partners.
 
     Parameters
     ----------
     main : the view; planes are between its `near` and `far`. Only a window around the object is processed.
     partners : one or more other views of the same scene.
-    front : (h, w) metres, minimum depth of each pixel from the visual hull, 0 where unknown. Where images are
+    hull_depth : (h, w) metres, minimum depth of each pixel from the visual hull, 0 where unknown. Where images are
         ambiguous, depth close to it is preferred.
     threads : thread count; results do not depend on it.
 
@@ -92,45 +92,49 @@ def plane_sweep(
     MemoryError
         If memory does not suffice.
     """
-    rows, columns = _window(main)
-    whole = main.grey.shape
-    main = _cut(main, rows, columns)
-    nearest = None if front is None else _inverse(front[rows, columns])
+    rows, columns = _find_object_window(main)
+    full_shape = main.grey.shape
+    main = _crop_view(main, rows, columns)
+    nearest = None if hull_depth is None else _invert_depth(hull_depth[rows, columns])
     view = main.view
-    step = _step(view, [one.view for one in partners])
+    step = _compute_plane_distance(view, [one.view for one in partners])
     span = 1 / view.near - 1 / view.far
-    halvings = _halvings(view.camera, span / step)
+    level_count = _count_levels(view.camera, span / step)
     plane = np.zeros((0, 0), np.float32)
-    distinct = plane
-    for level in range(halvings, -1, -1):
+    distinctness = plane
+    for level in range(level_count, -1, -1):
         count = math.ceil(span / (step * 2**level)) + 1
-        planes = -(-count // _LANES) * _LANES
+        planes = -(-count // _PLANE_STEP) * _PLANE_STEP
         inverse = 1 / view.far + np.arange(planes) * (step * 2**level)
-        fine = _halved(main, level)
-        warped = [_warped(fine.view, _halved(one, level), inverse, count) for one in partners]
-        shape = fine.grey.shape
+        scaled_view = _downscale_view(main, level)
+        warped = [
+            _warp_partner(scaled_view.view, _downscale_view(one, level), inverse, count) for one in partners
+        ]
+        shape = scaled_view.grey.shape
         if plane.size:
-            first, wide = _ranges(plane, distinct, shape, planes)
+            first, range_size = _derive_plane_ranges(plane, distinctness, shape, planes)
         else:
-            first, wide = np.zeros(shape, np.int32), np.full(shape, planes, np.uint16)
-        bound = None if nearest is None else _bound(nearest, shape, view, step * 2**level, count)
-        plane, margin = _kernels.sweep_planes(
-            fine.grey, warped, first, wide, bound, planes=planes, wanted_threads=threads
+            first, range_size = np.zeros(shape, np.int32), np.full(shape, planes, np.uint16)
+        bound = (
+            None if nearest is None else _compute_nearest_planes(nearest, shape, view, step * 2**level, count)
         )
-        distinct = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)
-    found = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
+        plane, margin = _kernels.sweep_planes(
+            scaled_view.grey, warped, first, range_size, bound, planes=planes, wanted_threads=threads
+        )
+        distinctness = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)
+    found = np.zeros(full_shape, np.float32), np.zeros(full_shape, np.float32)
     inverse_depth = (1 / view.far + plane * step).astype(np.float32)
-    found[0][rows, columns] = 1 / refined(main, partners, inverse_depth, step)
-    found[1][rows, columns] = distinct
-    return Swept(*found, planes)
+    found[0][rows, columns] = 1 / refine_inverse_depth(main, partners, inverse_depth, step)
+    found[1][rows, columns] = distinctness
+    return SweepResult(*found, planes)
 
 
-def _inverse(front: DepthImage) -> Map:
+def _invert_depth(depth: DepthImage) -> Map:
     """Return inverse depth (h, w), 1/m, 0 where unknown."""
-    return np.divide(1, front, out=np.zeros_like(front), where=front > 0)
+    return np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
 
 
-def _bound(
+def _compute_nearest_planes(
     nearest: Map, shape: tuple[int, ...], view: PosedView, step: float, count: int
 ) -> tuple[Map, float]:
     """Return the nearest allowed plane of each pixel.
@@ -143,25 +147,28 @@ def _bound(
 
     small = cv2.resize(nearest, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
     plane = (np.asarray(small) - 1 / view.far) / np.float32(step)
-    return np.where(small > 0, plane, np.float32(np.nan)).astype(np.float32), _LEAN / count
+    return np.where(small > 0, plane, np.float32(np.nan)).astype(np.float32), _HULL_PREFERENCE_COST / count
 
 
-def _window(one: Seen) -> tuple[slice, slice]:
+def _find_object_window(view: ViewImage) -> tuple[slice, slice]:
     """Return rows and columns of the object with a margin."""
-    if one.thing is None or not one.thing.any():
-        return slice(0, one.grey.shape[0]), slice(0, one.grey.shape[1])
+    if view.object_mask is None or not view.object_mask.any():
+        return slice(0, view.grey.shape[0]), slice(0, view.grey.shape[1])
     ends = []
     for axis in (1, 0):
-        places = np.flatnonzero(one.thing.any(axis=axis))
+        places = np.flatnonzero(view.object_mask.any(axis=axis))
         ends.append(
-            slice(max(int(places[0]) - _ROOM, 0), min(int(places[-1]) + _ROOM + 1, one.grey.shape[1 - axis]))
+            slice(
+                max(int(places[0]) - _WINDOW_MARGIN_PX, 0),
+                min(int(places[-1]) + _WINDOW_MARGIN_PX + 1, view.grey.shape[1 - axis]),
+            )
         )
     return ends[0], ends[1]
 
 
-def _cut(one: Seen, rows: slice, columns: slice) -> Seen:
-    camera = one.view.camera
-    grey = np.ascontiguousarray(one.grey[rows, columns])
+def _crop_view(view: ViewImage, rows: slice, columns: slice) -> ViewImage:
+    camera = view.view.camera
+    grey = np.ascontiguousarray(view.grey[rows, columns])
     part = replace(
         camera,
         width=grey.shape[1],
@@ -169,55 +176,55 @@ def _cut(one: Seen, rows: slice, columns: slice) -> Seen:
         cx=camera.cx - columns.start,
         cy=camera.cy - rows.start,
     )
-    thing = None if one.thing is None else one.thing[rows, columns]
-    return Seen(replace(one.view, camera=part), grey, thing)
+    thing = None if view.object_mask is None else view.object_mask[rows, columns]
+    return ViewImage(replace(view.view, camera=part), grey, thing)
 
 
-def _step(view: PosedView, partners: Sequence[PosedView]) -> float:
+def _compute_plane_distance(view: PosedView, partners: Sequence[PosedView]) -> float:
     """Return the plane distance in inverse depth, 1/m.
 
     It moves the image of the partner with the most parallax by one pixel.
     """
     middle = 2 / (1 / view.near + 1 / view.far)
-    rays = view.spread_rays(_GRID)
+    rays = view.compute_ray_grid(_GRID_SIZE)
     points = view.to_world(rays * middle)
     small = 1e-3 / middle
     moved = view.to_world(rays / (1 / middle + small))
-    fastest = 0.0
+    max_parallax = 0.0
     for other in partners:
         u, v, _ = other.project(points)
         moved_u, moved_v, _ = other.project(moved)
-        seen = other.holds(u, v) & np.isfinite(moved_u)
+        seen = other.contains(u, v) & np.isfinite(moved_u)
         if seen.any():
             length = np.hypot(moved_u - u, moved_v - v)[seen]
-            fastest = max(fastest, float(np.median(length)) / small)
-    least = 1e-4 * (1 / view.near - 1 / view.far)
-    return max(1 / fastest, least) if fastest else 64 * least
+            max_parallax = max(max_parallax, float(np.median(length)) / small)
+    min_distance = 1e-4 * (1 / view.near - 1 / view.far)
+    return max(1 / max_parallax, min_distance) if max_parallax else 64 * min_distance
 
 
-def _halvings(camera: Camera, planes: float) -> int:
+def _count_levels(camera: Camera, planes: float) -> int:
     """Return the number of pyramid levels above the full image."""
     long = math.log2(max(camera.width, camera.height) / _COARSEST_PX)
     many = math.log2(max(planes, 1) / _COARSEST_PLANES)
     return max(math.ceil(max(long, many)), 0)
 
 
-def _halved(one: Seen, times: int) -> Seen:
+def _downscale_view(view: ViewImage, times: int) -> ViewImage:
     import cv2
 
     if times == 0:
-        return one
-    camera = one.view.camera
+        return view
+    camera = view.view.camera
     size = max(camera.width >> times, 1), max(camera.height >> times, 1)
-    grey = np.asarray(cv2.resize(one.grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    grey = np.asarray(cv2.resize(view.grey, size, interpolation=cv2.INTER_AREA), np.uint8)
     thing = None
-    if one.thing is not None:
-        thing = cv2.resize(one.thing.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
-    return Seen(replace(one.view, camera=scaled(camera, *size)), grey, thing)
+    if view.object_mask is not None:
+        thing = cv2.resize(view.object_mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
+    return ViewImage(replace(view.view, camera=scale_camera(camera, *size)), grey, thing)
 
 
-def _warped(
-    view: PosedView, partner: Seen, inverse: NDArray[np.float64], count: int
+def _warp_partner(
+    view: PosedView, partner: ViewImage, inverse: NDArray[np.float64], count: int
 ) -> tuple[Grey, Grey, Map]:
     """Warp a partner image to the view.
 
@@ -259,7 +266,7 @@ def _warped(
     low, high = places.min(axis=(0, 1)), places.max(axis=(0, 1))
     # The warped image is as small as possible, and limited in size. Content beyond the limit is treated as
     # invisible.
-    room = (math.sqrt(_LARGEST_AREA) - 1) / 2 * np.array((camera.width, camera.height))
+    room = (math.sqrt(_MAX_AREA_RATIO) - 1) / 2 * np.array((camera.width, camera.height))
     low = np.floor(np.maximum(low, -room)).astype(int)
     high = np.ceil(np.minimum(high, corners[-1] + room)).astype(int)
     size = tuple(int(n) for n in np.maximum(high - low + 1, 1))
@@ -271,24 +278,24 @@ def _warped(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     grey = cv2.warpPerspective(partner.grey, homography, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     inside = cv2.warpPerspective(np.full(partner.grey.shape, 255, np.uint8), homography, size, flags=flags)
-    shown = np.where(np.asarray(inside) == 255, np.uint8(_SCENE), np.uint8(_NOTHING))
-    if partner.thing is not None:
-        thing = cv2.warpPerspective(255 * partner.thing.astype(np.uint8), homography, size, flags=flags)
-        shown[(shown == _SCENE) & (np.asarray(thing) == 0)] = _EMPTY
+    shown = np.where(np.asarray(inside) == 255, np.uint8(_SCENE), np.uint8(_OUTSIDE))
+    if partner.object_mask is not None:
+        thing = cv2.warpPerspective(255 * partner.object_mask.astype(np.uint8), homography, size, flags=flags)
+        shown[(shown == _SCENE) & (np.asarray(thing) == 0)] = _BACKGROUND
     maps[:, 1:] -= low
     return np.asarray(grey, np.uint8), shown, maps.astype(np.float32)
 
 
-def _ranges(
-    plane: Map, distinct: Map, shape: tuple[int, ...], planes: int
+def _derive_plane_ranges(
+    plane: Map, distinctness: Map, shape: tuple[int, ...], plane_count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
     """Derive the plane range of each pixel from a coarser level.
 
     Parameters
     ----------
-    plane, distinct : result at half the size.
+    plane, distinctness : result at half the size.
     shape : size of the finer level.
-    planes : number of planes at the finer level.
+    plane_count : number of planes at the finer level.
 
     Returns
     -------
@@ -296,32 +303,36 @@ def _ranges(
     """
     import cv2
 
-    known = distinct >= _DISTINCT
-    none = np.float32(planes)
+    known = distinctness >= _MIN_DISTINCTNESS
+    none = np.float32(plane_count)
     low: Map = np.full(plane.shape, np.nan, np.float32)
     high: Map = low
-    for reach in (_NEAR, _WIDE):
+    for reach in (_NEAR_RADIUS, _WIDE_RADIUS):
         kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-        least = cv2.erode(np.where(known, plane, none), kernel)
-        most = cv2.dilate(np.where(known, plane, -none), kernel)
-        open_ = np.isnan(low) & (most >= least)
-        low, high = np.where(open_, least, low), np.where(open_, most, high)
-    alone = np.isnan(low)
-    low, high = np.where(alone, plane, low), np.where(alone, plane, high)
+        lowest = cv2.erode(np.where(known, plane, none), kernel)
+        highest = cv2.dilate(np.where(known, plane, -none), kernel)
+        is_open = np.isnan(low) & (highest >= lowest)
+        low, high = np.where(is_open, lowest, low), np.where(is_open, highest, high)
+    is_isolated = np.isnan(low)
+    low, high = np.where(is_isolated, plane, low), np.where(is_isolated, plane, high)
     # The range includes the pixel's own coarse result.
     low, high = np.minimum(low, plane), np.maximum(high, plane)
     size = (shape[1], shape[0])
-    least, most, own = (
+    lowest, highest, own_plane = (
         2 * cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         for one in (low, high, plane)
     )
-    first, end = np.floor(least) - _BEYOND, np.ceil(most) + _BEYOND + 1
-    wide = np.ceil((end - first) / _LANES) * _LANES
+    first, end = np.floor(lowest) - _PLANE_MARGIN, np.ceil(highest) + _PLANE_MARGIN + 1
+    range_size = np.ceil((end - first) / _PLANE_STEP) * _PLANE_STEP
     # Ranges above the maximum are cut around the pixel's own result.
-    cut = wide > _MOST
-    first = np.where(cut, np.clip(np.rint(own) - _MOST / 2, first, end - _MOST), first)
-    wide = np.minimum(np.minimum(wide, _MOST), planes)
+    cut = range_size > _MAX_PLANES_PER_PIXEL
+    first = np.where(
+        cut,
+        np.clip(np.rint(own_plane) - _MAX_PLANES_PER_PIXEL / 2, first, end - _MAX_PLANES_PER_PIXEL),
+        first,
+    )
+    range_size = np.minimum(np.minimum(range_size, _MAX_PLANES_PER_PIXEL), plane_count)
     # Rounding up to the kernel's multiple extends the range on both sides equally.
-    first = np.where(cut, first, np.rint((first + end - wide) / 2))
-    first = np.clip(first, 0, planes - wide)
-    return first.astype(np.int32), wide.astype(np.uint16)
+    first = np.where(cut, first, np.rint((first + end - range_size) / 2))
+    first = np.clip(first, 0, plane_count - range_size)
+    return first.astype(np.int32), range_size.astype(np.uint16)

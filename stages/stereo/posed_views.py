@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.projection import project, unproject
 from scanloom.stages.scans.codes import POSE_INVALID, POSE_MISSING
-from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, to_pinhole
 
 # Maximum plausible coordinate of a camera centre, metres.
-_FARTHEST_M = 1e9
+_MAX_COORDINATE_M = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,21 +40,21 @@ class PosedView:
         return np.asarray(self.world_from_camera[:3, 3])
 
     @property
-    def middle(self) -> float:
+    def middle_depth(self) -> float:
         """Return the geometric mean of the depth range, metres."""
         return math.sqrt(self.near * self.far)
 
-    def rays(self, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def compute_rays(self, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return rays (…, 3) through pixels, with z = 1, camera axes."""
         return unproject(columns, rows, 1, self.camera)
 
-    def spread_rays(self, count: int) -> NDArray[np.float64]:
+    def compute_ray_grid(self, count: int) -> NDArray[np.float64]:
         """Return rays (count², 3) on a regular image grid, including the corners."""
         columns, rows = np.meshgrid(
             np.linspace(-0.5, self.camera.width - 0.5, count),
             np.linspace(-0.5, self.camera.height - 0.5, count),
         )
-        return self.rays(columns.ravel(), rows.ravel())
+        return self.compute_rays(columns.ravel(), rows.ravel())
 
     def to_world(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transform points (…, 3) from camera to world coordinates."""
@@ -74,7 +74,7 @@ class PosedView:
         columns, rows = project(seen, self.camera)
         return columns, rows, z
 
-    def pixels_to(self, other: PosedView) -> NDArray[np.float64]:
+    def compute_projection_to(self, other: PosedView) -> NDArray[np.float64]:
         """Return the projection (3, 4) from pixels with depth to another view.
 
         It maps (u z, v z, z, 1) to (u' z', v' z', z').
@@ -84,7 +84,7 @@ class PosedView:
         rotation = into @ self.world_from_camera[:3, :3] @ np.linalg.inv(self.camera.matrix)
         return np.column_stack([rotation, into @ (self.centre - other.centre)])
 
-    def holds(self, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of image positions inside the image.
 
         Positions between the centres of the outermost pixels are inside; NaN is outside.
@@ -93,7 +93,7 @@ class PosedView:
         return np.asarray(inside & (rows >= 0) & (rows <= self.camera.height - 1))
 
 
-def posed_views(scan: Scan) -> list[PosedView]:
+def create_posed_views(scan: Scan) -> list[PosedView]:
     """Create the views of a scan.
 
     Depth ranges are unknown yet, from 0 to infinity.
@@ -103,10 +103,10 @@ def posed_views(scan: Scan) -> list[PosedView]:
     InputError
         If a frame has no valid pose, or no calibrated camera.
     """
-    return [_view(frame, scan.folder) for frame in scan.frames]
+    return [_create_view(frame, scan.folder) for frame in scan.frames]
 
 
-def _view(frame: Frame, folder: Path | None) -> PosedView:
+def _create_view(frame: Frame, folder: Path | None) -> PosedView:
     pose, camera = frame.world_from_camera, frame.camera
     if pose is None or not np.isfinite(pose).all() or not camera.is_calibrated:
         lacking = "camera" if not camera.is_calibrated else "pose"
@@ -117,7 +117,7 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
             frame_name=frame.name,
             lacking=lacking,
         )
-    if np.abs(pose).max() > _FARTHEST_M:
+    if np.abs(pose).max() > _MAX_COORDINATE_M:
         raise InputError(
             POSE_INVALID,
             "the pose of frame {frame_name} is wrong: a coordinate is {max:g} m.",
@@ -125,4 +125,4 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
             frame_name=frame.name,
             max=np.abs(pose).max(),
         )
-    return PosedView(pinhole(camera), np.asarray(pose, np.float64), 0.0, math.inf)
+    return PosedView(to_pinhole(camera), np.asarray(pose, np.float64), 0.0, math.inf)

@@ -17,7 +17,7 @@ _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_LENGTH = 4
 # Maximum difference of cy in a rectified rig, pixels: rounding in calibration files, but no visible
 # misalignment.
-_ROW_TOLERANCE = 0.1
+_ROW_TOLERANCE_PX = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class RectifiedRig:
         return first, second
 
 
-def rectified_rig(rig: StereoRig) -> RectifiedRig:
+def rectify_rig(rig: StereoRig) -> RectifiedRig:
     """Rectify a stereo rig with Bouguet's method (OpenCV).
 
     A rig marked as rectified is only validated. Otherwise both cameras are rotated by half of their relative
@@ -100,12 +100,12 @@ def rectified_rig(rig: StereoRig) -> RectifiedRig:
             "both cameras of the rig have the same position",
             remedy="give the baseline in metres.",
         )
-    return _as_it_is(rig) if rig.rectified else _turned(rig)
+    return _wrap_rectified(rig) if rig.is_rectified else _rectify_with_opencv(rig)
 
 
-def _as_it_is(rig: StereoRig) -> RectifiedRig:
+def _wrap_rectified(rig: StereoRig) -> RectifiedRig:
     left, right = rig.left, rig.right
-    for name, tolerance in (("fx", 1e-3 * left.fx), ("fy", 1e-3 * left.fy), ("cy", _ROW_TOLERANCE)):
+    for name, tolerance in (("fx", 1e-3 * left.fx), ("fy", 1e-3 * left.fy), ("cy", _ROW_TOLERANCE_PX)):
         a, b = getattr(left, name), getattr(right, name)
         if abs(a - b) > tolerance:
             raise InputError(
@@ -119,11 +119,11 @@ def _as_it_is(rig: StereoRig) -> RectifiedRig:
                 b=b,
             )
     baseline = -float(rig.right_from_left[0, 3])
-    _require_left_is_left(baseline)
+    _check_camera_order(baseline)
     return RectifiedRig(left, right, baseline, np.eye(3))
 
 
-def _turned(rig: StereoRig) -> RectifiedRig:
+def _rectify_with_opencv(rig: StereoRig) -> RectifiedRig:
     import cv2
 
     left, right = rig.left, rig.right
@@ -172,7 +172,7 @@ def _turned(rig: StereoRig) -> RectifiedRig:
             remedy="Rotate images and calibration by 90 degrees.",
         )
     baseline = -float(p_right[0, 3] / p_right[0, 0])
-    _require_left_is_left(baseline)
+    _check_camera_order(baseline)
     if left.fisheye:
         focal = (left.fx + left.fy + right.fx + right.fy) / 4
         p_left = p_right = np.array(
@@ -187,16 +187,20 @@ def _turned(rig: StereoRig) -> RectifiedRig:
         )
     )
     return RectifiedRig(
-        _camera(size, p_left), _camera(size, p_right), baseline, np.asarray(r_left), (maps[0], maps[1])
+        _make_camera(size, p_left),
+        _make_camera(size, p_right),
+        baseline,
+        np.asarray(r_left),
+        (maps[0], maps[1]),
     )
 
 
-def _camera(size: tuple[int, int], projection: NDArray[Any]) -> Camera:
+def _make_camera(size: tuple[int, int], projection: NDArray[Any]) -> Camera:
     fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return Camera(*size, fx, fy, cx, cy)
 
 
-def _require_left_is_left(baseline: float) -> None:
+def _check_camera_order(baseline: float) -> None:
     if baseline <= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,

@@ -8,31 +8,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
 from scanloom.stages.scans.model.images import read_color, read_pinhole, require_size
-from scanloom.stages.scans.model.scan import ColorImage, Frame, Packed, scaled
+from scanloom.stages.scans.model.scan import ColorImage, Frame, PackedImage, scale_camera
 from scanloom.stages.stereo.posed_views import PosedView
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ViewImage:
     """View with its image.
 
     Attributes
     ----------
     view : posed view.
     grey : (h, w) uint8.
-    thing : (h, w), pixels that may show the object that masks cut out of all views; None without such masks.
+    object_mask : (h, w), pixels that may show the object that masks cut out of all views; None without such masks.
     """
 
     view: PosedView
     grey: NDArray[np.uint8]
-    thing: NDArray[np.bool_] | None = None
+    object_mask: NDArray[np.bool_] | None = None
 
 
-def color_of(frame: Frame) -> ColorImage:
+def read_view_color(frame: Frame) -> ColorImage:
     """Read the undistorted image of a frame, (h, w, 3) uint8.
 
     Raises
@@ -42,11 +42,11 @@ def color_of(frame: Frame) -> ColorImage:
     """
     color = read_pinhole(frame)
     if color is None:
-        raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", DiagnosticLocation(frame=frame.name))
     return color
 
 
-def grey_of(color: ColorImage) -> NDArray[np.uint8]:
+def convert_to_grey(color: ColorImage) -> NDArray[np.uint8]:
     """Convert an RGB image to grey, (h, w) uint8."""
     import cv2
 
@@ -74,13 +74,15 @@ def downscale(frame: Frame, max_side: int) -> Frame:
 
         color = read_color(frame)
         if color is None:
-            raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
+            raise InputError(
+                FRAME_IMAGE_MISSING, "the image is missing.", DiagnosticLocation(frame=frame.name)
+            )
         require_size(color, camera, frame.color, frame.name)
         return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
 
     if isinstance(frame.color, np.ndarray):
-        color: Packed | ColorImage = load()
+        color: PackedImage | ColorImage = load()
     else:
         file = frame.color if isinstance(frame.color, Path) else frame.color.file
-        color = Packed(file, f"{frame.name}, smaller", load)
-    return replace(frame, camera=scaled(camera, *size), color=color)
+        color = PackedImage(file, f"{frame.name}, smaller", load)
+    return replace(frame, camera=scale_camera(camera, *size), color=color)

@@ -25,25 +25,25 @@ class Edges:
     Attributes
     ----------
     ends : (e, 2) vertex indices, the smaller one first.
-    count : (e,) number of incident triangles.
-    forward : (e,) number of incident halfedges that run from the smaller to the larger vertex.
+    triangle_count : (e,) number of incident triangles.
+    forward_count : (e,) number of incident halfedges that run from the smaller to the larger vertex.
     of_halfedge : (3 m,) edge index of each halfedge.
     halfedges : (3 m,) halfedge indices sorted by edge, then by index.
     start : (e,) offset of each edge's halfedges in `halfedges`; `count[i]` entries belong to edge i.
     """
 
     ends: Ids
-    count: Ids
-    forward: Ids
+    triangle_count: Ids
+    forward_count: Ids
     of_halfedge: Ids
     halfedges: Ids
     start: Ids
 
 
-def edges_of(triangles: Triangles, vertex_count: int) -> Edges:
+def build_edges(triangles: Triangles, vertex_count: int) -> Edges:
     """Build the edges of triangles, which must not repeat a vertex."""
     tail = triangles.reshape(-1).astype(np.int64)
-    head = tail[next_corner(np.arange(len(tail)))]
+    head = tail[step_to_next_corner(np.arange(len(tail)))]
     key = np.minimum(tail, head) * vertex_count + np.maximum(tail, head)
     halfedges = np.argsort(key, kind="stable")
     ordered = key[halfedges]
@@ -55,20 +55,20 @@ def edges_of(triangles: Triangles, vertex_count: int) -> Edges:
     of_halfedge[halfedges] = edge
     return Edges(
         ends=np.stack(np.divmod(ordered[start], max(vertex_count, 1)), axis=1),
-        count=np.diff(start, append=len(key)),
-        forward=np.bincount(of_halfedge, tail < head, len(start)).astype(np.int64),
+        triangle_count=np.diff(start, append=len(key)),
+        forward_count=np.bincount(of_halfedge, tail < head, len(start)).astype(np.int64),
         of_halfedge=of_halfedge,
         halfedges=halfedges,
         start=start,
     )
 
 
-def next_corner(corner: Ids) -> Ids:
+def step_to_next_corner(corner: Ids) -> Ids:
     """Return the next corner in the same triangle."""
     return np.where(corner % 3 == 2, corner - 2, corner + 1)
 
 
-def neighbours(edges: Edges, chosen: NDArray[np.bool_]) -> tuple[Ids, Ids]:
+def pair_halfedges(edges: Edges, chosen: NDArray[np.bool_]) -> tuple[Ids, Ids]:
     """Return pairs of halfedges that share a chosen edge.
 
     An edge with k halfedges yields a chain of k - 1 pairs, which connects all of them.
@@ -80,8 +80,8 @@ def neighbours(edges: Edges, chosen: NDArray[np.bool_]) -> tuple[Ids, Ids]:
     return edges.halfedges[second - 1], edges.halfedges[second]
 
 
-def components(count: int, a: Ids, b: Ids) -> tuple[int, Ids]:
-    """Label the connected components of `count` nodes joined by the pairs (a, b).
+def label_components(node_count: int, a: Ids, b: Ids) -> tuple[int, Ids]:
+    """Label the connected components of `triangle_count` nodes joined by the pairs (a, b).
 
     Labels are numbered in the order of each component's first node.
 
@@ -92,20 +92,20 @@ def components(count: int, a: Ids, b: Ids) -> tuple[int, Ids]:
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
-    graph = csr_matrix((np.ones(len(a), np.int8), (a, b)), shape=(count, count))
+    graph = csr_matrix((np.ones(len(a), np.int8), (a, b)), shape=(node_count, node_count))
     number, labels = connected_components(graph, directed=False)
     return int(number), labels
 
 
-def fans(triangles: Triangles, a: Ids, b: Ids) -> Ids:
+def label_fans(triangles: Triangles, a: Ids, b: Ids) -> Ids:
     """Label the fans: corners of a vertex that the joined halfedges (a, b) connect.
 
     The halfedges of a pair share an edge. They can run in the same or in opposite directions.
     """
     corners = triangles.reshape(-1)
-    a_head, b_head = next_corner(a), next_corner(b)
+    a_head, b_head = step_to_next_corner(a), step_to_next_corner(b)
     against = corners[a] == corners[b_head]
-    _, labels = components(
+    _, labels = label_components(
         len(corners),
         np.concatenate((a, a_head)),
         np.concatenate((np.where(against, b_head, b), np.where(against, b, b_head))),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scanloom.stages.surface.mesh import Vertices
 
 
-def equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def find_equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Find the sets of vertices at equal positions.
 
     Returns
@@ -18,16 +18,16 @@ def equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.i
     sets : (n,) int32, set index of each vertex, numbered from 0 in the order of first vertices.
     first : (s,) first vertex of each set.
     """
-    sets = rank_labels(position_keys(vertices))
-    first = first_members(sets)
+    sets = rank_labels(hash_positions(vertices))
+    first = find_first_members(sets)
     if not np.array_equal(vertices[first][sets], vertices):
         # Hash collision: two different positions have the same key.
         sets = rank_labels(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
-        first = first_members(sets)
+        first = find_first_members(sets)
     return sets, first
 
 
-def position_keys(vertices: Vertices) -> NDArray[np.uint64]:
+def hash_positions(vertices: Vertices) -> NDArray[np.uint64]:
     """Hash positions (n, 3) to 64-bit keys (n,); collisions are very rare."""
     # Adding 0 turns −0 into +0, so both have the same bits.
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
@@ -44,7 +44,7 @@ def rank_labels(labels: NDArray[Any]) -> NDArray[np.int32]:
     return rank[inverse.reshape(-1)]
 
 
-def first_members(sets: NDArray[np.int32]) -> NDArray[np.int64]:
+def find_first_members(sets: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return the first member (s,) of each set."""
     first = np.empty(int(sets.max(initial=-1)) + 1, np.int64)
     first[sets[::-1]] = np.arange(len(sets))[::-1]

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import encoded_png
-from scanloom.stages.printing import counted, extent_in_words, line, table
+from scanloom.stages.files.image_bytes import encode_png
+from scanloom.stages.printing import format_count, format_extent, format_line, render_table
 from scanloom.stages.surface.codes import MESH_INDEX_OUT_OF_RANGE
-from scanloom.stages.surface.finite import LARGEST_SINGLE, require_finite
-from scanloom.stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
-from scanloom.stages.surface.thumbnail import thumbnail
+from scanloom.stages.surface.finite_check import FLOAT32_MAX, require_finite
+from scanloom.stages.surface.texture import Image, Material, Texture, select_rows, validate_texture
+from scanloom.stages.surface.thumbnail import render_thumbnail
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -33,18 +33,18 @@ __all__ = [
     "Triangles",
     "Vertices",
     "require_writable",
-    "validated",
+    "validate_mesh",
 ]
 
 Vertices = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 Colors = NDArray[np.uint8]
 
-_BEFORE_PROCESSING = "remove or repair these before processing."
+_PROCESSING_REMEDY = "remove or repair these before processing."
 # Shared with writers that have no Mesh, such as level-of-detail files.
-NOT_WRITTEN = "nothing is written. Remove or repair these first."
+WRITING_REMEDY = "nothing is written. Remove or repair these first."
 # Tolerance of the length of `up`; a vector outside it is normalized.
-_UNIT = 1e-12
+_UNIT_LENGTH_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,29 +85,29 @@ class Mesh:
     up: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
-        return line(self, self._facts())
+        return format_line(self, self._facts())
 
-    _repr_html_ = table
+    _repr_html_ = render_table
 
     def _facts(self) -> tuple[str, ...]:
         images = 0 if self.texture is None else len(self.texture.images)
         return (
-            counted(len(self.triangles), "triangle")
-            or counted(len(self.vertices), "point")
+            format_count(len(self.triangles), "triangle")
+            or format_count(len(self.vertices), "point")
             or "no triangles",
             "" if self.colors is None else "colours",
-            "" if self.texture is None else counted(images, "texture image") or "texture without images",
-            counted(0 if self.part_ids is None else len(self.part_names), "part"),
-            extent_in_words(self.vertices),
-            counted(len(self.diagnostics), "diagnostic"),
+            "" if self.texture is None else format_count(images, "texture image") or "texture without images",
+            format_count(0 if self.part_ids is None else len(self.part_names), "part"),
+            format_extent(self.vertices),
+            format_count(len(self.diagnostics), "diagnostic"),
         )
 
     def _thumbnail(self) -> bytes | None:
-        picture = thumbnail(self.vertices, self.triangles, self.colors, self.texture)
-        return None if picture is None else encoded_png(picture)
+        picture = render_thumbnail(self.vertices, self.triangles, self.colors, self.texture)
+        return None if picture is None else encode_png(picture)
 
     def with_(self, **changes: Unpack[MeshKeywords]) -> Mesh:
-        """Return a copy with some fields replaced; use `with_triangles` for new triangles."""
+        """Return a copy with some fields replaced; use `replace_triangles` for new triangles."""
         return replace(self, **changes)
 
     def with_triangles(
@@ -135,17 +135,17 @@ class Mesh:
         if self.corner_normals is None:
             corner_normals = None
         elif corner_normals is None:
-            corner_normals = rows_or(self.corner_normals, source, 0.0)
+            corner_normals = select_rows(self.corner_normals, source, 0.0)
         return replace(
             self,
             triangles=triangles,
-            texture=None if texture is None else texture.rows(source, uvs),
+            texture=None if texture is None else texture.select_triangles(source, uvs),
             corner_normals=corner_normals,
-            part_ids=None if part_ids is None else rows_or(part_ids, source, -1),
+            part_ids=None if part_ids is None else select_rows(part_ids, source, -1),
         )
 
 
-def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
+def validate_mesh(mesh: Mesh, where: str = "mesh") -> Mesh:
     """Validate an external mesh and convert its arrays to the documented dtypes.
 
     Parameters
@@ -158,28 +158,28 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
     MeshError
         If a shape is wrong, a value is not finite, or an index is out of range; names the first such row.
     """
-    vertices = _array(mesh.vertices, np.float64, (3,), "vertices", where)
-    triangles = _indices(mesh.triangles, len(vertices), where)
+    vertices = _validate_array(mesh.vertices, np.float64, (3,), "vertices", where)
+    triangles = _validate_indices(mesh.triangles, len(vertices), where)
     colors = mesh.colors
     if colors is not None:
-        colors = _array(colors, np.uint8, (3,), "colors", where)
+        colors = _validate_array(colors, np.uint8, (3,), "colors", where)
         _require_count(colors, len(vertices), "colors", where)
     normals = mesh.normals
     if normals is not None:
-        normals = _array(normals, np.float64, (3,), "normals", where)
+        normals = _validate_array(normals, np.float64, (3,), "normals", where)
         _require_count(normals, len(vertices), "normals", where)
     texture, corner_normals, part_ids = mesh.texture, mesh.corner_normals, mesh.part_ids
-    require_finite([("vertex", vertices)], where, _BEFORE_PROCESSING)
+    require_finite([("vertex", vertices)], where, _PROCESSING_REMEDY)
     if texture is not None:
-        texture = validated_texture(texture, len(triangles), where)
+        texture = validate_texture(texture, len(triangles), where)
     if corner_normals is not None:
-        corner_normals = _array(corner_normals, np.float64, (3, 3), "corner normals", where)
+        corner_normals = _validate_array(corner_normals, np.float64, (3, 3), "corner normals", where)
         _require_count(corner_normals, len(triangles), "corner normals", where, "triangles")
     require_finite(
-        [("normal", normals), ("corner normals of triangle", corner_normals)], where, _BEFORE_PROCESSING
+        [("normal", normals), ("corner normals of triangle", corner_normals)], where, _PROCESSING_REMEDY
     )
     if part_ids is not None:
-        part_ids = _part_ids(part_ids, len(triangles), len(mesh.part_names), where)
+        part_ids = _validate_part_ids(part_ids, len(triangles), len(mesh.part_names), where)
     return mesh.with_(
         vertices=vertices,
         triangles=triangles,
@@ -188,7 +188,7 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
         texture=texture,
         corner_normals=corner_normals,
         part_ids=part_ids,
-        up=None if mesh.up is None else _direction(mesh.up, where),
+        up=None if mesh.up is None else _validate_direction(mesh.up, where),
     )
 
 
@@ -210,19 +210,19 @@ def require_writable(mesh: Mesh, path: Path | str, *, single_precision: bool = F
         Names the first invalid vertex, normal or triangle.
     """
     uvs = None if mesh.texture is None else mesh.texture.uvs
-    require_finite([("texture coordinates of triangle", uvs)], path, NOT_WRITTEN)
+    require_finite([("texture coordinates of triangle", uvs)], path, WRITING_REMEDY)
     arrays = (
         ("vertex", mesh.vertices),
         ("normal", mesh.normals),
         ("corner normals of triangle", mesh.corner_normals),
     )
     if single_precision:
-        require_finite(arrays, path, f"{NOT_WRITTEN} PLY and OBJ hold larger numbers.", LARGEST_SINGLE)
+        require_finite(arrays, path, f"{WRITING_REMEDY} PLY and OBJ hold larger numbers.", FLOAT32_MAX)
     else:
-        require_finite(arrays, path, NOT_WRITTEN)
+        require_finite(arrays, path, WRITING_REMEDY)
 
 
-def _direction(up: Any, where: str) -> tuple[float, float, float]:
+def _validate_direction(up: Any, where: str) -> tuple[float, float, float]:
     array = np.asarray(up)
     is_vector = array.shape == (3,) and array.dtype.kind in "iuf"
     length = float(np.linalg.norm(array)) if is_vector else 0.0
@@ -233,13 +233,13 @@ def _direction(up: Any, where: str) -> tuple[float, float, float]:
             where,
             up=up,
         )
-    if abs(length - 1) > _UNIT:
+    if abs(length - 1) > _UNIT_LENGTH_TOLERANCE:
         array = array / length
     x, y, z = array.tolist()
     return x, y, z
 
 
-def _part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> NDArray[np.int32]:
+def _validate_part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> NDArray[np.int32]:
     array = np.asarray(data)
     if array.shape != (triangle_count,) or array.dtype.kind not in "iu":
         raise MeshError(
@@ -259,7 +259,7 @@ def _part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> ND
     return np.ascontiguousarray(array, np.int32)
 
 
-def _array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: str) -> Any:
+def _validate_array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: str) -> Any:
     array = np.asarray(data)
     if array.ndim != 1 + len(columns) or array.shape[1:] != columns:
         wanted = "n × " + " × ".join(map(str, columns))
@@ -290,7 +290,7 @@ def _array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: st
     return np.ascontiguousarray(array, dtype=dtype)
 
 
-def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
+def _validate_indices(data: Any, vertex_count: int, where: str) -> Triangles:
     array = np.asarray(data)
     if array.size == 0:
         return np.zeros((0, 3), np.int32)
@@ -335,5 +335,5 @@ def _require_count(array: NDArray[Any], count: int, name: str, where: str, of: s
             array_count=len(array),
             name=name,
             count=count,
-            of=of,
+            from_diagnostic=of,
         )

@@ -17,11 +17,11 @@ from typing import Any, cast
 import numpy as np
 
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
-from scanloom.stages.files.blas_buffers import require_buffers
+from scanloom.stages.diagnostics.errors import InputError, UsageError, is_out_of_memory
+from scanloom.stages.files.atomic_files import write_file_atomically
+from scanloom.stages.files.blas_memory import reserve_blas_buffers
 from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
-from scanloom.stages.files.opening import content_of
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.input_files import read_input_bytes
 from scanloom.stages.surface.codes import (
     MESH_COMPRESSION_UNKNOWN,
     MESH_FILE_DAMAGED,
@@ -29,17 +29,17 @@ from scanloom.stages.surface.codes import (
     MESH_NO_SURFACE,
     USAGE_EXTENSION_UNKNOWN,
 )
-from scanloom.stages.surface.convert import as_mesh, to_trimesh
 from scanloom.stages.surface.formats.gltf import read_gltf
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
 from scanloom.stages.surface.formats.obj import read_obj, write_obj
 from scanloom.stages.surface.formats.ply import read_ply, write_ply
 from scanloom.stages.surface.mesh import Mesh, require_writable
-from scanloom.stages.surface.welding import merge_vertices
+from scanloom.stages.surface.mesh_conversion import as_mesh, to_trimesh
+from scanloom.stages.surface.welding import weld_vertices
 
-EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
+MESH_EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 # Formats that store geometry only.
-SHAPE_ALONE = (".off", ".stl")
+GEOMETRY_ONLY_EXTENSIONS = (".off", ".stl")
 
 
 def read_mesh(path: Path | str) -> Mesh:
@@ -65,7 +65,7 @@ def read_mesh(path: Path | str) -> Mesh:
         If a vertex is not finite or an index is out of range.
     """
     path = Path(path)
-    mesh = read_whatever_it_holds(path)
+    mesh = read_mesh_or_empty(path)
     if len(mesh.vertices) == 0:
         raise InputError(MESH_NO_SURFACE, "holds no vertices.", path)
     if len(mesh.triangles) == 0:
@@ -78,17 +78,17 @@ def read_mesh(path: Path | str) -> Mesh:
     return mesh
 
 
-def read_whatever_it_holds(path: Path) -> Mesh:
+def read_mesh_or_empty(path: Path) -> Mesh:
     """Read a mesh file like `read_mesh`, but accept files without triangles or vertices."""
-    require_buffers(1)
+    reserve_blas_buffers(1)
     extension = path.suffix.lower()
-    if extension not in EXTENSIONS:
+    if extension not in MESH_EXTENSIONS:
         raise InputError(
             USAGE_EXTENSION_UNKNOWN,
             "is of an unknown format {path_suffix!r}; known are {extensions}.",
             path,
             path_suffix=path.suffix,
-            extensions=", ".join(EXTENSIONS),
+            extensions=", ".join(MESH_EXTENSIONS),
         )
     if not path.is_file():
         raise InputError(
@@ -105,7 +105,7 @@ def read_whatever_it_holds(path: Path) -> Mesh:
     return mesh.with_(diagnostics=tuple(diagnostics))
 
 
-def standing(path: Path, mesh: Mesh) -> Mesh:
+def set_default_up(path: Path, mesh: Mesh) -> Mesh:
     """Set a missing up direction to the format's up axis: +y in glTF."""
     if mesh.up is None and path.suffix.lower() in (".glb", ".gltf"):
         return mesh.with_(up=(0.0, 1.0, 0.0))
@@ -135,12 +135,12 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     """
     path = Path(path)
     extension = path.suffix.lower()
-    if extension not in EXTENSIONS:
+    if extension not in MESH_EXTENSIONS:
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
             "meshes are written as {extensions}, not as {path_suffix!r}.",
             path,
-            extensions=", ".join(EXTENSIONS),
+            extensions=", ".join(MESH_EXTENSIONS),
             path_suffix=path.suffix,
         )
     if path.is_symlink():
@@ -155,19 +155,19 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     else:
         require_writable(mesh, path, single_precision=extension == ".stl")
         data = to_trimesh(mesh.with_(texture=None))
-        with _quiet():
+        with _suppress_warnings():
             written = cast("str | bytes", data.export(file_type=extension[1:]))
-        with replacing(path) as part:
+        with write_file_atomically(path) as part:
             part.write_bytes(written.encode() if isinstance(written, str) else written)
 
 
-def lost_with(extension: str, mesh: Mesh) -> str:
+def list_unsupported_data(extension: str, mesh: Mesh) -> str:
     """Name the mesh data that a format cannot store, such as "colours and parts".
 
     Empty if nothing is lost. Vertex normals are not listed, because programs recompute them from the
     geometry.
     """
-    if extension not in SHAPE_ALONE:
+    if extension not in GEOMETRY_ONLY_EXTENSIONS:
         return ""
     has = (
         ("colours", mesh.colors is not None or mesh.texture is not None),
@@ -178,7 +178,7 @@ def lost_with(extension: str, mesh: Mesh) -> str:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _suppress_warnings() -> Iterator[None]:
     # Silences NumPy and trimesh warnings about invalid values; the result is validated afterwards.
     logger = logging.getLogger("trimesh")
     level = logger.level
@@ -193,13 +193,13 @@ def _quiet() -> Iterator[None]:
 
 def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     try:
-        data = content_of(path)
+        data = read_input_bytes(path)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     if extension == ".stl":
-        _require_whole_stl(data, path)
+        _require_complete_stl(data, path)
     elif data[:64].split(b"\n")[0].split()[:2] == [b"OFF", b"BINARY"]:
         raise InputError(
             MESH_COMPRESSION_UNKNOWN,
@@ -210,11 +210,11 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     import trimesh
 
     try:
-        with _quiet():
+        with _suppress_warnings():
             scene = trimesh.load_scene(io.BytesIO(data), file_type=extension[1:], process=False)
-            parts = [_placed(scene, node) for node in scene.graph.nodes_geometry]
+            parts = [_apply_scene_transform(scene, node) for node in scene.graph.nodes_geometry]
     except Exception as error:  # trimesh's readers raise arbitrary exceptions on malformed files
-        if is_lack_of_memory(error):
+        if is_out_of_memory(error):
             raise
         raise InputError(
             MESH_FILE_DAMAGED,
@@ -225,13 +225,13 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         ) from error
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
-        _report_lost_of_stl(parts, path)
-        return merge_vertices(_joined(meshes))
-    _report_lost_of_off(data, path)
-    return _joined(meshes)
+        _report_unused_stl_data(parts, path)
+        return weld_vertices(_concatenate_meshes(meshes))
+    _report_unused_off_data(data, path)
+    return _concatenate_meshes(meshes)
 
 
-def _report_lost_of_off(data: bytes, path: Path) -> None:
+def _report_unused_off_data(data: bytes, path: Path) -> None:
     """Warn about additional numbers in an OFF file, which trimesh ignores.
 
     They follow the coordinates of a vertex or the corners of a face.
@@ -251,7 +251,7 @@ def _report_lost_of_off(data: bytes, path: Path) -> None:
             )
 
 
-def _report_lost_of_stl(parts: list[Any], path: Path) -> None:
+def _report_unused_stl_data(parts: list[Any], path: Path) -> None:
     """Warn about dropped solid names and attribute numbers of an STL file."""
     if len(parts) > 1:
         emit(
@@ -267,14 +267,14 @@ def _report_lost_of_stl(parts: list[Any], path: Path) -> None:
         )
 
 
-def _placed(scene: Any, node: str) -> Any:
+def _apply_scene_transform(scene: Any, node: str) -> Any:
     transform, name = scene.graph[node]
     part = scene.geometry[name].copy(include_cache=True)
     part.apply_transform(transform)
     return part
 
 
-def _joined(meshes: list[Mesh]) -> Mesh:
+def _concatenate_meshes(meshes: list[Mesh]) -> Mesh:
     """Concatenate the meshes of an STL or OFF file.
 
     Colours are dropped if there are several meshes.
@@ -291,19 +291,19 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def _require_whole_stl(data: bytes, path: Path) -> None:
+def _require_complete_stl(data: bytes, path: Path) -> None:
     """Refuse a truncated binary STL file.
 
     trimesh would misread it as an empty text file.
     """
     start = data[:84]
     count = int.from_bytes(start[80:84], "little")
-    held = (len(data) - 84) // 50
-    if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
+    stored_count = (len(data) - 84) // 50
+    if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > stored_count:
         raise InputError(
             MESH_FILE_DAMAGED,
             "declares {count:,} triangles but holds {held:,}; it is damaged or cut short.",
             path,
             count=count,
-            held=held,
+            held=stored_count,
         )

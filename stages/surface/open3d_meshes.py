@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.surface.codes import MESH_CONVERSION_LOSS, MESH_LEFT_OUT
-from scanloom.stages.surface.color import tinted
-from scanloom.stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TensorMap
-from scanloom.stages.surface.formats.colors import to_uint8
+from scanloom.stages.surface.formats.color_conversion import to_uint8
+from scanloom.stages.surface.library_protocols import Open3DLegacyMesh, Open3DMesh, TensorMap
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.surface_color import multiply_base_color
 from scanloom.stages.surface.texture import Image, Material, Pixels, Texture
 
 if TYPE_CHECKING:
@@ -29,29 +29,29 @@ _WHITE = (1.0, 1.0, 1.0, 1.0)
 _IMAGE, _COLOR = "albedo", "base_color"
 # Properties added by scanloom: the number of materials, and a flag for a first material without a colour,
 # which Open3D would default to white.
-_COUNT, _NO_COLOR = "material_count", "base_color_unset"
+_MATERIAL_COUNT, _COLOR_UNSET = "material_count", "base_color_unset"
 
 
 def from_open3d(data: Open3DMesh, where: str) -> Mesh:
     """Convert an open3d.t.geometry.TriangleMesh; the result is not validated."""
 
-    def array(attributes: TensorMap, name: str) -> Any:
+    def read_array(attributes: TensorMap, name: str) -> Any:
         return attributes[name].cpu().numpy().copy() if name in attributes else None
 
-    vertices, triangles = array(data.vertex, "positions"), array(data.triangle, "indices")
-    colors, uvs = array(data.vertex, "colors"), array(data.triangle, "texture_uvs")
+    vertices, triangles = read_array(data.vertex, "positions"), read_array(data.triangle, "indices")
+    colors, uvs = read_array(data.vertex, "colors"), read_array(data.triangle, "texture_uvs")
     materials = _read_materials(data, where)
     texture = None
     if uvs is not None:
-        texture = _build_texture(uvs, array(data.triangle, "material_ids"), materials)
-    part_ids = array(data.triangle, "part_ids")
+        texture = _build_texture(uvs, read_array(data.triangle, "material_ids"), materials)
+    part_ids = read_array(data.triangle, "part_ids")
     return Mesh(
         vertices=np.zeros((0, 3)) if vertices is None else vertices,
         triangles=np.zeros((0, 3), np.int32) if triangles is None else triangles,
         colors=None if colors is None else _to_levels(colors),
-        normals=array(data.vertex, "normals"),
+        normals=read_array(data.vertex, "normals"),
         texture=texture,
-        corner_normals=array(data.triangle, "corner_normals"),
+        corner_normals=read_array(data.triangle, "corner_normals"),
         part_ids=part_ids,
         part_names=() if part_ids is None else _name_parts(part_ids),
     )
@@ -72,15 +72,15 @@ def _read_materials(data: Open3DMesh, where: str) -> tuple[Material, ...]:
         properties.vector_properties,
         properties.scalar_properties,
     )
-    count = int(numbers[_COUNT]) if _COUNT in numbers else 1
+    count = int(numbers[_MATERIAL_COUNT]) if _MATERIAL_COUNT in numbers else 1
     materials = []
     for index in range(count):
-        image_name, color_name = _indexed_name(_IMAGE, index), _indexed_name(_COLOR, index)
+        image_name, color_name = _make_indexed_name(_IMAGE, index), _make_indexed_name(_COLOR, index)
         image = None
         if image_name in maps:
             image = Image(given=_to_rgb(maps[image_name].cpu().as_tensor().numpy().copy()))
         color = None
-        if color_name in colors and (index > 0 or _NO_COLOR not in numbers):
+        if color_name in colors and (index > 0 or _COLOR_UNSET not in numbers):
             color = tuple(float(value) for value in colors[color_name])
         if image is not None and color == _WHITE:
             color = None
@@ -94,10 +94,10 @@ def _read_materials(data: Open3DMesh, where: str) -> tuple[Material, ...]:
         )
     # Open3D's default material carries no information and is dropped.
     has_own = count > 1 or materials[0].image is not None or materials[0].base_color not in (None, _WHITE)
-    return tuple(materials) if has_own or _COUNT in numbers else ()
+    return tuple(materials) if has_own or _MATERIAL_COUNT in numbers else ()
 
 
-def _indexed_name(name: str, index: int) -> str:
+def _make_indexed_name(name: str, index: int) -> str:
     return name if index == 0 else f"{name}_{index}"
 
 
@@ -156,9 +156,9 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
     material; further images are stored as `albedo_1` etc. Open3D's `clone` and `to_legacy` drop materials.
     Data that the class cannot hold is reported (`mesh.conversion-loss`).
     """
-    from scanloom.stages._open3d import open3d
+    from scanloom.stages._open3d import import_open3d
 
-    o3d = open3d()
+    o3d = import_open3d()
     tensor = o3d.core.Tensor
     result = o3d.t.geometry.TriangleMesh()
     result.vertex.positions = tensor(mesh.vertices)
@@ -186,15 +186,19 @@ def _set_tensor_materials(o3d: Any, target: Any, materials: tuple[Material, ...]
     if not materials:
         return
     target.set_default_properties()
-    target.scalar_properties[_COUNT] = float(len(materials))
+    target.scalar_properties[_MATERIAL_COUNT] = float(len(materials))
     if materials[0].image is None and materials[0].base_color is None:
-        target.scalar_properties[_NO_COLOR] = 1.0
+        target.scalar_properties[_COLOR_UNSET] = 1.0
     for index, material in enumerate(materials):
         if material.image is not None:
             pixels = np.ascontiguousarray(material.image.pixels)
-            target.texture_maps[_indexed_name(_IMAGE, index)] = o3d.t.geometry.Image(o3d.core.Tensor(pixels))
+            target.texture_maps[_make_indexed_name(_IMAGE, index)] = o3d.t.geometry.Image(
+                o3d.core.Tensor(pixels)
+            )
         if material.base_color is not None:
-            target.vector_properties[_indexed_name(_COLOR, index)] = np.array(material.base_color, np.float32)
+            target.vector_properties[_make_indexed_name(_COLOR, index)] = np.array(
+                material.base_color, np.float32
+            )
 
 
 def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
@@ -203,9 +207,9 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
     Colours become floats 0 to 1, from which the 8-bit values are recovered exactly. Base colours are
     multiplied into the images. Data that the class cannot hold is reported (`mesh.conversion-loss`).
     """
-    from scanloom.stages._open3d import open3d
+    from scanloom.stages._open3d import import_open3d
 
-    o3d = open3d()
+    o3d = import_open3d()
     result = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles)
     )
@@ -246,7 +250,7 @@ def _tint_pixels(pixels: Pixels, material: Material) -> Pixels:
     if material.base_color is None or min(material.base_color[:3]) >= 1:
         return pixels
     colors = pixels[..., :3].reshape(-1, 3).astype(np.float32)
-    levels = np.rint(tinted(colors, material)).astype(np.uint8)
+    levels = np.rint(multiply_base_color(colors, material)).astype(np.uint8)
     return np.concatenate([levels.reshape(*pixels.shape[:2], 3), pixels[..., 3:]], axis=2)
 
 

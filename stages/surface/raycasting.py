@@ -17,19 +17,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.surface.mesh import Mesh, Triangles
 
 Floats = NDArray[np.float64]
 
 # Queries per call: limits memory, and keeps the arrays in cache.
-CHUNK = 1 << 17
+CHUNK_SIZE = 1 << 17
 # A triangle whose doubled area is below this ratio of its squared longest side is treated as that side.
-_SLIVER = 1e-4
+_MAX_SLIVER_RATIO = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Located:
+class ClosestPoints:
     """Closest points on the surface.
 
     Attributes
@@ -45,7 +45,7 @@ class Located:
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class RayHits:
     """First intersections of rays with the surface; float32, the precision of the ray caster.
 
     Attributes
@@ -63,9 +63,9 @@ class Hits:
     distances: NDArray[np.float32]
     normals: NDArray[np.float32]
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> Hits:
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> RayHits:
         """Return the hits selected by a mask (k,)."""
-        return Hits(
+        return RayHits(
             self.rays[chosen],
             self.triangles[chosen],
             self.weights[chosen],
@@ -79,17 +79,17 @@ class Slimness(NamedTuple):
 
     Attributes
     ----------
-    longest : (m,) int64, corner at which the longest side starts.
-    longest2 : (m,) squared length of the longest side, m².
-    area2 : (m,) twice the area, m².
+    longest_side : (m,) int64, corner at which the longest side starts.
+    longest_squared : (m,) squared length of the longest side, m².
+    doubled_area : (m,) twice the area, m².
     """
 
-    longest: NDArray[np.int64]
-    longest2: Floats
-    area2: Floats
+    longest_side: NDArray[np.int64]
+    longest_squared: Floats
+    doubled_area: Floats
 
 
-class Surface:
+class RaycastingSurface:
     """A mesh prepared for closest-point and ray queries.
 
     Parameters
@@ -106,21 +106,21 @@ class Surface:
     """
 
     def __init__(self, mesh: Mesh, box: Floats | None = None) -> None:
-        box = bounding_box(mesh) if box is None else box
+        box = compute_bounding_box(mesh) if box is None else box
         self.mesh = mesh
         self._center = box.mean(axis=0)
         self._scale = 1 / max(float(np.linalg.norm(box[1] - box[0])), np.finfo(np.float64).tiny)
-        self.slimness = slimness_of(mesh)
-        o3d = open3d()
+        self.slimness = measure_slimness(mesh)
+        o3d = import_open3d()
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
-            o3d.core.Tensor(self._scaled(mesh.vertices)),
-            o3d.core.Tensor(_without_slivers(mesh, self.slimness).astype(np.uint32)),
+            o3d.core.Tensor(self._normalize_points(mesh.vertices)),
+            o3d.core.Tensor(_replace_slivers(mesh, self.slimness).astype(np.uint32)),
         )
         # Open3D builds its BVH at the first query. Trigger that now, because it is not thread-safe.
         self._scene.compute_closest_points(o3d.core.Tensor(np.zeros((1, 3), np.float32)))
 
-    def showing(self, mesh: Mesh) -> Surface:
+    def replace_mesh(self, mesh: Mesh) -> RaycastingSurface:
         """Return a copy with another mesh of equal geometry.
 
         The other mesh can have different colours.
@@ -132,19 +132,19 @@ class Surface:
     @cached_property
     def normals(self) -> Floats:
         """Unit normals (m, 3) of the triangles; 0 for triangles without area."""
-        return unit_normals(self.mesh)
+        return compute_triangle_normals(self.mesh)
 
-    def closest(self, points: Floats) -> Located:
+    def find_closest_points(self, points: Floats) -> ClosestPoints:
         """Find the closest surface point of each of `points`, (k, 3) float64 in metres."""
-        parts = [self._closest(points[rows]) for rows in chunks(len(points))]
-        return _joined(parts)
+        parts = [self._find_closest_in_chunk(points[rows]) for rows in iterate_chunks(len(points))]
+        return _concatenate_points(parts)
 
-    def cast(
+    def cast_rays(
         self,
         origin: Floats,
         directions: NDArray[np.floating],
         starts: NDArray[np.float32] | None = None,
-    ) -> Hits:
+    ) -> RayHits:
         """Find the first intersection of each ray.
 
         Parameters
@@ -154,15 +154,17 @@ class Surface:
         starts : (k,) minimum distances; None for 0.
         """
         rays = np.empty((len(directions), 6), np.float32)
-        rays[:, :3] = self._scaled(origin if starts is None else origin + starts[:, None] * directions)
+        rays[:, :3] = self._normalize_points(
+            origin if starts is None else origin + starts[:, None] * directions
+        )
         rays[:, 3:] = directions
-        found = self._scene.cast_rays(open3d().core.Tensor(rays))
+        found = self._scene.cast_rays(import_open3d().core.Tensor(rays))
         distances = found["t_hit"].numpy() / np.float32(self._scale)
         met = np.flatnonzero(np.isfinite(distances))
         if starts is not None:
             distances += starts
         u, v = found["primitive_uvs"].numpy()[met].T
-        return Hits(
+        return RayHits(
             met,
             found["primitive_ids"].numpy()[met].astype(np.int64),
             np.stack([1 - u - v, u, v], axis=1).clip(0, 1),
@@ -170,30 +172,32 @@ class Surface:
             found["primitive_normals"].numpy()[met],
         )
 
-    def nearest(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def find_nearest_triangles(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Find the triangle (k,) nearest to each point, and its distance, in single precision.
 
-        Faster than `closest`. All points are queried in one call; there must be at least one.
+        Faster than `find_closest_points`. All points are queried in one call; there must be at least one.
         """
-        asked = self._scaled(points)
-        found = self._scene.compute_closest_points(open3d().core.Tensor(asked))
+        asked = self._normalize_points(points)
+        found = self._scene.compute_closest_points(import_open3d().core.Tensor(asked))
         away = found["points"].numpy() - asked
         distances = np.sqrt(np.einsum("kx,kx->k", away, away)) / np.float32(self._scale)
         return found["primitive_ids"].numpy().astype(np.int64), distances
 
-    def _closest(self, points: Floats) -> Located:
-        found = self._scene.compute_closest_points(open3d().core.Tensor(self._scaled(points)))
+    def _find_closest_in_chunk(self, points: Floats) -> ClosestPoints:
+        found = self._scene.compute_closest_points(
+            import_open3d().core.Tensor(self._normalize_points(points))
+        )
         triangles = found["primitive_ids"].numpy().astype(np.int64)
         corners = self.mesh.vertices[self.mesh.triangles[triangles]]
-        weights = closest_weights(points, corners)
+        weights = compute_closest_weights(points, corners)
         nearest = np.einsum("kc,kcx->kx", weights, corners)
-        return Located(triangles, weights, np.linalg.norm(points - nearest, axis=1))
+        return ClosestPoints(triangles, weights, np.linalg.norm(points - nearest, axis=1))
 
-    def _scaled(self, points: Floats) -> NDArray[np.float32]:
+    def _normalize_points(self, points: Floats) -> NDArray[np.float32]:
         return np.asarray((points - self._center) * self._scale, np.float32)
 
 
-def slimness_of(mesh: Mesh) -> Slimness:
+def measure_slimness(mesh: Mesh) -> Slimness:
     """Compute the longest side and area of each triangle."""
     count = len(mesh.triangles)
     sides2, area2_squared = np.zeros((3, count)), np.zeros(count)
@@ -211,23 +215,23 @@ def slimness_of(mesh: Mesh) -> Slimness:
     return Slimness(longest, sides2.max(axis=0), np.sqrt(area2_squared))
 
 
-def _without_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
+def _replace_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
     """Replace every sliver by its longest side, as degenerate triangle (first, second, second).
 
     In single precision, the closest point of a sliver can be anywhere along its line, so another triangle
     could be selected. The closest point of a segment is stable.
     """
-    (slivers,) = np.nonzero(slimness.area2 <= _SLIVER * slimness.longest2)
+    (slivers,) = np.nonzero(slimness.doubled_area <= _MAX_SLIVER_RATIO * slimness.longest_squared)
     if not len(slivers):
         return mesh.triangles
     triangles: Triangles = mesh.triangles.copy()
-    longest = slimness.longest[slivers]
+    longest = slimness.longest_side[slivers]
     first, second = longest, (longest + 1) % 3
     triangles[slivers] = mesh.triangles[slivers[:, None], np.stack([first, second, second], axis=1)]
     return triangles
 
 
-def unit_normals(mesh: Mesh) -> Floats:
+def compute_triangle_normals(mesh: Mesh) -> Floats:
     """Compute the unit normals (m, 3) of a mesh's triangles; 0 for triangles without area."""
     # One coordinate at a time is several times faster than rows of three.
     corners = np.array([[x.take(corner) for x in mesh.vertices.T] for corner in mesh.triangles.T])
@@ -240,35 +244,35 @@ def unit_normals(mesh: Mesh) -> Floats:
     return normals
 
 
-def bounding_box(*meshes: Mesh) -> Floats:
+def compute_bounding_box(*meshes: Mesh) -> Floats:
     """Return the bounding box of all triangles: minimum and maximum corner (2, 3)."""
-    corners = [mesh.vertices.compress(is_used(mesh), axis=0) for mesh in meshes]
+    corners = [mesh.vertices.compress(mask_used_vertices(mesh), axis=0) for mesh in meshes]
     # One column at a time: a reduction over rows of three is several times slower.
     low = [min(points[:, axis].min() for points in corners) for axis in range(3)]
     high = [max(points[:, axis].max() for points in corners) for axis in range(3)]
     return np.array([low, high])
 
 
-def is_used(mesh: Mesh) -> NDArray[np.bool_]:
+def mask_used_vertices(mesh: Mesh) -> NDArray[np.bool_]:
     """Return a mask (n,) of the vertices used by triangles."""
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.triangles] = True
     return used
 
 
-def chunks(count: int) -> Iterator[slice]:
+def iterate_chunks(count: int) -> Iterator[slice]:
     """Yield slices of at most CHUNK that cover `count` rows."""
-    for start in range(0, count, CHUNK):
-        yield slice(start, min(start + CHUNK, count))
+    for start in range(0, count, CHUNK_SIZE):
+        yield slice(start, min(start + CHUNK_SIZE, count))
 
 
-def interpolated(values: NDArray[np.generic], mesh: Mesh, at: Located) -> Floats:
+def interpolate_values(values: NDArray[np.generic], mesh: Mesh, points: ClosestPoints) -> Floats:
     """Interpolate vertex values (n, d) at surface points; return (k, d) float64."""
-    corners = values[mesh.triangles[at.triangles]].astype(np.float64)
-    return np.asarray(np.einsum("kc,kcd->kd", at.weights, corners))
+    corners = values[mesh.triangles[points.triangles]].astype(np.float64)
+    return np.asarray(np.einsum("kc,kcd->kd", points.weights, corners))
 
 
-def closest_weights(points: Floats, corners: Floats) -> Floats:
+def compute_closest_weights(points: Floats, corners: Floats) -> Floats:
     """Compute barycentric weights (k, 3) of the closest point on each triangle.
 
     `corners` is (k, 3, 3). The closest point is the perpendicular foot if it is inside, else the closest
@@ -284,11 +288,11 @@ def closest_weights(points: Floats, corners: Floats) -> Floats:
         w = _dot(np.cross(ab, ap), normal) / squared
     weights = np.stack([1 - v - w, v, w], axis=1)
     outside = np.flatnonzero(~((weights >= 0).all(axis=1) & (squared > 0)))
-    weights[outside] = _closest_on_edges(points[outside], corners[outside])
+    weights[outside] = _find_closest_on_edges(points[outside], corners[outside])
     return weights
 
 
-def _closest_on_edges(points: Floats, corners: Floats) -> Floats:
+def _find_closest_on_edges(points: Floats, corners: Floats) -> Floats:
     best = np.full(len(points), np.inf)
     weights = np.zeros((len(points), 3))
     for start, end in ((0, 1), (1, 2), (2, 0)):
@@ -312,12 +316,12 @@ def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("kx,kx->k", a, b))
 
 
-def _joined(parts: list[Located]) -> Located:
+def _concatenate_points(parts: list[ClosestPoints]) -> ClosestPoints:
     if len(parts) == 1:
         return parts[0]
     if not parts:
-        return Located(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
-    return Located(
+        return ClosestPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+    return ClosestPoints(
         np.concatenate([p.triangles for p in parts]),
         np.concatenate([p.weights for p in parts]),
         np.concatenate([p.distances for p in parts]),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.edges import components
+from scanloom.stages.surface.edges import label_components
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.welding import same_rows
+from scanloom.stages.surface.welding import find_first_equal_rows
 
 
 def find_small_components(
@@ -28,9 +28,9 @@ def find_small_components(
     -------
     A mask (m,) of the triangles, and the number of small components.
     """
-    position = same_rows(list(mesh.vertices.T))
+    position = find_first_equal_rows(list(mesh.vertices.T))
     corners = position[mesh.triangles]
-    _, label = components(len(position), corners[:, :2].reshape(-1), corners[:, 1:].reshape(-1))
+    _, label = label_components(len(position), corners[:, :2].reshape(-1), corners[:, 1:].reshape(-1))
     _, component = np.unique(label[corners[:, 0]], return_inverse=True)
     count = int(component.max(initial=-1)) + 1
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
-from scanloom.stages.printing import counted, line
+from scanloom.stages.files.image_bytes import decode_image, detect_image_type, encode_png, read_header_size
+from scanloom.stages.printing import format_count, format_line
 from scanloom.stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
 
 Pixels = NDArray[np.uint8]
 
 # Wrap modes of an image along u and v.
-WRAPS = ("repeat", "clamp", "mirror")
+WRAP_MODES = ("repeat", "clamp", "mirror")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class Image:
 
     def __repr__(self) -> str:
         size = "" if self.given is None else " × ".join(map(str, self.given.shape[1::-1])) + " px"
-        held = "" if self.encoded is None else counted(len(self.encoded), "byte")
-        return line(self, (self.name, size, held))
+        held = "" if self.encoded is None else format_count(len(self.encoded), "byte")
+        return format_line(self, (self.name, size, held))
 
     @cached_property
     def pixels(self) -> Pixels:
@@ -52,7 +52,7 @@ class Image:
         """
         if self.given is not None:
             return self.given
-        pixels = None if self.encoded is None else decoded_image(self.encoded)
+        pixels = None if self.encoded is None else decode_image(self.encoded)
         if pixels is None:
             raise MeshError(
                 MESH_TEXTURE_DAMAGED,
@@ -66,22 +66,22 @@ class Image:
         """Width and height in texels from the image header, without decoding; None if unreadable."""
         if self.given is not None:
             return self.given.shape[1], self.given.shape[0]
-        return None if self.encoded is None else promised_size(self.encoded)
+        return None if self.encoded is None else read_header_size(self.encoded)
 
     @cached_property
     def file_bytes(self) -> bytes:
         """Content of the image file: the original bytes, or the pixels encoded as PNG."""
-        return self.encoded if self.encoded is not None else encoded_png(self.pixels)
+        return self.encoded if self.encoded is not None else encode_png(self.pixels)
 
     @property
     def extension(self) -> str:
-        """File extension for `file_bytes`, such as ".png"; from `name` if the content is unknown."""
-        return kind_of(self.encoded, self.name)[0] if self.encoded is not None else ".png"
+        """File extension for `read_image_bytes`, such as ".png"; from `name` if the content is unknown."""
+        return detect_image_type(self.encoded, self.name)[0] if self.encoded is not None else ".png"
 
     @property
     def mime(self) -> str:
-        """Media type of `file_bytes`, such as "image/png"."""
-        return kind_of(self.encoded, self.name)[1] if self.encoded is not None else "image/png"
+        """Media type of `read_image_bytes`, such as "image/png"."""
+        return detect_image_type(self.encoded, self.name)[1] if self.encoded is not None else "image/png"
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class Material:
 
     def __repr__(self) -> str:
         color = "" if self.base_color is None else f"colour {' '.join(f'{c:.3g}' for c in self.base_color)}"
-        return line(self, (self.name, "" if self.image is None else repr(self.image), color))
+        return format_line(self, (self.name, "" if self.image is None else repr(self.image), color))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +129,12 @@ class Texture:
     materials: tuple[Material, ...] = ()
 
     def __repr__(self) -> str:
-        return line(
+        return format_line(
             self,
             (
-                counted(len(self.material_ids), "triangle"),
-                counted(len(self.materials), "material"),
-                counted(len(self.images), "image"),
+                format_count(len(self.material_ids), "triangle"),
+                format_count(len(self.materials), "material"),
+                format_count(len(self.images), "image"),
             ),
         )
 
@@ -148,7 +148,7 @@ class Texture:
         """Return a mask (m,) of the triangles with texture coordinates."""
         return np.asarray((self.uvs != 0).any(axis=(1, 2)))
 
-    def rows(self, source: NDArray[Any], uvs: NDArray[np.float64] | None = None) -> Texture:
+    def select_triangles(self, source: NDArray[Any], uvs: NDArray[np.float64] | None = None) -> Texture:
         """Select the texture of chosen triangles.
 
         Parameters
@@ -158,18 +158,18 @@ class Texture:
         """
         return replace(
             self,
-            uvs=rows_or(self.uvs, source, 0.0) if uvs is None else uvs,
-            material_ids=rows_or(self.material_ids, source, -1),
+            uvs=select_rows(self.uvs, source, 0.0) if uvs is None else uvs,
+            material_ids=select_rows(self.material_ids, source, -1),
         )
 
 
-def signed_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_signed_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute signed areas (m,) of 2-D triangles (m, 3, 2); negative if clockwise."""
     (x1, y1), (x2, y2) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
     return np.asarray((x1 * y2 - y1 * x2) / 2)
 
 
-def rows_or(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArray[Any]:
+def select_rows(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArray[Any]:
     """Select rows by index or mask; index -1 gives `missing`."""
     chosen: NDArray[Any] = array[source]
     if source.dtype.kind == "i":
@@ -177,7 +177,7 @@ def rows_or(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArra
     return chosen
 
 
-def validated_texture(texture: Texture, triangle_count: int, where: str) -> Texture:
+def validate_texture(texture: Texture, triangle_count: int, where: str) -> Texture:
     """Validate an external texture and convert its arrays to the documented dtypes.
 
     Raises

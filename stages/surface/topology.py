@@ -9,21 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NO_SURFACE
-from scanloom.stages.surface.convert import MeshLike, as_mesh
-from scanloom.stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
+from scanloom.stages.surface.edges import (
+    Edges,
+    Ids,
+    build_edges,
+    label_components,
+    label_fans,
+    pair_halfedges,
+    step_to_next_corner,
+)
 from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 
 # Maximum ratio of height to longest edge of a degenerate triangle, whose normal is unusable: with positions
 # of metres and edges of millimetres, rounding alone moves a vertex by that much.
-FLAT = 1e-10
+MAX_FLATNESS = 1e-10
 
 
 # Metres. Products of four lengths stay finite; the kernels have the same limit.
-_FARTHEST = 1e60
+_MAX_COORDINATE = 1e60
 # In image widths, that is repetitions of the image.
-_FARTHEST_UV = 1e30
+_MAX_UV = 1e30
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,8 @@ class Topology:
     unreferenced: int
     repeating: int
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     @property
     def is_manifold(self) -> bool:
@@ -100,27 +108,27 @@ def topology(mesh: MeshLike) -> Topology:
         If the mesh is invalid.
     """
     mesh = as_mesh(mesh)
-    repeating = repeats_vertex(mesh.triangles)
+    repeating = has_repeated_vertex(mesh.triangles)
     proper = mesh.triangles[~repeating]
-    edges = edges_of(proper, len(mesh.vertices))
-    labels = fans(proper, *neighbours(edges, edges.count > 1))
+    edges = build_edges(proper, len(mesh.vertices))
+    labels = label_fans(proper, *pair_halfedges(edges, edges.triangle_count > 1))
     used = np.zeros(len(mesh.vertices), bool)
     used[proper] = True
     unused = int(np.count_nonzero(~used))
-    pieces, _ = components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
+    pieces, _ = label_components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
     referenced = np.zeros(len(mesh.vertices), bool)
     referenced[mesh.triangles] = True
     return Topology(
         vertices=len(mesh.vertices),
         triangles=len(mesh.triangles),
-        edges=len(edges.count),
-        euler=len(mesh.vertices) - unused - len(edges.count) + len(proper),
-        boundary_edges=int(np.count_nonzero(edges.count == 1)),
-        boundary_loops=_loop_count(edges, labels),
+        edges=len(edges.triangle_count),
+        euler=len(mesh.vertices) - unused - len(edges.triangle_count) + len(proper),
+        boundary_edges=int(np.count_nonzero(edges.triangle_count == 1)),
+        boundary_loops=_count_border_loops(edges, labels),
         components=pieces - unused,
-        nonmanifold_edges=int(np.count_nonzero(edges.count > 2)),
-        nonmanifold_vertices=len(pinched(proper, labels)),
-        inconsistent_edges=int(np.count_nonzero(inconsistent(edges))),
+        nonmanifold_edges=int(np.count_nonzero(edges.triangle_count > 2)),
+        nonmanifold_vertices=len(find_pinched_vertices(proper, labels)),
+        inconsistent_edges=int(np.count_nonzero(is_inconsistent(edges))),
         degenerate=int(np.count_nonzero(is_degenerate(mesh.vertices, mesh.triangles))),
         duplicate=int(np.count_nonzero(is_duplicate(edges))),
         unreferenced=int(np.count_nonzero(~referenced)),
@@ -137,17 +145,19 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
         If it is not; names the first offending triangles, edges or vertices.
     """
     mesh = as_mesh(mesh, where)
-    repeating = repeats_vertex(mesh.triangles)
+    repeating = has_repeated_vertex(mesh.triangles)
     if repeating.any():
         _refuse(where, "triangles that repeat a vertex", np.flatnonzero(repeating))
-    edges = edges_of(mesh.triangles, len(mesh.vertices))
+    edges = build_edges(mesh.triangles, len(mesh.vertices))
     for offending, name in (
-        (edges.count > 2, "edges with more than two triangles"),
-        (inconsistent(edges), "inconsistently oriented edges"),
+        (edges.triangle_count > 2, "edges with more than two triangles"),
+        (is_inconsistent(edges), "inconsistently oriented edges"),
     ):
         if offending.any():
             _refuse(where, name, edges.ends[offending])
-    singular = pinched(mesh.triangles, fans(mesh.triangles, *neighbours(edges, edges.count > 1)))
+    singular = find_pinched_vertices(
+        mesh.triangles, label_fans(mesh.triangles, *pair_halfedges(edges, edges.triangle_count > 1))
+    )
     if len(singular):
         _refuse(where, "pinched vertices, whose triangles form more than one fan", singular)
     return mesh
@@ -162,7 +172,7 @@ def require_measurable(mesh: Mesh, where: str) -> None:
         If a vertex or texture coordinate exceeds the limit of the kernels; `where` starts the message.
     """
     if mesh.texture is not None:
-        (beyond,) = np.nonzero((np.abs(mesh.texture.uvs) > _FARTHEST_UV).any(axis=(1, 2)))
+        (beyond,) = np.nonzero((np.abs(mesh.texture.uvs) > _MAX_UV).any(axis=(1, 2)))
         if len(beyond):
             raise MeshError(
                 MESH_COORDINATES_TOO_LARGE,
@@ -173,10 +183,10 @@ def require_measurable(mesh: Mesh, where: str) -> None:
                 where,
                 remedy="create a new texture, or remove it.",
                 beyond=beyond[0],
-                farthest_uv=_FARTHEST_UV,
+                farthest_uv=_MAX_UV,
                 beyond_count=len(beyond),
             )
-    (beyond,) = np.nonzero((np.abs(mesh.vertices) > _FARTHEST).any(axis=1))
+    (beyond,) = np.nonzero((np.abs(mesh.vertices) > _MAX_COORDINATE).any(axis=1))
     if len(beyond):
         place = ", ".join(f"{value:g}" for value in mesh.vertices[beyond[0]])
         raise MeshError(
@@ -189,7 +199,7 @@ def require_measurable(mesh: Mesh, where: str) -> None:
             remedy="remove it, or scale the mesh.",
             beyond=beyond[0],
             place=place,
-            farthest=_FARTHEST,
+            farthest=_MAX_COORDINATE,
             beyond_count=len(beyond),
         )
 
@@ -206,7 +216,7 @@ def require_area(mesh: Mesh, where: str) -> None:
         raise MeshError(MESH_NO_SURFACE, "it has no triangles; there is no surface.", where)
     require_measurable(mesh, where)
     with np.errstate(over="ignore", invalid="ignore"):
-        total = areas(mesh.vertices, mesh.triangles).sum()
+        total = compute_areas(mesh.vertices, mesh.triangles).sum()
     if total == 0:
         raise MeshError(MESH_NO_SURFACE, "all its triangles have zero area; there is no surface.", where)
     if not np.isfinite(total):
@@ -217,7 +227,7 @@ def require_area(mesh: Mesh, where: str) -> None:
         )
 
 
-def _refuse(where: str, what: str, offenders: NDArray[Any]) -> None:
+def _refuse(where: str, defect_name: str, offenders: NDArray[Any]) -> None:
     first = ", ".join("–".join(map(str, np.atleast_1d(row))) for row in offenders[:3])
     more = ", …" if len(offenders) > 3 else ""
     raise MeshError(
@@ -226,13 +236,13 @@ def _refuse(where: str, what: str, offenders: NDArray[Any]) -> None:
         where,
         remedy="clean it first.",
         offenders_count=len(offenders),
-        what=what,
+        what=defect_name,
         first=first,
         more=more,
     )
 
 
-def repeats_vertex(triangles: Triangles | Ids) -> NDArray[np.bool_]:
+def has_repeated_vertex(triangles: Triangles | Ids) -> NDArray[np.bool_]:
     """Return a mask (m,) of the triangles that repeat a vertex."""
     a, b, c = triangles.T
     return np.asarray((a == b) | (b == c) | (c == a))
@@ -243,16 +253,18 @@ def is_degenerate(vertices: Vertices, triangles: Triangles) -> NDArray[np.bool_]
 
     They repeat a vertex or have no area (see FLAT).
     """
-    longest, doubled_area = _sizes(vertices, triangles)
-    return np.asarray(doubled_area <= FLAT * longest)
+    longest, doubled_area = _measure_triangles(vertices, triangles)
+    return np.asarray(doubled_area <= MAX_FLATNESS * longest)
 
 
-def areas(vertices: Vertices, triangles: Triangles) -> NDArray[np.float64]:
+def compute_areas(vertices: Vertices, triangles: Triangles) -> NDArray[np.float64]:
     """Compute the area (m,) of each triangle, m²."""
-    return _sizes(vertices, triangles)[1] / 2
+    return _measure_triangles(vertices, triangles)[1] / 2
 
 
-def _sizes(vertices: Vertices, triangles: Triangles) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _measure_triangles(
+    vertices: Vertices, triangles: Triangles
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compute each triangle's squared longest edge and doubled area, m²."""
     # One coordinate at a time is three times faster than rows of three, and this runs over all triangles.
     a, b, c = triangles.T
@@ -266,7 +278,7 @@ def is_duplicate(edges: Edges) -> NDArray[np.bool_]:
     """Return a mask (m,) of triangles that duplicate an earlier one."""
     # Two edges of a triangle determine its vertices.
     first, second, _ = np.sort(edges.of_halfedge.reshape(-1, 3), axis=1).T
-    key = first * len(edges.count) + second
+    key = first * len(edges.triangle_count) + second
     ordered = np.sort(key)
     if (ordered[1:] != ordered[:-1]).all():
         return np.zeros(len(key), bool)
@@ -276,15 +288,15 @@ def is_duplicate(edges: Edges) -> NDArray[np.bool_]:
     return again
 
 
-def inconsistent(edges: Edges) -> NDArray[np.bool_]:
+def is_inconsistent(edges: Edges) -> NDArray[np.bool_]:
     """Return a mask (e,) of the inconsistently oriented edges.
 
     Both triangles traverse such an edge in the same direction.
     """
-    return np.asarray((edges.count == 2) & (edges.forward != 1))
+    return np.asarray((edges.triangle_count == 2) & (edges.forward_count != 1))
 
 
-def pinched(triangles: Triangles, labels: Ids) -> Ids:
+def find_pinched_vertices(triangles: Triangles, labels: Ids) -> Ids:
     """Return the vertices whose corners have more than one fan label."""
     corners = triangles.reshape(-1)
     vertex_of_fan = np.empty(labels.max(initial=-1) + 1, np.int64)
@@ -293,9 +305,11 @@ def pinched(triangles: Triangles, labels: Ids) -> Ids:
     return np.flatnonzero(number_of_fans > 1)
 
 
-def _loop_count(edges: Edges, labels: Ids) -> int:
+def _count_border_loops(edges: Edges, labels: Ids) -> int:
     """Count border loops; at a pinched vertex, a loop continues along its own fan."""
-    border = edges.halfedges[edges.start[edges.count == 1]]
-    ends, index = np.unique(labels[np.concatenate((border, next_corner(border)))], return_inverse=True)
-    number, _ = components(len(ends), index[: len(border)], index[len(border) :])
+    border = edges.halfedges[edges.start[edges.triangle_count == 1]]
+    ends, index = np.unique(
+        labels[np.concatenate((border, step_to_next_corner(border)))], return_inverse=True
+    )
+    number, _ = label_components(len(ends), index[: len(border)], index[len(border) :])
     return number

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.surface.codes import MESH_LEFT_OUT
-from scanloom.stages.surface.foreign_meshes import TrimeshMesh
-from scanloom.stages.surface.formats.colors import srgb_from_linear, to_uint8
-from scanloom.stages.surface.mesh import Mesh, validated
-from scanloom.stages.surface.texture import WRAPS, Image, Material, Texture
+from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb, to_uint8
+from scanloom.stages.surface.library_protocols import TrimeshMesh
+from scanloom.stages.surface.mesh import Mesh, validate_mesh
+from scanloom.stages.surface.texture import WRAP_MODES, Image, Material, Texture
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 _Ids = NDArray[np.int32]
 
 # trimesh's default colour of a material.
-_UNSET = (102, 102, 102, 255)
+_DEFAULT_COLOR = (102, 102, 102, 255)
 _WHITE = (255, 255, 255, 255)
 # Key in `info` of a PIL image for the original file name and content.
-_FILE = "scanloom_file"
+_FILE_KEY = "scanloom_file"
 _OTHER_MAPS = ("normalTexture", "emissiveTexture", "occlusionTexture", "metallicRoughnessTexture")
 
 
@@ -47,7 +47,7 @@ def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
     )
     part_ids, part_names = _read_parts(other)
     mesh = mesh.with_(part_ids=part_ids, part_names=part_names, up=_read_up(other.metadata.get("up")))
-    mesh = validated(mesh, where)
+    mesh = validate_mesh(mesh, where)
     if len(mesh.triangles) > 0 and visual.kind == "texture":
         mesh = _add_texture(mesh, visual, where)
     return mesh
@@ -111,10 +111,10 @@ def _add_texture(mesh: Mesh, visual: Any, where: str) -> Mesh:
     corner_uvs = np.array(uvs, np.float64)[:, :2][mesh.triangles] if has_uvs else np.zeros((count, 3, 2))
     if not any(material.image or material.base_color or material.name for material in materials):
         ids, materials = np.full(count, -1, np.int32), ()
-    mesh = validated(mesh.with_(texture=Texture(corner_uvs, ids, materials)), where)
+    mesh = validate_mesh(mesh.with_(texture=Texture(corner_uvs, ids, materials)), where)
     attributes = visual.vertex_attributes
     source = np.asarray(attributes["vertex_index"]) if "vertex_index" in attributes else None
-    return mesh if source is None else _join_copies(mesh, source)
+    return mesh if source is None else _weld_copies(mesh, source)
 
 
 def _read_material_ids(given: Any, count: int, materials: int) -> _Ids:
@@ -132,7 +132,7 @@ def _read_material(data: Any, images: dict[int, Image], where: str) -> Material:
         factor = data.baseColorFactor
         color = None if factor is None else tuple((np.asarray(factor, np.float64) / 255).tolist())
         if color is not None:
-            color = (*srgb_from_linear(np.array(color[:3])).tolist(), color[3])
+            color = (*convert_linear_to_srgb(np.array(color[:3])).tolist(), color[3])
         lost = sorted(name for name in _OTHER_MAPS if getattr(data, name, None) is not None)
         if lost:
             emit(
@@ -144,15 +144,15 @@ def _read_material(data: Any, images: dict[int, Image], where: str) -> Material:
             )
         return Material(name, image, None if image is not None and color == (1, 1, 1, 1) else color)
     image = _read_image(getattr(data, "image", None), images)
-    said = getattr(data, "kwargs", None) or {}
-    wrap = said.get("wrap")
-    is_wrap = isinstance(wrap, tuple) and len(wrap) == 2 and set(wrap) <= set(WRAPS)
+    properties = getattr(data, "kwargs", None) or {}
+    wrap = properties.get("wrap")
+    is_wrap = isinstance(wrap, tuple) and len(wrap) == 2 and set(wrap) <= set(WRAP_MODES)
     return Material(
         name=name,
         image=image,
-        base_color=_read_color(data, image, said.get("base_color")),
+        base_color=_read_color(data, image, properties.get("base_color")),
         wrap=cast("Any", wrap) if is_wrap else ("repeat", "repeat"),
-        kept=said.get("kept"),
+        kept=properties.get("kept"),
     )
 
 
@@ -163,7 +163,7 @@ def _read_color(data: Any, image: Image | None, exact: Any) -> tuple[float, floa
         red, green, blue, alpha = exact
         return red, green, blue, alpha
     # As for MTL files: programs disagree on the effect of a diffuse colour on an image.
-    if image is not None or diffuse == _UNSET or len(diffuse) != 4:
+    if image is not None or diffuse == _DEFAULT_COLOR or len(diffuse) != 4:
         return None
     red, green, blue, alpha = (level / 255 for level in diffuse)
     return red, green, blue, alpha
@@ -179,7 +179,7 @@ def _read_image(data: Any, images: dict[int, Image]) -> Image | None:
     if id(data) not in images:
         has_alpha = data.mode in ("RGBA", "LA", "PA")
         pixels = np.asarray(data.convert("RGBA" if has_alpha else "RGB"), np.uint8)
-        if pixels.shape[:2] == (1, 1) and tuple(pixels[0, 0, :3]) == _UNSET[:3]:
+        if pixels.shape[:2] == (1, 1) and tuple(pixels[0, 0, :3]) == _DEFAULT_COLOR[:3]:
             # trimesh's placeholder for a missing image.
             return None
         images[id(data)] = _recover_file(data, pixels) or Image(given=pixels)
@@ -188,7 +188,7 @@ def _read_image(data: Any, images: dict[int, Image]) -> Image | None:
 
 def _recover_file(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
     """Return the original file of an image if its pixels are unchanged."""
-    held = data.info.get(_FILE)
+    held = data.info.get(_FILE_KEY)
     if held is None:
         return None
     image = Image(*held)
@@ -198,7 +198,7 @@ def _recover_file(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
         return None
 
 
-def _join_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
+def _weld_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
     """Weld the duplicates along texture seams, unless one of them was modified."""
     if source.shape != (len(mesh.vertices),) or source.dtype.kind not in "iu" or len(source) == 0:
         return mesh
@@ -216,7 +216,7 @@ def _join_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
 
 
 def to_trimesh(mesh: Mesh) -> Trimesh:
-    """Convert a mesh to a trimesh.Trimesh; `as_mesh` restores the same mesh.
+    """Convert a mesh to a trimesh.Trimesh; `to_mesh` restores the same mesh.
 
     Vertices on texture seams are duplicated, because the class has one texture coordinate per vertex. Several
     materials become a MultiMaterial with `face_materials`. trimesh's viewer and exporters ignore these; write
@@ -227,10 +227,10 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
 
     source = np.arange(len(mesh.vertices))
     triangles: NDArray[np.integer] = mesh.triangles
-    looks: dict[str, Any] = {"vertex_colors": mesh.colors}
+    visual_arguments: dict[str, Any] = {"vertex_colors": mesh.colors}
     if mesh.texture is not None and len(mesh.triangles) > 0:
         source, triangles, uvs = _split_seams(mesh, mesh.texture)
-        looks = {"visual": _build_visual(mesh, mesh.texture, source, uvs)}
+        visual_arguments = {"visual": _build_visual(mesh, mesh.texture, source, uvs)}
     attributes: dict[str, Any] = {}
     if mesh.corner_normals is not None:
         attributes["corner_normals"] = mesh.corner_normals
@@ -248,7 +248,7 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
         face_attributes=attributes,
         metadata=metadata,
         process=False,
-        **looks,
+        **visual_arguments,
     )
 
 
@@ -305,15 +305,15 @@ def _build_material(material: Material, images: dict[int, Any]) -> Any:
         if key not in images:
             images[key] = fromarray(np.ascontiguousarray(material.image.pixels))
             if material.image.encoded is not None:
-                images[key].info[_FILE] = (material.image.name, material.image.encoded)
+                images[key].info[_FILE_KEY] = (material.image.name, material.image.encoded)
         image = images[key]
     color = material.base_color
     # White, so that an image without a base colour is displayed unchanged.
     diffuse = _to_levels(color) if color is not None else _WHITE if image is not None else None
-    said = {"base_color": color, "wrap": material.wrap, "kept": material.kept}
+    properties = {"base_color": color, "wrap": material.wrap, "kept": material.kept}
     return types.SimpleMaterial(
         image=image,
         diffuse=None if diffuse is None else np.array(diffuse, np.uint8),
         name=material.name or None,
-        **said,
+        **properties,
     )

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from scanloom.stages.surface.mesh import Mesh
 
 
-def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+def compute_vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
     """Compute area-weighted unit vertex normals (n, 3); 0 for unused vertices."""
-    return unit(normal_sums(mesh))
+    return normalize_vectors(sum_normals(mesh))
 
 
-def normal_sums(mesh: Mesh) -> NDArray[np.float64]:
+def sum_normals(mesh: Mesh) -> NDArray[np.float64]:
     """Sum the triangle normals around each vertex (n, 3).
 
     A triangle normal is twice the triangle's area long (m²).
@@ -29,7 +29,7 @@ def normal_sums(mesh: Mesh) -> NDArray[np.float64]:
     return normals
 
 
-def unit(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalize_vectors(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     """Normalize vectors (n, 3) to unit length; zero vectors stay zero."""
     lengths = np.sqrt(np.einsum("kx,kx->k", normals, normals))
     return np.asarray(normals / np.maximum(lengths, np.finfo(np.float64).tiny)[:, None])

@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 from scanloom.stages.surface.mesh import Mesh
 
 
-def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
+def weld_vertices(mesh: Mesh, group_ids: NDArray[Any] | None = None) -> Mesh:
     """Weld vertices with exactly equal position and colour; vertices keep their order.
 
     Some formats duplicate vertices along texture seams and hard edges, and STL stores separate corners;
     welding restores the connectivity. A welded vertex gets the mean of the normals. Vertices that differ in
-    `apart` (n,) are not welded.
+    `group_ids` (n,) are not welded.
     """
     keys = list(mesh.vertices.T)
     if mesh.colors is not None:
         keys.append(mesh.colors.astype(np.int64) @ (1 << 16, 1 << 8, 1))
-    if apart is not None:
-        keys.append(apart)
-    index = same_rows(keys)
+    if group_ids is not None:
+        keys.append(group_ids)
+    index = find_first_equal_rows(keys)
     source = np.unique(index)
     if len(source) == len(index):
         return mesh
@@ -42,7 +42,7 @@ def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
     )
 
 
-def same_rows(columns: list[NDArray[Any]]) -> NDArray[np.int64]:
+def find_first_equal_rows(columns: list[NDArray[Any]]) -> NDArray[np.int64]:
     """Return the index of the first row equal in all columns, for each row."""
     count = len(columns[0])
     order = np.lexsort(columns)

@@ -19,24 +19,24 @@ from numpy.typing import NDArray
 from scanloom.stages.comparing.compare import ColorError, CompareParams, compare_surfaces
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
-from scanloom.stages.params import check, param, resolve
-from scanloom.stages.printing import by_figures, table
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.surface.color import has_color, is_transparent
-from scanloom.stages.surface.convert import MeshLike, as_mesh
-from scanloom.stages.surface.formats.gltf_materials import is_shown_as_it_is, shown_as_it_is
+from scanloom.stages.params import check_parameters, param, resolve
+from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.surface.formats.gltf_materials import is_unlit, make_unlit_source
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, compute_bounding_box
+from scanloom.stages.surface.surface_color import has_color, is_transparent
 from scanloom.stages.surface.texture import Image, Material, Texture
-from scanloom.stages.surface.topology import areas, require_area
+from scanloom.stages.surface.topology import compute_areas, require_area
+from scanloom.stages.texturing.atlas_layout import AtlasLayout, lay_out_smallest
+from scanloom.stages.texturing.atlas_painting import paint_pages
 from scanloom.stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL, TEXTURE_BAKE_LEFT_OUT
-from scanloom.stages.texturing.detail import SAMPLES_PER_DETAIL, detail_of
-from scanloom.stages.texturing.facing import FacingColors
-from scanloom.stages.texturing.pages import Pages, fitted
-from scanloom.stages.texturing.painted_pages import painted_pages
-from scanloom.stages.texturing.reducing import reduced
+from scanloom.stages.texturing.color_lookup import ColorLookup
+from scanloom.stages.texturing.detail_size import SAMPLES_PER_DETAIL, estimate_mesh_detail
+from scanloom.stages.texturing.source_downscaling import downscale_images
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -47,19 +47,19 @@ RESULT_VERSION = 7
 
 _MIN_SIZE = 64
 # Typical ratio of an image that charts fill; converts `max_texels` to texels of surface.
-_FILLED = 0.5
+_TYPICAL_FILL_RATIO = 0.5
 # Minimum side of an image in multiples of the padding; smaller images have no space for a chart.
-_SIDES_OF_PADDING = 4
-_MOST_SAMPLES = 4
+_MIN_SIDE_PER_PADDING = 4
+_MAX_SAMPLES = 4
 # Default limit of samples in all texels together. Finer source images are averaged before sampling instead,
 # which is much faster and gives the same result.
-_ALL_SAMPLES = 16e6
+_MAX_TOTAL_SAMPLES = 16e6
 # Source images up to this factor finer than the target are sampled as they are.
-_ALIKE = 1.25
+_SIMILAR_RESOLUTION = 1.25
 # Maximum area of the simplified mesh relative to the original. A larger mesh is of another surface, and its
 # area does not increase the number of texels.
-_MOST_AREA = 4
-_COMPARED = 100_000
+_MAX_AREA_RATIO = 4
+_COMPARED_SAMPLES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,26 +107,26 @@ class BakeParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         if self.max_size & (self.max_size - 1):
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {max_size} texels; it must be a power of two.",
-                Where(parameter="max_size"),
+                DiagnosticLocation(parameter="max_size"),
                 max_size=self.max_size,
             )
-        if _SIDES_OF_PADDING * (self.padding or 0) > self.max_size:
+        if _MIN_SIDE_PER_PADDING * (self.padding or 0) > self.max_size:
             raise UsageError(
                 TEXTURE_ATLAS_TOO_SMALL,
                 "is {padding} texels; it must be at most a quarter of max_size ({max_size} texels).",
-                Where(parameter="padding"),
+                DiagnosticLocation(parameter="padding"),
                 padding=self.padding,
                 max_size=self.max_size,
             )
 
 
 @dataclass(frozen=True, eq=False)
-class Baked:
+class BakeResult:
     """Textured mesh and its deviation from the original.
 
     Attributes
@@ -138,7 +138,7 @@ class Baked:
     charts : number of charts.
     padding : minimum number of texels around each chart that continue its colours.
     samples : samples along each side of a texel.
-    turned : ratio of samples whose nearest point faced away and was replaced by a point that faces the same
+    turned_ratio : ratio of samples whose nearest point faced away and was replaced by a point that faces the same
         way.
     color : colour difference from the original, sampled on the original.
     vertex_color : the same for the vertex colours of the simplified mesh; None without vertex colours.
@@ -156,7 +156,7 @@ class Baked:
     charts: int
     padding: int
     samples: int
-    turned: float
+    turned_ratio: float
     color: ColorError
     vertex_color: ColorError | None
     image_bytes: int | None = None
@@ -165,11 +165,11 @@ class Baked:
     quality: int | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     @property
-    def halvings(self) -> int:
+    def mip_levels(self) -> int:
         """Number of mip levels without colour bleeding between charts."""
         # A bilinear sample reaches two texels of the halved image across.
         return max(int(math.log2(self.padding)) - 1, 0)
@@ -184,15 +184,15 @@ class Baked:
             "coverage": self.coverage,
             "charts": self.charts,
             "padding_texels": self.padding,
-            "halvings": self.halvings,
+            "mip_levels": self.mip_levels,
             "samples_per_texel": self.samples**2,
-            "turned_samples": self.turned,
+            "turned_sample_ratio": self.turned_ratio,
             "color": self.color.figures(),
             "vertex_color": self.vertex_color and self.vertex_color.figures(),
-            **self._file_figures(),
+            **self._collect_file_metrics(),
         }
 
-    def _file_figures(self) -> dict[str, Any]:
+    def _collect_file_metrics(self) -> dict[str, Any]:
         if self.image_bytes is None:
             return {}
         return {
@@ -204,20 +204,20 @@ class Baked:
 
 
 def bake(
-    light: MeshLike,
+    simplified: MeshLike,
     original: MeshLike,
     params: BakeParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[BakeKeywords],
-) -> Baked:
+) -> BakeResult:
     """Bake the colours of an original mesh onto its simplified mesh.
 
     The result is deterministic. Memory besides the meshes and the images is bounded.
 
     Parameters
     ----------
-    light : the simplified mesh: Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be manifold. Its
+    simplified : the simplified mesh: Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be manifold. Its
         colours and texture are replaced.
     original : mesh in the same coordinates, with vertex colours or a texture.
     params : see BakeParams; single parameters can be given by keyword.
@@ -235,13 +235,15 @@ def bake(
     """
     params = resolve(BakeParams, params, changes)
     with collecting() as diagnostics:
-        found = _baked(light, original, params, progress)
-    return replace(found, diagnostics=tuple(diagnostics))
+        baked = _bake_mesh(simplified, original, params, progress)
+    return replace(baked, diagnostics=tuple(diagnostics))
 
 
-def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Progress) -> Baked:
-    given, reference = as_mesh(light, "simplified mesh"), as_mesh(original, "original")
-    require_area(given, "simplified mesh")
+def _bake_mesh(
+    simplified: MeshLike, original: MeshLike, params: BakeParams, progress: Progress
+) -> BakeResult:
+    target, reference = as_mesh(simplified, "simplified mesh"), as_mesh(original, "original")
+    require_area(target, "simplified mesh")
     require_area(reference, "original")
     if not has_color(reference):
         raise MeshError(
@@ -249,31 +251,35 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
             "has neither vertex colours nor a texture; there is nothing to bake.",
             "original",
         )
-    stretch = _stretch(given, reference)
-    most = params.max_texels * 1e6 * _FILLED
-    finest = max(params.texel_size or 0.0, math.sqrt(_area(given) / most))
-    finer = max(_most_samples(_area(given) / finest**2) / SAMPLES_PER_DETAIL, _ALIKE)
-    shown = reduced(reference, finest / stretch, finer)
-    detail = detail_of(shown) * stretch
-    pages = fitted(
-        given,
+    stretch = _compute_detail_scale(target, reference)
+    max_surface_texels = params.max_texels * 1e6 * _TYPICAL_FILL_RATIO
+    min_texel_size = max(params.texel_size or 0.0, math.sqrt(_compute_area(target) / max_surface_texels))
+    max_source_ratio = max(
+        _limit_samples(_compute_area(target) / min_texel_size**2) / SAMPLES_PER_DETAIL, _SIMILAR_RESOLUTION
+    )
+    source = downscale_images(reference, min_texel_size / stretch, max_source_ratio)
+    detail = estimate_mesh_detail(source) * stretch
+    pages = lay_out_smallest(
+        target,
         params.texel_size or detail,
         max_side=params.max_size,
-        max_texels=most,
+        max_texels=max_surface_texels,
         padding=params.padding,
         progress=lambda *_: progress(0, 1),
     )
-    texel_size = pages.texel_size(given)
-    enough = math.ceil(SAMPLES_PER_DETAIL * texel_size / detail)
-    samples = params.samples or min(enough, _most_samples(_area(given) / texel_size**2))
-    box = bounding_box(given, reference)
-    surface = Surface(reference, box)
-    colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
-    painted = painted_pages(given, pages, samples, colors_of, progress=progress)
-    mesh = _textured(given, pages, painted.images, reference)
+    texel_size = pages.compute_mean_texel_size(target)
+    needed_samples = math.ceil(SAMPLES_PER_DETAIL * texel_size / detail)
+    samples = params.samples or min(needed_samples, _limit_samples(_compute_area(target) / texel_size**2))
+    box = compute_bounding_box(target, reference)
+    surface = RaycastingSurface(reference, box)
+    colors_of = ColorLookup(
+        surface if source is reference else RaycastingSurface(source, box), target, texel_size
+    )
+    painted = paint_pages(target, pages, samples, colors_of, progress=progress)
+    mesh = _attach_texture(target, pages, painted.images, reference)
     if is_transparent(reference):
         emit(TEXTURE_BAKE_LEFT_OUT.warning("bake drops the transparency of the original's images."))
-    if shown is not reference:
+    if source is not reference:
         sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
         emit(
             TEXTURE_BAKE_LEFT_OUT.warning(
@@ -283,9 +289,9 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
                 sizes=sizes,
             )
         )
-    error, before = (_color_error(surface, one, box) for one in (mesh, given))
+    error, vertex_error = (_compute_color_error(surface, one, box) for one in (mesh, target))
     assert error is not None
-    return Baked(
+    return BakeResult(
         mesh=mesh,
         sizes=pages.sizes,
         texel_size=texel_size,
@@ -293,21 +299,23 @@ def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Pr
         charts=int(pages.charts.max()) + 1,
         padding=pages.padding,
         samples=samples,
-        turned=painted.turned,
+        turned_ratio=painted.turned_ratio,
         color=error,
-        vertex_color=before if given.colors is not None else None,
+        vertex_color=vertex_error if target.colors is not None else None,
     )
 
 
-def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], original: Mesh) -> Mesh:
+def _attach_texture(
+    mesh: Mesh, pages: AtlasLayout, images: Sequence[NDArray[np.uint8]], original: Mesh
+) -> Mesh:
     """Attach the images to a mesh and remove its vertex colours.
 
     Vertex colours are removed because viewers multiply them with the texture. The material is unlit if all
     materials of the original are.
     """
     names = [f"baked-{number}" for number in range(1, len(images) + 1)] if len(images) > 1 else ["baked"]
-    theirs = () if original.texture is None else original.texture.materials
-    kept = shown_as_it_is() if theirs and all(map(is_shown_as_it_is, theirs)) else None
+    original_materials = () if original.texture is None else original.texture.materials
+    kept = make_unlit_source() if original_materials and all(map(is_unlit, original_materials)) else None
     materials = tuple(
         Material(name, Image(name=f"{name}.png", given=image), wrap=("clamp", "clamp"), kept=kept)
         for name, image in zip(names, images, strict=True)
@@ -315,23 +323,27 @@ def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], ori
     return mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
 
 
-def _stretch(light: Mesh, original: Mesh) -> float:
+def _compute_detail_scale(simplified: Mesh, original: Mesh) -> float:
     """Return the scale of details on the simplified mesh relative to the original.
 
-    The scale is 1 unless the simplified mesh has more than `_MOST_AREA` times the area.
+    The scale is 1 unless the simplified mesh has more than `_MAX_AREA_RATIO` times the area.
     """
-    light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
-    return math.sqrt(light_area / area) if light_area > _MOST_AREA * area else 1.0
+    light_area, area = (
+        float(compute_areas(mesh.vertices, mesh.triangles).sum()) for mesh in (simplified, original)
+    )
+    return math.sqrt(light_area / area) if light_area > _MAX_AREA_RATIO * area else 1.0
 
 
-def _most_samples(texels: float) -> int:
+def _limit_samples(texels: float) -> int:
     """Return the affordable samples along a texel's side."""
-    return max(min(int(math.sqrt(_ALL_SAMPLES / texels)), _MOST_SAMPLES), 1)
+    return max(min(int(math.sqrt(_MAX_TOTAL_SAMPLES / texels)), _MAX_SAMPLES), 1)
 
 
-def _area(mesh: Mesh) -> float:
-    return float(areas(mesh.vertices, mesh.triangles).sum())
+def _compute_area(mesh: Mesh) -> float:
+    return float(compute_areas(mesh.vertices, mesh.triangles).sum())
 
 
-def _color_error(original: Surface, mesh: Mesh, box: Floats) -> ColorError | None:
-    return compare_surfaces(original, Surface(mesh, box), CompareParams(samples=_COMPARED)).color_a_to_b
+def _compute_color_error(original: RaycastingSurface, mesh: Mesh, box: Floats) -> ColorError | None:
+    return compare_surfaces(
+        original, RaycastingSurface(mesh, box), CompareParams(samples=_COMPARED_SAMPLES)
+    ).color_a_to_b

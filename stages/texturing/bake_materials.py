@@ -14,25 +14,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.comparing.asked import asked
-from scanloom.stages.comparing.compare import sampled_color_error
+from scanloom.stages.comparing.compare import measure_color_error
+from scanloom.stages.comparing.distance_target import make_distance_target
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.progress import Progress, silent
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import bounding_box
-from scanloom.stages.surface.texture import Image, Material, Texture, signed_areas
-from scanloom.stages.surface.topology import areas
-from scanloom.stages.texturing.bake import Baked
+from scanloom.stages.surface.raycasting import compute_bounding_box
+from scanloom.stages.surface.texture import Image, Material, Texture, compute_signed_areas
+from scanloom.stages.surface.topology import compute_areas
+from scanloom.stages.texturing.atlas_layout import AtlasLayout, lay_out_within
+from scanloom.stages.texturing.bake import BakeResult
 from scanloom.stages.texturing.class_baker import AtlasStats, ClassBaker, ClassMeshes, MaterialDraft
 from scanloom.stages.texturing.codes import SIMPLIFY_IMAGES_SMALLER
 from scanloom.stages.texturing.correspondence import Correspondence, locate_vertices
 from scanloom.stages.texturing.image_format import EncodedImage, encode_within
 from scanloom.stages.texturing.material_classes import MaterialClass, list_all_images
-from scanloom.stages.texturing.pages import Pages, lay_out_within
 from scanloom.stages.texturing.texel_budgets import TexelBudget, compute_budgets, compute_densities
 
 # Points of the original at which the colour error is sampled.
-_COMPARED = 30_000
+_COMPARED_SAMPLES = 30_000
 # Minimum bytes per triangle in any mesh format. The bytes of removed triangles may be spent on images without
 # enlarging the file.
 _BYTES_PER_TRIANGLE = 12
@@ -50,8 +50,8 @@ def bake_materials(
     original_class_ids: NDArray[np.int32],
     classes: Sequence[MaterialClass],
     *,
-    progress: Progress = silent,
-) -> Baked:
+    progress: Progress = ignore_progress,
+) -> BakeResult:
     """Bake the images of a model for its simplified mesh.
 
     Parameters
@@ -60,7 +60,7 @@ def bake_materials(
     original : textured mesh.
     class_ids : (q,) class of each triangle of the simplified mesh, index into `classes`.
     original_class_ids : (m,) class of each triangle of the original.
-    classes : from `material_classes`.
+    classes : from `group_materials`.
     progress : called with the number of finished classes and their total.
 
     Returns
@@ -84,34 +84,36 @@ def _bake_all(
     original_class_ids: NDArray[np.int32],
     classes: Sequence[MaterialClass],
     progress: Progress,
-) -> Baked:
+) -> BakeResult:
     assert original.texture is not None
     drafts: list[MaterialDraft | Material] = []
     uvs = np.zeros((len(simplified.triangles), 3, 2))
     material_ids = np.full(len(simplified.triangles), -1, np.int32)
     stats = AtlasStats()
     budgets = compute_budgets(original, original_class_ids, classes)
-    for index, one in enumerate(classes):
+    for index, material_class in enumerate(classes):
         progress(index, len(classes))
         rows = np.flatnonzero(class_ids == index)
-        own = np.flatnonzero(original_class_ids == index)
-        if not len(rows) or not len(own):
+        original_rows = np.flatnonzero(original_class_ids == index)
+        if not len(rows) or not len(original_rows):
             continue
-        if not one.is_baked:
-            if one.numbers[0] >= 0:
+        if not material_class.is_baked:
+            if material_class.material_indices[0] >= 0:
                 material_ids[rows] = len(drafts)
-                drafts.append(original.texture.materials[one.numbers[0]])
+                drafts.append(original.texture.materials[material_class.material_indices[0]])
             continue
-        part = ClassMeshes(_select_triangles(simplified, rows), _select_triangles(original, own), rows)
+        part = ClassMeshes(
+            _select_triangles(simplified, rows), _select_triangles(original, original_rows), rows
+        )
         many = sum(other.is_baked for other in classes) > 1
         name = f"baked-{index + 1}" if many else "baked"
-        pages, found = _bake_class(part, one, budgets[index], name, stats)
+        pages, page_drafts = _bake_class(part, material_class, budgets[index], name, stats)
         uvs[rows] = pages.uvs
         material_ids[rows] = len(drafts) + pages.images
-        drafts += found
+        drafts += page_drafts
     sources = list_all_images(original, classes)
     source_bytes = sum(len(image.file_bytes) for image in sources)
-    removed = max(len(original.triangles) - len(simplified.triangles), 0)
+    removed_triangles = max(len(original.triangles) - len(simplified.triangles), 0)
     encoded, scale = encode_within(
         [
             (pixels, form)
@@ -119,7 +121,7 @@ def _bake_all(
             if isinstance(draft, MaterialDraft)
             for _, pixels, form in draft.canvases
         ],
-        source_bytes + _BYTES_PER_TRIANGLE * removed,
+        source_bytes + _BYTES_PER_TRIANGLE * removed_triangles,
     )
     materials = _attach_images(drafts, encoded)
     if scale < 1:
@@ -134,21 +136,23 @@ def _bake_all(
         colors=None,
         texture=Texture(uvs, material_ids, tuple(materials)),
     )
-    box = bounding_box(original, mesh)
-    color = sampled_color_error(asked(original, box), asked(mesh, box), _COMPARED)
+    box = compute_bounding_box(original, mesh)
+    color = measure_color_error(
+        make_distance_target(original, box), make_distance_target(mesh, box), _COMPARED_SAMPLES
+    )
     assert color is not None
-    laid = np.abs(signed_areas(uvs * _get_image_sizes(mesh)))
-    is_laid = laid > 0
-    area = areas(mesh.vertices, mesh.triangles)
-    return Baked(
+    texel_areas = np.abs(compute_signed_areas(uvs * _get_image_sizes(mesh)))
+    is_laid = texel_areas > 0
+    area = compute_areas(mesh.vertices, mesh.triangles)
+    return BakeResult(
         mesh=mesh,
         sizes=tuple(image.size for image in encoded),
-        texel_size=math.sqrt(float(area[is_laid].sum()) / max(float(laid.sum()), 1e-300)),
-        coverage=stats.shown / max(stats.texels, 1),
+        texel_size=math.sqrt(float(area[is_laid].sum()) / max(float(texel_areas.sum()), 1e-300)),
+        coverage=stats.surface_texels / max(stats.texels, 1),
         charts=stats.charts,
         padding=int(stats.padding) if math.isfinite(stats.padding) else 0,
         samples=1,
-        turned=stats.turned / max(stats.shown, 1),
+        turned_ratio=stats.turned_texels / max(stats.surface_texels, 1),
         color=color,
         vertex_color=None,
         image_bytes=sum(len(image.data) for image in encoded),
@@ -193,12 +197,12 @@ def _select_triangles(mesh: Mesh, rows: NDArray[np.intp]) -> Mesh:
 
 
 def _bake_class(
-    part: ClassMeshes, one: MaterialClass, budget: TexelBudget, name: str, stats: AtlasStats
-) -> tuple[Pages, list[MaterialDraft]]:
+    part: ClassMeshes, material_class: MaterialClass, budget: TexelBudget, name: str, stats: AtlasStats
+) -> tuple[AtlasLayout, list[MaterialDraft]]:
     total = float(budget.covered.sum())
     limit = None if budget.texels is None else max(budget.texels, _MIN_TEXELS)
     vertices = locate_vertices(part.simplified, part.original)
-    nearest = vertices.located.triangles[part.original.triangles]
+    nearest = vertices.nearest.triangles[part.original.triangles]
     densities = compute_densities(part.simplified, part.original, nearest, budget.covered)
     pages = lay_out_within(
         part.simplified,
@@ -210,7 +214,7 @@ def _bake_class(
     correspondence = Correspondence(part.simplified, part.original, pages, vertices)
     stats.charts += int(pages.charts.max()) + 1
     stats.padding = min(stats.padding, pages.padding)
-    baker = ClassBaker(part, one, budget, pages, total)
+    baker = ClassBaker(part, material_class, budget, pages, total)
     found = []
     for page in range(len(pages.sizes)):
         label = f"{name}-{page + 1}" if len(pages.sizes) > 1 else name

@@ -11,48 +11,48 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.color import color_at
-from scanloom.stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb, convert_srgb_to_linear
 from scanloom.stages.surface.formats.gltf_materials import multiplies_colors
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.texture import Image, Material, signed_areas
+from scanloom.stages.surface.surface_color import compute_surface_colors
+from scanloom.stages.surface.texture import Image, Material, compute_signed_areas
+from scanloom.stages.texturing.atlas_layout import AtlasLayout
 from scanloom.stages.texturing.baked_material import build_material
 from scanloom.stages.texturing.correspondence import Correspondence, TexelPoints
-from scanloom.stages.texturing.filling import fill_gaps
+from scanloom.stages.texturing.gap_filling import fill_gaps_with_block_means
 from scanloom.stages.texturing.image_format import ImageFormat, choose_format, resize_image
 from scanloom.stages.texturing.material_classes import (
     BASE_COLOR,
     FACTORS,
     MaterialClass,
-    Path,
-    image_at,
+    TexturePath,
+    get_image,
+    get_value,
     is_opaque,
     list_images,
-    value_at,
 )
 from scanloom.stages.texturing.material_factors import (
     apply_factors,
     apply_tint,
-    shares_base_color,
-    shares_factors,
+    has_common_base_color,
+    has_common_factors,
 )
-from scanloom.stages.texturing.pages import Pages
 from scanloom.stages.texturing.tangent_frames import (
     TangentFrames,
+    compute_tangent_frames,
     decode_normals,
     encode_normals,
-    tangent_frames,
 )
 from scanloom.stages.texturing.texel_budgets import TexelBudget
 
 Pixels = NDArray[np.uint8]
 
 # Source images finer than the atlas by more than this factor are averaged before sampling, to avoid aliasing.
-_SIMILAR = 1.25
+_SIMILAR_RESOLUTION = 1.25
 _WHITE = 255
 _FLAT_NORMAL = (128, 128, 255)
 # Normals transformed per batch: bounds memory.
-_AT_ONCE = 1 << 18
+_BATCH_TEXELS = 1 << 18
 _SRGB_LEVELS = np.arange(256) / 255
 
 
@@ -83,8 +83,8 @@ class MaterialDraft:
     """
 
     canvases: list[tuple[str, Pixels, ImageFormat]]
-    image_indices: dict[Path, int]
-    build: Callable[[dict[Path, Image]], Material]
+    image_indices: dict[TexturePath, int]
+    build: Callable[[dict[TexturePath, Image]], Material]
 
 
 @dataclass(eq=False)
@@ -93,15 +93,15 @@ class AtlasStats:
 
     Attributes
     ----------
-    texels, shown : texels of all images, and texels that show the surface.
-    turned : texels whose nearest source point faced away and was replaced.
+    texels, surface_texels : texels of all images, and texels that show the surface.
+    turned_texels : texels whose nearest source point faced away and was replaced.
     charts : number of charts.
     padding : minimum padding of all atlases, texels.
     """
 
     texels: int = 0
-    shown: int = 0
-    turned: int = 0
+    surface_texels: int = 0
+    turned_texels: int = 0
     charts: int = 0
     padding: float = math.inf
 
@@ -110,15 +110,20 @@ class ClassBaker:
     """Baker for the images of one material class, page by page of its atlas."""
 
     def __init__(
-        self, part: ClassMeshes, one: MaterialClass, budget: TexelBudget, pages: Pages, covered: float
+        self,
+        part: ClassMeshes,
+        material_class: MaterialClass,
+        budget: TexelBudget,
+        pages: AtlasLayout,
+        covered: float,
     ) -> None:
-        self._part, self._class, self._budget, self._pages = part, one, budget, pages
+        self._part, self._class, self._budget, self._pages = part, material_class, budget, pages
         texture = part.original.texture
         assert texture is not None
         self._texture = texture
         self._has_uvs = texture.has_uvs()
-        self._spread = np.abs(signed_areas(texture.uvs))
-        self._laid = float(np.abs(signed_areas(pages.corners)).sum())
+        self._uv_areas = np.abs(compute_signed_areas(texture.uvs))
+        self._atlas_texels = float(np.abs(compute_signed_areas(pages.corners)).sum())
         self._covered = covered
         self._reduced: dict[tuple[int, int], Pixels] = {}
         self._frames: tuple[TangentFrames, TangentFrames] | None = None
@@ -133,9 +138,9 @@ class ClassBaker:
         filled = sources.is_filled
         self._sources = sources
         stats.texels += width * height
-        stats.shown += int(np.count_nonzero(filled))
-        stats.turned += sources.turned_count
-        jobs: list[tuple[Any, Path]] = []
+        stats.surface_texels += int(np.count_nonzero(filled))
+        stats.turned_texels += sources.turned_count
+        jobs: list[tuple[Any, TexturePath]] = []
         canvases = []
         base = self._bake_base_color()
         if base is not None:
@@ -144,15 +149,15 @@ class ClassBaker:
         for path in self._class.maps:
             if not list_images(self._texture, self._class, path):
                 continue
-            key = self._map_key(path)
+            key = self._make_map_key(path)
             if all(key != other for other, _ in jobs):
                 jobs.append((key, path))
                 canvases.append(self._bake_map(path))
-        fill_gaps(canvases, filled)
+        fill_gaps_with_block_means(canvases, filled)
         index_of = {key: index for index, (key, _) in enumerate(jobs)}
         image_indices = {}
         for path in (BASE_COLOR, *self._class.maps):
-            key = BASE_COLOR if path == BASE_COLOR else self._map_key(path)
+            key = BASE_COLOR if path == BASE_COLOR else self._make_map_key(path)
             if key in index_of:
                 image_indices[path] = index_of[key]
         return MaterialDraft(
@@ -164,9 +169,9 @@ class ClassBaker:
             partial(build_material, self._texture, self._class),
         )
 
-    def _load_map(self, number: int, path: Path, channels: int) -> Pixels | None:
+    def _load_map(self, number: int, path: TexturePath, channels: int) -> Pixels | None:
         """Load a map at no more than the resolution of the atlas."""
-        image = image_at(self._texture.materials[number], path) if number >= 0 else None
+        image = get_image(self._texture.materials[number], path) if number >= 0 else None
         if image is None:
             return None
         key = (id(image), channels)
@@ -176,19 +181,24 @@ class ClassBaker:
                 pixels = np.concatenate([pixels, np.full((*pixels.shape[:2], 1), 255, np.uint8)], axis=2)
             pixels = np.ascontiguousarray(pixels[..., :channels])
             height, width = pixels.shape[:2]
-            its = self._texture.material_ids == number
-            finer = math.sqrt(float(self._spread[its].sum()) * width * height / self._count_atlas_texels(its))
-            if finer > _SIMILAR:
-                pixels = resize_image(pixels, (max(round(width / finer), 1), max(round(height / finer), 1)))
+            is_selected = self._texture.material_ids == number
+            scale = math.sqrt(
+                float(self._uv_areas[is_selected].sum())
+                * width
+                * height
+                / self._count_atlas_texels(is_selected)
+            )
+            if scale > _SIMILAR_RESOLUTION:
+                pixels = resize_image(pixels, (max(round(width / scale), 1), max(round(height / scale), 1)))
             self._reduced[key] = pixels
         return self._reduced[key]
 
-    def _count_atlas_texels(self, its: NDArray[np.bool_]) -> float:
+    def _count_atlas_texels(self, is_selected: NDArray[np.bool_]) -> float:
         """Estimate the number of atlas texels of some original triangles."""
-        shown = float(self._budget.covered[its].sum())
-        return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
+        shown = float(self._budget.covered[is_selected].sum())
+        return max(self._atlas_texels * shown / max(self._covered, 1e-300), 1e-300)
 
-    def _sample(self, canvas: Pixels, image: Pixels, number: int, path: Path) -> None:
+    def _sample(self, canvas: Pixels, image: Pixels, number: int, path: TexturePath) -> None:
         """Sample an image into the texels of a canvas that show a material."""
         is_shown = self._texture.material_ids == number
         self._sources.sample(canvas, image, self._texture.uvs, is_shown, self._get_wrap(number, path))
@@ -202,12 +212,12 @@ class ClassBaker:
         canvas[:] = color
         return canvas
 
-    def _get_wrap(self, number: int, path: Path) -> tuple[str, str]:
+    def _get_wrap(self, number: int, path: TexturePath) -> tuple[str, str]:
         material = self._texture.materials[number]
         if path == BASE_COLOR:
             return material.wrap
         codes = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
-        info = value_at(material.kept.tree, path)
+        info = get_value(material.kept.tree, path)
         sampler = material.kept.textures[info["index"]][1]
         return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
 
@@ -226,14 +236,14 @@ class ClassBaker:
         canvas = self._create_canvas((_WHITE,) * channels)
         texels = canvas.reshape(-1, channels)
         has_image = np.zeros(len(mesh.triangles), bool)
-        for number in one.numbers:
+        for number in one.material_indices:
             image = self._load_map(number, BASE_COLOR, channels)
             if image is None:
                 continue
             is_its = self._texture.material_ids == number
             has_image |= is_its
             material = self._texture.materials[number]
-            if material.base_color is not None and not shares_base_color(self._texture, self._class):
+            if material.base_color is not None and not has_common_base_color(self._texture, self._class):
                 image = apply_tint(image, material.base_color)
             self._sample(canvas, image, number, BASE_COLOR)
             if mesh.colors is not None and multiplies_colors(material):
@@ -247,8 +257,8 @@ class ClassBaker:
 
     def has_alpha(self) -> bool:
         """Check for visible transparency in the images of the class."""
-        for number in self._class.numbers:
-            image = image_at(self._texture.materials[number], BASE_COLOR) if number >= 0 else None
+        for number in self._class.material_indices:
+            image = get_image(self._texture.materials[number], BASE_COLOR) if number >= 0 else None
             if image is None or image.pixels.shape[2] < 4 or is_opaque(self._texture.materials[number]):
                 continue
             if image.pixels[..., 3].min() < 255:
@@ -256,20 +266,20 @@ class ClassBaker:
         return False
 
     def _sample_colors(self, points: TexelPoints) -> Pixels:
-        found = color_at(self._part.original, points.triangles, points.weights)
+        found = compute_surface_colors(self._part.original, points.triangles, points.weights)
         return np.rint(found).clip(0, 255).astype(np.uint8)
 
     def _multiply_colors(self, sampled: Pixels, points: TexelPoints) -> Pixels:
         bare = self._part.original.with_(texture=None)
-        colors = color_at(bare, points.triangles, points.weights)
-        light = linear_from_srgb(_SRGB_LEVELS)[sampled] * linear_from_srgb(colors / 255)
-        return np.rint(255 * srgb_from_linear(light)).clip(0, 255).astype(np.uint8)
+        colors = compute_surface_colors(bare, points.triangles, points.weights)
+        light = convert_srgb_to_linear(_SRGB_LEVELS)[sampled] * convert_srgb_to_linear(colors / 255)
+        return np.rint(255 * convert_linear_to_srgb(light)).clip(0, 255).astype(np.uint8)
 
-    def _bake_map(self, path: Path) -> Pixels:
+    def _bake_map(self, path: TexturePath) -> Pixels:
         """Bake a map other than the base colour, (h, w, 3)."""
         is_normal = path[-1].lower().endswith("normaltexture")
         canvas = self._create_canvas(_FLAT_NORMAL if is_normal else (_WHITE,) * 3)
-        for number in self._class.numbers:
+        for number in self._class.material_indices:
             image = self._load_map(number, path, 3)
             if image is not None:
                 self._sample(
@@ -282,43 +292,45 @@ class ClassBaker:
             self._transform_normals(canvas, path)
         return canvas
 
-    def _transform_normals(self, canvas: Pixels, path: Path) -> None:
+    def _transform_normals(self, canvas: Pixels, path: TexturePath) -> None:
         """Transform normals from original to simplified tangent frames, in place."""
         if self._frames is None:
             self._frames = (
-                tangent_frames(self._part.original, self._texture.uvs),
-                tangent_frames(self._part.simplified, self._pages.uvs),
+                compute_tangent_frames(self._part.original, self._texture.uvs),
+                compute_tangent_frames(self._part.simplified, self._pages.uvs),
             )
         old, new = self._frames
         # The last entry is for triangles without a material (index −1).
         scales = np.ones(len(self._texture.materials) + 1, np.float32)
-        for number in self._class.numbers:
+        for number in self._class.material_indices:
             if number >= 0:
                 scales[number] = float(
-                    value_at(self._texture.materials[number].kept.tree, (*path, "scale"), 1.0)
+                    get_value(self._texture.materials[number].kept.tree, (*path, "scale"), 1.0)
                 )
         points = self._sources.points
         texels = canvas.reshape(-1, 3)
-        for start in range(0, len(points.texels), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
+        for start in range(0, len(points.texels), _BATCH_TEXELS):
+            part = slice(start, start + _BATCH_TEXELS)
             at, triangles = points.texels[part], points.triangles[part]
             directions = decode_normals(
                 texels[at],
-                old.at(triangles, points.weights[part]),
+                old.interpolate(triangles, points.weights[part]),
                 scales[self._texture.material_ids[triangles]],
             )
             own = self._correspondence.locate_texels(self._page, at)
-            texels[at] = encode_normals(directions, new.at(own.triangles, own.weights))
+            texels[at] = encode_normals(directions, new.interpolate(own.triangles, own.weights))
 
-    def _map_key(self, path: Path) -> Any:
+    def _make_map_key(self, path: TexturePath) -> Any:
         """Return a key that is equal for maps with equal results."""
         is_normal = path[-1].lower().endswith("normaltexture")
-        images = tuple(id(image_at(self._texture.materials[number], path)) for number in self._class.numbers)
-        is_own = is_normal or (path in FACTORS and not shares_factors(self._texture, self._class, path))
-        wraps = tuple(self._get_wrap(number, path) for number in self._class.numbers)
+        images = tuple(
+            id(get_image(self._texture.materials[number], path)) for number in self._class.material_indices
+        )
+        is_own = is_normal or (path in FACTORS and not has_common_factors(self._texture, self._class, path))
+        wraps = tuple(self._get_wrap(number, path) for number in self._class.material_indices)
         return (images, wraps, path if is_own else None)
 
-    def _prepare_image(self, path: Path, canvas: Pixels, name: str) -> tuple[str, Pixels, ImageFormat]:
+    def _prepare_image(self, path: TexturePath, canvas: Pixels, name: str) -> tuple[str, Pixels, ImageFormat]:
         """Choose name, size and format of a baked image."""
         images = list_images(self._texture, self._class, path)
         is_color = path == BASE_COLOR or path[-1] == "emissiveTexture"
@@ -330,15 +342,17 @@ class ClassBaker:
         canvas = self._limit_size(canvas, path) if images else canvas
         return f"{name}{suffix}.{form.extension}", canvas, form
 
-    def _limit_size(self, canvas: Pixels, path: Path) -> Pixels:
+    def _limit_size(self, canvas: Pixels, path: TexturePath) -> Pixels:
         """Halve an image until it is about as coarse as the images it replaces."""
         covered = 0.0
-        for number in self._class.numbers:
-            image = image_at(self._texture.materials[number], path) if number >= 0 else None
+        for number in self._class.material_indices:
+            image = get_image(self._texture.materials[number], path) if number >= 0 else None
             if image is not None:
-                its = self._texture.material_ids == number
-                covered += float(self._spread[its].sum()) * image.pixels.shape[0] * image.pixels.shape[1]
-        while covered > 0 and covered < self._laid / 2 and min(canvas.shape[:2]) >= 64:
+                is_selected = self._texture.material_ids == number
+                covered += (
+                    float(self._uv_areas[is_selected].sum()) * image.pixels.shape[0] * image.pixels.shape[1]
+                )
+        while covered > 0 and covered < self._atlas_texels / 2 and min(canvas.shape[:2]) >= 64:
             canvas = resize_image(canvas, (canvas.shape[1] // 2, canvas.shape[0] // 2))
             covered *= 4
         return canvas

@@ -16,28 +16,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
-from scanloom.stages.surface.equal_positions import equal_positions
+from scanloom.stages.surface.equal_positions import find_equal_positions
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Floats, Located, unit_normals
-from scanloom.stages.surface.texture import signed_areas
-from scanloom.stages.texturing.facing import INWARDS, PROBES, move_inwards
-from scanloom.stages.texturing.pages import Pages
+from scanloom.stages.surface.raycasting import ClosestPoints, Floats, compute_triangle_normals
+from scanloom.stages.surface.texture import compute_signed_areas
+from scanloom.stages.texturing.atlas_layout import AtlasLayout
+from scanloom.stages.texturing.color_lookup import DISTANCE_PROBES, INWARD_OFFSET_TEXELS, move_inwards
 
 Pixels = NDArray[np.uint8]
 
 # Maximum stretch of an edge of the original in the atlas, relative to its length on the surface. The
 # additional texels are always allowed because rounding dominates in small triangles.
 _MAX_STRETCH = 2.0
-_FREE_TEXELS = 2.0
+_STRETCH_TOLERANCE_TEXELS = 2.0
 # Minimum cosine between a triangle and the chart plane it is extended onto. Texels of less aligned triangles
 # are checked for their distance.
-_MIN_ALIGNED = 0.8
+_MIN_CROSSING_COSINE = 0.8
 # The same minimum cosine for triangles that are inside one chart.
-_MIN_ALIGNED_WITHIN = 0.6
+_MIN_INSIDE_COSINE = 0.6
 # Maximum distance of a checked texel from its source point, relative to the vertex distance plus a texel.
-_MAX_DETOUR = 1.5
+_MAX_DISTANCE_RATIO = 1.5
 # Texels looked up per batch: bounds memory.
-_AT_ONCE = 1 << 18
+_BATCH_TEXELS = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +46,11 @@ class VertexLocations:
 
     Attributes
     ----------
-    located : nearest point of each vertex (n,).
+    nearest : nearest point of each vertex (n,).
     is_facing : (n,) bool, normals of the vertex and of the nearest triangle agree (angle below 90°).
     """
 
-    located: Located
+    nearest: ClosestPoints
     is_facing: NDArray[np.bool_]
 
 
@@ -69,9 +69,9 @@ class TexelPoints:
     triangles: NDArray[np.int32]
     weights: NDArray[np.float32]
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> TexelPoints:
+    def __getitem__(self, mask: NDArray[np.bool_]) -> TexelPoints:
         """Return the points selected by a mask (n,)."""
-        return TexelPoints(self.texels[chosen], self.triangles[chosen], self.weights[chosen])
+        return TexelPoints(self.texels[mask], self.triangles[mask], self.weights[mask])
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,23 +82,23 @@ class TexelSources:
     ----------
     is_filled : (h, w) bool, texels of charts and a border of one texel around each.
     placed : triangles of the original in the atlas.
-    drawn : (h, w) int32, index into `placed` for each texel; −1 for gaps and for texels in `looked_up`.
+    placed_indices : (h, w) int32, index into `placed` for each texel; −1 for gaps and for texels in `update_planes`.
     looked_up : source points of the texels that no triangle in `placed` covers.
     turned_count : texels whose nearest point faced away and was replaced by a point that faces the same way.
     """
 
     is_filled: NDArray[np.bool_]
     placed: PlacedTriangles
-    drawn: NDArray[np.int32]
+    placed_indices: NDArray[np.int32]
     looked_up: TexelPoints
     turned_count: int
 
     @cached_property
     def points(self) -> TexelPoints:
         """Source points of all texels of charts."""
-        texels = np.flatnonzero(self.drawn >= 0)
-        entries = self.drawn.reshape(-1)[texels]
-        weights = _locate(self.placed.corners, entries, texels, self.drawn.shape[1])
+        texels = np.flatnonzero(self.placed_indices >= 0)
+        entries = self.placed_indices.reshape(-1)[texels]
+        weights = _locate_in_triangles(self.placed.corners, entries, texels, self.placed_indices.shape[1])
         triangles = self.placed.triangles.astype(np.int32)[entries]
         more = self.looked_up
         return TexelPoints(
@@ -128,7 +128,7 @@ class TexelSources:
         placed = self.placed
         _kernels.sample_texels(
             canvas,
-            self.drawn,
+            self.placed_indices,
             placed.corners,
             uvs[placed.triangles],
             is_shown[placed.triangles],
@@ -183,10 +183,12 @@ class Correspondence:
     vertices : result of `locate_vertices`.
     """
 
-    def __init__(self, simplified: Mesh, original: Mesh, pages: Pages, vertices: VertexLocations) -> None:
+    def __init__(
+        self, simplified: Mesh, original: Mesh, pages: AtlasLayout, vertices: VertexLocations
+    ) -> None:
         self._simplified, self._original, self._pages = simplified, original, pages
-        self._normals = unit_normals(simplified)
-        self._texel_size = pages.texel_size(simplified)
+        self._normals = compute_triangle_normals(simplified)
+        self._texel_size = pages.compute_mean_texel_size(simplified)
         self._placed = self._place_triangles(vertices)
         self._images: dict[int, NDArray[np.int32]] = {}
 
@@ -208,8 +210,8 @@ class Correspondence:
         is_filled = image >= 0
         missing = np.flatnonzero(is_filled & (drawn < 0))
         found, weights, turned_count = [np.zeros(0, np.int32)], [np.zeros((0, 3), np.float32)], 0
-        for start in range(0, len(missing), _AT_ONCE):
-            own = self.locate_texels(page, missing[start : start + _AT_ONCE])
+        for start in range(0, len(missing), _BATCH_TEXELS):
+            own = self.locate_texels(page, missing[start : start + _BATCH_TEXELS])
             some, some_weights, is_turned = self._look_up(own)
             found.append(some)
             weights.append(some_weights.astype(np.float32))
@@ -224,7 +226,7 @@ class Correspondence:
         """
         rows = np.flatnonzero(self._pages.pages == page).astype(np.int32)
         triangles = rows[self._images[page].reshape(-1)[texels]]
-        weights = _locate(self._pages.corners, triangles, texels, self._pages.sizes[page][0])
+        weights = _locate_in_triangles(self._pages.corners, triangles, texels, self._pages.sizes[page][0])
         return TexelPoints(texels, triangles, weights)
 
     def _look_up(self, own: TexelPoints) -> tuple[NDArray[np.int32], Floats, NDArray[np.bool_]]:
@@ -240,7 +242,7 @@ class Correspondence:
             mesh.vertices.take(corner, axis=0) for corner in mesh.triangles.take(own.triangles, axis=0).T
         )
         u, v, w = own.weights.astype(np.float64).T[:, :, None]
-        points = move_inwards(u * a + v * b + w * c, (a + b + c) / 3, INWARDS * self._texel_size)
+        points = move_inwards(u * a + v * b + w * c, (a + b + c) / 3, INWARD_OFFSET_TEXELS * self._texel_size)
         surface, reach = self._original_surface
         return surface.facing(
             points, self._normals.take(own.triangles, axis=0), reach=reach, wanted_threads=0
@@ -254,17 +256,17 @@ class Correspondence:
         the wrong side of itself by simplification; its right side is not much farther away than that.
         """
         surface = _create_surface(self._original)
-        step = math.ceil(len(self._simplified.triangles) / PROBES)
+        step = math.ceil(len(self._simplified.triangles) / DISTANCE_PROBES)
         middles = self._simplified.vertices[self._simplified.triangles[::step]].mean(axis=1)
         _, _, distances = surface.closest(middles, wanted_threads=0)
         return surface, 2 * float(distances.max())
 
     def _place_triangles(self, vertices: VertexLocations) -> PlacedTriangles:
         """Place the triangles of the original in the atlas, in drawing order."""
-        mesh, pages, located = self._original, self._pages, vertices.located
+        mesh, pages, located = self._original, self._pages, vertices.nearest
         vertex_charts = np.where(vertices.is_facing, pages.charts[located.triangles], -1)
-        at = _mix(located.weights, pages.corners[located.triangles])
-        normals = unit_normals(mesh)
+        at = _interpolate(located.weights, pages.corners[located.triangles])
+        normals = compute_triangle_normals(mesh)
         a, b, c = (vertex_charts[corner] for corner in mesh.triangles.T)
         is_usable = (a >= 0) & (b >= 0) & (c >= 0)
         is_whole = is_usable & (a == b) & (b == c)
@@ -273,7 +275,7 @@ class Correspondence:
         )
         whole = np.flatnonzero(is_whole)
         corners = mesh.triangles[whole]
-        distances = _max_of_corners(located.distances, corners)
+        distances = _compute_corner_max(located.distances, corners)
         # Draw the nearest triangles last, so that they overwrite other layers of the original.
         order = np.argsort(-distances, kind="stable")
         whole, corners, distances = whole[order], corners[order], distances[order]
@@ -282,7 +284,7 @@ class Correspondence:
         under = self._normals[located.triangles]
         is_doubtful = np.zeros(len(whole), bool)
         for corner in corners.T:
-            is_doubtful |= _dot(own, under.take(corner, axis=0)) < _MIN_ALIGNED_WITHIN
+            is_doubtful |= _dot(own, under.take(corner, axis=0)) < _MIN_INSIDE_COSINE
         within = PlacedTriangles(
             at[corners],
             whole,
@@ -297,16 +299,16 @@ class Correspondence:
                 for name in PlacedTriangles.__dataclass_fields__
             )
         )
-        return self._remove_unsound(joined, located)
+        return self._remove_distorted(joined, located)
 
     def _limit_distances(self, distances: Floats, is_doubtful: NDArray[np.bool_]) -> Floats:
-        return np.where(is_doubtful, _MAX_DETOUR * (distances + self._texel_size), np.inf)
+        return np.where(is_doubtful, _MAX_DISTANCE_RATIO * (distances + self._texel_size), np.inf)
 
     def _place_crossing(
         self,
         triangles: NDArray[np.int64],
         vertex_charts: NDArray[np.int32],
-        located: Located,
+        located: ClosestPoints,
         at: Floats,
         normals: Floats,
     ) -> list[PlacedTriangles]:
@@ -314,8 +316,8 @@ class Correspondence:
         mesh, pages, simplified = self._original, self._pages, self._simplified
         corners_of = mesh.triangles[triangles]
         charts = vertex_charts[corners_of]
-        distances = _max_of_corners(located.distances, corners_of)
-        found = []
+        distances = _compute_corner_max(located.distances, corners_of)
+        placed = []
         for k in range(3):
             # Handle each chart once: skip charts of earlier corners.
             is_new = np.ones(len(triangles), bool)
@@ -327,12 +329,12 @@ class Correspondence:
             corners = np.empty((len(rows), 3, 2))
             for j in range(3):
                 vertices = corners_of[rows, j]
-                weights = _plane_weights(mesh.vertices[vertices], plane)
-                extended = _mix(weights, pages.corners[base])
-                is_here = (charts[rows, j] == charts[rows, k])[:, None]
-                corners[:, j] = np.where(is_here, at[vertices], extended)
-            is_doubtful = _dot(normals[triangles[rows]], self._normals[base]) < _MIN_ALIGNED
-            found.append(
+                weights = _project_to_planes(mesh.vertices[vertices], plane)
+                extended = _interpolate(weights, pages.corners[base])
+                is_in_chart = (charts[rows, j] == charts[rows, k])[:, None]
+                corners[:, j] = np.where(is_in_chart, at[vertices], extended)
+            is_doubtful = _dot(normals[triangles[rows]], self._normals[base]) < _MIN_CROSSING_COSINE
+            placed.append(
                 PlacedTriangles(
                     corners,
                     triangles[rows],
@@ -341,39 +343,41 @@ class Correspondence:
                     self._limit_distances(distances[rows], is_doubtful),
                 )
             )
-        return found
+        return placed
 
-    def _remove_unsound(self, placed: PlacedTriangles, located: Located) -> PlacedTriangles:
+    def _remove_distorted(self, placed: PlacedTriangles, located: ClosestPoints) -> PlacedTriangles:
         """Remove triangles that fold over or tear in the atlas."""
         mesh = self._original
-        spread = signed_areas(placed.corners)
+        spread = compute_signed_areas(placed.corners)
         # Charts may be mirrored, so the sign comes from the chart's own triangles.
-        own = signed_areas(self._pages.corners)
+        chart_areas = compute_signed_areas(self._pages.corners)
         is_laid = self._pages.charts >= 0
-        sign = np.sign(np.bincount(self._pages.charts[is_laid], own[is_laid]))
+        sign = np.sign(np.bincount(self._pages.charts[is_laid], chart_areas[is_laid]))
         is_sound = spread * sign[placed.charts] > 0
         corners = mesh.triangles[placed.triangles]
-        away = _max_of_corners(located.distances, corners) / self._texel_size
+        distance_texels = _compute_corner_max(located.distances, corners) / self._texel_size
         for start, end in ((0, 1), (1, 2), (2, 0)):
-            along = mesh.vertices.take(corners[:, end], axis=0) - mesh.vertices.take(
-                corners[:, start], axis=0
+            edge = mesh.vertices.take(corners[:, end], axis=0) - mesh.vertices.take(corners[:, start], axis=0)
+            atlas_edge = placed.corners[:, end] - placed.corners[:, start]
+            allowed = (
+                _MAX_STRETCH * np.sqrt(_dot(edge, edge)) / self._texel_size
+                + _STRETCH_TOLERANCE_TEXELS
+                + distance_texels
             )
-            laid = placed.corners[:, end] - placed.corners[:, start]
-            allowed = _MAX_STRETCH * np.sqrt(_dot(along, along)) / self._texel_size + _FREE_TEXELS + away
             # Written as <= so that non-finite lengths are removed as well.
-            is_sound &= np.sqrt(_dot(laid, laid)) <= allowed
+            is_sound &= np.sqrt(_dot(atlas_edge, atlas_edge)) <= allowed
         return placed.select(np.flatnonzero(is_sound))
 
 
 def locate_vertices(simplified: Mesh, original: Mesh) -> VertexLocations:
     """Project original vertices to the simplified mesh, and compare normals."""
-    sets, first = equal_positions(original.vertices)
+    sets, first = find_equal_positions(original.vertices)
     triangles, weights, distances = _create_surface(simplified).closest(
         original.vertices[first], wanted_threads=0
     )
     normals = _sum_normals(original, sets)
-    is_facing = _dot(normals, unit_normals(simplified)[triangles]) > 0
-    located = Located(triangles.astype(np.int64)[sets], weights[sets], distances[sets])
+    is_facing = _dot(normals, compute_triangle_normals(simplified)[triangles]) > 0
+    located = ClosestPoints(triangles.astype(np.int64)[sets], weights[sets], distances[sets])
     return VertexLocations(located, is_facing[sets])
 
 
@@ -393,7 +397,7 @@ def _sum_normals(mesh: Mesh, sets: NDArray[np.int32]) -> Floats:
     return sums
 
 
-def _locate(
+def _locate_in_triangles(
     corners: Floats, triangles: NDArray[np.int32], texels: NDArray[np.int64], width: int
 ) -> NDArray[np.float32]:
     """Return barycentric weights (n, 3) of the triangle points nearest to texels (n,).
@@ -423,13 +427,13 @@ def _sample_image(image: Pixels, uvs: Floats, wrap: tuple[str, str], channels: i
     )
 
 
-def _max_of_corners(values: Floats, triangles: NDArray[np.int32]) -> Floats:
+def _compute_corner_max(values: Floats, triangles: NDArray[np.int32]) -> Floats:
     """Return the maximum of the corner values of each triangle."""
     a, b, c = (values.take(corner) for corner in triangles.T)
     return np.asarray(np.maximum(np.maximum(a, b), c))
 
 
-def _mix(weights: Floats, corners: Floats) -> Floats:
+def _interpolate(weights: Floats, corners: Floats) -> Floats:
     """Interpolate the corners (k, 3, d) of triangles."""
     found = weights[:, :1] * corners[:, 0]
     for k in (1, 2):
@@ -441,7 +445,7 @@ def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + (a[:, 2] * b[:, 2] if a.shape[1] == 3 else 0.0))
 
 
-def _plane_weights(points: Floats, corners: Floats) -> Floats:
+def _project_to_planes(points: Floats, corners: Floats) -> Floats:
     """Project points to triangle planes and return barycentric weights (k, 3)."""
     a = corners[:, 0]
     ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, points - a

@@ -17,26 +17,26 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_ROUNDS = 6
+_ITERATIONS = 6
 # Sampled surface points for the fit of all photos, and for the preceding decision about the vignette.
-_MOST_POINTS, _FEW_POINTS = 40_000, 10_000
+_MAX_POINTS, _VIGNETTE_TEST_POINTS = 40_000, 10_000
 # Huber threshold, in levels; and range of levels that are not clipped.
-_HUBER = 8.0
-_USABLE = (4.0, 250.0)
+_HUBER_LEVELS = 8.0
+_USABLE_LEVELS = (4.0, 250.0)
 # Prior that pulls a photo to gain 1 and bias 0: equivalent number of samples, and their spread in levels.
 _PRIOR_SAMPLES, _PRIOR_LEVELS = 30.0, 40.0
-_MOST_GAIN = 4.0
+_MAX_GAIN = 4.0
 # Minimum relative change of light in the corners. A weaker vignette averages out, and uncorrected photos look
 # natural.
-_LEAST_VIGNETTE = 0.1
+_MIN_VIGNETTE = 0.1
 # Plausible range of light in the corners relative to the centre. Values outside come from an object in the
 # centre of all photos, not from a lens, and say nothing about the corners.
-_LEAST_LIGHT, _MOST_LIGHT = 0.2, 1.5
+_MIN_CORNER_LIGHT, _MAX_CORNER_LIGHT = 0.2, 1.5
 _NO_VIGNETTE = (1.0, 0.0, 0.0)
 # Minimum samples shared with other photos; photos with fewer keep gain 1 and bias 0.
-_LEAST_SAMPLES = 50
+_MIN_SAMPLES = 50
 # Rows of a photo corrected per batch: the working set stays in the cache.
-_ROWS = 32
+_BATCH_ROWS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +53,11 @@ class Exposure:
     bias: Floats
     vignette: tuple[float, float, float] = _NO_VIGNETTE
 
-    def corrected(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Correct an image (h, w, 3) to gain 1 and bias 0, without vignette."""
         import cv2
 
-        if self.is_none:
+        if self.is_identity:
             return image
         height, width = image.shape[:2]
         if self.vignette == _NO_VIGNETTE:
@@ -67,9 +67,11 @@ class Exposure:
         # Interleaved channels, a few rows at a time: the working set stays in the cache.
         gain, bias = (np.tile(one, width) for one in (self.gain, self.bias))
         corrected = np.empty_like(image)
-        for start in range(0, height, _ROWS):
-            rows = slice(start, start + _ROWS)
-            light = _light_at(_radii2(width, height, rows), self.vignette).repeat(3, axis=1)
+        for start in range(0, height, _BATCH_ROWS):
+            rows = slice(start, start + _BATCH_ROWS)
+            light = _evaluate_vignette(_compute_squared_radii(width, height, rows), self.vignette).repeat(
+                3, axis=1
+            )
             levels = image[rows].reshape(light.shape) / light
             levels -= bias
             levels /= gain
@@ -78,12 +80,12 @@ class Exposure:
         return corrected
 
     @property
-    def is_none(self) -> bool:
+    def is_identity(self) -> bool:
         """True if the exposure changes nothing."""
         return bool((self.gain == 1).all() and (self.bias == 0).all() and self.vignette == _NO_VIGNETTE)
 
 
-def no_exposure() -> Exposure:
+def make_identity_exposure() -> Exposure:
     """Return the identity: gain 1, bias 0, no vignette."""
     return Exposure(np.ones(3), np.zeros(3))
 
@@ -95,25 +97,29 @@ class Exposures:
     Attributes
     ----------
     photos : exposure of each photo; the mean log gain is 0.
-    before, after : median difference of a sample from the mean of its point, in levels, without and with
+    difference_before, difference_after : median difference of a sample from the mean of its point, in levels, without and with
         exposure correction.
     differences : (n,) the median difference of each photo, after correction.
     samples : (n,) number of points of each photo that another photo also shows.
     """
 
     photos: tuple[Exposure, ...]
-    before: float
-    after: float
+    difference_before: float
+    difference_after: float
     differences: Floats
     samples: NDArray[np.int64]
 
-    def none(self) -> Exposures:
+    def reset_corrections(self) -> Exposures:
         """Return a copy without exposure correction."""
-        return replace(self, photos=tuple(no_exposure() for _ in self.photos), after=self.before)
+        return replace(
+            self,
+            photos=tuple(make_identity_exposure() for _ in self.photos),
+            difference_after=self.difference_before,
+        )
 
-    def without(self, wrong: Container[int]) -> Exposures:
+    def drop_photos(self, rejected: Container[int]) -> Exposures:
         """Return a copy without the photos of the given indices."""
-        rest = [i for i in range(len(self.photos)) if i not in wrong]
+        rest = [i for i in range(len(self.photos)) if i not in rejected]
         return replace(
             self,
             photos=tuple(self.photos[i] for i in rest),
@@ -122,7 +128,7 @@ class Exposures:
         )
 
 
-def exposures(
+def estimate_exposures(
     views: NDArray[np.int32], colors: NDArray[np.uint8], radii2: NDArray[np.float32], count: int
 ) -> Exposures:
     """Estimate the exposures of photos from surface points seen by several of them.
@@ -134,15 +140,15 @@ def exposures(
     radii2 : (n, k) float32, squared distance from the photo's centre; 1 in the corners.
     count : number of photos.
     """
-    step = max(len(views) // _FEW_POINTS, 1)
-    found = _solved(views[::step], colors[::step], radii2[::step], count, vignetted=True)
-    middle, corner = _light_at(np.array([0.0, 1.0]), found.photos[0].vignette)
-    is_of_lens = _LEAST_LIGHT * middle <= corner <= _MOST_LIGHT * middle
-    is_vignetted = bool(is_of_lens and abs(1 - corner) >= _LEAST_VIGNETTE)
-    return _solved(views, colors, radii2, count, vignetted=is_vignetted)
+    step = max(len(views) // _VIGNETTE_TEST_POINTS, 1)
+    trial = _fit_exposures(views[::step], colors[::step], radii2[::step], count, vignetted=True)
+    center_light, corner_light = _evaluate_vignette(np.array([0.0, 1.0]), trial.photos[0].vignette)
+    is_of_lens = _MIN_CORNER_LIGHT * center_light <= corner_light <= _MAX_CORNER_LIGHT * center_light
+    is_vignetted = bool(is_of_lens and abs(1 - corner_light) >= _MIN_VIGNETTE)
+    return _fit_exposures(views, colors, radii2, count, vignetted=is_vignetted)
 
 
-def _solved(
+def _fit_exposures(
     views: NDArray[np.int32],
     colors: NDArray[np.uint8],
     radii2: NDArray[np.float32],
@@ -150,65 +156,71 @@ def _solved(
     *,
     vignetted: bool,
 ) -> Exposures:
-    step = max(len(views) // _MOST_POINTS, 1)
+    step = max(len(views) // _MAX_POINTS, 1)
     views, colors, radii2 = views[::step], colors[::step], radii2[::step]
-    usable = (views >= 0) & (colors.min(axis=2) >= _USABLE[0]) & (colors.max(axis=2) <= _USABLE[1])
+    usable = (
+        (views >= 0) & (colors.min(axis=2) >= _USABLE_LEVELS[0]) & (colors.max(axis=2) <= _USABLE_LEVELS[1])
+    )
     usable &= usable.sum(axis=1, keepdims=True) > 1
-    point, place = np.nonzero(usable)
+    point, slot = np.nonzero(usable)
     if not len(point):
-        none = tuple(no_exposure() for _ in range(count))
+        none = tuple(make_identity_exposure() for _ in range(count))
         return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64))
-    view = views[point, place].astype(np.int64)
-    radius2 = radii2[point, place].astype(np.float64)
+    view = views[point, slot].astype(np.int64)
+    radius2 = radii2[point, slot].astype(np.float64)
     # One array per channel: NumPy is slow over rows of three.
-    levels = [colors[point, place, k].astype(np.float64) for k in range(3)]
+    levels = [colors[point, slot, k].astype(np.float64) for k in range(3)]
     # Renumber the points that are left; `np.nonzero` returns them in order.
     point = np.cumsum(np.diff(point, prepend=point[0]) > 0)
     samples = np.bincount(view, minlength=count)
-    known = samples >= _LEAST_SAMPLES
+    is_known = samples >= _MIN_SAMPLES
     # First axis: channels.
     gain, bias = np.ones((3, count)), np.zeros((3, count))
     vignette = _NO_VIGNETTE
     weights = [np.ones_like(radius2)] * 3
     before = 0.0
-    for turn in range(_ROUNDS + 1):
-        light = _light_at(radius2, vignette)
-        there = [level / light for level in levels]
+    for iteration in range(_ITERATIONS + 1):
+        light = _evaluate_vignette(radius2, vignette)
+        unvignetted = [level / light for level in levels]
         gains, biases = ([np.take(one, view) for one in of] for of in (gain, bias))
-        means = [_mean(point, there[k], weights[k], gains[k], biases[k])[point] for k in range(3)]
-        shown = [gains[k] * means[k] + biases[k] for k in range(3)]
-        differences = [np.abs(levels[k] - shown[k] * light) for k in range(3)]
-        if turn == 0:
+        means = [
+            _average_samples(point, unvignetted[k], weights[k], gains[k], biases[k])[point] for k in range(3)
+        ]
+        predicted = [gains[k] * means[k] + biases[k] for k in range(3)]
+        differences = [np.abs(levels[k] - predicted[k] * light) for k in range(3)]
+        if iteration == 0:
             before = float(np.median(differences))
-        if turn == _ROUNDS:
+        if iteration == _ITERATIONS:
             break
-        weights = [np.minimum(1.0, _HUBER / np.maximum(one, 1e-9)) for one in differences]
+        weights = [np.minimum(1.0, _HUBER_LEVELS / np.maximum(one, 1e-9)) for one in differences]
         if vignetted:
-            vignette = _vignette(shown, levels, weights, radius2)
-            light = _light_at(radius2, vignette)
-            there = [level / light for level in levels]
+            vignette = _fit_vignette(predicted, levels, weights, radius2)
+            light = _evaluate_vignette(radius2, vignette)
+            unvignetted = [level / light for level in levels]
         for k in range(3):
-            gain[k], bias[k] = _fitted(view, means[k], there[k], weights[k], count)
-        gain[:, ~known], bias[:, ~known] = 1.0, 0.0
-        if known.any():
+            gain[k], bias[k] = _fit_gain_and_bias(view, means[k], unvignetted[k], weights[k], count)
+        gain[:, ~is_known], bias[:, ~is_known] = 1.0, 0.0
+        if is_known.any():
             # Only ratios of gains are observable, so the mean log gain is fixed at 0. The common offset is
             # removed in scene levels; each photo's bias therefore changes in proportion to its gain.
-            gain[:, known] /= np.exp(np.log(gain[:, known]).mean(axis=1, keepdims=True))
-            middle = bias[:, known].mean(axis=1, keepdims=True) / gain[:, known].mean(axis=1, keepdims=True)
-            bias[:, known] -= gain[:, known] * middle
+            gain[:, is_known] /= np.exp(np.log(gain[:, is_known]).mean(axis=1, keepdims=True))
+            middle = bias[:, is_known].mean(axis=1, keepdims=True) / gain[:, is_known].mean(
+                axis=1, keepdims=True
+            )
+            bias[:, is_known] -= gain[:, is_known] * middle
     largest = functools.reduce(np.maximum, differences)
     by_view = np.argsort(view, kind="stable")
-    each = np.split(largest[by_view], np.cumsum(samples)[:-1])
+    differences_by_photo = np.split(largest[by_view], np.cumsum(samples)[:-1])
     return Exposures(
         photos=tuple(Exposure(gain[:, i].copy(), bias[:, i].copy(), vignette) for i in range(count)),
-        before=before,
-        after=float(np.median(differences)),
-        differences=np.array([float(np.median(one)) if len(one) else 0.0 for one in each]),
+        difference_before=before,
+        difference_after=float(np.median(differences)),
+        differences=np.array([float(np.median(one)) if len(one) else 0.0 for one in differences_by_photo]),
         samples=samples,
     )
 
 
-def _vignette(
+def _fit_vignette(
     shown: Sequence[Floats], levels: Sequence[Floats], weights: Sequence[Floats], radius2: Floats
 ) -> tuple[float, float, float]:
     """Fit the vignette by least squares.
@@ -228,14 +240,16 @@ def _vignette(
     return (1 / float(1 + found[0] / 3 + found[1] / 6), float(found[0]), float(found[1]))
 
 
-def _mean(point: NDArray[np.int64], there: Floats, weight: Floats, gain: Floats, bias: Floats) -> Floats:
+def _average_samples(
+    point: NDArray[np.int64], levels: Floats, weight: Floats, gain: Floats, bias: Floats
+) -> Floats:
     """Return the weighted mean of the corrected samples of each point."""
     weight = weight * gain**2
     total = np.bincount(point, weight)
-    return np.asarray(np.bincount(point, weight * ((there - bias) / gain)) / np.maximum(total, 1e-12))
+    return np.asarray(np.bincount(point, weight * ((levels - bias) / gain)) / np.maximum(total, 1e-12))
 
 
-def _fitted(
+def _fit_gain_and_bias(
     view: NDArray[np.int64], mean: Floats, level: Floats, weight: Floats, count: int
 ) -> tuple[Floats, Floats]:
     """Fit gain and bias of each photo by least squares.
@@ -243,24 +257,24 @@ def _fitted(
     The model is level = gain · mean + bias, with a prior at gain 1 and bias 0.
     """
 
-    def total(values: Floats) -> Floats:
+    def sum_by_photo(values: Floats) -> Floats:
         return np.asarray(np.bincount(view, values, minlength=count), np.float64)
 
-    n, sa, sy = total(weight), total(weight * mean), total(weight * level)
+    n, sa, sy = sum_by_photo(weight), sum_by_photo(weight * mean), sum_by_photo(weight * level)
     middle = np.divide(sa, n, out=np.full(count, 128.0), where=n > 0)
-    off = mean - middle[view]
-    saa = total(weight * off**2) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
-    say = total(weight * off * level) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
-    gain = (say / saa).clip(1 / _MOST_GAIN, _MOST_GAIN)
+    centered = mean - middle[view]
+    saa = sum_by_photo(weight * centered**2) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
+    say = sum_by_photo(weight * centered * level) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
+    gain = (say / saa).clip(1 / _MAX_GAIN, _MAX_GAIN)
     return gain, (sy - gain * sa) / (n + _PRIOR_SAMPLES)
 
 
-def _radii2(width: int, height: int, rows: slice) -> Floats:
+def _compute_squared_radii(width: int, height: int, rows: slice) -> Floats:
     x, y = (np.linspace(-1, 1, size) for size in (width, height))
     aspect = height / width
     return np.asarray((x[None, :] ** 2 + (aspect * y[rows, None]) ** 2) / (1 + aspect**2))
 
 
-def _light_at(radii2: Floats, vignette: tuple[float, float, float]) -> Floats:
+def _evaluate_vignette(radii2: Floats, vignette: tuple[float, float, float]) -> Floats:
     """Evaluate the vignette at squared distances from the centre; 1 in the corners."""
     return np.asarray(vignette[0] * (1 + vignette[1] * radii2 + vignette[2] * radii2**2))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages._opencv import require_opencv
-from scanloom.stages.files.image_bytes import encoded_image, encoded_png, kind_of
+from scanloom.stages.files.image_bytes import detect_image_type, encode_image, encode_png
 from scanloom.stages.surface.texture import Image
 
 Pixels = NDArray[np.uint8]
@@ -27,11 +27,11 @@ _DEFAULT_QUALITY = 90
 # Maximum reduction of the quality before the resolution is reduced, its step, and the minimum quality.
 _MAX_QUALITY_LOSS, _QUALITY_STEP, _MIN_QUALITY = 9, 3, 40
 # Target as a ratio of the byte limit when the resolution is reduced: the file size follows it only roughly.
-_AIM = 0.95
+_TARGET_RATIO = 0.95
 _MAX_TRIES = 12
 _MIN_SIDE = 4
 # Images below this ratio of all bytes keep their resolution, because reducing them saves almost nothing.
-_SMALL_PART = 0.05
+_MIN_REDUCED_RATIO = 0.05
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
     has_alpha : the image has an alpha channel, which JPEG cannot store.
     is_color : pixels are colours. Other maps, such as normals, are subsampled only if all sources are.
     """
-    kinds = [kind_of(image.file_bytes, image.name)[0] for image in sources]
+    kinds = [detect_image_type(image.file_bytes, image.name)[0] for image in sources]
     lossy = [image for image, kind in zip(sources, kinds, strict=True) if kind == ".jpg"]
     webp = [image for image, kind in zip(sources, kinds, strict=True) if kind == ".webp"]
     if webp and len(webp) == len(sources):
@@ -90,7 +90,7 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
         return ImageFormat("webp", _DEFAULT_QUALITY, is_lossless=is_lossless)
     if has_alpha or not lossy:
         return ImageFormat("png")
-    found = [jpeg_quality(image.file_bytes) for image in lossy]
+    found = [estimate_jpeg_quality(image.file_bytes) for image in lossy]
     qualities = [quality for quality, _ in found]
     return ImageFormat(
         "jpeg",
@@ -99,7 +99,7 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
     )
 
 
-def jpeg_quality(data: bytes) -> tuple[int, bool]:
+def estimate_jpeg_quality(data: bytes) -> tuple[int, bool]:
     """Estimate the quality (1 to 100) and chroma subsampling of a JPEG file."""
     from PIL import JpegImagePlugin
 
@@ -115,10 +115,10 @@ def jpeg_quality(data: bytes) -> tuple[int, bool]:
         return _DEFAULT_QUALITY, is_subsampled
     # The sum does not depend on the order of the table (zigzag or rows).
     total = sum(tables[min(tables)])
-    return min(range(1, 101), key=lambda quality: abs(_table_sum(quality) - total)), is_subsampled
+    return min(range(1, 101), key=lambda quality: abs(_sum_luminance_table(quality) - total)), is_subsampled
 
 
-def _table_sum(quality: int) -> int:
+def _sum_luminance_table(quality: int) -> int:
     """Sum the luminance table of the IJG library at a quality."""
     scale = 5000 // quality if quality < 50 else 200 - 2 * quality
     return sum(min(max((value * scale + 50) // 100, 1), 255) for value in _LUMINANCE)
@@ -127,9 +127,9 @@ def _table_sum(quality: int) -> int:
 def encode(pixels: Pixels, form: ImageFormat, *, is_thorough: bool = False) -> bytes:
     """Encode an RGB or RGBA image; `is_thorough` makes PNG files smaller but slower."""
     if form.kind == "png":
-        return _compressed_png(pixels) if is_thorough else encoded_png(pixels)
+        return _compress_png(pixels) if is_thorough else encode_png(pixels)
     if form.kind == "jpeg" and not form.is_subsampled:
-        return encoded_image(pixels, "jpeg", form.quality)
+        return encode_image(pixels, "jpeg", form.quality)
     from PIL import Image as PillowImage
 
     file = io.BytesIO()
@@ -142,7 +142,7 @@ def encode(pixels: Pixels, form: ImageFormat, *, is_thorough: bool = False) -> b
     return file.getvalue()
 
 
-def _compressed_png(pixels: Pixels) -> bytes:
+def _compress_png(pixels: Pixels) -> bytes:
     import cv2
 
     code = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
@@ -173,16 +173,16 @@ def encode_within(
     data = [encode(pixels, form) for pixels, form in images]
     scale, loss = 1.0, 0
 
-    def total() -> int:
+    def count_bytes() -> int:
         return sum(map(len, data))
 
-    if total() > max_bytes:
+    if count_bytes() > max_bytes:
         data = [
             min(old, encode(pixels, form, is_thorough=True), key=len) if form.kind == "png" else old
             for old, (pixels, form) in zip(data, images, strict=True)
         ]
     for _ in range(_MAX_TRIES):
-        if total() <= max_bytes:
+        if count_bytes() <= max_bytes:
             break
         if any(map(_is_lossy, forms)) and loss < _MAX_QUALITY_LOSS:
             loss += _QUALITY_STEP
@@ -192,8 +192,8 @@ def encode_within(
             ]
             changed = [k for k, form in enumerate(forms) if _is_lossy(form)]
         else:
-            scale *= min((_AIM * max_bytes / total()) ** 0.5, 0.97)
-            changed = [k for k, one in enumerate(data) if len(one) >= _SMALL_PART * total()]
+            scale *= min((_TARGET_RATIO * max_bytes / count_bytes()) ** 0.5, 0.97)
+            changed = [k for k, one in enumerate(data) if len(one) >= _MIN_REDUCED_RATIO * count_bytes()]
             for k in changed:
                 height, width = images[k][0].shape[:2]
                 size = max(round(scale * width), _MIN_SIDE), max(round(scale * height), _MIN_SIDE)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import unit_normals
+from scanloom.stages.surface.raycasting import compute_triangle_normals
 
 Floats = NDArray[np.float32]
 
@@ -33,7 +33,7 @@ class TangentFrames:
     tangents: Floats
     signs: Floats
 
-    def at(self, triangles: NDArray[Any], weights: NDArray[Any]) -> tuple[Floats, Floats, Floats]:
+    def interpolate(self, triangles: NDArray[Any], weights: NDArray[Any]) -> tuple[Floats, Floats, Floats]:
         """Interpolate tangents, bitangents and normals (k, 3) at points of the surface."""
         shares = weights.astype(np.float32)
         normals = _interpolate(self.normals, triangles, shares)
@@ -42,18 +42,18 @@ class TangentFrames:
         return tangents, np.asarray(bitangents, np.float32), normals
 
 
-def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
+def compute_tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
     """Compute the tangent frames of a mesh with texture coordinates (m, 3, 2), v up."""
-    normals = corner_normals(mesh)
+    normals = get_corner_normals(mesh)
     corners = mesh.vertices[mesh.triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     (u1, v1), (u2, v2) = ((uvs[:, k] - uvs[:, 0]).T for k in (1, 2))
     area = u1 * v2 - u2 * v1
     signs = np.where(area >= 0, 1.0, -1.0)
-    along = _unit((first * v2[:, None] - second * v1[:, None]) * signs[:, None])
+    along = _normalize((first * v2[:, None] - second * v1[:, None]) * signs[:, None])
     # Project tangents to the plane of each corner's normal, weighted by the angle of the corner.
     flat = along[:, None] - normals * np.einsum("mx,mkx->mk", along, normals)[..., None]
-    flat = _unit(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _corner_angles(corners)[..., None]
+    flat = _normalize(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _compute_corner_angles(corners)[..., None]
     key = np.concatenate(
         [
             np.round(corners.reshape(-1, 3), 12),
@@ -68,13 +68,13 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
     )
     inverse = inverse.reshape(-1)
     sums = np.stack([np.bincount(inverse, flat.reshape(-1, 3)[:, axis]) for axis in range(3)], axis=1)
-    tangents = _unit(sums)[inverse].reshape(-1, 3, 3)
+    tangents = _normalize(sums)[inverse].reshape(-1, 3, 3)
     return TangentFrames(normals.astype(np.float32), tangents.astype(np.float32), signs.astype(np.float32))
 
 
-def corner_normals(mesh: Mesh) -> NDArray[np.float64]:
+def get_corner_normals(mesh: Mesh) -> NDArray[np.float64]:
     """Return the shading normals (m, 3, 3) of the corners, or face normals."""
-    flat = unit_normals(mesh)[:, None].repeat(3, axis=1)
+    flat = compute_triangle_normals(mesh)[:, None].repeat(3, axis=1)
     if mesh.corner_normals is not None:
         given = mesh.corner_normals
     elif mesh.normals is not None:
@@ -94,7 +94,7 @@ def decode_normals(
     local = texels[:, :3].astype(np.float32) * np.float32(2 / 255) - 1
     local[:, :2] *= np.asarray(scales, np.float32)[..., None] if np.ndim(scales) else np.float32(scales)
     found = local[:, :1] * tangents + local[:, 1:2] * bitangents + local[:, 2:3] * normals
-    return _unit(found)
+    return _normalize(found)
 
 
 def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> NDArray[np.uint8]:
@@ -107,7 +107,7 @@ def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> 
     determinant = np.maximum(tt * nn - tn * tn, np.float32(1e-12))
     x, z = (dt * nn - dn * tn) / determinant, (dn * tt - dt * tn) / determinant
     # Normal maps cannot represent directions below the surface.
-    local = _unit(np.stack([x, y, np.maximum(z, np.float32(1e-3))], axis=1))
+    local = _normalize(np.stack([x, y, np.maximum(z, np.float32(1e-3))], axis=1))
     return np.asarray(np.rint((local + 1) * np.float32(127.5)).clip(0, 255), np.uint8)
 
 
@@ -118,16 +118,16 @@ def _interpolate(values: Floats, triangles: NDArray[Any], shares: Floats) -> Flo
     return found
 
 
-def _corner_angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compute_corner_angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     angles = np.empty(corners.shape[:2])
     for k in range(3):
-        a = _unit(corners[:, (k + 1) % 3] - corners[:, k])
-        b = _unit(corners[:, (k + 2) % 3] - corners[:, k])
+        a = _normalize(corners[:, (k + 1) % 3] - corners[:, k])
+        b = _normalize(corners[:, (k + 2) % 3] - corners[:, k])
         angles[:, k] = np.arccos(np.einsum("mx,mx->m", a, b).clip(-1, 1))
     return angles
 
 
-def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
+def _normalize(vectors: NDArray[Any]) -> NDArray[Any]:
     length = np.sqrt(np.einsum("kx,kx->k", vectors, vectors))[:, None]
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.texture import Image, signed_areas
-from scanloom.stages.surface.topology import areas
-from scanloom.stages.texturing.detail import details_of
-from scanloom.stages.texturing.material_classes import BASE_COLOR, MaterialClass, image_at, list_images
+from scanloom.stages.surface.texture import Image, compute_signed_areas
+from scanloom.stages.surface.topology import compute_areas
+from scanloom.stages.texturing.detail_size import estimate_triangle_details
+from scanloom.stages.texturing.material_classes import BASE_COLOR, MaterialClass, get_image, list_images
 
 # Ratio of the 90th to the 10th percentile of the source texel density. Above, the atlas follows the source
 # density; below, it is uniform.
@@ -47,28 +47,28 @@ def compute_budgets(
     """
     texture = mesh.texture
     assert texture is not None
-    spread = np.abs(signed_areas(texture.uvs))
+    spread = np.abs(compute_signed_areas(texture.uvs))
     shares: dict[int, dict[int, float]] = {}
     images: dict[int, Image] = {}
     for index, one in enumerate(classes):
         for path in (BASE_COLOR, *one.maps):
-            for number in one.numbers:
-                image = image_at(texture.materials[number], path) if number >= 0 else None
+            for number in one.material_indices:
+                image = get_image(texture.materials[number], path) if number >= 0 else None
                 if image is not None:
                     images[id(image)] = image
                     shown = float(spread[(class_ids == index) & (texture.material_ids == number)].sum())
                     of_image = shares.setdefault(id(image), {})
                     of_image[index] = of_image.get(index, 0.0) + shown
-    vertex_details = details_of(mesh) if mesh.colors is not None else None
-    area = areas(mesh.vertices, mesh.triangles)
+    vertex_details = estimate_triangle_details(mesh) if mesh.colors is not None else None
+    area = compute_areas(mesh.vertices, mesh.triangles)
     budgets = []
     for index, one in enumerate(classes):
         rows = np.flatnonzero(class_ids == index)
         covered, texels, max_side = np.zeros(len(rows)), 0.0, 64
         for path in (BASE_COLOR, *one.maps):
             total, under = 0.0, np.zeros(len(rows))
-            for number in one.numbers:
-                image = image_at(texture.materials[number], path) if number >= 0 else None
+            for number in one.material_indices:
+                image = get_image(texture.materials[number], path) if number >= 0 else None
                 if image is not None:
                     height, width = image.pixels.shape[:2]
                     its = texture.material_ids[rows] == number
@@ -106,7 +106,7 @@ def compute_densities(
     covered : (m,) texels of each triangle of the original.
     """
     even = np.ones(len(mesh.triangles))
-    area = areas(original.vertices, original.triangles)
+    area = compute_areas(original.vertices, original.triangles)
     density = np.sqrt(np.divide(covered, area, out=np.zeros_like(area), where=area > 0))
     order = np.argsort(density, kind="stable")
     before = np.cumsum(area[order])
@@ -127,7 +127,7 @@ def compute_densities(
             for values in (texels, beneath)
         )
     wanted = np.sqrt(texels / np.maximum(beneath, 1e-300))
-    own = areas(mesh.vertices, mesh.triangles)
+    own = compute_areas(mesh.vertices, mesh.triangles)
     mean = math.sqrt(float((wanted**2 * own).sum() / own.sum()))
     if mean == 0:
         return even

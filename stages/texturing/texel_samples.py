@@ -10,29 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.texturing.pages import Pages, Texels
+from scanloom.stages.texturing.atlas_layout import AtlasLayout, PageTexels
 
 Floats = NDArray[np.float64]
 
 # Maximum distance of a sample from its triangle, in texels on the surface; only strongly compressed charts
 # reach it.
-_BEYOND = 4.0
+_MAX_OVERSHOOT_TEXELS = 4.0
 # Distance in texels up to which two corners coincide in the atlas.
-_SAME = 1e-6
+_COINCIDENCE_TEXELS = 1e-6
 # Kind of a triangle's side: inside a chart, on the border of a chart, or on the boundary of the mesh.
-WITHIN, BORDER, END = range(3)
+INSIDE_CHART, CHART_BORDER, MESH_BOUNDARY = range(3)
 
 
-def samples_under(
-    mesh: Mesh, pages: Pages, texels: Texels, width: int, along: int, texel_size: float
+def sample_texels(
+    mesh: Mesh, pages: AtlasLayout, texels: PageTexels, width: int, samples_per_side: int, texel_size: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Compute the samples of texels, `along` × `along` in each, ordered by texel.
+    """Compute the samples of texels, `samples_per_side` × `samples_per_side` in each, ordered by texel.
 
     Parameters
     ----------
     texels : texels of one image.
     width : width of the image, texels.
-    along : samples along each side of a texel.
+    samples_per_side : samples along each side of a texel.
     texel_size : metres on the surface.
 
     Returns
@@ -42,19 +42,19 @@ def samples_under(
     """
     triangles = texels.triangles.astype(np.int64)
     row, column = np.divmod(texels.pixels.astype(np.int64), width)
-    steps = (np.arange(along) + 0.5) / along
+    steps = (np.arange(samples_per_side) + 0.5) / samples_per_side
     # Axes: texel, sample, (x, y).
     steps = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     points = np.stack([column, row], axis=1)[:, None] + steps
-    inside = texels.shares.astype(np.float64)[:, None]
-    outwards = _weights(pages.corners[triangles], points) - inside
+    inside = texels.weights.astype(np.float64)[:, None]
+    outwards = _compute_barycentric_weights(pages.corners[triangles], points) - inside
     far = np.linalg.norm(outwards @ mesh.vertices[mesh.triangles[triangles]], axis=2, keepdims=True)
-    reach = _BEYOND * texel_size
+    reach = _MAX_OVERSHOOT_TEXELS * texel_size
     weights = inside + outwards * (reach / np.maximum(far, reach))
-    return np.repeat(triangles, along**2), weights.reshape(-1, 3)
+    return np.repeat(triangles, samples_per_side**2), weights.reshape(-1, 3)
 
 
-def _weights(corners: Floats, points: Floats) -> Floats:
+def _compute_barycentric_weights(corners: Floats, points: Floats) -> Floats:
     """Compute barycentric weights (k, s, 3) of points (k, s, 2) in triangles (k, 3, 2)."""
     a, sides = corners[:, None, 0], corners[:, None, 1:] - corners[:, None, :1]
     (ux, uy), (vx, vy) = (np.moveaxis(sides[:, :, k], -1, 0) for k in (0, 1))
@@ -68,21 +68,25 @@ def _weights(corners: Floats, points: Floats) -> Floats:
     return np.asarray(np.stack([1 - v - w, v, w], axis=-1))
 
 
-def borders(mesh: Mesh, pages: Pages) -> NDArray[np.uint8]:
-    """Classify the side opposite each corner, (m, 3) uint8: `WITHIN`, `BORDER` or `END`."""
+def classify_sides(mesh: Mesh, pages: AtlasLayout) -> NDArray[np.uint8]:
+    """Classify the side opposite each corner, (m, 3) uint8: `INSIDE_CHART`, `CHART_BORDER` or `MESH_BOUNDARY`."""
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])
     ends = np.stack([mesh.triangles[:, first], mesh.triangles[:, second]], axis=-1).astype(np.int64)
-    places = np.stack([pages.corners[:, first], pages.corners[:, second]], axis=2)
+    atlas_ends = np.stack([pages.corners[:, first], pages.corners[:, second]], axis=2)
     # Orient each side from its lower vertex index, so that both adjacent triangles give the same key.
-    turn = ends[..., 0] > ends[..., 1]
-    ends[turn], places[turn] = ends[turn][:, ::-1], places[turn][:, ::-1]
+    is_reversed = ends[..., 0] > ends[..., 1]
+    ends[is_reversed], atlas_ends[is_reversed] = ends[is_reversed][:, ::-1], atlas_ends[is_reversed][:, ::-1]
     key = (ends[..., 0] * len(mesh.vertices) + ends[..., 1]).ravel()
-    places, images = places.reshape(-1, 4), np.repeat(pages.pages, 3)
+    atlas_ends, images = atlas_ends.reshape(-1, 4), np.repeat(pages.pages, 3)
     order = np.argsort(key, kind="stable")
     a, b = order[:-1], order[1:]
-    meet = key[a] == key[b]
-    joined = meet & (images[a] == images[b]) & (np.abs(places[a] - places[b]).max(axis=1) < _SAME)
-    kinds = np.full(len(key), END, np.uint8)
-    kinds[a[meet]] = kinds[b[meet]] = BORDER
-    kinds[a[joined]] = kinds[b[joined]] = WITHIN
+    is_shared = key[a] == key[b]
+    is_continuous = (
+        is_shared
+        & (images[a] == images[b])
+        & (np.abs(atlas_ends[a] - atlas_ends[b]).max(axis=1) < _COINCIDENCE_TEXELS)
+    )
+    kinds = np.full(len(key), MESH_BOUNDARY, np.uint8)
+    kinds[a[is_shared]] = kinds[b[is_shared]] = CHART_BORDER
+    kinds[a[is_continuous]] = kinds[b[is_continuous]] = INSIDE_CHART
     return kinds.reshape(-1, 3)

@@ -9,25 +9,25 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 import same_outputs
 from outputs import inputs
-from outputs.differences import Difference, Expected, differences, matches
-from outputs.jobs import QUICK, Job, all_jobs
-from outputs.leaves import of_folder, of_json, of_lines
-from same_outputs import Side, compared, conclude
+from outputs.differences import Difference, ExpectedDifference, find_differences, matches
+from outputs.jobs import QUICK_PATTERNS, Job, list_jobs
+from outputs.leaves import collect_folder_leaves, collect_json_leaves, count_lines
+from same_outputs import Side, compare_job, conclude
 
 
 def told(first, second):
-    return [str(one) for one in differences(first, second)]
+    return [str(one) for one in find_differences(first, second)]
 
 
 def test_json_goes_by_values_and_drops_what_belongs_to_one_run():
     document = {
         "b": [1, {"c": None}],
         "seconds": 3.1,
-        "stage": {"made_in_s": 1, "path": "/here/out/a.ply"},
+        "stage": {"compute_seconds": 1, "path": "/here/out/a.ply"},
         "e": [],
     }
     places = {"/here": "{a}", "/here/out": "{out}"}
-    assert of_json(document, "r.json", places) == {
+    assert collect_json_leaves(document, "r.json", places) == {
         "r.json:b.0": "1",
         "r.json:b.1.c": "null",
         "r.json:stage.path": '"{out}/a.ply"',
@@ -36,7 +36,7 @@ def test_json_goes_by_values_and_drops_what_belongs_to_one_run():
 
 
 def test_lines_go_by_their_words_and_number_without_seconds():
-    assert of_lines("done in 1.2 s\ndone in 31 s\n\n5 sheets", "log", {}) == {
+    assert count_lines("done in 1.2 s\ndone in 31 s\n\n5 sheets", "log", {}) == {
         "log: done in SECONDS": "2",
         "log: 5 sheets": "1",
     }
@@ -45,12 +45,12 @@ def test_lines_go_by_their_words_and_number_without_seconds():
 def test_archives_go_by_their_members(tmp_path: Path):
     arrays = {"same": np.arange(50), "other": np.ones(50)}
     np.savez(tmp_path / "record.npz", **arrays)
-    plain = of_folder(tmp_path, {})
+    plain = collect_folder_leaves(tmp_path, {})
     np.savez_compressed(tmp_path / "record.npz", **arrays)
     assert set(plain) == {"record.npz:same.npy", "record.npz:other.npy"}
-    assert told(plain, of_folder(tmp_path, {})) == []
+    assert told(plain, collect_folder_leaves(tmp_path, {})) == []
     np.savez(tmp_path / "record.npz", same=arrays["same"], other=np.zeros(50))
-    assert told(plain, of_folder(tmp_path, {})) == ["changed record.npz:other.npy"]
+    assert told(plain, collect_folder_leaves(tmp_path, {})) == ["changed record.npz:other.npy"]
 
 
 def test_entries_of_the_cache_go_by_their_stage(tmp_path: Path):
@@ -60,7 +60,7 @@ def test_entries_of_the_cache_go_by_their_stage(tmp_path: Path):
             entry.mkdir(parents=True)
             (entry / "fused.ply").write_text(text)
             (entry / "manifest.json").write_text(f'{{"key": "{key}"}}')
-    first, second = (of_folder(tmp_path / side, {}) for side in "ab")
+    first, second = (collect_folder_leaves(tmp_path / side, {}) for side in "ab")
     assert set(first) == {"cache/fuse/KEY/fused.ply #0", "cache/fuse/KEY/fused.ply #1"}
     assert first == second
 
@@ -104,9 +104,9 @@ def test_expected_differences_are_those_of_job_and_name():
     moved = Difference("moved", "1 simplify:proven -> 1 simplify:details.proven")
     assert matches("a[0]*", "a[0] and more")
     assert not matches("a*", "ba")
-    assert Expected("methods/*", "moved * -> *:details.*", "").covers("methods/horse/seams", moved)
-    assert not Expected("run/*", "moved *", "").covers("methods/horse/seams", moved)
-    assert not Expected("methods/*", "changed *", "").covers("methods/horse/seams", moved)
+    assert ExpectedDifference("methods/*", "moved * -> *:details.*", "").covers("methods/horse/seams", moved)
+    assert not ExpectedDifference("run/*", "moved *", "").covers("methods/horse/seams", moved)
+    assert not ExpectedDifference("methods/*", "changed *", "").covers("methods/horse/seams", moved)
 
 
 def checkout(folder: Path, vertices: int) -> Path:
@@ -139,7 +139,7 @@ JOB = Job("words/one", ("mesh.ply {first}/mesh.ply '{data}/a b.ply'", "other.ply
 
 
 def test_a_job_is_the_same_wherever_it_runs(sides: list[Side], tmp_path: Path):
-    row = compared(JOB, sides[0], sides[1], {"data": tmp_path})
+    row = compare_job(JOB, sides[0], sides[1], {"data": tmp_path})
     assert (row.unexpected, row.expected) == ((), ())
     assert not row.first.is_kept
     assert row.second.leaves == row.first.leaves
@@ -156,28 +156,31 @@ def test_a_job_is_the_same_wherever_it_runs(sides: list[Side], tmp_path: Path):
 
 def test_the_first_side_is_kept_until_its_code_or_the_job_changes(sides: list[Side], tmp_path: Path):
     places = {"data": tmp_path}
-    before = compared(JOB, sides[0], sides[1], places).first
-    after = compared(JOB, sides[0], sides[1], places).first
+    before = compare_job(JOB, sides[0], sides[1], places).first
+    after = compare_job(JOB, sides[0], sides[1], places).first
     assert after.is_kept
     assert after.leaves == before.leaves
-    assert not compared(Job(JOB.name, JOB.steps[:1]), sides[0], sides[1], places).first.is_kept
+    assert not compare_job(Job(JOB.name, JOB.steps[:1]), sides[0], sides[1], places).first.is_kept
     for identity in ("another commit", None):
         changed = Side(sides[0].checkout, sides[0].work, identity)
-        assert not compared(JOB, changed, sides[1], places).first.is_kept
+        assert not compare_job(JOB, changed, sides[1], places).first.is_kept
 
 
 def test_another_program_differs_unless_that_is_expected(
     sides: list[Side], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(same_outputs, "EXPECTED", ())
-    row = compared(JOB, sides[0], sides[2], {"data": tmp_path})
+    row = compare_job(JOB, sides[0], sides[2], {"data": tmp_path})
     assert [str(one) for one in row.unexpected] == ["changed mesh.ply", "changed other.ply"]
     assert (sides[2].folder_of(JOB) / "mesh.ply").read_text() == "4 vertices"
     assert conclude([row]) == 1
     assert "changed mesh.ply: 10 bytes" in capsys.readouterr().out
-    meant = (Expected("words/*", "changed *.ply", "four is better"), Expected("words/*", "gone *", "none"))
+    meant = (
+        ExpectedDifference("words/*", "changed *.ply", "four is better"),
+        ExpectedDifference("words/*", "gone *", "none"),
+    )
     monkeypatch.setattr(same_outputs, "EXPECTED", meant)
-    row = compared(JOB, sides[0], sides[2], {"data": tmp_path})
+    row = compare_job(JOB, sides[0], sides[2], {"data": tmp_path})
     assert (row.unexpected, len(row.expected)) == ((), 2)
     assert conclude([row]) == 0
     out = capsys.readouterr().out
@@ -186,11 +189,11 @@ def test_another_program_differs_unless_that_is_expected(
 
 
 def test_jobs_have_names_of_their_own_and_their_snippets_are_there(shared_data: Path):
-    jobs = all_jobs(shared_data)
+    jobs = list_jobs(shared_data)
     assert len({job.name for job in jobs}) == len(jobs)
     # A job's folder must not lie in another's.
     assert not {str(Path(job.name).parent) for job in jobs} & {job.name for job in jobs}
-    for pattern in QUICK:
+    for pattern in QUICK_PATTERNS:
         assert any(matches(pattern, job.name) for job in jobs)
     snippets = {
         word for job in jobs for step in job.steps for word in step.split()[:1] if word.endswith(".py")
@@ -202,7 +205,7 @@ def test_jobs_have_names_of_their_own_and_their_snippets_are_there(shared_data: 
 def test_made_inputs_are_the_same_each_time(tmp_path: Path):
     sample = Path(__file__).parents[2] / "samples" / "rgbd"
     for name in "ab":
-        inputs.make(tmp_path / name, sample)
-    first, second = (of_folder(tmp_path / name, {}) for name in "ab")
+        inputs.write_inputs(tmp_path / name, sample)
+    first, second = (collect_folder_leaves(tmp_path / name, {}) for name in "ab")
     assert first == second
     assert {"realsense.bag", "ros2.mcap", "cut_0.5_ros2.db3"} <= set(first)

@@ -15,7 +15,7 @@ sys.path.insert(0, str(BENCHES))
 from seamed_meshes import wrapped_ball  # noqa: E402
 from textured import (  # noqa: E402
     OURS,
-    Row,
+    TexturedResult,
     is_better_in_both,
     is_comparable,
     measure,
@@ -25,15 +25,15 @@ from textured import (  # noqa: E402
     run_pymeshlab,
 )
 
-from scanloom.stages.surface.color import color_at  # noqa: E402
 from scanloom.stages.surface.mesh import Image, Material, Mesh  # noqa: E402
 from scanloom.stages.surface.mesh_files import write_mesh  # noqa: E402
+from scanloom.stages.surface.surface_color import compute_surface_colors  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
 
-def row(tool: str, rms: float, psnr: float | None, triangles: int = 100) -> Row:
-    return Row(tool, triangles, 0.1, rms, 10 * rms, psnr, 0.0, "", 1.0)
+def row(tool: str, rms: float, psnr: float | None, triangles: int = 100) -> TexturedResult:
+    return TexturedResult(tool, triangles, 0.1, rms, 10 * rms, psnr, 0.0, "", 1.0)
 
 
 def two_coloured_ball() -> Mesh:
@@ -84,7 +84,7 @@ def test_triangles_keep_their_material(prepare):
     middles = simplified.vertices[simplified.triangles].mean(axis=1)
     is_clear = np.abs(middles[:, 2]) > 0.2
     triangles = np.flatnonzero(is_clear)
-    colors = color_at(simplified, triangles, np.full((len(triangles), 3), 1 / 3))
+    colors = compute_surface_colors(simplified, triangles, np.full((len(triangles), 3), 1 / 3))
     np.testing.assert_array_equal(colors[:, 0] > 100, middles[is_clear, 2] < 0)
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import StageError
-from scanloom.stages.fusion.bricks import Cube, coordinates
-from scanloom.stages.fusion.joining import Joined, Piece, write_piece
-from scanloom.stages.fusion.voxels import BLOCK, Box, Keys
+from scanloom.stages.fusion.brick_stitching import BrickMesh, StitchedMesh, write_brick_mesh
+from scanloom.stages.fusion.bricks import BlockCube, decode_z_order
+from scanloom.stages.fusion.tsdf_volume import BLOCK_SIDE, BlockBox, BlockKeys
 from tests.campaign.kernel_rules import assert_manifold
 from tests.campaign.random_views import Shot, random_shots
 
@@ -74,7 +74,12 @@ class _Field:
         self.count = len(np.unique(np.concatenate(self.keys)))
 
     def fused(
-        self, *, threads: int, instructions: str | None = None, within: Box | None = None, most: int = 1 << 20
+        self,
+        *,
+        threads: int,
+        instructions: str | None = None,
+        within: BlockBox | None = None,
+        most: int = 1 << 20,
     ) -> _kernels.Volume:
         """Return the field; of a box of blocks alone, if there is one."""
         volume = _kernels.Volume(
@@ -96,10 +101,10 @@ class _Field:
             )
         return volume
 
-    def _touched(self, shot: Shot, view: Any, draw: random.Random) -> Keys:
+    def _touched(self, shot: Shot, view: Any, draw: random.Random) -> BlockKeys:
         depth, normal, obliqueness = view
 
-        def found(within: Box | None) -> Keys:
+        def found(within: BlockBox | None) -> BlockKeys:
             return _kernels.touched_blocks(
                 (shot.pinhole, shot.pose),
                 depth,
@@ -118,7 +123,7 @@ class _Field:
         assert (np.diff(keys.astype(np.float64)) >= 0).all(), "blocks are not in their order"
         assert len(np.unique(keys)) == len(keys), "a block is named twice"
         if len(keys):
-            low = coordinates(keys).min(axis=0) + draw.randrange(-1, 3)
+            low = decode_z_order(keys).min(axis=0) + draw.randrange(-1, 3)
             box = _box(low, low + draw.randrange(0, 6))
             _assert_same((keys[_is_within(keys, box)],), (found(box),), "a box")
         return keys
@@ -178,8 +183,8 @@ def _at(
 ) -> NDArray[np.float64]:
     """Return what voxels (n, 3) hold."""
     slots = {tuple(block): slot for slot, block in enumerate(blocks.tolist())}
-    at = [slots[tuple(block)] for block in (voxels // BLOCK).tolist()]
-    within = voxels % BLOCK @ np.array([1, BLOCK, BLOCK**2])
+    at = [slots[tuple(block)] for block in (voxels // BLOCK_SIDE).tolist()]
+    within = voxels % BLOCK_SIDE @ np.array([1, BLOCK_SIDE, BLOCK_SIDE**2])
     return values[np.array(at, np.int64), within].astype(np.float64)
 
 
@@ -187,24 +192,26 @@ def _in_bricks(field: _Field, surface: Any, least: int, draw: random.Random) -> 
     """Fuse brick by brick, each with a rim of blocks, and compare what is joined with the whole."""
     level = draw.choice((1, 1, 2, 3))
     keys = np.unique(np.concatenate(field.keys))
-    cubes = [Cube(level, int(number)) for number in np.unique(keys >> np.uint64(3 * level))]
+    cubes = [BlockCube(level, int(number)) for number in np.unique(keys >> np.uint64(3 * level))]
     if len(cubes) > _MOST_BRICKS:
         return f"{len(cubes)} bricks are too many"
     with tempfile.TemporaryDirectory() as made:
         folders = []
         for cube in cubes:
-            box: Box = (cube.low, cube.high)
+            box: BlockBox = (cube.low, cube.high)
             rim = _box(np.array(cube.low) - 1, np.array(cube.high) + 1)
             volume = field.fused(threads=1, within=rim)
             (places, triangles, colors, _), joints = volume.surface(least, within=box, wanted_threads=2)
-            folders.append(Path(made) / f"{cube.number}")
+            folders.append(Path(made) / f"{cube.index}")
             folders[-1].mkdir()
-            write_piece(folders[-1], Piece(places, triangles, np.rint(colors).astype(np.uint8)), joints)
-        joined = Joined(cubes, folders)
+            write_brick_mesh(
+                folders[-1], BrickMesh(places, triangles, np.rint(colors).astype(np.uint8)), joints
+            )
+        joined = StitchedMesh(cubes, folders)
         if joined.triangle_count == 0:
             assert len(surface[1]) == 0, "bricks have no surface, and the whole has one"
             return f"{len(cubes)} bricks"
-        mesh = joined.mesh()
+        mesh = joined.load_mesh()
     whole = surface[0], surface[1], np.rint(surface[2]).astype(np.uint8)
     _assert_same(whole, (mesh.vertices, mesh.triangles, mesh.colors), "bricks")
     return f"{len(cubes)} bricks"
@@ -220,12 +227,12 @@ def _assert_keeps_to_most(field: _Field, draw: random.Random) -> None:
     raise AssertionError(f"{field.count} blocks where {most} may be")
 
 
-def _is_within(keys: Keys, box: Box) -> NDArray[np.bool_]:
-    at = coordinates(keys)
+def _is_within(keys: BlockKeys, box: BlockBox) -> NDArray[np.bool_]:
+    at = decode_z_order(keys)
     return np.asarray(((at >= box[0]) & (at < box[1])).all(axis=1))
 
 
-def _box(low: NDArray[Any], high: NDArray[Any]) -> Box:
+def _box(low: NDArray[Any], high: NDArray[Any]) -> BlockBox:
     (a, b, c), (d, e, f) = low.tolist(), high.tolist()
     return (a, b, c), (d, e, f)
 

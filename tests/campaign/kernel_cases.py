@@ -112,7 +112,7 @@ def _certified(mesh: Mesh, closed: bool, draw: random.Random) -> str:  # noqa: A
     changes: dict[str, Any] = {"effort": draw.choice((0.0, 1.0, 16.0))}
     if draw.random() < 0.3:
         changes["max_shape"] = _diagonal(mesh) * draw.choice((1e-4, 0.05))
-        changes["only_decide"] = draw.random() < 0.5
+        changes["check_only"] = draw.random() < 0.5
     found, again = (certify(moved, mesh, threads=threads, **changes) for threads in (1, 2))
     assert found.figures() == again.figures(), "threads decide the bounds"
     _assert_within(moved, mesh, found.shape_bound_m, draw, lines=True)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.mesh import Mesh, validated
-from scanloom.stages.surface.raycasting import closest_weights
+from scanloom.stages.surface.mesh import Mesh, validate_mesh
+from scanloom.stages.surface.raycasting import compute_closest_weights
 
 _POINTS = 300
 
 
 def assert_sound(mesh: Mesh) -> None:
     """Indices are in range, all numbers finite, and no triangle has a vertex twice."""
-    validated(mesh)
+    validate_mesh(mesh)
     a, b, c = mesh.triangles.T
     assert not ((a == b) | (b == c) | (c == a)).any(), "a triangle has a vertex twice"
     if mesh.texture is not None:
@@ -85,7 +85,7 @@ def sampled_distance(mesh: Mesh, other: Mesh, rng: np.random.Generator, *, lines
     # Every triangle is looked at, so that no tree has to be trusted.
     for at, point in enumerate(points):
         repeated = np.broadcast_to(point, (len(corners), 3))
-        weights = closest_weights(repeated, corners)
+        weights = compute_closest_weights(repeated, corners)
         there = np.einsum("ij,ijk->ik", weights, corners)
         nearest[at] = np.linalg.norm(there - point, axis=1).min()
     return float(nearest.max(initial=0.0))

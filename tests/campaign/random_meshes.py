@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import numpy as np
-from coloured_meshes import of_trimesh, sheet
+from coloured_meshes import color_trimesh, sheet
 from numpy.typing import NDArray
 from seamed_meshes import folded_strips, two_cubes, wrapped_ball
 
@@ -38,9 +38,9 @@ def _made(kind: str, draw: random.Random) -> Mesh:
         case "soup":
             return _soup(rng, draw)
         case "ball":
-            mesh = of_trimesh(trimesh.creation.icosphere(subdivisions=draw.choice((1, 2, 3))))
+            mesh = color_trimesh(trimesh.creation.icosphere(subdivisions=draw.choice((1, 2, 3))))
         case "ring":
-            mesh = of_trimesh(trimesh.creation.torus(1.0, draw.uniform(0.05, 0.9), 24, 12))
+            mesh = color_trimesh(trimesh.creation.torus(1.0, draw.uniform(0.05, 0.9), 24, 12))
         case "wrapped ball":
             return wrapped_ball(draw.randrange(3, 16), draw.randrange(3, 20), draw.uniform(0, 0.3))
         case "cubes":

@@ -12,17 +12,17 @@ from scanloom.pipeline.config import Config
 from scanloom.stages.inspecting.inspect import inspect
 from scanloom.stages.normal_meshes.normal_mesh import decode
 from scanloom.stages.scans.calibration.rig_calibration import read_rig
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.trajectory.files import read_trajectory
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.scans.trajectory.trajectory_formats import read_trajectory
 from scanloom.stages.simplification.records.load import load_record
-from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.mesh import Mesh, validate_mesh
 from scanloom.stages.surface.mesh_files import read_mesh
 from tests.pipeline import toy
 
 
 def _sound(mesh: Mesh) -> str:
     """Say what a mesh is, all of whose numbers are as its class says."""
-    validated(mesh)
+    validate_mesh(mesh)
     assert mesh.texture is None or np.isfinite(mesh.texture.uvs).all(), "a texture coordinate is not finite"
     return repr(mesh)
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from collapse_records import make_record
 from coloured_meshes import sheet
-from saved_records import recorded
 from seamed_meshes import wrapped_ball
 
 from scanloom.pipeline.config import Config
@@ -85,7 +85,7 @@ def _normal_mesh(folder: Path) -> None:
 
 
 def _record(kind: str) -> Callable[[Path], None]:
-    return lambda folder: recorded(kind).save(folder / "light.npz")
+    return lambda folder: make_record(kind).save(folder / "light.npz")
 
 
 def _kept_results(folder: Path) -> None:

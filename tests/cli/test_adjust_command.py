@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from scanloom import InputError, ScanParams, read_scan
-from scanloom.stages.adjusting.cameras import motion
+from scanloom.stages.adjusting.cameras import compute_motions
 from scanloom.stages.scans.model.scan import Camera
 
 pytestmark = pytest.mark.slow
@@ -30,7 +30,7 @@ def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path
     listed["frames"] = listed["frames"][::3]
     rng = np.random.default_rng(7)
     for frame in listed["frames"]:
-        step = motion(rng.normal(size=(1, 6)) * np.array([0.005] * 3 + [0.005] * 3))[0]
+        step = compute_motions(rng.normal(size=(1, 6)) * np.array([0.005] * 3 + [0.005] * 3))[0]
         frame["world_from_camera"] = (np.array(frame["world_from_camera"]) @ step).tolist()
     (scan / "scan.json").write_text(json.dumps(listed))
     before = (scan / "scan.json").read_bytes()
@@ -46,7 +46,7 @@ def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path
     assert fused.exit_code == 0, fused.stderr
 
     # The same with all that was found; of this scan nothing more is to be gained.
-    found = ("--set", f"scan.adjusted={tmp_path}/better/cameras.json")
+    found = ("--set", f"scan.adjusted_cameras={tmp_path}/better/cameras.json")
     again = scanloom("adjust", scan, tmp_path / "again", *found, "--json")
     assert not again.json["accepted"]
     assert again.json["transfer_before"]["median_px"] < 0.5
@@ -67,7 +67,7 @@ def test_a_colour_camera_that_was_found_is_given_to_other_commands(tmp_path: Pat
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps(document))
     given = read_scan(SAMPLES / "rgbd")
-    scan = read_scan(SAMPLES / "rgbd", ScanParams(adjusted=str(path), first=2))
+    scan = read_scan(SAMPLES / "rgbd", ScanParams(adjusted_cameras=str(path), first=2))
     assert np.array_equal(scan.frames[1].world_from_camera, np.eye(4))
     assert np.array_equal(scan.frames[0].world_from_camera, given.frames[2].world_from_camera)
     assert {frame.color_camera.fx for frame in scan.frames} == {300.0}
@@ -93,7 +93,7 @@ def test_a_damaged_file_of_cameras_is_told(tmp_path: Path, change: dict[str, Any
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match=said):
-        read_scan(SAMPLES / "rgbd", ScanParams(adjusted=str(path)))
+        read_scan(SAMPLES / "rgbd", ScanParams(adjusted_cameras=str(path)))
 
 
 def test_exact_poses_are_said_to_be(scanloom: Run, tmp_path: Path) -> None:

@@ -18,10 +18,10 @@ import browsers
 import pytest
 from small_scans import write_small_scan, write_small_scans
 
-from scanloom.pipeline.batch import opening
+from scanloom.pipeline.batch import open_batch
 from scanloom.pipeline.batch.claims import RELEASED, Claim, Claims
-from scanloom.pipeline.batch.queue import standing_queue
-from scanloom.pipeline.batch.records import FAILED, UNUSABLE, Record, Records
+from scanloom.pipeline.batch.job_queue import read_current_queue
+from scanloom.pipeline.batch.job_records import FAILED, UNUSABLE, JobRecord, JobRecords
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
@@ -68,7 +68,7 @@ def test_warnings_are_told_with_the_scan_they_are_of(scanloom: Run, scans: Path,
     frame = scans / "scan-0001" / "depth-1.png"
     frame.write_bytes(frame.read_bytes()[:80])
     words = ("batch", scans, "-o", tmp_path / "out", "--include", "scan-*", "--until", "fuse", "--jobs", 1)
-    words += ("--set", "fuse.max_bad_share=0.5")
+    words += ("--set", "fuse.max_skipped_ratio=0.5")
     assert scanloom(*words).exit_code == 0
     strict = scanloom(*words, "--strict", "--json")
     assert strict.exit_code == 1
@@ -110,7 +110,7 @@ def test_a_queue_is_worked_on_by_whoever_comes(
     assert queued.exit_code == 0
     assert f"3 scans queued; start on each machine: scanloom worker {out}" in queued.stdout
     assert not (out / "index.html").exists()
-    queue = standing_queue(out)
+    queue = read_current_queue(out)
     assert queue is not None
     assert queue.settings.take_over_after == 7
     # Scans and results may be moved together.
@@ -129,44 +129,44 @@ def test_a_queue_is_worked_on_by_whoever_comes(
 def test_an_unfinished_batch_goes_on_where_it_was(scanloom: Run, scans: Path, tmp_path: Path):
     words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
     assert scanloom(*words).exit_code == 0
-    first = standing_queue(tmp_path / "out")
+    first = read_current_queue(tmp_path / "out")
     again = scanloom(*words)
     assert "an unfinished batch of the same scans is resumed" in again.stderr
-    assert standing_queue(tmp_path / "out") == first
+    assert read_current_queue(tmp_path / "out") == first
     # Nobody is at it, and other words are another batch.
     assert scanloom(*words[:-1], "fuse").exit_code == 0
-    assert standing_queue(tmp_path / "out") != first
+    assert read_current_queue(tmp_path / "out") != first
 
 
 def test_an_unfinished_batch_tries_again_what_failed(scanloom: Run, scans: Path, tmp_path: Path):
     words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
     assert scanloom(*words).exit_code == 0
-    queue = standing_queue(tmp_path / "out")
+    queue = read_current_queue(tmp_path / "out")
     assert queue is not None
-    claims, records = Claims(queue.folder / "claims", "gone"), Records(queue.folder / "done")
+    claims, records = Claims(queue.folder / "claims", "gone"), JobRecords(queue.folder / "done")
     for number, state in ((0, UNUSABLE), (1, FAILED)):
         assert claims.take(Claim(number, 0))
-        records.write(Record(number, "x", state, "the disk was full"))
+        records.write(JobRecord(number, "x", state, "the disk was full"))
     assert "1 scan that failed: run again" in scanloom(*words).stderr
-    assert standing_queue(tmp_path / "out") == queue
+    assert read_current_queue(tmp_path / "out") == queue
     # Whoever comes takes it, though nobody knows what became of the worker.
-    assert list(records.ended()) == [0]
-    assert claims.said(Claim(1, 0)).end == RELEASED
+    assert list(records.list_ended()) == [0]
+    assert claims.read_claim(Claim(1, 0)).end == RELEASED
 
 
 def test_two_batches_in_one_folder_do_not_meet(
     scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(opening, "_WATCHED", 1.0)
+    monkeypatch.setattr(open_batch, "_WATCH_SECONDS", 1.0)
     words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until")
     assert scanloom(*words, "adjust").exit_code == 0
-    queue = standing_queue(tmp_path / "out")
+    queue = read_current_queue(tmp_path / "out")
     assert queue is not None
     alive, stop = queue.folder / "workers" / "other.alive", threading.Event()
     alive.write_text("000000000000 beats, one each 00002.000 s\n")
     # One that was killed is watched for a while, and then none is there.
     assert scanloom(*words, "fuse").exit_code == 0
-    queue = standing_queue(tmp_path / "out")
+    queue = read_current_queue(tmp_path / "out")
     assert queue is not None
     alive = queue.folder / "workers" / "other.alive"
 
@@ -184,7 +184,7 @@ def test_two_batches_in_one_folder_do_not_meet(
     other.join()
     assert refused.exit_code == 3
     assert "another batch is running in this folder (worker other); wait for its end" in refused.stderr
-    assert standing_queue(tmp_path / "out") == queue
+    assert read_current_queue(tmp_path / "out") == queue
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
         assert process.returncode == 130, said
         assert "scanloom: Interrupted; what was finished is kept." in said
         assert not list((out / "cache" / "drafts").iterdir())
-        queue = standing_queue(out)
+        queue = read_current_queue(out)
         assert queue is not None
         assert (queue.folder / "claims" / "000000.0").read_text().endswith("released\n")
 
@@ -276,7 +276,7 @@ def test_files_that_stand_here_are_named_for_workers_elsewhere(
     (tmp_path / "poses.txt").write_text("")
     words = ("--set", "scan.poses=poses.txt", "--set", "scan.calibration=camera.toml", "--queue-only")
     assert scanloom("batch", scans, "-o", "out", *words).exit_code == 0
-    queue = standing_queue(tmp_path / "out")
+    queue = read_current_queue(tmp_path / "out")
     assert queue is not None
     assert f'poses = "{tmp_path / "poses.txt"}"' in queue.settings.config
     # What is not here is looked for in the folder of each scan.
@@ -296,7 +296,7 @@ def test_the_page_opens_from_the_disk_and_shows_every_scan(scanloom: Run, scans:
     (scans / "scan-0000").rename(scans / name)
     words = ("--set", "report.viewpoints=1", "--set", "report.width=64", "--set", "compare.samples=1000")
     assert scanloom("batch", scans, "-o", tmp_path / "out", *words, "--jobs", 1).exit_code == 1
-    with browsers.browser() as chromium:
+    with browsers.launch_browser() as chromium:
         page = chromium.new_page()
         failed: list[str] = []
         page.on("requestfailed", lambda request: failed.append(request.url))

@@ -10,12 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from clouds import cloud, write_cloud
-from coloured_sheet import bumpy
+from clouds import make_cloud, write_cloud
+from coloured_sheet import make_bumpy_body
 
-from scanloom.pipeline.report.page.one_file import is_page
-from scanloom.stages.surface.cloud_files import read_mesh_or_cloud
+from scanloom.pipeline.report.page.single_file_page import is_page
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.surface.point_cloud_files import read_mesh_or_cloud
 
 Run = Callable[..., Any]
 
@@ -46,7 +46,7 @@ def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: P
     told = ran.json["deviation"]
     assert told["is_signed"]
     assert told["lowest_m"] > 0
-    assert told["share_over"] == pytest.approx(1)
+    assert told["over_ratio"] == pytest.approx(1)
     assert len(read_mesh(target / "d.ply").colors) == len(read_mesh(larger).vertices)
     assert cv2.imread(str(target / "d.png")).shape[1] > 1000
     text = scanloom("compare", clean_ball, larger, "--tolerance", 1).stdout
@@ -55,7 +55,7 @@ def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: P
 
 
 def test_a_moved_mesh_is_aligned(scanloom: Run, tmp_path: Path) -> None:
-    body = bumpy()
+    body = make_bumpy_body()
     write_mesh(tmp_path / "a.ply", body)
     write_mesh(tmp_path / "b.ply", body.with_(vertices=body.vertices + np.array((0.03, 0, 0.01))))
     ran = scanloom(
@@ -86,7 +86,7 @@ def test_wrong_words(scanloom: Run, clean_ball: Path, words: tuple[str, ...], me
 
 
 def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) -> None:
-    body = bumpy()
+    body = make_bumpy_body()
     size = float(np.ptp(body.vertices[:, 0]))
     far = body.vertices + np.array((1.5 * size, 0, 0))
     both = body.with_(
@@ -100,7 +100,7 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
     ran = scanloom("compare", *pair, "--change", "--save-change", tmp_path / "c.ply", "--json")
     assert ran.exit_code == 0, ran.stderr
     told = ran.json["change"]
-    assert (told["new_places"], told["gone_places"]) == (1, 0)
+    assert (told["new_regions"], told["gone_regions"]) == (1, 0)
     assert told["gone_area_m2"] == 0
     assert told["new_area_m2"] > 0
     colors = read_mesh(tmp_path / "c.ply").colors
@@ -132,7 +132,7 @@ UNIT = r" (?:mm|m|dB|levels|points|samples|places?)\b| m²| ?%|°"
 
 def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) -> None:
     """But for ΔE2000, which is one itself."""
-    body = bumpy()
+    body = make_bumpy_body()
     pair = tmp_path / "a.ply", tmp_path / "b.ply"
     colors = np.tile(np.array((200, 120, 40), np.uint8), (len(body.vertices), 1))
     write_mesh(pair[0], body.with_(colors=colors))
@@ -177,7 +177,7 @@ def test_pictures_from_around_are_compared_and_saved(
 def points(clean_ball: Path, tmp_path: Path) -> Path:
     """The vertices of the ball, 1 % farther out, as a cloud in colours."""
     mesh = read_mesh(clean_ball)
-    return write_cloud(tmp_path / "points.laz", cloud(1.01 * mesh.vertices, mesh.colors))
+    return write_cloud(tmp_path / "points.laz", make_cloud(1.01 * mesh.vertices, mesh.colors))
 
 
 def test_a_cloud_is_measured_from_a_mesh_and_drawn(
@@ -195,7 +195,7 @@ def test_a_cloud_is_measured_from_a_mesh_and_drawn(
     told = ran.json["deviation"]
     assert told["is_signed"]
     assert told["mean_m"] == pytest.approx(0.01, abs=1e-4)
-    assert told["share_over"] == 1
+    assert told["over_ratio"] == 1
     painted = read_mesh_or_cloud(tmp_path / "d.ply")
     assert (len(painted.vertices), len(painted.triangles)) == (count, 0)
     assert (painted.colors[:, 0] > painted.colors[:, 2]).all()
@@ -232,9 +232,9 @@ def test_what_a_cloud_cannot_tell_is_refused(
 
 
 def test_a_cloud_is_aligned(scanloom: Run, tmp_path: Path) -> None:
-    body = bumpy()
+    body = make_bumpy_body()
     write_mesh(tmp_path / "a.ply", body)
-    write_cloud(tmp_path / "b.las", cloud(body.vertices + np.array((0.02, 0, -0.01))))
+    write_cloud(tmp_path / "b.las", make_cloud(body.vertices + np.array((0.02, 0, -0.01))))
     saved = ("--save-aligned", tmp_path / "c.ply")
     ran = scanloom("compare", tmp_path / "a.ply", tmp_path / "b.las", "--align", "icp", *saved, "--json")
     assert ran.exit_code == 0, ran.stderr

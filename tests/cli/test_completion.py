@@ -17,8 +17,8 @@ from scanloom.cli.completion import complete_assignment
 from scanloom.cli.run_options import config_sections
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.graph import STAGES
-from scanloom.pipeline.quality import QUALITIES
-from scanloom.stages.params import described
+from scanloom.pipeline.quality_presets import QUALITIES
+from scanloom.stages.params import describe_own
 
 ROOT = Path(__file__).resolve().parents[2]
 Offered = Callable[[str], list[str]]
@@ -68,9 +68,9 @@ def test_files_are_left_to_the_shell(offered: Offered) -> None:
 
 def test_parameters_section_by_section(offered: Offered) -> None:
     own = ["limits", "run"]
-    assert set(offered("scanloom run x --set ")) == {f"{one}." for one in [*own, *Config.types()]}
+    assert set(offered("scanloom run x --set ")) == {f"{one}." for one in [*own, *Config.get_types()]}
     assert set(offered("scanloom run x --set s")) == {"scan.", "simplify."}
-    every = [f"report.{name}=" for name in described(Config.types()["report"])]
+    every = [f"report.{name}=" for name in describe_own(Config.get_types()["report"])]
     assert offered("scanloom run x --set rep") == offered("scanloom run x --set report.") == every
     assert offered("scanloom run x --set nothing") == offered("scanloom run x --set nothing.x") == []
 
@@ -82,7 +82,10 @@ def test_values_where_one_parameter_is_meant(offered: Offered) -> None:
     ]
     # One alone would be taken, and a space put behind it.
     assert offered("scanloom run x --set fuse.voxel_s") == ["fuse.voxel_size=", "fuse.voxel_size=none"]
-    assert offered("scanloom run x --set texture.rou") == ["texture.rounds=", "texture.rounds=1"]
+    assert offered("scanloom run x --set texture.rou") == [
+        "texture.alignment_iterations=",
+        "texture.alignment_iterations=1",
+    ]
     assert offered("scanloom run x --set simplify.jia01.p") == [
         *("simplify.jia01.paper_rule=", "simplify.jia01.paper_rule=true", "simplify.jia01.paper_rule=false")
     ]
@@ -103,7 +106,7 @@ def test_sections_of_a_command(offered: Offered) -> None:
 
 def test_what_is_offered_can_be_set() -> None:
     sections = config_sections()
-    for section in Config.types():
+    for section in Config.get_types():
         for word, _ in complete_assignment(f"{section}.", sections):
             values = [value for value, _ in complete_assignment(word, sections) if not value.endswith("=")]
             assert values

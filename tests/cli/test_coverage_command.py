@@ -45,21 +45,21 @@ def test_a_table_of_places_is_printed_and_json_tells_the_same(scanloom: Run, out
 def test_options_are_those_of_the_stage(scanloom: Run, out: Path) -> None:
     told = json.loads(
         scanloom(
-            "coverage", out, "--json", "--set", "coverage.places=1", "--set", "coverage.oblique=45"
+            "coverage", out, "--json", "--set", "coverage.max_defects=1", "--set", "coverage.max_angle=45"
         ).stdout
     )
 
     assert len(told["places"]) == 1
     assert told["oblique_deg"] == pytest.approx(45)
-    assert told["places_left_out"] > 0
+    assert told["places_omitted"] > 0
     assert (
-        "smaller places are not listed; see --set coverage.places"
-        in scanloom("coverage", out, "--set", "coverage.places=1").stdout
+        "smaller places are not listed; see --set coverage.max_defects"
+        in scanloom("coverage", out, "--set", "coverage.max_defects=1").stdout
     )
 
 
 def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
-    ran = scanloom("coverage", out, "--set", "coverage.least_area=100")
+    ran = scanloom("coverage", out, "--set", "coverage.min_area=100")
 
     assert ran.exit_code == 0
     assert ran.stdout.startswith("nothing is missing")

@@ -64,11 +64,11 @@ def test_the_bundle_holds_no_home_as_json_writes_it(
 
 
 def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scanloom.stages.inspecting.system.ignores_case", lambda folder: True)  # noqa: ARG005
+    monkeypatch.setattr("scanloom.stages.inspecting.system.is_case_insensitive", lambda folder: True)  # noqa: ARG005
     lines = [line for line in scanloom("doctor").stdout.splitlines() if line.startswith("odd: ")]
     assert len(lines) == 1
     assert "upper and lower case" in lines[0]
-    assert len(scanloom("doctor", "--json").json["oddities"]) == 1
+    assert len(scanloom("doctor", "--json").json["platform_notes"]) == 1
 
 
 @pytest.mark.parametrize(

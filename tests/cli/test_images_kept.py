@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from seamed_meshes import edge_counts, welded, wrapped_ball
+from seamed_meshes import count_edges, weld_corners, wrapped_ball
 
 from scanloom.stages.exporting.export import export
-from scanloom.stages.exporting.same_packing import same_packing
+from scanloom.stages.exporting.packing_detection import detect_packing
 from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 
@@ -51,7 +51,7 @@ def test_every_method_gives_a_closed_mesh_with_an_image(
     assert ran.exit_code == 0, ran.stderr
     assert not any("texture" in warning for warning in ran.warnings)
     light, mesh = read_mesh(target), read_mesh(textured)
-    assert edge_counts(welded(light))[0] <= edge_counts(welded(mesh))[0]
+    assert count_edges(weld_corners(light))[0] <= count_edges(weld_corners(mesh))[0]
     assert len(light.triangles) < len(mesh.triangles)
     assert light.texture is not None
     assert len(light.texture.images) == 1
@@ -90,7 +90,7 @@ def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tm
     assert ran.exit_code == 0, ran.stderr
     light = read_mesh(target)
     assert light.texture is not None
-    assert edge_counts(welded(light))[0] <= edge_counts(welded(read_mesh(textured)))[0]
+    assert count_edges(weld_corners(light))[0] <= count_edges(weld_corners(read_mesh(textured)))[0]
     assert ran.json["baked"]["charts"] > 0
     ran = scanloom("remesh", textured, target, "--no-bake")
     assert "remesh discards the texture" in ran.stderr
@@ -148,11 +148,11 @@ def test_a_compressed_file_stays_compressed_and_gets_no_larger(
     source, target = tmp_path / "small.glb", tmp_path / "light.glb"
     export(read_mesh(textured), source, compress=compress, position_bits=14, texel_steps=2)
     mesh = read_mesh(source)
-    packing = same_packing(source, mesh)
+    packing = detect_packing(source, mesh)
     assert (packing.compress, packing.position_bits, packing.texel_steps) == (compress, 14, 4)
     ran = scanloom("simplify", source, target, "--ratio", 0.7, "--keep-uv", "--json")
     assert ran.exit_code == 0, ran.stderr
-    assert same_packing(target, read_mesh(target)).compress == compress
+    assert detect_packing(target, read_mesh(target)).compress == compress
     assert ran.json["input_bytes"] == source.stat().st_size
     assert ran.json["output_bytes"] == target.stat().st_size < source.stat().st_size
     assert 0 < ran.json["position_error_m"] < 3e-4
@@ -172,7 +172,7 @@ def test_rounding_of_a_compressed_file_is_part_of_the_bound(
     # Rounding alone exceeds this bound, so the file is not compressed.
     ran = scanloom("simplify", source, target, "--max-shape", 0.001, "--json")
     assert "position_error_m" not in ran.json
-    assert same_packing(target, read_mesh(target)).compress == "none"
+    assert detect_packing(target, read_mesh(target)).compress == "none"
 
 
 def test_a_file_that_grows_is_named_with_its_bytes(scanloom: Run, textured: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from coloured_meshes import sheet
-from tiles_read import read_tiles
+from tile_reader import read_tiles
 
 from scanloom.stages import bake, lod, write_mesh
 
@@ -32,7 +32,7 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert ran.json["tiles"] == len(list(root.all())) == len(list((target / "tiles").iterdir()))
     assert ran.json["output"] == str(target / "tileset.json")
     assert ran.json["geometric_error_m"] == root.tree["geometricError"]
-    assert ran.json["grid_share_m"] < root.tree["geometricError"]
+    assert ran.json["grid_displacement_m"] < root.tree["geometricError"]
     assert "transform" not in root.tree
     # Once more, over them, packed.
     ran = scanloom("lod", "tiles", slod, target, "--set", "tiles.compress=meshopt", "--json")

@@ -74,7 +74,7 @@ def test_decode_gives_what_was_remeshed_to_the_byte(scanloom: Run, kept: Path, t
     ran = scanloom("mesh", "decode", kept, again, "--save-levels", folder, "--json")
     assert ran.exit_code == 0, ran.stderr
     assert again.read_bytes() == kept.with_name("remeshed.ply").read_bytes()
-    assert (ran.json["levels"], ran.json["levels_promised"], ran.json["damage"]) == (2, 2, None)
+    assert (ran.json["levels"], ran.json["levels_encoded"], ran.json["damage"]) == (2, 2, None)
     ran = scanloom("mesh", "decode", kept, coarse, "--level", 1, "--json")
     assert ran.json["levels"] == 1
     assert coarse.read_bytes() == (folder / "level_1.ply").read_bytes()

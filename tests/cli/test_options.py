@@ -16,7 +16,7 @@ from scanloom.cli.output import Output
 from scanloom.cli.rendering import command_line, render
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class CableParams:
     is_left: bool = param(False, "Twist to the left.")
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class KnittingParams:
     cable: CableParams = field(default=CableParams())
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class WashParams:
     warmth: float = param(30.0, "Temperature.", unit="°C", low=0, common=True)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 KNITTING = ParameterGroup("knitting", KnittingParams)

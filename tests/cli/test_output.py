@@ -22,7 +22,7 @@ from scanloom.stages.diagnostics.errors import (
     MeshError,
     StageError,
     UsageError,
-    is_lack_of_memory,
+    is_out_of_memory,
 )
 
 
@@ -74,7 +74,7 @@ def test_lines_for_a_person_carry_units() -> None:
     figures = {
         "voxel_size_m": 0.0123456,
         "triangles": 1234567,
-        "used_share": 0.25,
+        "used_ratio": 0.25,
         "scale_m_per_level": 2.0,
         "manifold": True,
         "colour": {"psnr_db": None},
@@ -148,18 +148,18 @@ def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code
     ],
 )
 def test_a_lack_of_memory_is_explained(error: Exception) -> None:
-    assert is_lack_of_memory(error)
+    assert is_out_of_memory(error)
     failure = explain_failure(error)
     assert failure.exit_code == 1
     assert "memory" in failure.sentence
 
 
 def test_an_error_in_another_text_is_no_lack_of_memory() -> None:
-    assert not is_lack_of_memory(SyntaxError("expected ':'", ("<string>", 1, 1, "")))
+    assert not is_out_of_memory(SyntaxError("expected ':'", ("<string>", 1, 1, "")))
 
 
 def test_a_library_that_is_loaded_too_late_is_no_lack_of_memory() -> None:
-    assert not is_lack_of_memory(ImportError("libx.so: cannot allocate memory in static TLS block"))
+    assert not is_out_of_memory(ImportError("libx.so: cannot allocate memory in static TLS block"))
 
 
 def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:

@@ -3,34 +3,34 @@
 import json
 from pathlib import Path
 
-import networks
+import onnx_networks
 import pytest
 
 from scanloom.cli.app import run_command
-from scanloom.stages.stereo.networks import probe
-from scanloom.stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
+from scanloom.stages.stereo.networks import sidecar_guessing
+from scanloom.stages.stereo.networks.sidecar import Sidecar, format_sidecar, get_sidecar_path, read_sidecar
 
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
-    monkeypatch.setattr(probe, "_SIZE", (96, 192))
+    monkeypatch.setattr(sidecar_guessing, "_TEST_SIZE", (96, 192))
 
 
 def test_it_prints_the_page_or_writes_it(tmp_path: Path, capsys):
-    network = networks.matcher(tmp_path / "net.onnx", scale=-1.0)
+    network = onnx_networks.write_stereo_network(tmp_path / "net.onnx", scale=-1.0)
     assert run_command(["lab", "probe", str(network)]) == 0
     printed = capsys.readouterr().out
-    assert not sidecar_of(network).exists()
+    assert not get_sidecar_path(network).exists()
     assert run_command(["lab", "probe", str(network), "--write", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert sidecar_of(network).read_text(encoding="utf-8").strip() == printed.strip()
+    assert get_sidecar_path(network).read_text(encoding="utf-8").strip() == printed.strip()
     assert told["sidecar"]["sign"] == read_sidecar(network).sign == -1
     assert run_command(["lab", "probe", str(network), "--write"]) == 3
     assert "is there already" in capsys.readouterr().err
 
 
 def test_what_is_only_custom_is_warned_of(tmp_path: Path, capsys):
-    network = networks.by_brightness(tmp_path / "net.onnx")
+    network = onnx_networks.write_brightness_network(tmp_path / "net.onnx")
     assert run_command(["lab", "probe", str(network), "--strict"]) == 1
     assert "of one image no shift is known" in capsys.readouterr().err
 
@@ -45,12 +45,12 @@ def test_no_network_is_bad_input(tmp_path: Path, capsys):
 def test_a_network_takes_the_matchers_place(tmp_path: Path, capsys):
     samples = Path(__file__).resolve().parents[2] / "samples"
     pairs = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)
-    network = networks.matcher(tmp_path / "net.onnx", disparities=96, sharpness=4.0)
-    sidecar_of(network).write_text(written(pairs), encoding="utf-8")
+    network = onnx_networks.write_stereo_network(tmp_path / "net.onnx", disparities=96, sharpness=4.0)
+    get_sidecar_path(network).write_text(format_sidecar(pairs), encoding="utf-8")
     words = ["--set", "scan.last=0", "--model", str(network), "--json"]
     assert run_command(["depth", str(samples / "stereo"), str(tmp_path / "out"), *words]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["used_share"] > 0.4
+    assert told["used_ratio"] > 0.4
     assert 0.7 < told["median_depth_m"] < 1.2
     assert run_command(["depth", str(samples / "rgbd"), str(tmp_path / "no"), *words]) == 2
     assert "is a stereo network" in capsys.readouterr().err

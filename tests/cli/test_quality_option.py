@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.quality import QUALITIES
+from scanloom.pipeline.quality_presets import QUALITIES
 
 Run = Callable[..., Any]
 
@@ -21,7 +21,7 @@ def test_config_prints_what_a_quality_sets(scanloom: Run) -> None:
         assert rest.startswith(f'"{quality}"\n')
         for section, names in values.items():
             assert all(f"{section}.{name}" in comment.replace("\n# ", " ") for name in names)
-        assert Config.loads(text) == Config.of(quality)
+        assert Config.loads(text) == Config.from_quality(quality)
 
 
 def test_another_word_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:

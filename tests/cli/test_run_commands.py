@@ -353,7 +353,7 @@ def test_help_of_a_stage_names_unit_and_default_of_every_option(scanloom: Run, c
     text = re.sub(r"\s+", " ", scanloom(command, "--help").stdout)
     text = " " + text.partition(" Options: ")[2].partition(" Common options: ")[0]
     helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
-    cls = Config.types()[command]
+    cls = Config.get_types()[command]
     for name, about in describe_all(cls).items():
         option = name.rpartition(".")[2].replace("_", "-")
         if not about.common:

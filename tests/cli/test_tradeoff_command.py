@@ -28,7 +28,7 @@ def test_everything_that_can_be_kept(scanloom: Run, clean_ball: Path, tmp_path: 
     new = tmp_path / "new"
     kept = ("--plot", new / "c.png", "--save", new / "light.ply", "--save-record", new / "r.npz")
     ran = scanloom(
-        "mesh", "tradeoff", clean_ball, "--counts", "600,300,1_000", "--within", 0.1, *kept, "--json"
+        "mesh", "tradeoff", clean_ball, "--counts", "600,300,1_000", "--max-distance", 0.1, *kept, "--json"
     )
     assert ran.exit_code == 0, ran.stderr
     assert [point["triangles"] for point in ran.json["points"]] == [1000, 600, 300]
@@ -40,7 +40,15 @@ def test_everything_that_can_be_kept(scanloom: Run, clean_ball: Path, tmp_path: 
 
 def test_a_distance_that_no_number_keeps_is_not_reached(scanloom: Run, clean_ball: Path) -> None:
     ran = scanloom(
-        "mesh", "tradeoff", clean_ball, "--counts", "100", "--set", "tradeoff.samples=500", "--within", 1e-6
+        "mesh",
+        "tradeoff",
+        clean_ball,
+        "--counts",
+        "100",
+        "--set",
+        "tradeoff.samples=500",
+        "--max-distance",
+        1e-6,
     )
     assert ran.exit_code == 1
     assert "none of these numbers keeps 95 % of the surface within 1e-06 m" in ran.stderr

@@ -44,7 +44,7 @@ def test_tiles_without_a_page_are_shown_and_nothing_is_written(tmp_path: Path) -
 def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
     scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from scanloom.pipeline.report.page.serving import FolderServer
+    from scanloom.pipeline.report.page.folder_server import FolderServer
 
     def interrupted(self: FolderServer) -> None:  # noqa: ARG001
         raise KeyboardInterrupt

@@ -16,9 +16,9 @@ from scanloom import Mesh, stages
 from scanloom.cli.output import Output
 from scanloom.cli.rendering import render
 from scanloom.cli.run_progress import show_run_progress
-from scanloom.pipeline.run.events import Waiting
+from scanloom.pipeline.run.events import RunWaiting
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.surface.formats.ply import write_ply
 
@@ -131,7 +131,7 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
         ("clean", clean_ball, light),
         ("simplify", clean_ball, light, "--ratio", 0.5),
         ("compare", clean_ball, light, "--set", "compare.samples=1000"),
-        ("mesh", "certify", light, clean_ball, "--max-shape", 1, "--only-decide"),
+        ("mesh", "certify", light, clean_ball, "--max-shape", 1, "--check-only"),
         ("mesh", "patches", clean_ball, light),
         ("render", light, tmp_path / "p.png", "--width", 64),
     ):
@@ -192,14 +192,21 @@ def test_that_another_run_is_waited_for_is_said_at_once_and_only_remarked(
 ) -> None:
     for quiet, said in ((False, ["waits"]), (True, [])):
         with show_run_progress(Output(quiet=quiet)) as events:
-            events(Waiting("waits"))
+            events(RunWaiting("waits"))
             assert capsys.readouterr().err.splitlines() == said
 
 
 def test_parameters_are_options_and_stages_are_named() -> None:
-    about = UsageError(MACHINE_BUG, "is {value}.", Where(parameter="voxel_size"), value=0).diagnostic
+    about = UsageError(
+        MACHINE_BUG, "is {value}.", DiagnosticLocation(parameter="voxel_size"), value=0
+    ).diagnostic
     assert render(about) == "--voxel-size is 0."
-    assert render(about.within(section="fuse", file="a.toml")) == "a.toml: fuse.voxel_size is 0."
-    advice = MACHINE_BUG.warning("odd", "a.png", remedy="set scan.depth_scale=1000").within(stage="fuse")
+    assert (
+        render(about.replace_location_fields(section="fuse", file="a.toml"))
+        == "a.toml: fuse.voxel_size is 0."
+    )
+    advice = MACHINE_BUG.warning("odd", "a.png", remedy="set scan.depth_scale=1000").replace_location_fields(
+        stage="fuse"
+    )
     assert render(advice) == "fuse: a.png: odd; give --set scan.depth_scale=1000"
     assert str(advice) == "fuse: a.png: odd; set scan.depth_scale=1000"

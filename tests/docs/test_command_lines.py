@@ -121,7 +121,7 @@ def test_commands_and_options_of_a_page_exist(page: Path) -> None:
     known = {one for name in COMMANDS for one in options_of(parser_of(name))}
     known |= options_of(parser()) | {"--help"} | OTHERS
     # Sections of commands alone have to be looked for as well.
-    anywhere: dict[str, list[type]] = {name: [cls] for name, cls in Config.types().items()}
+    anywhere: dict[str, list[type]] = {name: [cls] for name, cls in Config.get_types().items()}
     for name in COMMANDS:
         for section, cls in sections_of(name).items():
             anywhere.setdefault(section, []).append(cls)
@@ -169,7 +169,7 @@ def test_keys_that_messages_name_exist() -> None:
         for path in (ROOT / room).rglob("*.py"):
             text = re.sub(r"\"\n\s*f?\"", "", path.read_text(encoding="utf-8"))
             for section, key in re.findall(r"[\"`( ]([a-z]+)\.([a-z_0-9.]+)=[\w{<']", text):
-                if section in Config.types() and key not in describe_all(known[section]):
+                if section in Config.get_types() and key not in describe_all(known[section]):
                     wrong.append((named(path), f"{section}.{key}"))
     assert [one for one in wrong if not re.search(r"np|self|cfg", one[1])] == []
 
@@ -179,9 +179,9 @@ def test_command_lines_of_comparisons_are_understood(
 ) -> None:
     monkeypatch.syspath_prepend(ROOT / "benches")
     monkeypatch.delitem(sys.modules, "outputs", raising=False)
-    from outputs.jobs import all_jobs
+    from outputs.jobs import list_jobs
 
-    for job in all_jobs(shared_data):
+    for job in list_jobs(shared_data):
         for step in job.steps:
             words = shlex.split(step)
             # Snippets of Python, and what is meant to be wrong.

@@ -8,7 +8,7 @@ from making import diagnostics
 
 
 def test_topics_are_on_one_page_each():
-    topics = Counter(topic for page in diagnostics.TABLE.values() for topic in page.topics)
+    topics = Counter(topic for page in diagnostics.PAGE_TABLE.values() for topic in page.topics)
     assert set(topics.values()) == {1}
     assert {one.name.partition(".")[0] for one in diagnostics.find_codes()} == set(topics)
 
@@ -36,7 +36,7 @@ def test_codes_are_explained(code):
 def test_each_code_is_used():
     """A code that nothing emits would be explained in vain."""
     used = set()
-    for path in diagnostics._sources():
+    for path in diagnostics._find_sources():
         if path.name != "codes.py":
             used |= set(re.findall(r"\b[A-Z][A-Z0-9_]+\b", path.read_text(encoding="utf-8")))
     assert sorted(set(diagnostics.find_constants()) - used) == []
@@ -51,7 +51,7 @@ def test_messages_are_found_by_the_code_beside_them():
     assert all("{" not in one.text for one in found if one.text.count("…") == 1)
 
 
-@pytest.mark.parametrize("page", diagnostics.TABLE)
+@pytest.mark.parametrize("page", diagnostics.PAGE_TABLE)
 def test_pages_are_current(page):
     # `PYTHONPATH=.:docs python -m making.diagnostics` writes them.
     assert (diagnostics.PAGES / f"{page}.md").read_text(encoding="utf-8") == diagnostics.write_page(page)

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from making import commands, parameters, python, written
-from making.docstrings import as_markdown
-from making.markdown import code, definitions, escaped
+from making import commands, page_blocks, parameters, python
+from making.docstrings import convert_docstring
+from making.markdown import escape_markdown, format_code, format_definitions
 from markdown_it import MarkdownIt
 
 import scanloom
@@ -31,16 +31,16 @@ def shown(markdown: str) -> str:
 
 @given(TEXTS)
 def test_a_text_is_shown_as_it_is(text: str):
-    assert shown(escaped(text)) == text
+    assert shown(escape_markdown(text)) == text
 
 
 @given(st.text(st.sampled_from("ab `*_"), min_size=1).map(lambda text: f"a{text}z"))
 def test_code_is_shown_as_it_is(text: str):
-    assert shown(code(text)) == text
+    assert shown(format_code(text)) == text
 
 
 def test_a_definition_has_a_term_a_meaning_and_facts():
-    assert definitions([("`a`", "what it is.", "m; at least 0"), ("`b`", "another.", "")]) == (
+    assert format_definitions([("`a`", "what it is.", "m; at least 0"), ("`b`", "another.", "")]) == (
         "`a`\n: what it is.\n\n  *m; at least 0*\n\n`b`\n: another.\n"
     )
 
@@ -93,27 +93,27 @@ MARKDOWN = """Do what it says, in `code`.
 
 
 def test_a_docstring_becomes_lists():
-    assert as_markdown(DOCSTRING) == MARKDOWN
+    assert convert_docstring(DOCSTRING) == MARKDOWN
 
 
-@pytest.mark.parametrize("section", Config.types())
+@pytest.mark.parametrize("section", Config.get_types())
 def test_every_parameter_stands_in_its_section(section: str):
-    listed = parameters.of_section(section)
+    listed = parameters.list_section(section)
     params = getattr(Config(), section)
 
     for name, about in describe_all(type(params)).items():
-        assert f"`{section}.{name}`\n: {escaped(about.text.split()[0])}" in listed
-    assert f"## `[{section}]`" in parameters.of_all()
+        assert f"`{section}.{name}`\n: {escape_markdown(about.text.split()[0])}" in listed
+    assert f"## `[{section}]`" in parameters.list_all_sections()
 
 
 def test_a_default_is_that_of_the_section():
-    assert "default: 200000" in parameters.of_section("compare")
+    assert "default: 200000" in parameters.list_section("compare")
 
 
 def test_every_command_and_option_is_there():
-    text = commands.reference()
+    text = commands.write_reference()
 
-    for name, command in commands.named():
+    for name, command in commands.list_commands():
         section = text.split(f"## {name}\n")[1].split("\n## ")[0]
         for parameter in command.params:
             for option in [*parameter.opts, *parameter.secondary_opts]:
@@ -122,7 +122,7 @@ def test_every_command_and_option_is_there():
 
 
 def test_every_public_name_is_there():
-    text = python.reference()
+    text = python.write_reference()
 
     for package, prefix in ((scanloom, ""), (stages.lod, "lod.")):
         for name in set(package.__all__) - {"__version__"}:
@@ -131,7 +131,7 @@ def test_every_public_name_is_there():
 
 @pytest.mark.parametrize("maker", ["configuration", "commands", "python", "guides"])
 def test_what_is_made_is_the_same_each_time(maker: str):
-    made: Any = written.MAKERS[maker]
+    made: Any = page_blocks.GENERATORS[maker]
 
     assert made() == made()
     assert not re.search(r"0x[0-9a-f]{6,}|<function|/home/|bound method", made())
@@ -140,7 +140,7 @@ def test_what_is_made_is_the_same_each_time(maker: str):
 def test_a_block_is_replaced_by_what_it_names():
     text = "before\n\n```{made} parameters cache\nwhat a reader of the page sees\n```\n\nafter\n"
 
-    filled = written.filled_in(text)
+    filled = page_blocks.fill_blocks(text)
 
     assert filled.startswith("before\n\n`cache.max_size`\n: ")
     assert filled.endswith("\n\nafter\n")

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from browsers import browser, missing
+from browsers import launch_browser, skip_missing_tool
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -45,7 +45,7 @@ class Page(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for module in ("sphinx", "myst_parser", "furo"):
         if importlib.util.find_spec(module) is None:
-            missing(f"{module} is missing: pip install 'scanloom[docs]'")
+            skip_missing_tool(f"{module} is missing: pip install 'scanloom[docs]'")
     folder = tmp_path_factory.mktemp("site")
     words = ["--fail-on-warning", "--keep-going", "--quiet", "-c", "docs", "-d", str(folder / "trees"), "."]
     made = subprocess.run(
@@ -107,7 +107,7 @@ def test_pictures_are_small():
 
 @pytest.fixture(scope="module")
 def opened(site: Path) -> Iterator[Any]:
-    with browser() as started:
+    with launch_browser() as started:
         page = started.new_page(viewport={"width": 360, "height": 800})
         asked: list[str] = []
         said: list[str] = []

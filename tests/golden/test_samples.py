@@ -18,7 +18,7 @@ from scanloom.pipeline.run.run import run
 from scanloom.stages.comparing.compare import CompareParams, compare
 from scanloom.stages.surface.formats.ply import read_ply, write_ply_cloud
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface, bounding_box, interpolated
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box, interpolate_values
 from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
@@ -110,9 +110,9 @@ def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_g
 def mesh_figures(mesh: Mesh, truth: Mesh) -> dict:
     """What is known of one mesh. Distances to the truth go from the mesh; coverage goes to it."""
     found, measured = topology(mesh), compare(truth, mesh, COMPARED)
-    corners = mesh.vertices[mesh.triangles] - bounding_box(truth).mean(axis=0)
+    corners = mesh.vertices[mesh.triangles] - compute_bounding_box(truth).mean(axis=0)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    extent = np.ptp(bounding_box(mesh), axis=0)
+    extent = np.ptp(compute_bounding_box(mesh), axis=0)
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
@@ -143,7 +143,7 @@ def report_figures(report: dict) -> dict:
         "largest_shape_change_m": simplify["details"]["largest_shape_change_m"],
         "largest_color_change_levels": simplify["details"]["largest_color_change_levels"],
         "edge_length_mean_m": final["edges"]["length_mean_m"],
-        "edge_length_deviation_m": final["edges"]["length_deviation_m"],
+        "edge_length_deviation_m": final["edges"]["length_std_m"],
         "fused_distance_rms_m": distance["rms_m"],
         "fused_distance_maximum_m": distance["maximum_m"],
         "fused_color_rmse_levels": final["to_fused"]["color"]["b_to_a"]["rmse_levels"],
@@ -167,8 +167,8 @@ def from_points(points: Mesh, mesh: Mesh) -> tuple[float, float]:
 
     The rest may lie where a frayed border has moved.
     """
-    nearest = Surface(mesh).closest(points.vertices)
-    colors = np.abs(interpolated(mesh.colors, mesh, nearest) - points.colors).mean(axis=1)
+    nearest = RaycastingSurface(mesh).find_closest_points(points.vertices)
+    colors = np.abs(interpolate_values(mesh.colors, mesh, nearest) - points.colors).mean(axis=1)
     return float(np.quantile(nearest.distances, 0.9)), float(np.quantile(colors, 0.9))
 
 

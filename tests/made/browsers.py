@@ -16,13 +16,13 @@ import pytest
 
 PAGE = Path(__file__).resolve().parents[2] / "pipeline" / "report" / "page"
 # Software draws, the same everywhere; and nothing is asked of anybody.
-_WORDS = (
+_CHROMIUM_FLAGS = (
     *("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic"),
     *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
 
 
-def missing(what: str) -> None:
+def skip_missing_tool(what: str) -> None:
     """Skip a test that has no tool; where a change is decided on, fail it."""
     if os.environ.get("CI"):
         pytest.fail(what)
@@ -30,16 +30,16 @@ def missing(what: str) -> None:
 
 
 @contextmanager
-def browser() -> Iterator[Any]:
+def launch_browser() -> Iterator[Any]:
     """Start Chromium, as playwright has it."""
     # Without the parts that draw windows it takes half the time.
     program = shutil.which("chromium-headless-shell") or shutil.which("chromium")
     if program is None:
-        missing("Chromium is missing; on Debian: apt-get install chromium-headless-shell")
+        skip_missing_tool("Chromium is missing; on Debian: apt-get install chromium-headless-shell")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=program, args=list(_WORDS))
+        started = playwright.chromium.launch(executable_path=program, args=list(_CHROMIUM_FLAGS))
         try:
             yield started
         finally:
@@ -47,7 +47,7 @@ def browser() -> Iterator[Any]:
 
 
 @contextmanager
-def served(server: Any) -> Iterator[Any]:
+def run_server(server: Any) -> Iterator[Any]:
     """Let a server answer while the block runs."""
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
@@ -59,11 +59,11 @@ def served(server: Any) -> Iterator[Any]:
         server.server_close()
 
 
-def node(script: Path, *words: Path | str) -> Any:
+def run_node(script: Path, *words: Path | str) -> Any:
     """Return what a script prints as JSON; it finds the packages that `make packages` installs."""
     program = shutil.which("node")
     if program is None or not (PAGE / "node_modules").is_dir():
-        missing("Node or its packages are missing: make packages")
+        skip_missing_tool("Node or its packages are missing: make packages")
     ran = subprocess.run(
         [str(program), str(script), *map(str, words)],
         capture_output=True,

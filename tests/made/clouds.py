@@ -13,7 +13,7 @@ from scanloom.stages.surface.mesh import Mesh
 NO_TRIANGLES = np.zeros((0, 3), np.int32)
 
 
-def cloud(points: Any, colors: Any = None, normals: Any = None) -> Mesh:
+def make_cloud(points: Any, colors: Any = None, normals: Any = None) -> Mesh:
     return Mesh(np.asarray(points, np.float64), NO_TRIANGLES, colors, normals)
 
 
@@ -24,11 +24,11 @@ def write_cloud(path: Path, given: Mesh, offset: tuple[float, float, float] = (0
     elif path.suffix == ".e57":
         _write_e57(path, given, offset)
     else:
-        las(given, offset).write(str(path))
+        make_las(given, offset).write(str(path))
     return path
 
 
-def las(given: Mesh, offset: tuple[float, float, float] = (0.0, 0.0, 0.0), point_format: int = 7) -> Any:
+def make_las(given: Mesh, offset: tuple[float, float, float] = (0.0, 0.0, 0.0), point_format: int = 7) -> Any:
     import laspy
 
     header = laspy.LasHeader(point_format=point_format)

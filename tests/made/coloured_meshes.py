@@ -26,7 +26,7 @@ def sheet(n: int = 40, noise: float = 0.001, height: float = 0.1) -> Mesh:
     return Mesh(vertices, triangles.astype(np.int32), colors=np.rint(colors).astype(np.uint8))
 
 
-def of_trimesh(made: Any) -> Mesh:
+def color_trimesh(made: Any) -> Mesh:
     vertices = np.array(made.vertices)
     colors = np.clip(128 + 90 * np.sin(5 * vertices), 0, 255).astype(np.uint8)
     return Mesh(vertices, np.array(made.faces, np.int32), colors=colors)
@@ -35,23 +35,23 @@ def of_trimesh(made: Any) -> Mesh:
 def ball() -> Mesh:
     import trimesh
 
-    return of_trimesh(trimesh.creation.icosphere(subdivisions=4))
+    return color_trimesh(trimesh.creation.icosphere(subdivisions=4))
 
 
 def ring() -> Mesh:
     import trimesh
 
-    return of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=32))
+    return color_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=32))
 
 
-def holed() -> Mesh:
+def make_holed_sheet() -> Mesh:
     mesh = sheet()
     square = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
     holes = [np.abs(square - center).max(axis=1) < 5 for center in ((12, 12), (28, 25))]
     return Mesh(mesh.vertices, mesh.triangles[~(holes[0] | holes[1])], colors=mesh.colors)
 
 
-MESHES = {"sheet": sheet, "ball": ball, "ring": ring, "holed": holed}
+MESHES = {"sheet": sheet, "ball": ball, "ring": ring, "holed": make_holed_sheet}
 
 
 def assert_same_topology(now: Mesh, before: Mesh) -> None:

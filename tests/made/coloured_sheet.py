@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from scanloom import Image, Material, Mesh, Texture
-from scanloom.stages.files.image_bytes import encoded_image
+from scanloom.stages.files.image_bytes import encode_image
 
 UP = (0.0, -1.0, 0.0)
 
@@ -30,7 +30,7 @@ def textured_sheet(side: int = 12, kind: str = "png") -> Mesh:
     pixels = np.random.default_rng(3).integers(0, 256, (48, 64, 3)).astype(np.uint8)
     image = Image(given=pixels)
     if kind != "png":
-        image = Image(f"a.{kind}", encoded_image(pixels, kind, 95))
+        image = Image(f"a.{kind}", encode_image(pixels, kind, 95))
     ids = (np.arange(len(uvs)) % 2).astype(np.int32)
     materials = (Material("one", image), Material("two", image, base_color=(0.5, 0.25, 1.0, 1.0)))
     return mesh.with_(colors=None, texture=Texture(uvs, ids, materials), up=UP)
@@ -42,7 +42,7 @@ def ball() -> Mesh:
     return Mesh(np.array(made.vertices) + 1, np.array(made.faces, np.int32), up=UP)
 
 
-def bumpy(seed: int = 1) -> Mesh:
+def make_bumpy_body(seed: int = 1) -> Mesh:
     """Return a closed body that no turn or move maps onto itself."""
     made = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
     rng = np.random.default_rng(seed)

@@ -18,18 +18,18 @@ from contextlib import redirect_stdout
 import numpy as np
 
 from scanloom.cli.app import run_command
-from scanloom.stages._open3d import imported
-from tests.made.short_of_memory import limit
+from scanloom.stages._open3d import import_without_threads
+from tests.made.short_of_memory import limit_memory
 
 # With less than the 16 MiB that every command asks for before it reads its words, all end as with none.
 _MEGABYTES = (10, 20, 40, 60, 80, 100, 120, 150, 200, 400)
 # Commands that take longer than all others meet every other limit; which ones differs between them.
-_LONG = ("bake", "compare", "depth", "fuse", "inspect", "register", "render", "run")
+_SLOW_COMMANDS = ("bake", "compare", "depth", "fuse", "inspect", "register", "render", "run")
 # Large enough for all threads to be at it.
-_FACTOR = np.eye(400)
+_WARM_UP_MATRIX = np.eye(400)
 
 
-def ran(words: list[str], spare: int) -> tuple[int, str]:
+def run_limited_command(words: list[str], spare: int) -> tuple[int, str]:
     """Return exit code (negative: the signal that ended it) and output of a command."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -39,8 +39,8 @@ def ran(words: list[str], spare: int) -> tuple[int, str]:
         code = 99
         try:
             # OpenBLAS begins its threads again after a fork; a command has them from its imports.
-            np.dot(_FACTOR, _FACTOR)
-            limit(spare)
+            np.dot(_WARM_UP_MATRIX, _WARM_UP_MATRIX)
+            limit_memory(spare)
             code = run_command(words)
             sys.stdout.flush()
             sys.stderr.flush()
@@ -60,16 +60,18 @@ def main() -> None:
     import scipy.spatial  # noqa: F401
     import trimesh  # noqa: F401
 
-    imported()
+    import_without_threads()
     # And what the words of any command bring.
     with redirect_stdout(io.StringIO()):
         run_command(["--version"])
         run_command(["clean", "--help"])
     for line in sys.stdin:
-        is_long = line.split()[0] in _LONG
+        is_long = line.split()[0] in _SLOW_COMMANDS
         ends = {}
         for m in (0, *(_MEGABYTES[zlib.crc32(line.encode()) % 2 :: 2] if is_long else _MEGABYTES)):
-            ends[f"{m} MiB"] = code, _ = ran([word.format(m) for word in line.split()], m << 20)
+            ends[f"{m} MiB"] = code, _ = run_limited_command(
+                [word.format(m) for word in line.split()], m << 20
+            )
             if code == 0:
                 break
         sys.stdout.write(f"{json.dumps(ends)}\n")

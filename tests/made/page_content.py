@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 
-def shown(page: bytes) -> dict[str, Any]:
+def read_page_content(page: bytes) -> dict[str, Any]:
     """Return the content of a page."""
     found = re.search(rb'id="content"[^>]*>(.*?)</script>', page, re.DOTALL)
     assert found is not None

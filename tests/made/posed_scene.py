@@ -20,7 +20,7 @@ ROLLS = (0, 90, 180, 37, 0, -90, 10)
 
 
 @cache
-def _noise() -> np.ndarray:
+def _make_noise() -> np.ndarray:
     raw = gaussian_filter(np.random.default_rng(5).uniform(0, 1, (64, 64, 64)), 0.8, mode="wrap")
     return np.clip((raw - raw.mean()) / raw.std() * 45 + 125, 20, 235)
 
@@ -37,7 +37,7 @@ def pose(angle: float, roll: float, distance: float = DISTANCE) -> np.ndarray:
     return result
 
 
-def seen(world_from_camera: np.ndarray, camera: Camera = CAMERA) -> tuple[np.ndarray, np.ndarray]:
+def render_view(world_from_camera: np.ndarray, camera: Camera = CAMERA) -> tuple[np.ndarray, np.ndarray]:
     """Return the (h, w, 3) uint8 image and the (h, w) depth along the axis, 0 where it is black."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
@@ -52,13 +52,13 @@ def seen(world_from_camera: np.ndarray, camera: Camera = CAMERA) -> tuple[np.nda
     found = np.isfinite(depth)
     depth = np.where(found, depth, 0)
     points = centre + way * depth[..., None]
-    grey = map_coordinates(_noise(), points.reshape(-1, 3).T * 110, order=1, mode="grid-wrap")
+    grey = map_coordinates(_make_noise(), points.reshape(-1, 3).T * 110, order=1, mode="grid-wrap")
     image = np.where(found, grey.reshape(found.shape), 0).round().astype(np.uint8)
     return np.repeat(image[..., None], 3, axis=2), depth
 
 
 @cache
-def scan() -> tuple[Scan, tuple[np.ndarray, ...]]:
+def make_posed_scan() -> tuple[Scan, tuple[np.ndarray, ...]]:
     """Return seven views, 7 degrees apart and each turned another way, with their true depth.
 
     They are the same for all who ask, and left as they are.
@@ -66,7 +66,7 @@ def scan() -> tuple[Scan, tuple[np.ndarray, ...]]:
     frames, depths = [], []
     for number, roll in enumerate(ROLLS):
         where = pose(7.0 * (number - 3), roll)
-        image, depth = seen(where)
+        image, depth = render_view(where)
         frames.append(Frame(f"{number:04d}", CAMERA, color=image, world_from_camera=where))
         depths.append(depth)
     return Scan("made", tuple(frames)), tuple(depths)

@@ -38,7 +38,7 @@ _ERRNO = {_NOT_FOUND: errno.ENOENT, _DENIED: errno.EACCES}
 
 def pretend() -> None:
     """Change this process, for good."""
-    _import_what_asks_for_the_system()
+    _import_platform_dependent()
     kernel = _Kernel()
     sys.platform = "win32"
     sys.modules.update(dict.fromkeys(MISSING_MODULES))
@@ -49,7 +49,7 @@ def pretend() -> None:
     _change_os()
 
 
-def _import_what_asks_for_the_system() -> None:
+def _import_platform_dependent() -> None:
     """Import all libraries while this is Linux, then forget the sources themselves."""
     importlib.import_module("scanloom.cli.app").app()
     for name in ("cv2", "scipy.spatial", "trimesh"):

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from scanloom.stages.files.images import read_raw_depth, read_stored
-from scanloom.stages.surface.mesh_files import EXTENSIONS, read_mesh
-from tests.made.short_of_memory import Call, ended
+from scanloom.stages.files.images import read_raw_depth, read_stored_image
+from scanloom.stages.surface.mesh_files import MESH_EXTENSIONS, read_mesh
+from tests.made.short_of_memory import Call, run_limited
 
 
-def call_of(file: Path) -> Call:
-    if file.suffix in EXTENSIONS:
+def make_reader_call(file: Path) -> Call:
+    if file.suffix in MESH_EXTENSIONS:
         return partial(read_mesh, file)
-    return partial(read_raw_depth if file.suffix in (".npy", ".exr") else read_stored, file)
+    return partial(read_raw_depth if file.suffix in (".npy", ".exr") else read_stored_image, file)
 
 
 def main() -> None:
@@ -36,8 +36,8 @@ def main() -> None:
     np.dot(np.eye(400), np.eye(400))
     megabytes = (800, 100, 80, 60, 50, 40, 30, 20, 15, 10, 5, 2, 1, 0)
     for line in sys.stdin:
-        call = call_of(Path(line.rstrip("\n")))
-        sys.stdout.write(json.dumps({f"{m} MiB": ended(call, spare=m << 20) for m in megabytes}) + "\n")
+        call = make_reader_call(Path(line.rstrip("\n")))
+        sys.stdout.write(json.dumps({f"{m} MiB": run_limited(call, spare=m << 20) for m in megabytes}) + "\n")
         sys.stdout.flush()
 
 

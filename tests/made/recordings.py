@@ -34,33 +34,33 @@ DEPTH, COLOR = "/device_0/sensor_0/Depth_0", "/device_0/sensor_1/Color_0"
 INFRARED = "/device_0/sensor_0/Infrared_{}"
 
 
-def made(kind: str, **fields: Any) -> Any:
+def make_message(kind: str, **fields: Any) -> Any:
     return _TYPES.types[f"{kind.replace('/', '/msg/')}"](**fields)
 
 
-def text(said: str) -> tuple[str, dict[str, Any]]:
+def make_string_message(said: str) -> tuple[str, dict[str, Any]]:
     """Type and fields of a ROS 2 text."""
     return "std_msgs/msg/String", {"data": said}
 
 
-def serialised(kind: str, **fields: Any) -> bytes:
-    return bytes(_TYPES.serialize_ros1(made(kind, **fields), kind.replace("/", "/msg/")))
+def serialise_ros1(kind: str, **fields: Any) -> bytes:
+    return bytes(_TYPES.serialize_ros1(make_message(kind, **fields), kind.replace("/", "/msg/")))
 
 
-def serialised_2(kind: str, fields: dict[str, Any]) -> bytes:
+def serialise_ros2(kind: str, fields: dict[str, Any]) -> bytes:
     return bytes(_ROS_2.serialize_cdr(_ROS_2.types[kind](**fields), kind))
 
 
-def stamped(time: int, frame: str = "1") -> Any:
+def make_header(time: int, frame: str = "1") -> Any:
     """A header; RealSense's recorder puts its version where other bags have the frame's name."""
-    stamp = made("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
-    return made("std_msgs/Header", seq=7, stamp=stamp, frame_id=frame)
+    stamp = make_message("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
+    return make_message("std_msgs/Header", seq=7, stamp=stamp, frame_id=frame)
 
 
-def transform(translation: Sequence[float], turn: Sequence[float]) -> dict[str, Any]:
+def make_transform(translation: Sequence[float], turn: Sequence[float]) -> dict[str, Any]:
     return {
-        "translation": made("geometry_msgs/Vector3", **dict(zip("xyz", translation, strict=True))),
-        "rotation": made("geometry_msgs/Quaternion", **dict(zip("xyzw", turn, strict=True))),
+        "translation": make_message("geometry_msgs/Vector3", **dict(zip("xyz", translation, strict=True))),
+        "rotation": make_message("geometry_msgs/Quaternion", **dict(zip("xyzw", turn, strict=True))),
     }
 
 
@@ -83,15 +83,15 @@ class Image:
         return "sensor_msgs/Image" if self.compressed is None else "sensor_msgs/CompressedImage"
 
     def message(self) -> bytes:
-        header = stamped(self.time, self.frame)
+        header = make_header(self.time, self.frame)
         if self.compressed is not None:
             form, data = self.compressed
-            return serialised(self.kind, header=header, format=form, data=np.frombuffer(data, np.uint8))
+            return serialise_ros1(self.kind, header=header, format=form, data=np.frombuffer(data, np.uint8))
         stored = self.pixels.astype(self.pixels.dtype.newbyteorder(">" if self.big_endian else "<"))
         height, width = stored.shape[:2]
         rows = np.frombuffer(stored.tobytes(), np.uint8).reshape(height, -1)
         rows = np.pad(rows, ((0, 0), (0, self.padding)), constant_values=99)
-        data = serialised(
+        data = serialise_ros1(
             self.kind,
             header=header,
             height=height,
@@ -150,13 +150,13 @@ class Reading:
     variance: float = 0.0
 
     def message(self) -> bytes:
-        vector = made("geometry_msgs/Vector3", **dict(zip("xyz", self.acceleration, strict=True)))
-        return serialised(
+        vector = make_message("geometry_msgs/Vector3", **dict(zip("xyz", self.acceleration, strict=True)))
+        return serialise_ros1(
             "sensor_msgs/Imu",
-            header=stamped(self.time, self.frame),
-            orientation=made("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            header=make_header(self.time, self.frame),
+            orientation=make_message("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
             orientation_covariance=np.array([-1.0, *[0] * 8]),
-            angular_velocity=made("geometry_msgs/Vector3", x=0.0, y=0.0, z=0.0),
+            angular_velocity=make_message("geometry_msgs/Vector3", x=0.0, y=0.0, z=0.0),
             angular_velocity_covariance=np.zeros(9),
             linear_acceleration=vector,
             linear_acceleration_covariance=np.array([self.variance, *[0] * 8]),
@@ -186,7 +186,7 @@ class Recording:
             written: dict[str, Any] = {}
             for topic, kind, time, data in self._messages():
                 if topic not in written:
-                    written[topic] = writer.add_connection(topic, _as_ros_2(kind), typestore=_TYPES)
+                    written[topic] = writer.add_connection(topic, _to_ros2_type(kind), typestore=_TYPES)
                 writer.write(written[topic], time, data)
         return path
 
@@ -208,8 +208,8 @@ class Recording:
                 written: dict[str, Any] = {}
                 for topic, kind, time, data in messages[starts[part] : starts[part + 1]]:
                     if topic not in written:
-                        written[topic] = writer.add_connection(topic, _as_ros_2(kind), typestore=_ROS_2)
-                    writer.write(written[topic], time, _ROS_2.ros1_to_cdr(data, _as_ros_2(kind)))
+                        written[topic] = writer.add_connection(topic, _to_ros2_type(kind), typestore=_ROS_2)
+                    writer.write(written[topic], time, _ROS_2.ros1_to_cdr(data, _to_ros2_type(kind)))
             names += sorted(file.name for file in inner.iterdir() if file.name != "metadata.yaml")
         if parts == 1:
             return folder / names[0]
@@ -233,7 +233,7 @@ class Recording:
             if known is None:
                 added = database.execute("INSERT INTO topics(name, type) VALUES (?, ?)", (name, kind))
                 known = (added.lastrowid,)
-            data = fields if isinstance(fields, bytes) else serialised_2(kind, fields)
+            data = fields if isinstance(fields, bytes) else serialise_ros2(kind, fields)
             if form == "zstd":
                 data = zstd.compress(data)
             database.execute(
@@ -250,34 +250,34 @@ class Recording:
                 data = bytes(_ROS_2.ros1_to_cdr(one.message(), "sensor_msgs/msg/Imu"))
                 yield one.time - self.started, topic, "sensor_msgs/msg/Imu", data
         for unit in self.units:
-            yield 0, "/device_0/sensor_0/option/Depth_Units/value", *text(f"{unit:.6f}")
+            yield 0, "/device_0/sensor_0/option/Depth_Units/value", *make_string_message(f"{unit:.6f}")
         for stream in self.streams:
             width, height = stream.size
             if stream.intrinsics is not None:
                 fx, fy, cx, cy = stream.intrinsics
                 lens = f"model={stream.model};coeffs={','.join(map(str, stream.distortion))}"
                 said = f"width={width};height={height};fx={fx};ppx={cx};fy={fy};ppy={cy};{lens}"
-                yield 0, f"{stream.name}/camera_info", *text(said)
+                yield 0, f"{stream.name}/camera_info", *make_string_message(said)
             if stream.from_reference is not None:
                 shift, turn = stream.from_reference
                 columns = ",".join(f"{value:.6f}" for value in Rotation.from_quat(turn).as_matrix().T.ravel())
                 said = f"rotation={columns};translation={','.join(map(str, shift))}"
-                yield 0, f"{stream.name}/tf/ref_1", *text(said)
+                yield 0, f"{stream.name}/tf/ref_1", *make_string_message(said)
             for image in stream.images:
                 recorded = (image.time if image.recorded is None else image.recorded) - self.started
                 said = f"Frame number=1;timestamp_domain=Global Time;timestamp={image.time / 1e6:.6f};"
-                yield recorded, f"{stream.name}/image/metadata", *text(said)
+                yield recorded, f"{stream.name}/image/metadata", *make_string_message(said)
                 yield recorded, *image.row(f"{stream.name}/image/data", recorded, form)
 
     def _messages(self) -> Iterator[tuple[str, str, int, bytes]]:
         """Yield topic, ROS 1 type, when it was recorded and the serialised message, as they are written."""
         for topic, (kind, fields) in self.others.items():
-            yield topic, kind, 1, serialised(kind, **fields)
+            yield topic, kind, 1, serialise_ros1(kind, **fields)
         for stream in self.streams:
-            yield from _description(stream)
+            yield from _describe_stream(stream)
         for n, unit in enumerate(self.units):
             topic = "/device_0/sensor_0/option/Depth_Units/value"
-            yield topic, "std_msgs/Float32", n + 1, serialised("std_msgs/Float32", data=unit)
+            yield topic, "std_msgs/Float32", n + 1, serialise_ros1("std_msgs/Float32", data=unit)
         taken: list[tuple[int, str, str, Image | Reading]] = [
             (one.time if one.recorded is None else one.recorded, s.name + s.topic, one.kind, one)
             for s in self.streams
@@ -292,16 +292,16 @@ class Recording:
             yield topic, kind, time, one.message()
 
 
-def _as_ros_2(kind: str) -> str:
+def _to_ros2_type(kind: str) -> str:
     return kind.replace("/", "/msg/")
 
 
-def _description(stream: Stream) -> Iterator[tuple[str, str, int, bytes]]:
+def _describe_stream(stream: Stream) -> Iterator[tuple[str, str, int, bytes]]:
     if stream.intrinsics is not None:
         fx, fy, cx, cy = stream.intrinsics
-        info = serialised(
+        info = serialise_ros1(
             "sensor_msgs/CameraInfo",
-            header=stamped(0),
+            header=make_header(0),
             height=stream.size[1],
             width=stream.size[0],
             distortion_model=stream.model,
@@ -311,11 +311,11 @@ def _description(stream: Stream) -> Iterator[tuple[str, str, int, bytes]]:
             P=np.array(stream.projection, np.float64),
             binning_x=0,
             binning_y=0,
-            roi=made(
+            roi=make_message(
                 "sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
             ),
         )
         yield stream.name + stream.info, "sensor_msgs/CameraInfo", 1, info
     if stream.from_reference is not None:
-        placed = serialised("geometry_msgs/Transform", **transform(*stream.from_reference))
+        placed = serialise_ros1("geometry_msgs/Transform", **make_transform(*stream.from_reference))
         yield f"{stream.name}/tf/1", "geometry_msgs/Transform", 1, placed

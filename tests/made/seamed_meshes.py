@@ -121,20 +121,20 @@ def touching_parts(rng: np.random.Generator, gap: float) -> Mesh:
     )
 
 
-def welded(mesh: Mesh) -> NDArray[np.int64]:
+def weld_corners(mesh: Mesh) -> NDArray[np.int64]:
     """Return triangles whose corners are numbered by position."""
     _, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     return number.reshape(-1)[mesh.triangles]
 
 
-def edge_counts(triangles: NDArray[np.int64]) -> tuple[int, int]:
+def count_edges(triangles: NDArray[np.int64]) -> tuple[int, int]:
     """Return how many edges have one triangle, and how many more than two."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     counts = np.unique(edges, axis=0, return_counts=True)[1]
     return int((counts == 1).sum()), int((counts > 2).sum())
 
 
-def overlapping(triangles: NDArray[np.int64]) -> int:
+def count_duplicates(triangles: NDArray[np.int64]) -> int:
     """Return how many triangles have the corners of another one."""
     return len(triangles) - len(np.unique(np.sort(triangles, axis=1), axis=0))
 
@@ -145,13 +145,13 @@ def signed_areas(uvs: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-def charts(mesh: Mesh) -> NDArray[np.int64]:
+def find_charts(mesh: Mesh) -> NDArray[np.int64]:
     """Return the chart of each triangle: those that share an edge in space and in the image are of one."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     assert mesh.texture is not None
-    triangles, count = welded(mesh), len(mesh.triangles)
+    triangles, count = weld_corners(mesh), len(mesh.triangles)
     corner = np.concatenate([triangles[..., None], mesh.texture.uvs], axis=2)
     sides = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2).reshape(-1, 2, 3)
     swap = sides[:, 0, 0] > sides[:, 1, 0]
@@ -166,23 +166,23 @@ def charts(mesh: Mesh) -> NDArray[np.int64]:
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
-def outside_charts(light: Mesh, source: NDArray[np.int32], mesh: Mesh, slack: float = 1e-9) -> int:
-    """Return how many corners of `light` have a coordinate that no triangle of their chart in `mesh` holds.
+def count_outside_charts(simplified: Mesh, source: NDArray[np.int32], mesh: Mesh, slack: float = 1e-9) -> int:
+    """Return how many corners of `simplified` have a coordinate that no triangle of their chart in `mesh` holds.
 
     The chart of a triangle is that of its `source`.
     """
-    assert light.texture is not None
+    assert simplified.texture is not None
     assert mesh.texture is not None
-    of = charts(mesh)
+    of = find_charts(mesh)
     outside = 0
     for chart in np.unique(of[source]):
         images = mesh.texture.uvs[of == chart]
-        points = np.unique(light.texture.uvs[of[source] == chart].reshape(-1, 2), axis=0)
-        outside += int((~_held(points, images, slack)).sum())
+        points = np.unique(simplified.texture.uvs[of[source] == chart].reshape(-1, 2), axis=0)
+        outside += int((~_is_covered(points, images, slack)).sum())
     return outside
 
 
-def _held(points: NDArray[np.float64], images: NDArray[np.float64], slack: float) -> NDArray[np.bool_]:
+def _is_covered(points: NDArray[np.float64], images: NDArray[np.float64], slack: float) -> NDArray[np.bool_]:
     held = np.zeros(len(points), bool)
     low, high = images.min(axis=1) - slack, images.max(axis=1) + slack
     side = np.sign(signed_areas(images))

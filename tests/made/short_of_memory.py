@@ -31,28 +31,28 @@ _ENDS = {0: DONE, 1: MEMORY, 2: "another exception"}
 Call = Callable[[], object]
 
 
-def call_of(kernel: str, side: int) -> Call:
+def make_kernel_call(kernel: str, side: int) -> Call:
     """Return a call of a kernel, with all its arrays made before."""
     if kernel == "decode_normal_mesh":
-        return partial(_decoded, _made_elsewhere(lambda: _remeshed(sheet(side)).data))
+        return partial(_decode_all_levels, _make_in_subprocess(lambda: _remesh(sheet(side)).data))
     if kernel == "decode_rows":
-        packed = _made_elsewhere(lambda: kernels.encode_rows(np.zeros((side * side, 16), np.uint8)))
+        packed = _make_in_subprocess(lambda: kernels.encode_rows(np.zeros((side * side, 16), np.uint8)))
         return partial(kernels.decode_rows, packed, side * side, 16, "NONE")
     if kernel == "decode_indices":
         same = np.tile(np.array([[0, 1, 2]], np.int32), (side * side, 1))
-        packed = _made_elsewhere(lambda: kernels.encode_triangles(same, 3))
+        packed = _make_in_subprocess(lambda: kernels.encode_triangles(same, 3))
         return partial(kernels.decode_indices, packed, same.size, 4, "TRIANGLES")
-    return _calls(sheet(side), side)[kernel]
+    return _make_calls(sheet(side), side)[kernel]
 
 
-def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
+def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
     count, triangles = len(mesh.vertices), len(mesh.triangles)
     locked, labels = np.zeros(0, bool), np.zeros(0, np.int32)
     importance = np.zeros(0)
     labels_of_all = np.zeros(triangles, np.int32)
     soup = (mesh.vertices, mesh.colors, mesh.triangles)
     running = kernels.Running(target_triangles=triangles // 10, threads=2, record=True)
-    told = {"progress": _told}
+    told = {"progress": _ignore_progress}
     lengths = np.linalg.norm(np.diff(mesh.vertices[mesh.triangles], axis=1), axis=2)
     corners = np.zeros((3 * triangles, 5))
     corners[:, :2] = mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2]
@@ -216,7 +216,12 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             importance,
             np.zeros(count, bool),
             knobs=kernels.SeamKnobs(
-                across_materials=1.0, across_parts=1.0, valence=0.1, wedges=0.1, shape=0.1, seam_drift=1.0
+                across_materials=1.0,
+                part_border_penalty=1.0,
+                valence=0.1,
+                wedges=0.1,
+                shape=0.1,
+                seam_drift=1.0,
             ),
             fit=True,
             running=running,
@@ -282,22 +287,22 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             limits=(0.0, np.inf, 0.05, 0.05),
             wanted_threads=2,
         ),
-        "touched_blocks": partial(_touched, side),
-        "integrate": partial(_integrated, side),
-        "remesh": partial(_remeshed, mesh),
-        "remesh_alone": partial(_remeshed, mesh, levels=0),
+        "touched_blocks": partial(_find_touched_blocks, side),
+        "integrate": partial(_integrate_wall, side),
+        "remesh": partial(_remesh, mesh),
+        "remesh_alone": partial(_remesh, mesh, levels=0),
     }
 
 
-def _told(_done: int, _total: int) -> None:
+def _ignore_progress(_done: int, _total: int) -> None:
     pass
 
 
-def _touched(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint64]:
+def _find_touched_blocks(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint64]:
     """Blocks of a wall at a distance of one metre, as wide as that."""
     flat = np.zeros((side, side), np.float32)
     return kernels.touched_blocks(
-        _before_a_wall(side),
+        _make_wall_camera(side),
         flat + 1,
         (flat, flat, flat - 1),
         flat + 1,
@@ -308,23 +313,23 @@ def _touched(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint64]:
     )
 
 
-def _integrated(side: int) -> object:
+def _integrate_wall(side: int) -> object:
     volume = kernels.Volume(2e-3, 6e-3, color=True, most_blocks=1 << 20)
     wall = np.ones((side, side), np.float32)
     color = np.zeros((side, side, 3), np.uint8)
-    keys = _touched(side, 2e-3)
+    keys = _find_touched_blocks(side, 2e-3)
     for _ in range(3):
         volume.integrate(
-            keys, _before_a_wall(side), wall, wall, color, weighing=(1.0, 1.0, 0.0), wanted_threads=2
+            keys, _make_wall_camera(side), wall, wall, color, weighing=(1.0, 1.0, 0.0), wanted_threads=2
         )
     return volume.surface(1, within=None, wanted_threads=2), volume.frame_counts(within=None), volume.voxels()
 
 
-def _before_a_wall(side: int) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:
+def _make_wall_camera(side: int) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:
     return (side, side, side / 2, side / 2, side, side), np.eye(4)
 
 
-def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
+def _remesh(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
     assert mesh.colors is not None
     return kernels.remesh(
         mesh.vertices,
@@ -343,11 +348,11 @@ def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
         color_tolerance=1.0,
         up=None,
         threads=2,
-        progress=_told,
+        progress=_ignore_progress,
     )
 
 
-def _made_elsewhere(make: Callable[[], bytes]) -> bytes:
+def _make_in_subprocess(make: Callable[[], bytes]) -> bytes:
     """Return what another process makes: runs would begin with what is freed in this one."""
     reading, writing = os.pipe()
     if os.fork() == 0:
@@ -362,7 +367,7 @@ def _made_elsewhere(make: Callable[[], bytes]) -> bytes:
     return data
 
 
-def _decoded(file: bytes) -> object:
+def _decode_all_levels(file: bytes) -> object:
     made = kernels.decode_normal_mesh(file, -1)
     level = made.levels
     tables = (made.kinds, made.offsets, made.predicted, made.frames)
@@ -370,24 +375,24 @@ def _decoded(file: bytes) -> object:
     return [table(level) for table in (made.vertices, made.triangles, *attributes, *tables)]
 
 
-def ended(call: Call, *, spare: int = 0, after: float = 0.0) -> str:
+def run_limited(call: Call, *, spare: int = 0, after: float = 0.0) -> str:
     """Return how a call ends in a process that may grow by `spare` bytes at most from `after` seconds on."""
     sys.stdout.flush()
     child = os.fork()
     if child == 0:
-        _end(call, spare, after)
+        _run_and_exit(call, spare, after)
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     return f"killed by {signal.Signals(-code).name}" if code < 0 else _ENDS.get(code, f"exit code {code}")
 
 
-def _end(call: Call, spare: int, after: float) -> None:
+def _run_and_exit(call: Call, spare: int, after: float) -> None:
     code = 2
     try:
         if after > 0:
-            threading.Thread(target=limit, args=(spare, after), daemon=True).start()
+            threading.Thread(target=limit_memory, args=(spare, after), daemon=True).start()
         else:
-            limit(spare)
+            limit_memory(spare)
         call()
         code = 0
     except MemoryError:
@@ -396,7 +401,7 @@ def _end(call: Call, spare: int, after: float) -> None:
         os._exit(code)
 
 
-def until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
+def run_until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
     """Return how runs end, up to the second that lacks nothing: the first may have been quick by chance."""
     ends: dict[str, str] = {}
     for name, run in runs.items():
@@ -406,7 +411,7 @@ def until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
     return ends
 
 
-def limit(spare: int, after: float = 0.0) -> None:
+def limit_memory(spare: int, after: float = 0.0) -> None:
     """Let this process grow by no more than `spare` bytes from `after` seconds on."""
     time.sleep(after)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
@@ -422,7 +427,7 @@ def main() -> None:
         if child == 0:
             code = 1
             try:
-                _answer(kernel, int(side))
+                _write_outcomes(kernel, int(side))
                 code = 0
             finally:
                 os._exit(code)
@@ -432,11 +437,13 @@ def main() -> None:
             sys.stdout.flush()
 
 
-def _answer(kernel: str, side: int) -> None:
-    call = call_of(kernel, side)
-    rising = until_done({f"{m} MiB": partial(ended, call, spare=m << 20) for m in (*range(0, 260, 20), 1500)})
-    late = until_done(
-        {f"{ms} ms": partial(ended, call, after=ms / 1000) for ms in (1, 2, 4, 8, 15, 30, 60, 120, 240)}
+def _write_outcomes(kernel: str, side: int) -> None:
+    call = make_kernel_call(kernel, side)
+    rising = run_until_done(
+        {f"{m} MiB": partial(run_limited, call, spare=m << 20) for m in (*range(0, 260, 20), 1500)}
+    )
+    late = run_until_done(
+        {f"{ms} ms": partial(run_limited, call, after=ms / 1000) for ms in (1, 2, 4, 8, 15, 30, 60, 120, 240)}
     )
     sys.stdout.write(f"{json.dumps({'rising': rising, 'late': late})}\n")
     sys.stdout.flush()

@@ -31,7 +31,7 @@ def write_small_scan(folder: Path, number: int = 0, frames: int = 4) -> Path:
     radius, color = drawn.uniform(0.15, 0.25), drawn.integers(40, 220, 3)
     made = []
     for i, x in enumerate(np.linspace(-0.08, 0.08, frames)):
-        depth, on_ball = _seen(x, center, radius)
+        depth, on_ball = _render_depth(x, center, radius)
         files = {kind: folder / f"{kind}-{i}.png" for kind in ("color", "depth")}
         image = np.where(on_ball[..., None], color, (180, 180, 160)).astype(np.uint8)
         assert cv2.imwrite(str(files["depth"]), np.rint(depth * 1000).astype(np.uint16))
@@ -50,7 +50,7 @@ def write_small_scans(folder: Path, count: int) -> Path:
     return folder
 
 
-def _seen(
+def _render_depth(
     x: float, center: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the depth in metres that a camera at (x, 0, 0) sees, and where it sees the ball."""

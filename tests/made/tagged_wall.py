@@ -12,7 +12,7 @@ from scanloom.stages.scans.model.scan import Camera, Frame
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 318.0, 241.0)
 # Pixels of the wall's picture a metre; how many times as fine photos are drawn as they are taken.
-_PER_METRE, _FINE = 1500, 3
+_PIXELS_PER_METRE, _OVERSAMPLING = 1500, 3
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,15 @@ TAGS = (Tag(3, (-0.3, 0.1), 0.12), Tag(7, (0.25, -0.15), 0.12))
 
 def wall(tags: Sequence[Tag], width: float = 2.0) -> np.ndarray:
     """Return a picture of the wall, x and y from -width / 2 on, y down."""
-    side = round(width * _PER_METRE)
+    side = round(width * _PIXELS_PER_METRE)
     noise = np.random.default_rng(2).uniform(150, 210, (side // 40, side // 40)).astype(np.float32)
     picture = cv2.resize(noise, (side, side), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
     for tag in tags:
         known = cv2.aruco.getPredefinedDictionary(tag.family)
         cells = known.markerSize + 2
         drawn = np.pad(cv2.aruco.generateImageMarker(known, tag.number, cells), 1, constant_values=255)
-        edge = round(tag.edge / cells * (cells + 2) * _PER_METRE)
-        at = [round((one + width / 2) * _PER_METRE - edge / 2) for one in tag.middle]
+        edge = round(tag.edge / cells * (cells + 2) * _PIXELS_PER_METRE)
+        at = [round((one + width / 2) * _PIXELS_PER_METRE - edge / 2) for one in tag.middle]
         picture[at[1] : at[1] + edge, at[0] : at[0] + edge] = cv2.resize(
             drawn, (edge, edge), interpolation=cv2.INTER_NEAREST
         )
@@ -49,12 +49,14 @@ def photo(picture: np.ndarray, world_from_camera: np.ndarray, camera: Camera = C
     """Return the (h, w, 3) photo of the wall, blurred and noisy as a camera's."""
     camera_from_world = np.linalg.inv(world_from_camera)
     half = picture.shape[0] / 2
-    world_from_picture = np.array([[1, 0, -half + 0.5], [0, 1, -half + 0.5], [0, 0, _PER_METRE]]) / _PER_METRE
-    fine = camera.matrix * _FINE
-    fine[:2, 2] += (_FINE - 1) / 2
+    world_from_picture = (
+        np.array([[1, 0, -half + 0.5], [0, 1, -half + 0.5], [0, 0, _PIXELS_PER_METRE]]) / _PIXELS_PER_METRE
+    )
+    fine = camera.matrix * _OVERSAMPLING
+    fine[:2, 2] += (_OVERSAMPLING - 1) / 2
     fine[2, 2] = 1
     seen = fine @ np.column_stack([camera_from_world[:3, :2], camera_from_world[:3, 3]]) @ world_from_picture
-    size = (camera.width * _FINE, camera.height * _FINE)
+    size = (camera.width * _OVERSAMPLING, camera.height * _OVERSAMPLING)
     large = cv2.warpPerspective(picture, seen, size, flags=cv2.INTER_LINEAR, borderValue=90)
     # Lens and pixels add up light, which photos hold as about its root.
     light = ((large / 255.0) ** 2.2).astype(np.float32)

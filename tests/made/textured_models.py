@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from seamed_meshes import wrapped_ball
 
-from scanloom.stages.surface.formats.gltf_materials import GltfStatements
+from scanloom.stages.surface.formats.gltf_materials import GltfMaterialSource
 from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
@@ -21,14 +21,14 @@ def waves(width: int = 512, height: int = 256) -> NDArray[np.uint8]:
     return np.rint(128 + 100 * np.stack(channels, axis=2)).astype(np.uint8)
 
 
-def as_jpeg(pixels: NDArray[np.uint8], quality: int = 80, subsampling: int = 2) -> Image:
+def encode_jpeg(pixels: NDArray[np.uint8], quality: int = 80, subsampling: int = 2) -> Image:
     """The image as a JPEG file."""
     file = io.BytesIO()
     PillowImage.fromarray(pixels).save(file, "JPEG", quality=quality, subsampling=subsampling)
     return Image("source.jpg", file.getvalue())
 
 
-def as_png(pixels: NDArray[np.uint8]) -> Image:
+def encode_png(pixels: NDArray[np.uint8]) -> Image:
     """The image as a PNG file."""
     file = io.BytesIO()
     PillowImage.fromarray(pixels).save(file, "PNG")
@@ -43,7 +43,7 @@ def textured_ball(image: Image, rings: int = 32, sectors: int = 48, bumps: float
     return mesh.with_(texture=texture)
 
 
-def with_materials(mesh: Mesh, materials: tuple[Material, ...], ids: NDArray[np.int32]) -> Mesh:
+def replace_materials(mesh: Mesh, materials: tuple[Material, ...], ids: NDArray[np.int32]) -> Mesh:
     """The mesh with other materials."""
     assert mesh.texture is not None
     return mesh.with_(texture=Texture(mesh.texture.uvs, ids, materials))
@@ -56,7 +56,7 @@ def gltf_material(name: str, image: Image, maps: dict[str, Image] | None = None,
     for index, (key, one) in enumerate((maps or {}).items(), 1):
         textures[index] = (one, {})
         described[key] = {"index": index}
-    return Material(name, image, kept=GltfStatements(described, textures, None, image))
+    return Material(name, image, kept=GltfMaterialSource(described, textures, None, image))
 
 
 def bumpy_plane(cells: int = 24, pixels: int = 256) -> tuple[Mesh, object]:
@@ -82,8 +82,8 @@ def bumpy_plane(cells: int = 24, pixels: int = 256) -> tuple[Mesh, object]:
     # The image's axes in space: u runs along the first row of the turn.
     local = np.column_stack([world[:, :2] @ turn.T, world[:, 2]])
     encoded = np.rint(127.5 * (local + 1)).astype(np.uint8).reshape(pixels, pixels, 3)
-    image = as_png(waves(pixels, pixels))
-    material = gltf_material("hills", image, {"normalTexture": as_png(encoded)})
+    image = encode_png(waves(pixels, pixels))
+    material = gltf_material("hills", image, {"normalTexture": encode_png(encoded)})
     ids = np.zeros(len(triangles), np.int32)
     up = np.broadcast_to([0.0, 0.0, 1.0], vertices.shape).copy()
     return Mesh(
@@ -91,7 +91,7 @@ def bumpy_plane(cells: int = 24, pixels: int = 256) -> tuple[Mesh, object]:
     ), normals
 
 
-def points_of(
+def sample_points(
     mesh: Mesh, count: int = 4000
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Points on a mesh, evenly by area: triangle, weights, place."""

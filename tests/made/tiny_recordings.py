@@ -8,13 +8,13 @@ and the principal point (24.5, 32.5), it projects to pixel (10.5, 54.5), between
 import dataclasses
 
 import numpy as np
-from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, transform
+from recordings import COLOR, DEPTH, Image, Recording, Stream, make_header, make_message, make_transform
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import POSE_ASSUMED
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 START = 1_700_000_000_000_000_000
 INTERVAL = 33_000_000
@@ -76,11 +76,11 @@ def ros_color(**changes):
 def ros_bag(depth=None, color=None, links=(), **others):
     """A bag of any camera; `links` of the tree of frames are (parent, child, translation, quaternion)."""
     transforms = [
-        made(
+        make_message(
             "geometry_msgs/TransformStamped",
-            header=stamped(0, parent),
+            header=make_header(0, parent),
             child_frame_id=child,
-            transform=made("geometry_msgs/Transform", **transform(*place)),
+            transform=make_message("geometry_msgs/Transform", **make_transform(*place)),
         )
         for parent, child, *place in links
     ]
@@ -98,7 +98,7 @@ LINKS = [
 ]
 
 
-def or_fault(read, *arguments, **options):
+def call_or_get_error(read, *arguments, **options):
     """What a function returns, or the one sentence of its error, which names the file."""
     try:
         return read(*arguments, **options)
@@ -106,22 +106,22 @@ def or_fault(read, *arguments, **options):
         return str(error)
 
 
-def doubts(scan: Scan) -> list[str]:
+def list_warnings(scan: Scan) -> list[str]:
     """Return what is told of the recording, beside that one frame alone needs no pose."""
     return [str(one) for one in scan.diagnostics if one.code != POSE_ASSUMED.name]
 
 
-def outcome(file):
+def summarise_scan(file):
     """Sums of the scan's readable frames, and the number of its warnings; None where it is refused."""
-    scan = or_fault(read_scan, file, complete=False)
+    scan = call_or_get_error(read_scan, file, complete=False)
     if isinstance(scan, str):
         assert str(file) in scan
         return None
     frames = []
     for one in scan.frames:
-        images = [or_fault(read_depth, one), or_fault(read_color, one)]
+        images = [call_or_get_error(read_depth, one), call_or_get_error(read_color, one)]
         faults = [image for image in images if isinstance(image, str)]
         assert all(str(file) in fault for fault in faults)
         if not faults and images[1] is not None:
             frames.append((one.name, *(float(image.sum()) for image in images)))
-    return frames, len(doubts(scan))
+    return frames, len(list_warnings(scan))

@@ -32,10 +32,10 @@ def scan(toy: ModuleType, tmp_path: Path) -> Path:
 def warnings() -> Iterator[list[str]]:
     """What is emitted in the test, as texts."""
     # Not before it is asked for: some runs of these tests change the system that it is imported on.
-    from scanloom.stages.diagnostics.collector import listening
+    from scanloom.stages.diagnostics.collector import listen_to_diagnostics
 
     said: list[str] = []
-    with listening(lambda one: said.append(str(one))):
+    with listen_to_diagnostics(lambda one: said.append(str(one))):
         yield said
 
 

@@ -14,12 +14,12 @@ from scanloom import adjust
 from scanloom.pipeline.artifacts.adjusted_cameras import apply_adjusted, write_adjusted
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
-from scanloom.stages.adjusting.cameras import motion
+from scanloom.stages.adjusting.cameras import compute_motions
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.scans.model.images import read_color
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.trajectory.files import read_tum
-from scanloom.stages.scans.transforms.adjusted_cameras import with_adjusted
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.scans.trajectory.trajectory_formats import read_tum
+from scanloom.stages.scans.transforms.adjusted_cameras import apply_adjusted_cameras
 
 pytestmark = pytest.mark.slow
 
@@ -40,7 +40,9 @@ def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(2)
     for frame in document["frames"]:
         step = rng.normal(size=(1, 6)) * np.array([0.006] * 3 + [np.radians(0.3)] * 3)
-        frame["world_from_camera"] = (np.array(frame["world_from_camera"]) @ motion(step)[0]).tolist()
+        frame["world_from_camera"] = (
+            np.array(frame["world_from_camera"]) @ compute_motions(step)[0]
+        ).tolist()
     (folder / "scan.json").write_text(json.dumps(document))
     return folder
 
@@ -80,7 +82,7 @@ def test_what_is_written_gives_the_frames_back_to_the_bit(disturbed: Path, tmp_p
     scan = read_scan(disturbed)
     scan = replace(scan, frames=scan.frames[::2])
     found = adjust(scan, camera=True)
-    assert found.has_camera
+    assert found.is_camera_adjusted
     write_adjusted(tmp_path, found)
     read = apply_adjusted(scan, tmp_path)
     for one, other in zip(read.frames, found.frames, strict=True):
@@ -95,10 +97,12 @@ def test_turns_that_are_written_come_back_to_their_frames(disturbed: Path, tmp_p
     scan = replace(scan, frames=scan.frames[:4])
     turns = np.random.default_rng(5).normal(size=(4, 3)) / 50
     frames = [replace(frame, shutter_turn=turn) for frame, turn in zip(scan.frames, turns, strict=True)]
-    found = replace(adjust(scan), frames=tuple(frames), places=(0, 2), accepted=True, has_turns=True)
+    found = replace(
+        adjust(scan), frames=tuple(frames), adjusted_indices=(0, 2), accepted=True, is_shutter_adjusted=True
+    )
     write_adjusted(tmp_path, found)
     placed = apply_adjusted(scan, tmp_path).frames
-    by_name = with_adjusted(scan, tmp_path / "cameras.json").frames
+    by_name = apply_adjusted_cameras(scan, tmp_path / "cameras.json").frames
     for frames in (placed, by_name):
         for number in (0, 2):
             np.testing.assert_array_equal(frames[number].shutter_turn, turns[number])
@@ -113,14 +117,14 @@ def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: obj
     document = {"accepted": True, "names": {"0": name}, "poses": {"0": pose}, "shutter_turns": {"0": wrong}}
     (tmp_path / "cameras.json").write_text(json.dumps(document))
     with pytest.raises(InputError, match=r"shutter_turn is no rotation vector|NaN"):
-        with_adjusted(scan, tmp_path / "cameras.json")
+        apply_adjusted_cameras(scan, tmp_path / "cameras.json")
 
 
 def test_turns_of_nobody_are_told(disturbed: Path, tmp_path: Path) -> None:
     document = {"accepted": True, "names": {}, "poses": {}, "shutter_turns": {"0": [0, 0, 0]}}
     (tmp_path / "cameras.json").write_text(json.dumps(document))
     with pytest.raises(InputError, match="the names of its frames are missing"):
-        with_adjusted(read_scan(disturbed), tmp_path / "cameras.json")
+        apply_adjusted_cameras(read_scan(disturbed), tmp_path / "cameras.json")
 
 
 def test_a_colour_camera_alone_is_written_and_comes_back(tmp_path: Path) -> None:
@@ -131,10 +135,10 @@ def test_a_colour_camera_alone_is_written_and_comes_back(tmp_path: Path) -> None
     found = adjust(moved)
     assert found.accepted
     assert found.camera_after.cx == pytest.approx(scan.frames[0].camera.cx + 4, abs=0.35)
-    assert not found.places
+    assert not found.adjusted_indices
     write_adjusted(tmp_path, found)
     assert not (tmp_path / "trajectory.tum").exists()
-    for read in (apply_adjusted(scan, tmp_path), with_adjusted(scan, tmp_path / "cameras.json")):
+    for read in (apply_adjusted(scan, tmp_path), apply_adjusted_cameras(scan, tmp_path / "cameras.json")):
         for one, other, given in list(zip(read.frames, found.frames, scan.frames, strict=True))[1:]:
             assert one.color_camera == other.color_camera
             np.testing.assert_array_equal(one.color_from_depth, np.eye(4))

@@ -6,10 +6,10 @@ import pytest
 from coloured_meshes import sheet
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.graph import plan_for, skip_reasons
+from scanloom.pipeline.graph import list_skip_reasons, plan_stages
 from scanloom.pipeline.steps.bake import BakeSection, write_baked
 from scanloom.stages.comparing.compare import compare
-from scanloom.stages.progress import silent
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh_files import read_mesh
@@ -23,7 +23,7 @@ def scan() -> Scan:
 def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
     original = sheet(n=20)
     light = simplify(original, ratio=0.1).mesh
-    figures = write_baked(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), silent)
+    figures = write_baked(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), ignore_progress)
     baked = read_mesh(tmp_path / "baked.glb")
     found = compare(original, baked, samples=50_000).color_a_to_b
     assert found.rmse == pytest.approx(figures["color"]["rmse_levels"], rel=0.1)
@@ -32,7 +32,7 @@ def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
 
 
 def test_it_is_there_if_it_is_enabled():
-    assert "bake.enabled=true" in skip_reasons(scan(), Config())["bake"]
-    stages = {stage.name: stage for stage in plan_for(scan(), Config().set(["bake.enabled=true"]))}
-    assert stages["bake"].reads == ("clean_mesh", "simplified_mesh", "up_direction")
-    assert "bake" not in {stage.name for stage in plan_for(scan(), Config())}
+    assert "bake.enabled=true" in list_skip_reasons(scan(), Config())["bake"]
+    stages = {stage.name: stage for stage in plan_stages(scan(), Config().set(["bake.enabled=true"]))}
+    assert stages["bake"].input_names == ("clean_mesh", "simplified_mesh", "up_direction")
+    assert "bake" not in {stage.name for stage in plan_stages(scan(), Config())}

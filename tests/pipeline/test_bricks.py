@@ -10,14 +10,14 @@ from typing import Any
 
 import cv2
 import pytest
-from sample_in_pieces import part_of_sample, small_pieces
+from chunked_sample import use_small_chunks, write_partial_sample
 
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import StageError
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.topology import topology
 
@@ -41,13 +41,13 @@ def figures(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str,
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     quiet = figures(scan, tmp_path / "quiet")["fuse"]
     assert quiet["bricks"] == quiet["bricks_fused"] > 10
 
     from scanloom.pipeline.artifacts import fused_bricks as bricks
 
-    store, left = bricks.KeptBricks.store, [7]
+    store, left = bricks.CachedBrickStore.store, [7]
 
     def some(self: Any, *words: Any) -> Path:
         left[0] -= 1
@@ -55,10 +55,10 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
             raise StageError(MACHINE_BUG, "killed")
         return store(self, *words)
 
-    monkeypatch.setattr(bricks.KeptBricks, "store", some)
+    monkeypatch.setattr(bricks.CachedBrickStore, "store", some)
     with pytest.raises(StageError, match="killed"):
         figures(scan, tmp_path / "out")
-    monkeypatch.setattr(bricks.KeptBricks, "store", store)
+    monkeypatch.setattr(bricks.CachedBrickStore, "store", store)
     again = figures(scan, tmp_path / "out")["fuse"]
     assert again["bricks_fused"] == quiet["bricks"] - 7
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
@@ -70,14 +70,14 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     # In several passes, so that frames are read after bricks were kept.
-    tight = ("fuse.memory=1", "fuse.voxel_size=0.01", "fuse.max_bad_share=0.9")
-    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    tight = ("fuse.memory=1", "fuse.voxel_size=0.01", "fuse.max_skipped_ratio=0.9")
+    scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     quiet = figures(scan, tmp_path / "quiet", *tight)["fuse"]
     first, _, third, _ = (Path(str(frame.depth)) for frame in read_scan(scan).frames)
 
     from scanloom.pipeline.artifacts import fused_bricks as bricks
 
-    whole, store, left = third.read_bytes(), bricks.KeptBricks.store, [7]
+    whole, store, left = third.read_bytes(), bricks.CachedBrickStore.store, [7]
 
     def until_it_changes(self: Any, *words: Any) -> Path:
         left[0] -= 1
@@ -87,10 +87,10 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
                 shutil.copy(first, third)
         return store(self, *words)
 
-    monkeypatch.setattr(bricks.KeptBricks, "store", until_it_changes)
+    monkeypatch.setattr(bricks.CachedBrickStore, "store", until_it_changes)
     with pytest.raises(StageError, match=r"0012\.png changed while it was being read; run again"):
         figures(scan, tmp_path / "out", *tight)
-    monkeypatch.setattr(bricks.KeptBricks, "store", store)
+    monkeypatch.setattr(bricks.CachedBrickStore, "store", store)
     third.write_bytes(whole)
     again = figures(scan, tmp_path / "out", *tight)["fuse"]
     assert 0 < again["bricks_fused"] < again["bricks"] == quiet["bricks"]
@@ -99,7 +99,7 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
 
 @pytest.mark.slow
 def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scan, out = part_of_sample(tmp_path / "scan", list(range(0, 24, 6))), tmp_path / "out"
+    scan, out = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6))), tmp_path / "out"
     quiet = figures(scan, out)["fuse"]
     before = (out / "fused.ply").read_bytes()
     kept = tmp_path / "out-cache"
@@ -120,7 +120,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
     # After it was found, where only what it holds can tell.
     from scanloom.pipeline.artifacts import fused_bricks as bricks
 
-    get = bricks.KeptBricks.get
+    get = bricks.CachedBrickStore.get
     for name in ("surface.npz", "frame_counts.npy"):
         shutil.rmtree(kept / "fuse")
 
@@ -131,7 +131,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
             return folder
 
         with monkeypatch.context() as patched:
-            patched.setattr(bricks.KeptBricks, "get", found)
+            patched.setattr(bricks.CachedBrickStore, "get", found)
             with pytest.raises(StageError, match="the brick was damaged during the run"):
                 again()
         assert again() == quiet["bricks"]
@@ -142,7 +142,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
 def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     # What would be derived of all frames together is given.
     given = ("fuse.truncation=0.045", "fuse.max_depth=2.2")
-    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     out = tmp_path / "out"
     first = figures(scan, out, *given)["fuse"]
     # It sees a corner of the scene.
@@ -165,7 +165,7 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> None:
-    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     ratio = "simplify.ratio=0.2"
     at_once = figures(scan, tmp_path / "at-once", ratio, until="simplify")
     whole = "fuse.brick_size=none"
@@ -175,7 +175,7 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
         "one": (whole,),
         "tight": (whole, "fuse.memory=1"),
     }
-    with small_pieces():
+    with use_small_chunks():
         for way, settings in ways.items():
             in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")
             assert ("bricks" in in_pieces["fuse"]) == (way != "one")

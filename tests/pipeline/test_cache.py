@@ -9,7 +9,15 @@ import time
 from pathlib import Path
 
 import pytest
-from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, make, stored
+from cache_entries import (
+    MAY_WRITE_ANYWHERE,
+    ON_WINDOWS,
+    RECIPE,
+    flip_byte,
+    list_drafts,
+    store_entry,
+    write_result,
+)
 
 from scanloom.pipeline.cache import store as cache_module
 from scanloom.pipeline.cache.entry import Recipe
@@ -20,7 +28,7 @@ from scanloom.stages.diagnostics.errors import StageError
 
 def test_entry_comes_back_as_it_was_stored(cache):
     assert cache.get(RECIPE) is None
-    folder = stored(cache)
+    folder = store_entry(cache)
     entry = cache.get(RECIPE)
     assert entry.folder == folder
     assert entry.key == RECIPE.key == folder.name
@@ -29,14 +37,14 @@ def test_entry_comes_back_as_it_was_stored(cache):
     assert entry.manifest["recipe"] == RECIPE.as_json()
     assert sorted(entry.files) == ["fused.ply", "maps/0.bin"]
     assert (folder / "maps" / "0.bin").read_bytes() == bytes(range(200))
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 def test_content_digest_is_of_the_files_alone(cache):
     def later(folder):
-        return {**make(folder), "made": {"seconds": 99}}
+        return {**write_result(folder), "made": {"seconds": 99}}
 
-    first = cache.store(RECIPE, make)
+    first = cache.store(RECIPE, write_result)
     other = cache.store(Recipe("fuse", {"fuse": 2}), later)
     assert first.digest == other.digest
     assert first.key != other.key
@@ -52,13 +60,13 @@ def test_looking_up_makes_nothing(tmp_path):
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_failing_stage_leaves_nothing(cache, error):
     def break_off(folder):
-        make(folder)
+        write_result(folder)
         raise error
 
     with pytest.raises(error):
         cache.store(RECIPE, break_off)
     assert cache.get(RECIPE) is None
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 @pytest.mark.parametrize("when", ["as it is locked", "as its name is known"])
@@ -71,10 +79,10 @@ def test_ctrl_c_as_soon_as_there_is_a_draft_leaves_nothing(cache, monkeypatch, w
 
         def release_and_break_off():
             release()
-            if drafts(cache):
+            if list_drafts(cache):
                 raise KeyboardInterrupt
 
-        is_of_draft = path.name == cache_module.IN_USE
+        is_of_draft = path.name == cache_module.IN_USE_LOCK
         if is_of_draft and when == "as it is locked":
             release_and_break_off()
         if not is_of_draft and when == "as its name is known":
@@ -83,10 +91,10 @@ def test_ctrl_c_as_soon_as_there_is_a_draft_leaves_nothing(cache, monkeypatch, w
 
     monkeypatch.setattr(cache_module, "take_lock", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        cache.store(RECIPE, make)
+        cache.store(RECIPE, write_result)
     monkeypatch.undo()
-    assert drafts(cache) == []
-    assert stored(cache) is not None
+    assert list_drafts(cache) == []
+    assert store_entry(cache) is not None
 
 
 def cut_short(path: Path) -> None:
@@ -106,10 +114,12 @@ def become_json(path: Path) -> None:
     path.write_text("[1, 2]")
 
 
-@pytest.mark.parametrize("damage", [flip, cut_short, make_empty, Path.unlink, become_a_folder, become_json])
+@pytest.mark.parametrize(
+    "damage", [flip_byte, cut_short, make_empty, Path.unlink, become_a_folder, become_json]
+)
 @pytest.mark.parametrize("name", ["fused.ply", "maps/0.bin", "manifest.json"])
 def test_damaged_entry_is_reported_dropped_and_made_anew(cache, warnings, name, damage):
-    folder = stored(cache)
+    folder = store_entry(cache)
     damage(folder / name)
     [listed] = cache.verify()
     assert name in listed.problem
@@ -119,15 +129,15 @@ def test_damaged_entry_is_reported_dropped_and_made_anew(cache, warnings, name, 
     assert "the cached result of fuse is damaged" in warnings[0]
     assert name in warnings[0]
     assert not folder.exists()
-    assert drafts(cache) == []
-    assert (stored(cache) / "fused.ply").read_bytes() == b"ply" * 1000
+    assert list_drafts(cache) == []
+    assert (store_entry(cache) / "fused.ply").read_bytes() == b"ply" * 1000
     assert cache.verify()[0].problem is None
     assert len(warnings) == 1
 
 
 @pytest.mark.parametrize("position", range(0, 1000, 37))
 def test_any_flipped_byte_of_the_manifest_is_noticed(cache, warnings, position):
-    manifest = stored(cache) / "manifest.json"
+    manifest = store_entry(cache) / "manifest.json"
     data = bytearray(manifest.read_bytes())
     data[position % len(data)] ^= 0x01
     changed = json.loads(data) if _is_json(data) else None
@@ -148,7 +158,7 @@ def _is_json(data: bytes) -> bool:
 
 
 def test_entry_under_another_key_is_no_hit(cache, warnings):
-    folder = stored(cache)
+    folder = store_entry(cache)
     other = Recipe("fuse", {"fuse": 2})
     shutil.copytree(folder, folder.with_name(other.key))
     assert cache.get(other) is None
@@ -157,7 +167,7 @@ def test_entry_under_another_key_is_no_hit(cache, warnings):
 
 
 def test_files_a_person_adds_do_no_harm(cache, warnings):
-    (stored(cache) / "notes.txt").write_text("mine")
+    (store_entry(cache) / "notes.txt").write_text("mine")
     assert cache.get(RECIPE) is not None
     assert warnings == []
 
@@ -177,11 +187,11 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, 
     with pytest.raises(
         StageError, match=r"^the result of fuse cannot be written to the cache .*: the disk .*free disk space"
     ):
-        cache.store(RECIPE, make)
+        cache.store(RECIPE, write_result)
     monkeypatch.undo()
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
     assert cache.get(RECIPE) is None
-    stored(cache)
+    store_entry(cache)
 
 
 def test_disk_that_fills_while_a_stage_writes(cache):
@@ -193,27 +203,27 @@ def test_disk_that_fills_while_a_stage_writes(cache):
 
     with pytest.raises(StageError, match="the disk is full; free disk space"):
         cache.store(RECIPE, write)
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 @pytest.mark.skipif(MAY_WRITE_ANYWHERE, reason="root may write anywhere")
 def test_cache_that_may_not_be_written(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(StageError, match=r"cannot be written to the cache .*Permission denied"):
-        Cache(tmp_path / "cache").store(RECIPE, make)
+        Cache(tmp_path / "cache").store(RECIPE, write_result)
     tmp_path.chmod(0o700)
 
 
 def test_file_where_the_cache_should_be(tmp_path):
     (tmp_path / "cache").write_text("a file")
     with pytest.raises(StageError, match="cannot be written to the cache"):
-        Cache(tmp_path / "cache").store(RECIPE, make)
+        Cache(tmp_path / "cache").store(RECIPE, write_result)
 
 
 def test_listing_names_size_parameters_and_use(cache, tmp_path):
-    stored(cache)
-    stored(cache, Recipe("clean", {"clean": 1}))
-    cache.remember_run(tmp_path, {"keys": [RECIPE.key]})
+    store_entry(cache)
+    store_entry(cache, Recipe("clean", {"clean": 1}))
+    cache.record_run(tmp_path, {"keys": [RECIPE.key]})
     clean, fuse = cache.ls()
     assert (clean.stage, fuse.stage) == ("clean", "fuse")
     assert (clean.in_latest_run, fuse.in_latest_run) == (False, True)
@@ -226,15 +236,15 @@ def recipes(cache: Cache) -> list[Recipe]:
     """Three entries, the first unused for longest."""
     made = [Recipe("fuse", {"fuse": version}) for version in (1, 2, 3)]
     for i, recipe in enumerate(made):
-        os.utime(stored(cache, recipe) / "in-use.lock", (1000 + i, 1000 + i))
+        os.utime(store_entry(cache, recipe) / "in-use.lock", (1000 + i, 1000 + i))
     return made
 
 
 def test_prune_removes_what_no_latest_run_used(cache, tmp_path):
     first, second, third = recipes(cache)
     (tmp_path / "out").mkdir()
-    cache.remember_run(tmp_path / "out", {"keys": [second.key]})
-    cache.remember_run(tmp_path / "deleted", {"keys": [third.key]})
+    cache.record_run(tmp_path / "out", {"keys": [second.key]})
+    cache.record_run(tmp_path / "deleted", {"keys": [third.key]})
     assert {e.key for e in cache.prune(dry_run=True)} == {first.key, third.key}
     assert len(cache.ls()) == 3
     assert {e.key for e in cache.prune()} == {first.key, third.key}
@@ -245,7 +255,7 @@ def test_prune_by_age_and_by_size(cache):
     first, second, third = recipes(cache)
     cache.get(third).close()  # looking it up makes it young
     assert {e.key for e in cache.prune(unused=False, older_than=3600)} == {first.key, second.key}
-    stored(cache, second)
+    store_entry(cache, second)
     size = cache.ls()[0].size
     os.utime(cache.folder / "fuse" / third.key / "in-use.lock", (1000, 1000))
     assert [e.key for e in cache.prune(unused=False, max_size=size + 1)] == [third.key]
@@ -253,11 +263,11 @@ def test_prune_by_age_and_by_size(cache):
 
 
 def test_unreadable_record_of_a_run_counts_as_none(cache, tmp_path):
-    cache.remember_run(tmp_path, {"keys": [RECIPE.key]})
+    cache.record_run(tmp_path, {"keys": [RECIPE.key]})
     [record] = (cache.folder / "runs").iterdir()
     for text in ("", "{", "[]", "{}", '{"out": 1, "keys": 2}'):
         record.write_text(text)
-        assert cache.latest_run(tmp_path) in ({}, {"out": 1, "keys": 2})
+        assert cache.read_latest_run(tmp_path) in ({}, {"out": 1, "keys": 2})
         assert cache.ls() == []
 
 
@@ -272,7 +282,7 @@ def test_writing_never_happens_in_an_entrys_place(cache, monkeypatch):
         return real(file, mode, *arguments, **options)
 
     monkeypatch.setattr("io.open", watch)
-    stored(cache)
+    store_entry(cache)
     assert opened
     assert all("drafts" in path.parts for path in opened if path.parent != cache.folder)
 
@@ -280,34 +290,34 @@ def test_writing_never_happens_in_an_entrys_place(cache, monkeypatch):
 def test_limit_takes_the_longest_unused_and_never_what_a_latest_run_used(cache, warnings, tmp_path):
     first, second, third = recipes(cache)
     (tmp_path / "out").mkdir()
-    cache.remember_run(tmp_path / "out", {"keys": [first.key]})
+    cache.record_run(tmp_path / "out", {"keys": [first.key]})
     size = cache.ls()[0].size
-    cache.limit(2 * size)
+    cache.limit_size(2 * size)
     assert {entry.key for entry in cache.ls()} == {first.key, third.key}
     assert warnings == []
-    cache.limit(size // 2)
+    cache.limit_size(size // 2)
     assert {entry.key for entry in cache.ls()} == {first.key}
     assert "more than cache.max_size" in warnings[0]
     assert second.key not in {entry.key for entry in cache.ls()}
 
 
 def test_entry_in_use_is_not_taken_for_its_size(cache):
-    entry = cache.store(RECIPE, make)
-    cache.limit(0)
+    entry = cache.store(RECIPE, write_result)
+    cache.limit_size(0)
     assert [listed.key for listed in cache.ls()] == [entry.key]
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "runs"])
 def test_nested_lists_in_files_of_the_cache_are_damage(cache, warnings, tmp_path, name):
-    folder = stored(cache)
-    cache.remember_run(tmp_path, {"keys": []})
+    folder = store_entry(cache)
+    cache.record_run(tmp_path, {"keys": []})
     [record] = (cache.folder / "runs").glob("*.json")
     path = record if name == "runs" else folder / name
     for depth in (500, 5000, 200_000):
         for nested in ("[" * depth + "]" * depth, '{"digest":' * depth + "1" + "}" * depth):
             path.write_text(nested)
             assert cache.ls()
-            cache.latest_run(tmp_path)
+            cache.read_latest_run(tmp_path)
     if name == "manifest.json":
         assert cache.get(RECIPE) is None
         assert "manifest.json" in warnings[0]

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
-from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, make, stored
+from cache_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, store_entry, write_result
 
 from scanloom.pipeline.cache.entry import Recipe
 from scanloom.stages.diagnostics.errors import StageError
@@ -64,7 +64,7 @@ def test_what_is_no_folder_in_an_entrys_place_is_removed(cache, warnings, tmp_pa
     assert listed.problem == "it is not a folder"
     if looked_up:
         assert cache.get(RECIPE) is None
-    assert stored(cache) == place
+    assert store_entry(cache) == place
     assert "was not a folder; it is removed" in warnings[0]
     assert cache.get(RECIPE) is not None
     assert untouched(outside)
@@ -74,7 +74,7 @@ def test_what_is_no_folder_in_an_entrys_place_is_removed(cache, warnings, tmp_pa
 @pytest.mark.parametrize("name", ["names.lock", f"fuse/{RECIPE.key}/in-use.lock"])
 def test_what_is_no_file_in_a_locks_place_is_removed_and_not_followed(cache, tmp_path, name, become):
     outside = what_is_outside(tmp_path)
-    stored(cache)
+    store_entry(cache)
     (cache.folder / name).unlink()
     become(cache.folder / name, outside)
     entry = cache.get(RECIPE)
@@ -85,7 +85,7 @@ def test_what_is_no_file_in_a_locks_place_is_removed_and_not_followed(cache, tmp
 
 
 def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
-    stored(cache)
+    store_entry(cache)
     (cache.folder / "names.lock").unlink()
     (cache.folder / "names.lock" / "mine").mkdir(parents=True)
     with pytest.raises(StageError, match=r"cannot be used: Directory not empty .*names\.lock"):
@@ -96,11 +96,11 @@ def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
 @pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
 def test_lock_of_an_output_folder_is_healed(cache, tmp_path, become):
     outside = what_is_outside(tmp_path)
-    cache.sole_run(tmp_path / "out", lambda: None).release()
+    cache.lock_output_folder(tmp_path / "out", lambda: None).release()
     [lock] = (cache.folder / "runs").glob("*.lock")
     lock.unlink()
     become(lock, outside)
-    cache.sole_run(tmp_path / "out", lambda: None).release()
+    cache.lock_output_folder(tmp_path / "out", lambda: None).release()
     assert untouched(outside)
 
 
@@ -111,7 +111,7 @@ def test_folders_of_the_cache_that_lead_elsewhere_are_refused(cache, tmp_path, n
     cache.folder.mkdir()
     become(cache.folder / name, outside)
     with pytest.raises(StageError, match=rf"/{name}: a folder of the cache is expected here.*; remove it"):
-        stored(cache)
+        store_entry(cache)
     assert cache.ls() == []
     cache.remove_abandoned()
     assert untouched(outside)
@@ -119,7 +119,7 @@ def test_folders_of_the_cache_that_lead_elsewhere_are_refused(cache, tmp_path, n
 
 def test_files_of_an_entry_that_lead_elsewhere_are_damage(cache, warnings, tmp_path):
     for name, other in (("fused.ply", "file"), ("maps", "folder")):
-        folder = stored(cache)
+        folder = store_entry(cache)
         moved = tmp_path / f"moved-{other}"
         (folder / name).rename(moved)
         (folder / name).symlink_to(moved)
@@ -133,7 +133,7 @@ def test_marks_and_drafts_are_not_followed(cache, tmp_path):
     (cache.folder / "drafts").mkdir(parents=True)
     (cache.folder / "CACHEDIR.TAG").symlink_to(outside / "none")
     (cache.folder / "drafts" / "fuse-abc").symlink_to(outside, target_is_directory=True)
-    stored(cache)
+    store_entry(cache)
     cache.remove_abandoned()
     assert untouched(outside)
 
@@ -177,31 +177,31 @@ def read_only(cache, monkeypatch) -> None:
 
 
 def test_cache_that_may_only_be_read_serves_hits(cache, warnings, tmp_path, request):
-    stored(cache)
+    store_entry(cache)
     (cache.folder / "names.lock").unlink()
     request.getfixturevalue("read_only")
     cache.remove_abandoned()
     (tmp_path / "out").mkdir()
-    sole = cache.sole_run(tmp_path / "out", lambda: pytest.fail("nobody else is there"))
+    sole = cache.lock_output_folder(tmp_path / "out", lambda: pytest.fail("nobody else is there"))
 
     def interrupt():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        cache.sole_run(tmp_path / "out", interrupt)
+        cache.lock_output_folder(tmp_path / "out", interrupt)
     entry = cache.get(RECIPE)
     assert entry.figures == {"triangles": 7}
     for _ in range(2):
-        cache.remember_run(tmp_path / "out", {"keys": [entry.key]})
+        cache.record_run(tmp_path / "out", {"keys": [entry.key]})
     assert [text.partition(":")[0] for text in warnings] == [f"the cache {cache.folder} is read-only"]
     with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache .*Read-only"):
-        cache.store(Recipe("fuse", {"fuse": 2}), make)
+        cache.store(Recipe("fuse", {"fuse": 2}), write_result)
     sole.release()
 
 
 @pytest.mark.skipif(MAY_WRITE_ANYWHERE, reason="root may write anywhere")
 def test_folder_without_permission_to_write_serves_hits(cache):
-    folder = stored(cache)
+    folder = store_entry(cache)
     for path in (folder, folder.parent, cache.folder):
         path.chmod(0o555)
     assert cache.get(RECIPE) is not None

@@ -7,7 +7,7 @@ import sys
 from types import ModuleType
 
 import pytest
-from kept_entries import ON_WINDOWS, RECIPE, drafts, flip, make, stored
+from cache_entries import ON_WINDOWS, RECIPE, flip_byte, list_drafts, store_entry, write_result
 
 from scanloom.pipeline.cache.store import Cache
 from scanloom.stages.diagnostics.errors import StageError
@@ -15,18 +15,18 @@ from scanloom.stages.diagnostics.errors import StageError
 
 def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
     def slow(folder):
-        stored(Cache(cache.folder))
+        store_entry(Cache(cache.folder))
         (folder / "fused.ply").write_bytes(b"of the slower one")
         return {"figures": {"triangles": 8}}
 
     entry = cache.store(RECIPE, slow)
     assert entry.figures == {"triangles": 7}
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
     def slow(folder):
-        flip(stored(Cache(cache.folder)) / "fused.ply")
+        flip_byte(store_entry(Cache(cache.folder)) / "fused.ply")
         (folder / "fused.ply").write_bytes(b"of the slower one")
         return {"figures": {"triangles": 8}}
 
@@ -36,18 +36,18 @@ def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
 
 
 def test_forced_result_takes_the_place_of_the_old_one(cache):
-    stored(cache)
+    store_entry(cache)
 
     def again(folder):
         (folder / "fused.ply").write_bytes(b"again")
         return {"figures": {}}
 
-    assert (stored(cache, how=again, replace=True) / "fused.ply").read_bytes() == b"again"
-    assert drafts(cache) == []
+    assert (store_entry(cache, how=again, replace=True) / "fused.ply").read_bytes() == b"again"
+    assert list_drafts(cache) == []
 
 
 def test_entry_in_use_is_not_pruned(cache):
-    entry = cache.store(RECIPE, make)
+    entry = cache.store(RECIPE, write_result)
     reader = Cache(cache.folder).get(RECIPE)
     entry.close()
     assert cache.prune() == []
@@ -55,32 +55,32 @@ def test_entry_in_use_is_not_pruned(cache):
     reader.close()
     assert [removed.key for removed in cache.prune()] == [RECIPE.key]
     assert not entry.folder.exists()
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 @pytest.mark.skipif(ON_WINDOWS, reason="Windows moves nothing that is open")
 def test_entry_replaced_while_it_is_read_stays_until_the_reader_lets_go(cache):
-    stored(cache)
+    store_entry(cache)
     reader = cache.get(RECIPE)
     with (reader.folder / "fused.ply").open("rb") as file:
-        stored(cache, how=make, replace=True)
+        store_entry(cache, how=write_result, replace=True)
         assert file.read() == b"ply" * 1000
-    assert len(drafts(cache)) == 1, "put aside, not deleted"
+    assert len(list_drafts(cache)) == 1, "put aside, not deleted"
     reader.close()
     cache.remove_abandoned()
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 @pytest.mark.skipif(not ON_WINDOWS, reason="elsewhere what is open can be moved")
 def test_entry_that_is_being_read_is_not_replaced_where_open_files_cannot_be_moved(cache):
-    stored(cache)
+    store_entry(cache)
     reader = cache.get(RECIPE)
     with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache"):
-        stored(cache, how=make, replace=True)
+        store_entry(cache, how=write_result, replace=True)
     assert (reader.folder / "fused.ply").read_bytes() == b"ply" * 1000
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
     reader.close()
-    stored(cache, how=make, replace=True)
+    store_entry(cache, how=write_result, replace=True)
 
 
 def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cache):
@@ -94,10 +94,10 @@ def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cac
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"made\n"
         cache.remove_abandoned()
-        assert [(draft / "part").exists() for draft in drafts(cache)] == [True]
+        assert [(draft / "part").exists() for draft in list_drafts(cache)] == [True]
         process.kill()
     cache.remove_abandoned()
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
     assert cache.ls() == []
 
 
@@ -105,12 +105,12 @@ def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
     # Its lock may be held where this machine cannot see it.
     with monkeypatch.context() as patched:
         patched.setattr("scanloom.pipeline.cache.store.machine_mark", lambda: "m00000000")
-        cache._new_draft("fuse")[1].release()
-    stored(cache)
+        cache._create_draft("fuse")[1].release()
+    store_entry(cache)
     cache.remove_abandoned()
-    assert [draft.name.split("-")[1] for draft in drafts(cache)] == ["m00000000"]
+    assert [draft.name.split("-")[1] for draft in list_drafts(cache)] == ["m00000000"]
     cache.prune(everywhere=True)
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 @pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
@@ -120,10 +120,10 @@ def test_a_shared_folder_without_locks_is_used_all_the_same(cache, monkeypatch, 
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr("fcntl.flock", refuse)
-    first = stored(cache)
+    first = store_entry(cache)
     assert cache.get(RECIPE).folder == first
     # Nobody can say whether somebody is at it.
-    draft, lock = cache._new_draft("fuse")
+    draft, lock = cache._create_draft("fuse")
     lock.release()
     cache.remove_abandoned()
     assert draft.exists()
@@ -139,16 +139,16 @@ def test_of_two_that_make_one_entry_without_locks_the_first_has_it(cache, monkey
         # The other comes in the moment between the look whether it is there and the move.
         looks.append(place)
         if len(looks) == 1:
-            stored(Cache(cache.folder))
+            store_entry(Cache(cache.folder))
             return False
         return usual(place)
 
     monkeypatch.setattr(cache, "_is_entry", look)
-    entry = cache.store(RECIPE, make)
+    entry = cache.store(RECIPE, write_result)
     monkeypatch.undo()
     assert len(looks) > 1
     assert entry.folder == cache.get(RECIPE).folder
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def test_two_processes_at_once_make_one_whole_entry_each(toy: ModuleType, scan, 
     cache = Cache(shared / "cache")
     assert sorted(e.key for e in cache.verify()) == sorted(expected)
     assert [e.problem for e in cache.verify()] == [None] * 3
-    assert drafts(cache) == []
+    assert list_drafts(cache) == []
     for name in ("mixed.bin", "cut.bin", "tables/counts.txt"):
         assert (shared / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
     assert not list(shared.rglob("*.part"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from scanloom.pipeline.cache.cache_size import CacheParams, bytes_of
+from scanloom.pipeline.cache.cache_size import CacheParams, parse_size
 from scanloom.pipeline.config import Config
 from scanloom.stages.diagnostics.errors import UsageError
 
@@ -22,7 +22,7 @@ from scanloom.stages.diagnostics.errors import UsageError
     ],
 )
 def test_sizes_are_read_as_people_write_them(text: str, size: int) -> None:
-    assert bytes_of(text, "max_size") == size
+    assert parse_size(text, "max_size") == size
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_sizes_are_read_as_people_write_them(text: str, size: int) -> None:
 )
 def test_other_words_are_one_sentence(text: str) -> None:
     with pytest.raises(UsageError, match=r"^max_size is .*; it must be a size such as 500 MB"):
-        bytes_of(text, "max_size")
+        parse_size(text, "max_size")
 
 
 def test_the_configuration_has_it() -> None:

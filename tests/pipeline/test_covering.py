@@ -10,14 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from page_content import shown
+from page_content import read_page_content
 
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.run.again import run_again
-from scanloom.pipeline.run.asked import Asked, from_anywhere
+from scanloom.pipeline.run.resume import continue_run
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
-from scanloom.pipeline.steps.coverage import VALUES
+from scanloom.pipeline.run.run_request import RunRequest, make_paths_absolute
+from scanloom.pipeline.steps.coverage import VERTEX_VALUES
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame
@@ -85,7 +85,7 @@ def worked(result: Any) -> list[str]:
 def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here: Path) -> None:
     out = here / "out"
     before = names(out)
-    result = run_again(out, "coverage", {})
+    result = continue_run(out, "coverage", {})
 
     assert worked(result) == ["coverage"]
     assert names(out) == sorted([*before, *OWN])
@@ -98,14 +98,14 @@ def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here
     report = json.loads((out / "report.json").read_text())
     assert report["stages"]["coverage"]["figures"]["places"] == len(told["places"])
     assert {*report["placed"]["coverage"]} == {*OWN}
-    assert worked(run_again(out, "coverage", {})) == []
+    assert worked(continue_run(out, "coverage", {})) == []
 
 
 def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
     out = here / "out"
-    run_again(out, "coverage", {})
+    continue_run(out, "coverage", {})
     mesh, clean = read_ply(out / "coverage.ply"), read_ply(out / "clean.ply")
-    values = {name: read_vertex_values(out / "coverage.ply", name) for name in VALUES}
+    values = {name: read_vertex_values(out / "coverage.ply", name) for name in VERTEX_VALUES}
     assert set(values) == {"frames", "angle", "mean_angle", "pixel", "spread"}
 
     count = len(clean.vertices)
@@ -126,8 +126,8 @@ def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
 
 def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> None:
     out = here / "out"
-    run_again(out, "coverage", {})
-    content = shown((out / "report.html").read_bytes())
+    continue_run(out, "coverage", {})
+    content = read_page_content((out / "report.html").read_bytes())
 
     model = next(one for one in content["models"] if one["name"] == "coverage")
     assert "red hole in the surface" in model["note"]
@@ -145,27 +145,27 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
     place = table["places"][0]
     assert place["away"] == pytest.approx(np.linalg.norm(np.subtract(place["eye"], place["target"])))
     assert place["away"] == pytest.approx(
-        np.linalg.norm(np.subtract(told[0]["look_from_m"], told[0]["point_m"]))
+        np.linalg.norm(np.subtract(told[0]["viewpoint_m"], told[0]["point_m"]))
     )
     assert table["rows"][0][0] == "hole in the surface"
 
 
 def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> None:
-    from scanloom.pipeline.report.run_page import page_of_run
+    from scanloom.pipeline.report.run_page import make_run_page
 
     out = here / "out"
-    run_again(out, "coverage", {})
+    continue_run(out, "coverage", {})
     for wrong in ('{"places": 3}', '{"places": [{"why": "x"}]}', "[]"):
         (out / "coverage.json").write_text(wrong)
         with pytest.raises(InputError, match="not written by a run, or is damaged"):
-            page_of_run(out, 5_000_000)
+            make_run_page(out, 5_000_000)
 
 
 def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here: Path, ran: Path) -> None:
     out = here / "out"
-    run_again(out, "coverage", {})
+    continue_run(out, "coverage", {})
     page = (out / "report.html").read_bytes()
-    fewer = run_again(out, "coverage", {"places": 1})
+    fewer = continue_run(out, "coverage", {"places": 1})
 
     assert worked(fewer) == ["coverage"]
     assert len(json.loads((out / "coverage.json").read_text())["places"]) == 1
@@ -181,8 +181,8 @@ def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, t
     run(made, here / "other", Config().set(QUICK), until="clean")
     made.rename(tmp_path / "second")
     with pytest.raises(InputError, match="does not exist any more; give its new location with --scan"):
-        run_again(here / "other", "coverage", {})
-    found = run_again(here / "other", "coverage", {}, scan=tmp_path / "second")
+        continue_run(here / "other", "coverage", {})
+    found = continue_run(here / "other", "coverage", {}, scan=tmp_path / "second")
 
     # The run had not come as far as upright.
     assert worked(found) == ["upright", "simplify", "export", "coverage"]
@@ -191,27 +191,27 @@ def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, t
 def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
     for path, why in ((tmp_path / "none", "no such folder"), (here / "scan" / "scan.json", "this is a file")):
         with pytest.raises(InputError, match=why):
-            run_again(path, "coverage", {})
+            continue_run(path, "coverage", {})
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="this folder has no results of a run"):
-        run_again(tmp_path / "empty", "coverage", {})
+        continue_run(tmp_path / "empty", "coverage", {})
     (here / "out" / "clean.ply").unlink()
     with pytest.raises(InputError, match=r"clean\.ply is missing"):
-        run_again(here / "out", "coverage", {})
+        continue_run(here / "out", "coverage", {})
     shutil.rmtree(here / "out" / "cache")
     with pytest.raises(InputError, match="has no record of this run; give the cache of the run with --cache"):
-        run_again(here / "out", "coverage", {})
+        continue_run(here / "out", "coverage", {})
 
 
 def test_a_run_that_was_not_finished_has_no_mesh(here: Path, ran: Path) -> None:
     run(ran / "scan", here / "short", Config().set(QUICK), until="fuse")
     with pytest.raises(InputError, match=r"clean\.ply is missing, because the run ended before it"):
-        run_again(here / "short", "coverage", {})
+        continue_run(here / "short", "coverage", {})
 
 
 def test_wrong_parameters_are_refused_before_any_work(here: Path) -> None:
     with pytest.raises(UsageError, match="oblique"):
-        run_again(here / "out", "coverage", {"oblique": 100.0})
+        continue_run(here / "out", "coverage", {"oblique": 100.0})
 
 
 def test_the_record_holds_what_was_asked_for_with_files_in_full(
@@ -220,27 +220,27 @@ def test_the_record_holds_what_was_asked_for_with_files_in_full(
     monkeypatch.chdir(tmp_path)
     for name in ("poses.txt", "auto", "apriltag-36h11"):
         (tmp_path / name).write_text("")
-    config = Config().set(("scan.poses=poses.txt", "scan.tag_family=apriltag-36h11", "coverage.oblique=60"))
-    asked = Asked(tmp_path / "scan", from_anywhere(config), "report")
-    again = Asked.of(json.loads(json.dumps(asked.record())))
+    config = Config().set(("scan.poses=poses.txt", "scan.tag_family=apriltag-36h11", "coverage.max_angle=60"))
+    asked = RunRequest(tmp_path / "scan", make_paths_absolute(config), "report")
+    again = RunRequest.from_record(json.loads(json.dumps(asked.to_json())))
 
     assert again == asked
     assert again.config.scan.poses == str(tmp_path / "poses.txt")
     # What only happens to be called as a file there is no file.
     assert again.config.scan.tag_family == "apriltag-36h11"
     assert again.config.depth.matcher == "auto"
-    assert again.config.coverage.oblique == 60
+    assert again.config.coverage.max_angle == 60
     for wrong in (
         None,
         {},
         {"scan": 3, "config": "", "until": ""},
-        {**asked.record(), "config": "[nonsense]"},
+        {**asked.to_json(), "config": "[nonsense]"},
     ):
-        assert Asked.of(wrong) is None
+        assert RunRequest.from_record(wrong) is None
 
 
 def test_no_path_of_this_machine_gets_among_the_results(ran: Path) -> None:
-    record = Cache(ran / "out" / "cache").latest_run(ran / "out")
+    record = Cache(ran / "out" / "cache").read_latest_run(ran / "out")
 
     assert record["asked"]["scan"] == str(ran / "scan")
     for name in ("report.json", "report.html"):

@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanloom.pipeline.cache.digest import canonical, digest, file_digest, label_digests, scan_digest
+from scanloom.pipeline.cache.digest import (
+    compute_digest,
+    compute_file_digest,
+    compute_label_digests,
+    compute_scan_digest,
+    to_canonical_json,
+)
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import StageError
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
@@ -24,38 +30,38 @@ json_values = st.recursive(
 @pytest.mark.slow
 @given(json_values)
 def test_canonical_json_reads_back_to_the_same_value(value):
-    assert json.loads(canonical(value)) == value
+    assert json.loads(to_canonical_json(value)) == value
 
 
 @pytest.mark.slow
 @given(st.dictionaries(st.text(), st.integers()))
 def test_order_of_keys_does_not_matter(value):
-    assert canonical(dict(reversed(value.items()))) == canonical(value)
+    assert to_canonical_json(dict(reversed(value.items()))) == to_canonical_json(value)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), {"a": [1, -float("inf")]}])
 def test_numbers_json_cannot_express_are_refused(value):
     with pytest.raises(ValueError, match="JSON cannot express"):
-        canonical(value)
+        to_canonical_json(value)
 
 
 @pytest.mark.parametrize("value", [Path("a"), {1, 2}, {1: 2}, np.float64(1), np.zeros(2), b"a", object()])
 def test_values_json_cannot_express_are_refused(value):
     with pytest.raises(TypeError, match="JSON cannot express"):
-        canonical({"x": value})
+        to_canonical_json({"x": value})
 
 
 def test_digests_are_plain_sha256(tmp_path):
     data = bytes(range(256)) * 9000
     (tmp_path / "file").write_bytes(data)
-    assert file_digest(tmp_path / "file") == hashlib.sha256(data).hexdigest()
-    assert digest({"b": 1, "a": None}) == hashlib.sha256(b'{"a":null,"b":1}').hexdigest()
+    assert compute_file_digest(tmp_path / "file") == hashlib.sha256(data).hexdigest()
+    assert compute_digest({"b": 1, "a": None}) == hashlib.sha256(b'{"a":null,"b":1}').hexdigest()
 
 
 def one_frame_scan(folder: Path) -> Scan:
     (folder / "left.png").write_bytes(b"left")
     (folder / "right.png").write_bytes(b"right")
-    rig = StereoRig(CAMERA, CAMERA, np.eye(4), rectified=True)
+    rig = StereoRig(CAMERA, CAMERA, np.eye(4), is_rectified=True)
     frame = Frame("a", CAMERA, folder / "left.png", folder / "right.png", world_from_camera=np.eye(4))
     return Scan("toy", [frame], rig)
 
@@ -81,8 +87,8 @@ def moved(pose: np.ndarray) -> np.ndarray:
 )
 def test_what_a_stage_reads_of_a_frame_decides(tmp_path, change):
     scan = one_frame_scan(tmp_path)
-    before = scan_digest(scan)
-    after = scan_digest(replace(scan, frames=[change(scan.frames[0])]))
+    before = compute_scan_digest(scan)
+    after = compute_scan_digest(replace(scan, frames=[change(scan.frames[0])]))
     assert after.digest != before.digest
     assert after.parts["calibration"] == before.parts["calibration"]
 
@@ -93,18 +99,18 @@ def test_what_people_are_shown_does_not_decide(tmp_path):
     other = replace(
         scan, frames=[frame], layout="other", folder=tmp_path, diagnostics=(MACHINE_BUG.warning("odd"),)
     )
-    assert scan_digest(other).digest == scan_digest(scan).digest
+    assert compute_scan_digest(other).digest == compute_scan_digest(scan).digest
 
 
 def test_names_and_times_have_digests_of_their_own(tmp_path):
     scan = one_frame_scan(tmp_path)
     frame = scan.frames[0]
-    before = label_digests(scan)
-    later = label_digests(replace(scan, frames=[replace(frame, timestamp=12)]))
+    before = compute_label_digests(scan)
+    later = compute_label_digests(replace(scan, frames=[replace(frame, timestamp=12)]))
     assert later["names"] == before["names"]
     assert later["times"] != before["times"]
     for other in (replace(frame, name="b"), replace(frame, color=frame.color.rename(tmp_path / "c.png"))):
-        renamed = label_digests(replace(scan, frames=[other]))
+        renamed = compute_label_digests(replace(scan, frames=[other]))
         assert renamed["names"] != before["names"]
         assert renamed["times"] == before["times"]
 
@@ -112,7 +118,7 @@ def test_names_and_times_have_digests_of_their_own(tmp_path):
 def test_names_are_those_within_the_scan(tmp_path):
     def of(folder):
         folder.mkdir()
-        return label_digests(replace(one_frame_scan(folder), folder=folder))
+        return compute_label_digests(replace(one_frame_scan(folder), folder=folder))
 
     assert of(tmp_path / "here") == of(tmp_path / "there")
 
@@ -120,15 +126,16 @@ def test_names_are_those_within_the_scan(tmp_path):
 def test_the_rig_decides(tmp_path):
     scan = one_frame_scan(tmp_path)
     other = replace(scan, rig=replace(scan.rig, right_from_left=moved(np.eye(4))))
-    assert scan_digest(other).digest != scan_digest(scan).digest
+    assert compute_scan_digest(other).digest != compute_scan_digest(scan).digest
     assert (
-        scan_digest(replace(scan, rig=replace(scan.rig, rectified=False))).digest != scan_digest(scan).digest
+        compute_scan_digest(replace(scan, rig=replace(scan.rig, is_rectified=False))).digest
+        != compute_scan_digest(scan).digest
     )
 
 
 def test_arrays_in_memory_count_by_content():
     def of(depth):
-        return scan_digest(Scan("toy", [Frame("a", CAMERA, depth=depth)])).digest
+        return compute_scan_digest(Scan("toy", [Frame("a", CAMERA, depth=depth)])).digest
 
     depth = np.ones((3, 4), np.float32)
     assert of(depth) == of(depth.copy()) == of(np.asfortranarray(depth))
@@ -139,14 +146,14 @@ def test_arrays_in_memory_count_by_content():
 
 def test_unreadable_file_is_a_content_of_its_own(tmp_path):
     scan = one_frame_scan(tmp_path)
-    whole = scan_digest(scan).digest
+    whole = compute_scan_digest(scan).digest
     (tmp_path / "left.png").unlink()
-    assert scan_digest(scan).digest != whole
+    assert compute_scan_digest(scan).digest != whole
 
 
 def test_file_written_to_while_it_is_read_is_noticed(tmp_path):
     scan = one_frame_scan(tmp_path)
-    content = scan_digest(scan)
+    content = compute_scan_digest(scan)
     (tmp_path / "left.png").touch()
     content.require_unchanged()
     (tmp_path / "left.png").write_bytes(b"LEFT")

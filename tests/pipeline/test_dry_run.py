@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.expectation import BASE_BYTES, Cost, expected
-from scanloom.pipeline.run.dry_run import DryRun, foresee
+from scanloom.pipeline.cost_model import BASE_BYTES, CostModel, estimate_cost
+from scanloom.pipeline.run.dry_run import DryRun, predict_run
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import UsageError
 
@@ -44,13 +44,13 @@ def cached(found: DryRun) -> dict[str, bool]:
 
 
 def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
-    found = foresee(SCAN, tmp_path / "out", config())
+    found = predict_run(SCAN, tmp_path / "out", config())
     assert list(tmp_path.iterdir()) == []
     assert cached(found) == dict.fromkeys(
         ("adjust", "fuse", "clean", "upright", "simplify", "export", "report"), False
     )
     assert [one.reason for one in found.stages] == ["first run"] * 7
-    assert {one.expected.basis for one in found.stages if one.expected} == {"estimated"}
+    assert {one.estimate.basis for one in found.stages if one.estimate} == {"estimated"}
     assert found.seconds > 0
     assert found.memory_bytes > BASE_BYTES
 
@@ -82,10 +82,10 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
         ),
     ):
         before = traces(tmp_path)
-        found = foresee(SCAN, out, config(*more))
+        found = predict_run(SCAN, out, config(*more))
         assert traces(tmp_path) == before
         assert {one.stage: one.reason for one in found.stages if not one.cached} == reasons
-        bases = [one.expected.basis for one in found.stages if one.expected is not None]
+        bases = [one.estimate.basis for one in found.stages if one.estimate is not None]
         assert set(bases) <= {"measured", "scaled"}
         did = run(SCAN, out, config(*more))
         assert {outcome.stage: outcome.cached for outcome in did.stages} == cached(found)
@@ -95,45 +95,45 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
 def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(SCAN, out, config(), until="clean")
-    forced = foresee(SCAN, out, config(), until="clean", force=("fuse",))
+    forced = predict_run(SCAN, out, config(), until="clean", force=("fuse",))
     assert [one.reason for one in forced.stages] == ["", "forced", "follows fuse, which runs"]
-    assert [one.expected.basis for one in forced.stages if one.expected] == ["measured", "scaled"]
+    assert [one.estimate.basis for one in forced.stages if one.estimate] == ["measured", "scaled"]
     (entry,) = (out / "cache" / "clean").iterdir()
     (entry / "clean.ply").write_bytes(b"ply")
     (out / "simplified.ply").write_text("mine")
     before = traces(tmp_path)
-    found = foresee(SCAN, out, config())
+    found = predict_run(SCAN, out, config())
     assert traces(tmp_path) == before
     assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False]
     assert found.stages[2].reason.startswith("its cached result is damaged: clean.ply")
-    assert found.refused is not None
-    assert found.refused.startswith(f"{out / 'simplified.ply'}: this file was not written by a run")
-    assert foresee(SCAN, out, config(), overwrite=True).refused is None
-    assert foresee(SCAN, out, config(), until="clean").refused is None
+    assert found.refusal_reason is not None
+    assert found.refusal_reason.startswith(f"{out / 'simplified.ply'}: this file was not written by a run")
+    assert predict_run(SCAN, out, config(), overwrite=True).refusal_reason is None
+    assert predict_run(SCAN, out, config(), until="clean").refusal_reason is None
 
 
 def test_what_is_wrong_is_said_as_by_the_run(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="did you mean clean"):
-        foresee(SCAN, tmp_path / "out", config(), until="cleen")
+        predict_run(SCAN, tmp_path / "out", config(), until="cleen")
 
 
 def test_an_expectation_grows_with_the_scan() -> None:
     made = {"seconds": 10.0, "peak_memory_bytes": BASE_BYTES + 1000, "megapixels": 2.0}
     known = [{"recipe": {"stage": "fuse", "inputs": {"frames": "a"}}, "made": made}]
-    measured = expected("fuse", 2.0, {"frames": "a"}, known, Cost())
+    measured = estimate_cost("fuse", 2.0, {"frames": "a"}, known, CostModel())
     assert (measured.seconds, measured.memory_bytes, measured.basis) == (10.0, BASE_BYTES + 1000, "measured")
-    scaled = expected("fuse", 6.0, {"frames": "b"}, known, Cost())
+    scaled = estimate_cost("fuse", 6.0, {"frames": "b"}, known, CostModel())
     assert (scaled.seconds, scaled.memory_bytes, scaled.basis) == (30.0, BASE_BYTES + 3000, "scaled")
-    cost = Cost(seconds=1, seconds_per_megapixel=2, bytes=5, bytes_per_megapixel=7)
-    guessed = expected("clean", 10.0, None, known, cost)
+    cost = CostModel(seconds=1, seconds_per_megapixel=2, bytes=5, bytes_per_megapixel=7)
+    guessed = estimate_cost("clean", 10.0, None, known, cost)
     assert (guessed.seconds, guessed.memory_bytes) == (21.0, BASE_BYTES + 75)
     assert guessed.basis == "estimated"
     # What is worked on piece by piece takes no more however large it is, or as much as it took before.
-    pieces = Cost(bytes=5, bytes_per_megapixel=7, most_bytes=60)
-    assert expected("clean", 10.0, None, known, pieces).memory_bytes == BASE_BYTES + 60
-    assert expected("fuse", 60.0, None, known, pieces).memory_bytes == BASE_BYTES + 1000
-    wide = Cost(most_bytes=20_000)
-    assert expected("fuse", 60.0, None, known, wide).memory_bytes == BASE_BYTES + 20_000
+    pieces = CostModel(bytes=5, bytes_per_megapixel=7, max_bytes=60)
+    assert estimate_cost("clean", 10.0, None, known, pieces).memory_bytes == BASE_BYTES + 60
+    assert estimate_cost("fuse", 60.0, None, known, pieces).memory_bytes == BASE_BYTES + 1000
+    wide = CostModel(max_bytes=20_000)
+    assert estimate_cost("fuse", 60.0, None, known, wide).memory_bytes == BASE_BYTES + 20_000
     # Results of an earlier version do not say how large their scan was.
     del made["megapixels"]
-    assert expected("fuse", 6.0, None, known, Cost()).seconds == 10.0
+    assert estimate_cost("fuse", 6.0, None, known, CostModel()).seconds == 10.0

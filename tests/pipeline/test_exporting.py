@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.graph import skip_reasons
+from scanloom.pipeline.graph import list_skip_reasons
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
 from scanloom.pipeline.steps.upright import UprightSection, estimate_up
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.mesh_files import read_mesh
 from tests.made.coloured_sheet import sheet
 
@@ -59,9 +59,9 @@ def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(
 
 def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
     scan = read_scan(SCAN)
-    assert "export.web=true" in skip_reasons(scan, Config())["export"]
-    assert "export" not in skip_reasons(scan, Config().set(["export.web=true"]))
-    assert "export" not in skip_reasons(scan, Config().set(["texture.enabled=false"]))
+    assert "export.web=true" in list_skip_reasons(scan, Config())["export"]
+    assert "export" not in list_skip_reasons(scan, Config().set(["export.web=true"]))
+    assert "export" not in list_skip_reasons(scan, Config().set(["texture.enabled=false"]))
 
 
 def test_frames_without_poses_tell_nothing(tmp_path):

@@ -9,13 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from thing_on_table import BALL, frames
+from object_on_table import BALL, frames
 
 from scanloom.pipeline.artifacts.poses import Poses
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.run.dry_run import predict_run
 from scanloom.pipeline.run.run import RunResult, run
-from scanloom.pipeline.steps.fuse import FusedMesh, fuse_separate, write_fused
+from scanloom.pipeline.steps.fuse import FusedMesh, fuse_separate_components, write_fused
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.fusion.params import FuseParams
@@ -76,9 +76,9 @@ def test_what_is_up_is_told_by_the_plane_that_was_left_out(table: Path, tmp_path
 )
 def test_another_crop_is_another_result(table: Path, made: Path, assignment: str, reason: str) -> None:
     config = Config().set([*QUICK, assignment])
-    (fused,) = foresee(table, made, config, until="fuse").stages
+    (fused,) = predict_run(table, made, config, until="fuse").stages
     assert (fused.cached, fused.reason) == (False, f"params changed: {reason}")
-    assert foresee(table, made, Config().set(QUICK), until="fuse").stages[0].cached
+    assert predict_run(table, made, Config().set(QUICK), until="fuse").stages[0].cached
 
 
 @pytest.fixture(scope="module")
@@ -111,11 +111,13 @@ def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: P
         (FuseParams(radius=0.01), "component 2 is not fused: "),
     ):
         with collecting() as diagnostics:
-            fuse_separate(tmp_path, scan, Poses(tmp_path), params)
+            fuse_separate_components(tmp_path, scan, Poses(tmp_path), params)
         assert str(diagnostics[0]).startswith(said)
     assert not (tmp_path / "pieces").exists()
     with collecting() as diagnostics:
-        fuse_separate(tmp_path, scan, Poses(tmp_path), FuseParams(voxel_size=0.03, radius=0.3, center=None))
+        fuse_separate_components(
+            tmp_path, scan, Poses(tmp_path), FuseParams(voxel_size=0.03, radius=0.3, center=None)
+        )
     assert [str(one) for one in diagnostics] == [
         "component 2 with 16 frames is fused separately: pieces/fused-2.ply"
     ]

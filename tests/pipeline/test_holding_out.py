@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from photographed import CAMERA, photo, pose
+from wall_photos import CAMERA, photo, pose
 
-from scanloom.pipeline.evaluation.held_out import like_neighbours
+from scanloom.pipeline.evaluation.held_out_frames import transfer_neighbour_poses
 from scanloom.stages.scans.model.scan import Frame
 
 
@@ -23,7 +23,7 @@ def test_they_move_with_the_frame_after_them(frames):
         replace(frame, world_from_camera=shift @ frame.world_from_camera, color_camera=CAMERA)
         for frame in given
     ]
-    for one, before in zip(like_neighbours(left_out, 3, given, used), left_out, strict=True):
+    for one, before in zip(transfer_neighbour_poses(left_out, 3, given, used), left_out, strict=True):
         np.testing.assert_allclose(one.world_from_camera, shift @ before.world_from_camera, atol=1e-12)
         assert one.color_camera == CAMERA
         assert one.shutter_turn is None
@@ -32,5 +32,5 @@ def test_they_move_with_the_frame_after_them(frames):
 def test_that_rows_are_read_one_after_the_other_is_known_of_them_but_not_how_it_turned(frames):
     turn = np.array([0.01, 0.02, -0.01])
     used = [replace(frame, shutter_turn=turn) for frame in frames[1:]]
-    (one,) = like_neighbours(frames[:1], 6, frames[1:], used)
+    (one,) = transfer_neighbour_poses(frames[:1], 6, frames[1:], used)
     np.testing.assert_array_equal(one.shutter_turn, np.zeros(3))

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from page_content import shown
-from sample_in_pieces import part_of_sample, small_pieces
+from chunked_sample import use_small_chunks, write_partial_sample
+from page_content import read_page_content
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.evaluation.measures import SIGNED_SAMPLES
-from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.evaluation.measurements import SIGNED_SAMPLES
+from scanloom.pipeline.run.dry_run import predict_run
 from scanloom.pipeline.run.run import RunResult, run
 from scanloom.stages import coverage, lod, read_scan
 from scanloom.stages.comparing.certify import certify
@@ -33,8 +33,8 @@ BOUND = "simplify.max_shape=0.009"
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, RunResult, list[str]]:
     """A few frames of the sample, and what a run left of them."""
     folder = tmp_path_factory.mktemp("large")
-    scan, out = part_of_sample(folder / "scan", list(range(0, 24, 6))), folder / "out"
-    with small_pieces():
+    scan, out = write_partial_sample(folder / "scan", list(range(0, 24, 6))), folder / "out"
+    with use_small_chunks():
         return (scan, out, *ran(scan, out, BOUND, "lod.enabled=true", "coverage.enabled=true"))
 
 
@@ -70,7 +70,7 @@ def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: An
 
 def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None:
     _, out, _, said = made
-    page = shown((out / "report.html").read_bytes())
+    page = read_page_content((out / "report.html").read_bytes())
     models = {one["name"]: one for one in page["models"]}
     assert list(models) == ["result", "clean mesh", "coverage", "deviation"]
     for name, file in (("clean mesh", "clean"), ("coverage", "coverage")):
@@ -85,23 +85,26 @@ def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) ->
     scan, out, result, said = made
     expected = coverage(read_ply(out / "clean.ply"), read_scan(scan))
     told = json.loads((out / "coverage.json").read_text())
-    assert figures_of(result, "coverage")["places"] == len(told["places"]) == len(expected.places) > 0
+    assert figures_of(result, "coverage")["places"] == len(told["places"]) == len(expected.defects) > 0
     for place, one in zip(told["places"], expected.figures()["places"], strict=True):
-        for name in ("kind", "point_m", "look_from_m", "frames_towards"):
+        for name in ("kind", "point_m", "viewpoint_m", "frames_in_view"):
             assert place[name] == one[name]
         assert place["area_m2"] == pytest.approx(one["area_m2"], rel=1e-6)
     painted = read_ply(out / "coverage.ply")
-    np.testing.assert_array_equal(painted.vertices, expected.painted.vertices)
-    np.testing.assert_array_equal(painted.triangles, expected.painted.triangles)
-    np.testing.assert_allclose(painted.colors.astype(int), expected.painted.colors.astype(int), atol=1)
-    count = len(expected.kinds)
-    for name, value in (("frames", expected.evidence.frames), ("spread", expected.evidence.spread)):
+    np.testing.assert_array_equal(painted.vertices, expected.painted_mesh.vertices)
+    np.testing.assert_array_equal(painted.triangles, expected.painted_mesh.triangles)
+    np.testing.assert_allclose(painted.colors.astype(int), expected.painted_mesh.colors.astype(int), atol=1)
+    count = len(expected.vertex_kinds)
+    for name, value in (
+        ("frames", expected.vertex_evidence.frame_counts),
+        ("spread", expected.vertex_evidence.rms_height),
+    ):
         values = read_vertex_values(out / "coverage.ply", name)
         np.testing.assert_allclose(values[:count], value, rtol=1e-4, atol=1e-7)
         assert not values[count:].any()
     assert not (out / "coverage.glb").exists()
     assert sum("coverage.glb is not written:" in text for text in said) == 1
-    table = shown((out / "report.html").read_bytes())["tables"][0]
+    table = read_page_content((out / "report.html").read_bytes())["tables"][0]
     assert table["title"] == "Gaps to capture again"
     assert len(table["rows"]) == len(told["places"])
 
@@ -119,7 +122,7 @@ def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one
     cut = hierarchy.cut(triangles=1)
     assert certify(cut.mesh, clean, max_shape=cut.shape_bound_m).within_limits
     # A lighter finest level adds its own.
-    with small_pieces():
+    with use_small_chunks():
         lighter, _ = ran(scan, out, BOUND, "lod.enabled=true", "lod.base_error=0.015", until="lod")
         assert [one.stage for one in lighter.stages if not one.cached] == ["lod"]
         told = figures_of(lighter, "lod")
@@ -130,7 +133,7 @@ def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one
 def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any, tmp_path: Path) -> None:
     scan, _, _, _ = made
     out = tmp_path / "out"
-    with small_pieces():
+    with use_small_chunks():
         result, said = ran(scan, out, "simplify.ratio=0.2", "lod.enabled=true", until="lod")
         told = figures_of(result, "lod")
         assert told["base_shape_bound_m"] == 0
@@ -138,5 +141,5 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
         assert sum("whose distance from the clean mesh is not proven" in text for text in said) == 1
         assert "is not proven" in str(lod.read_slod(out / "lod.slod").diagnostics[-1])
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
-        foreseen = foresee(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages
+        foreseen = predict_run(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages
         assert [one.stage for one in foreseen if not one.cached] == ["simplify", "lod"]

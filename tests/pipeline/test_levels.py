@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 import pytest
 from coloured_meshes import sheet
-from tiles_read import read_tiles
+from tile_reader import read_tiles
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.graph import STAGES, plan_for, skip_reasons
+from scanloom.pipeline.graph import STAGES, list_skip_reasons, plan_stages
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
 from scanloom.pipeline.steps.lod import LodSection, write_levels
 from scanloom.stages import lod
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.progress import silent
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 from scanloom.stages.surface.formats.ply import read_ply
@@ -101,15 +101,15 @@ def figures_of(result, stage: str = "lod") -> dict:
 
 def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     plain = Scan(frames=(), folder=None, layout="none")
-    assert "lod.enabled=true" in skip_reasons(plain, Config())["lod"]
-    assert "lod.enabled=true" in skip_reasons(plain, Config())["tiles"]
-    assert not {"lod", "tiles"} & {stage.name for stage in plan_for(plain, Config())}
-    stages = {stage.name: stage for stage in plan_for(plain, Config().set(["lod.enabled=true"]))}
-    assert stages["lod"].reads == ("frames", "poses", "clean_mesh", "simplified_mesh", "up_direction")
-    assert stages["tiles"].reads == ("up_direction", "levels")
+    assert "lod.enabled=true" in list_skip_reasons(plain, Config())["lod"]
+    assert "lod.enabled=true" in list_skip_reasons(plain, Config())["tiles"]
+    assert not {"lod", "tiles"} & {stage.name for stage in plan_stages(plain, Config())}
+    stages = {stage.name: stage for stage in plan_stages(plain, Config().set(["lod.enabled=true"]))}
+    assert stages["lod"].input_names == ("frames", "poses", "clean_mesh", "simplified_mesh", "up_direction")
+    assert stages["tiles"].input_names == ("up_direction", "levels")
     assert [stage.name for stage in STAGES][-4:] == ["tiles", "export", "coverage", "report"]
     without = Config().set(["lod.enabled=true", "tiles.enabled=false"])
-    assert "tiles.enabled=true" in skip_reasons(plain, without)["tiles"]
+    assert "tiles.enabled=true" in list_skip_reasons(plain, without)["tiles"]
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_
     frame = Frame("0", CAMERA, None, depth=wall, world_from_camera=pose)
     params = LodSection(cell_triangles=200, root_triangles=50)
     with collecting() as diagnostics:
-        figures = write_levels(tmp_path, mesh, [frame], params, silent)
+        figures = write_levels(tmp_path, mesh, [frame], params, ignore_progress)
     assert figures["base_triangles"] == len(mesh.triangles)
     assert (figures["base_error_m"], figures["base_error_source"]) == (0, "noise")
     assert [one.code for one in diagnostics] == ["levels.noise-unknown"]
@@ -245,6 +245,6 @@ def test_bad_values_are_refused_before_anything_runs(word):
 
 
 def test_threads_and_whether_it_is_there_are_no_part_of_its_key():
-    plain = Config().canonical("lod")
+    plain = Config().to_canonical("lod")
     assert not {"enabled", "threads"} & set(plain)
-    assert replace(Config(), lod=LodSection(enabled=True, threads=1)).canonical("lod") == plain
+    assert replace(Config(), lod=LodSection(enabled=True, threads=1)).to_canonical("lod") == plain

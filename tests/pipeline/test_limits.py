@@ -11,12 +11,12 @@ import pytest
 from small_scans import write_small_scan
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.expectation import BASE_BYTES, Expectation
-from scanloom.pipeline.run.limits import LimitGuard, Limits, within
-from scanloom.pipeline.run.needs import expected_of
+from scanloom.pipeline.cost_model import BASE_BYTES, ResourceEstimate
+from scanloom.pipeline.run.limits import LimitGuard, Limits, limit_volume_memory
+from scanloom.pipeline.run.resource_estimation import estimate_stages
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import StageError
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 STAGES = ("adjust", "fuse", "clean")
 MB = 10**6
@@ -30,7 +30,9 @@ def guard(
     peak: int = 0,
     basis: str = "scaled",
 ) -> LimitGuard:
-    expected = {name: Expectation(1.0, need, basis, disk) for name, need in zip(STAGES, needs, strict=False)}
+    expected = {
+        name: ResourceEstimate(1.0, need, basis, disk) for name, need in zip(STAGES, needs, strict=False)
+    }
     return LimitGuard(limits, Config().set(assignments), expected, ("fuse", "clean"), lambda: peak)
 
 
@@ -39,7 +41,7 @@ def entry(size: int) -> Any:
 
 
 def test_what_is_expected_to_fit_begins():
-    guard(Limits(memory=900 * MB), 400 * MB, 900 * MB, 800 * MB).before("adjust")
+    guard(Limits(memory=900 * MB), 400 * MB, 900 * MB, 800 * MB).check_before("adjust")
 
 
 def test_the_voxel_size_that_would_fit_is_named():
@@ -49,47 +51,47 @@ def test_the_voxel_size_that_would_fit_is_named():
     with pytest.raises(
         StageError, match=r"fuse is expected to use .*700 MB .* 400 MB; fuse\.voxel_size=0\.02 would"
     ):
-        guard(limits, *needs, assignments=("fuse.voxel_size=0.01",)).before("adjust")
+        guard(limits, *needs, assignments=("fuse.voxel_size=0.01",)).check_before("adjust")
     with pytest.raises(StageError, match=r"fuse\.voxel_factor=2 would fit"):
-        guard(limits, *needs).before("fuse")
+        guard(limits, *needs).check_before("fuse")
     with pytest.raises(StageError, match=r"fuse\.voxel_factor=3 would fit"):
-        guard(limits, *needs, assignments=("fuse.voxel_factor=1.5",)).before("fuse")
+        guard(limits, *needs, assignments=("fuse.voxel_factor=1.5",)).check_before("fuse")
 
 
 def test_only_what_is_still_to_come_counts():
-    guard(Limits(memory=400 * MB), 900 * MB, 400 * MB, 300 * MB).before("fuse")
+    guard(Limits(memory=400 * MB), 900 * MB, 400 * MB, 300 * MB).check_before("fuse")
 
 
 def test_a_stage_that_voxels_do_not_change_says_so():
     with pytest.raises(
         StageError, match=r"adjust is expected .*the voxel size has no influence: increase the"
     ):
-        guard(Limits(memory=400 * MB), 900 * MB, 0, 0).before("adjust")
+        guard(Limits(memory=400 * MB), 900 * MB, 0, 0).check_before("adjust")
 
 
 def test_below_what_is_there_anyway_nothing_fits():
     with pytest.raises(StageError, match="no voxel size fits, because the libraries alone use 300 MB"):
-        guard(Limits(memory=200 * MB), 0, 900 * MB, 0).before("fuse")
+        guard(Limits(memory=200 * MB), 0, 900 * MB, 0).check_before("fuse")
 
 
 def test_a_stage_that_takes_more_is_stopped(tmp_path: Path):
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
-    taken.before("fuse")
+    taken.check_before("fuse")
     with pytest.raises(StageError, match=r"fuse has used 500 MB of memory, .*voxel_factor=1\.5 would fit"):
-        taken.during("fuse", tmp_path, 1.0)
+        taken.check_during("fuse", tmp_path, 1.0)
 
 
 @pytest.mark.parametrize(("peak", "is_told"), [(400 * MB, False), (500 * MB, True)])
 def test_a_stage_that_took_more_as_it_ended_is_told(peak: int, is_told: bool, warnings: list[str]):
-    guard(Limits(memory=400 * MB), 0, 0, 0, peak=peak).kept("fuse", entry(1))
+    guard(Limits(memory=400 * MB), 0, 0, 0, peak=peak).check_stored("fuse", entry(1))
     expected = "fuse used 500 MB of memory at its end, more than the limit of 400 MB."
     assert warnings == ([expected] if is_told else [])
 
 
 def test_what_the_page_took_is_told_once(warnings: list[str]) -> None:
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
-    taken.ended("the page")
-    taken.ended("the page")
+    taken.warn_if_exceeded("the page")
+    taken.warn_if_exceeded("the page")
     assert warnings == ["the page used 500 MB of memory at its end, more than the limit of 400 MB."]
 
 
@@ -97,12 +99,12 @@ def test_what_the_page_took_is_told_once(warnings: list[str]) -> None:
 def test_what_would_fit_is_told_by_the_share_that_was_done(tmp_path: Path, share: float, times: str):
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
     with pytest.raises(StageError, match=rf"voxel_factor={times} would fit"):
-        taken.during("fuse", tmp_path, share)
+        taken.check_during("fuse", tmp_path, share)
 
 
 def test_what_only_the_size_of_the_scan_tells_is_a_warning(warnings: list[str]):
     needs = (0, 900 * MB, 0)
-    guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated").before("adjust")
+    guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated").check_before("adjust")
     assert len(warnings) == 2
     assert warnings[0].startswith(
         "fuse is expected to use (estimated from the scan size) 900 MB of memory, more than the"
@@ -112,7 +114,7 @@ def test_what_only_the_size_of_the_scan_tells_is_a_warning(warnings: list[str]):
         "the run is expected to write 3 MB, but only 1 MB of the disk limit of 1 MB"
     )
     with pytest.raises(StageError, match="no voxel size fits"):
-        guard(Limits(memory=200 * MB), *needs, basis="estimated").before("adjust")
+        guard(Limits(memory=200 * MB), *needs, basis="estimated").check_before("adjust")
 
 
 def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
@@ -120,27 +122,27 @@ def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
         StageError,
         match=r"expected to write 300 MB, but only 100 MB of the disk limit of 100 MB remain; .*=1\.8",
     ):
-        guard(Limits(disk=100 * MB), 0, 0, 0, disk=100 * MB).before("adjust")
+        guard(Limits(disk=100 * MB), 0, 0, 0, disk=100 * MB).check_before("adjust")
     counted = guard(Limits(disk=100), 0, 0, 0)
-    counted.kept("adjust", entry(30))
+    counted.check_stored("adjust", entry(30))
     assert counted.written == 60
     (tmp_path / "draft.bin").write_bytes(bytes(19))
-    counted.during("fuse", tmp_path, 1.0)
+    counted.check_during("fuse", tmp_path, 1.0)
     with pytest.raises(StageError, match=r"with fuse, the run has written .*more than the disk limit"):
-        counted.kept("fuse", entry(21))
+        counted.check_stored("fuse", entry(21))
 
 
 def test_a_draft_that_grows_too_large_is_stopped(tmp_path: Path):
     (tmp_path / "draft.bin").write_bytes(bytes(60))
     with pytest.raises(StageError, match="with fuse, the run"):
-        guard(Limits(disk=100), 0, 0, 0).during("fuse", tmp_path, 1.0)
+        guard(Limits(disk=100), 0, 0, 0).check_during("fuse", tmp_path, 1.0)
 
 
 def test_the_volume_keeps_to_the_limit_too():
-    assert within(Config(), Limits()).fuse.memory == 4000
+    assert limit_volume_memory(Config(), Limits()).fuse.memory == 4000
     # What is read and made beside it takes twice as much.
-    assert within(Config(), Limits(memory=BASE_BYTES + 75 * MB)).fuse.memory == 25
-    assert within(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
+    assert limit_volume_memory(Config(), Limits(memory=BASE_BYTES + 75 * MB)).fuse.memory == 25
+    assert limit_volume_memory(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
 
 
 @pytest.mark.slow
@@ -156,7 +158,7 @@ def test_a_run_keeps_to_its_limits_and_keeps_what_is_finished(tmp_path: Path):
     # By what they took, finer voxels are expected to take more.
     finer = ("fuse.voxel_size={}", "fuse.memory=90000")
     expected = {
-        size: expected_of(
+        size: estimate_stages(
             read_scan(scan), Config().set([one.format(size) for one in finer]), STAGES, out / "cache"
         )
         for size in (0.02, 0.01)
@@ -173,5 +175,5 @@ def test_a_run_keeps_to_its_limits_and_keeps_what_is_finished(tmp_path: Path):
 def test_fuse_is_expected_to_keep_to_its_memory_in_bricks(tmp_path: Path):
     scan = read_scan(write_small_scan(tmp_path / "scan"))
     scan = replace(scan, frames=scan.frames * 100_000)
-    needs = expected_of(scan, Config().set(("fuse.memory=50",)), STAGES, tmp_path / "cache")
+    needs = estimate_stages(scan, Config().set(("fuse.memory=50",)), STAGES, tmp_path / "cache")
     assert needs["fuse"].memory_bytes == BASE_BYTES + 100 * MB < needs["clean"].memory_bytes

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from scanloom.pipeline.cache.locks import take_folder, take_lock, try_folder, try_lock
+from scanloom.pipeline.cache.locks import take_folder_lock, take_lock, try_folder_lock, try_lock
 
 
 def test_several_share_a_lock_and_one_alone_has_it(tmp_path: Path) -> None:
@@ -66,25 +66,25 @@ def test_what_is_locked_can_be_written_read_and_moved(tmp_path: Path) -> None:
     lock = take_lock(path)
     path.write_bytes(b"whole")
     assert path.read_bytes() == b"whole"
-    assert lock.is_of(path)
+    assert lock.matches_path(path)
     path.replace(tmp_path / "done")
-    assert not lock.is_of(path)
-    assert lock.is_of(tmp_path / "done")
+    assert not lock.matches_path(path)
+    assert lock.matches_path(tmp_path / "done")
     (tmp_path / "done").unlink()
     lock.release()
-    assert not lock.is_of(tmp_path / "done")
+    assert not lock.matches_path(tmp_path / "done")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_is_locked_without_a_file_in_it(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
-    held = take_folder(tmp_path)
-    assert try_folder(tmp_path) is None
-    other = try_folder(tmp_path / "other")
+    held = take_folder_lock(tmp_path)
+    assert try_folder_lock(tmp_path) is None
+    other = try_folder_lock(tmp_path / "other")
     assert other is not None
     other.release()
     held.release()
-    again = try_folder(tmp_path)
+    again = try_folder_lock(tmp_path)
     assert again is not None
     again.release()
     assert [path.name for path in tmp_path.iterdir()] == ["other"]

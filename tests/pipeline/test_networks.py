@@ -5,19 +5,19 @@ import shutil
 from pathlib import Path
 
 import cv2
-import networks
 import numpy as np
+import onnx_networks
 import pytest
-from photographed import CAMERA, photos
+from wall_photos import CAMERA, photos
 
 from scanloom import InputError, ScanParams, read_scan
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.run.dry_run import predict_run
 from scanloom.pipeline.run.run import run
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
+from scanloom.stages.stereo.networks.sidecar import Sidecar, format_sidecar, get_sidecar_path
 
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth", range=(0.0, 1.0))
 
@@ -43,8 +43,8 @@ def scan(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def network(tmp_path: Path) -> Path:
-    file = networks.by_brightness(tmp_path / "net.onnx")
-    sidecar_of(file).write_text(written(ONE), encoding="utf-8")
+    file = onnx_networks.write_brightness_network(tmp_path / "net.onnx")
+    get_sidecar_path(file).write_text(format_sidecar(ONE), encoding="utf-8")
     return file
 
 
@@ -53,32 +53,32 @@ def config(network: Path, *more: str) -> Config:
 
 
 def reasons(scan: Path, out: Path, network: Path, *more: str) -> dict[str, str]:
-    foreseen = foresee(scan, out, config(network, *more), until="depth")
+    foreseen = predict_run(scan, out, config(network, *more), until="depth")
     return {one.stage: one.reason for one in foreseen.stages if not one.cached}
 
 
 def test_a_network_and_its_sidecar_decide_and_their_place_does_not(scan, network, tmp_path):
     out = tmp_path / "out"
     figures = run(scan, out, config(network), until="depth").stages[0].figures
-    assert figures["filled_share"] > 0.05
+    assert figures["filled_ratio"] > 0.05
     assert reasons(scan, out, network) == {}
     moved = tmp_path / "elsewhere" / "renamed.onnx"
     moved.parent.mkdir()
     shutil.move(network, moved)
-    shutil.move(sidecar_of(network), sidecar_of(moved))
+    shutil.move(get_sidecar_path(network), get_sidecar_path(moved))
     assert reasons(scan, out, moved) == {}
     assert reasons(scan, out, moved, "depth.model_seconds=5", "depth.model_memory=4000") == {}
     assert reasons(scan, out, moved, "depth.model_error=0.2")["depth"].startswith("params changed")
-    text = sidecar_of(moved).read_text(encoding="utf-8")
-    sidecar_of(moved).write_text(text + "\n", encoding="utf-8")
+    text = get_sidecar_path(moved).read_text(encoding="utf-8")
+    get_sidecar_path(moved).write_text(text + "\n", encoding="utf-8")
     assert "sidecar" in reasons(scan, out, moved)["depth"]
-    sidecar_of(moved).write_text(text, encoding="utf-8")
-    networks.by_brightness(moved, scale=3.0)
+    get_sidecar_path(moved).write_text(text, encoding="utf-8")
+    onnx_networks.write_brightness_network(moved, scale=3.0)
     assert "network" in reasons(scan, out, moved)["depth"]
 
 
 def test_without_one_measured_depth_has_no_such_stage(scan, tmp_path):
-    assert "depth" not in {one.stage for one in foresee(scan, tmp_path / "out", Config()).stages}
+    assert "depth" not in {one.stage for one in predict_run(scan, tmp_path / "out", Config()).stages}
 
 
 def test_measured_depth_stays_and_what_is_filled_in_can_be_left_out(scan, network, tmp_path):
@@ -93,7 +93,7 @@ def test_measured_depth_stays_and_what_is_filled_in_can_be_left_out(scan, networ
     names = [frame["confidence"] for frame in document["frames"]]
     trust = cv2.imread(str(entry.parent / names[1]), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(trust == 1, (whole > 0) & (measured == 0))
-    surest = read_scan(entry.parent, ScanParams(least_confidence=2))
+    surest = read_scan(entry.parent, ScanParams(min_confidence=2))
     np.testing.assert_array_equal(read_depth(surest.frames[1]) > 0, measured > 0)
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.evaluation.deviations import FIGURES, MESH
-from scanloom.pipeline.evaluation.photos import FILE, write_photos
-from scanloom.pipeline.graph import skip_reasons
+from scanloom.pipeline.evaluation.camera_photos import CAMERAS_FILE, write_photos
+from scanloom.pipeline.evaluation.stored_deviations import FIGURES, MESH_FILE
+from scanloom.pipeline.graph import list_skip_reasons
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
 from scanloom.stages.scans.model.scan import Camera, Frame
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 QUICK = (
@@ -37,7 +37,7 @@ def frame(number: int, **more: object) -> Frame:
 
 def written(tmp_path, frames, count):
     made = write_photos(tmp_path, frames, count)
-    return made, json.loads((tmp_path / FILE).read_text())["cameras"]
+    return made, json.loads((tmp_path / CAMERAS_FILE).read_text())["cameras"]
 
 
 def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
@@ -54,7 +54,7 @@ def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
 
 def test_frames_that_were_held_out_follow_and_are_told_apart(tmp_path):
     made = write_photos(tmp_path, [frame(k) for k in range(6)], 100, [frame(k) for k in (7, 8)])
-    cameras = json.loads((tmp_path / FILE).read_text())["cameras"]
+    cameras = json.loads((tmp_path / CAMERAS_FILE).read_text())["cameras"]
     assert made == 8
     assert [one["frame"] for one in cameras if one["held_out"]] == ["f7", "f8"]
     assert [one["frame"] for one in cameras[-2:]] == ["f7", "f8"]
@@ -94,7 +94,7 @@ def test_of_a_long_recording_only_some_cameras_are_told(tmp_path):
     _, cameras = written(tmp_path, frames, 10)
     assert len(cameras) == 2000
     assert (cameras[0]["frame"], cameras[-1]["frame"]) == ("f0", "f4999")
-    assert json.loads((tmp_path / FILE).read_text())["posed"] == 5000
+    assert json.loads((tmp_path / CAMERAS_FILE).read_text())["posed"] == 5000
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     quiet = Config().set([*QUICK, "texture.enabled=false"])
     made = run(SCAN, tmp_path, quiet.set(["report.photos=3"]))
-    cameras = json.loads((tmp_path / "pictures" / FILE).read_text())["cameras"]
+    cameras = json.loads((tmp_path / "pictures" / CAMERAS_FILE).read_text())["cameras"]
     assert len(cameras) == len(read_scan(SCAN).frames)
     assert sum(one["photo"] is not None for one in cameras) == 3
     assert len(list((tmp_path / "pictures" / "photos").iterdir())) == 3
@@ -112,7 +112,11 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     made = run(SCAN, tmp_path, quiet.set([*bare, "remesh.levels=1"]))
     assert made.report["normal_mesh"]["levels"]
     assert made.report["held_out"]["photos"] > 0
-    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == [FILE, FIGURES, MESH]
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == [
+        CAMERAS_FILE,
+        FIGURES,
+        MESH_FILE,
+    ]
 
     none = run(SCAN, tmp_path, quiet.set(["report.enabled=false"]))
     assert none.report["mesh"] is None
@@ -122,5 +126,5 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
 
 
 def test_the_report_can_be_switched_off():
-    why = skip_reasons(read_scan(SCAN), Config().set(["report.enabled=false"]))["report"]
+    why = list_skip_reasons(read_scan(SCAN), Config().set(["report.enabled=false"]))["report"]
     assert "report.enabled=true" in why

@@ -13,8 +13,8 @@ import pytest
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import InputError, UsageError
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.trajectory.files import read_tum
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.scans.trajectory.trajectory_formats import read_tum
 from scanloom.stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow
@@ -65,7 +65,7 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
     register = json.loads((out / "report.json").read_text())["stages"]["register"]
     assert register["figures"]["frames"] == len(truth)
     assert register["figures"]["pieces"] == [len(truth)]
-    assert first.unmet == ()
+    assert first.unmet_requirements == ()
 
     again = run(unposed, out, config("fuse.voxel_size=0.03"), until="fuse")
     assert [outcome.cached for outcome in again.stages][:3] == [True, True, False]
@@ -83,7 +83,7 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
     result = run(folder, tmp_path / "out", config("scan.every=2", "scan.last=17"), until="fuse")
     assert result.report["stages"]["register"]["figures"]["pieces"] == [6, 3]
     # What could be joined is there, the rest beside it: a warning, which --strict makes an error.
-    assert result.unmet == ()
+    assert result.unmet_requirements == ()
     sentence = result.report["stages"]["register"]["diagnostics"][0]["message"]
     assert sentence.startswith("the frames form 2 pieces that could not be connected; piece 1 is used")
     assert len(read_tum(tmp_path / "out" / "pieces" / "trajectory-2.tum").poses) == 3

@@ -9,14 +9,14 @@ import pytest
 from coloured_meshes import MESHES
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.evaluation.measures import report_levels
+from scanloom.pipeline.evaluation.measurements import measure_and_draw_levels
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
 from scanloom.pipeline.steps.remesh import NormalMeshFiles, RemeshSection, write_normal_mesh
 from scanloom.stages.comparing.compare import CompareParams
 from scanloom.stages.normal_meshes.normal_mesh import decode
 from scanloom.stages.normal_meshes.remesh import remesh
-from scanloom.stages.picturing.viewpoints import viewpoints
-from scanloom.stages.progress import silent
+from scanloom.stages.progress import ignore_progress
+from scanloom.stages.rendering.viewpoints import viewpoints
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame
 from scanloom.stages.surface.formats.ply import read_ply
@@ -156,7 +156,9 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
     mesh = MESHES["ring"]()
     found = remesh(mesh, levels=2, base_triangles=100)
     view = viewpoints(mesh, 1, width=120)[0]
-    figures, pictures = report_levels(tmp_path, mesh, found.levels, view, CompareParams(samples=20_000))
+    figures, pictures = measure_and_draw_levels(
+        tmp_path, mesh, found.levels, view, CompareParams(samples=20_000)
+    )
     distances = [one["to_simplified"]["distance"]["symmetric"]["rms_m"] for one in figures["levels"]]
     assert distances == sorted(distances, reverse=True)
     farthest = figures["levels"][0]["to_simplified"]["distance"]["a_to_b"]["maximum_m"]
@@ -170,6 +172,6 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
 
 def test_what_is_made_is_read_again(tmp_path):
     mesh = MESHES["holed"]()
-    figures = write_normal_mesh(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), silent)
+    figures = write_normal_mesh(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), ignore_progress)
     levels = NormalMeshFiles(tmp_path).load_levels()
     assert [len(level.triangles) for level in levels] == [one["triangles"] for one in figures["by_level"]]

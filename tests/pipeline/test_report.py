@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scanloom.pipeline.evaluation.deviations import read_deviations
-from scanloom.pipeline.evaluation.measures import measure_and_draw as make
+from scanloom.pipeline.evaluation.measurements import measure_and_draw as make
 from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.evaluation.stored_deviations import read_deviations
 from scanloom.stages.comparing.compare import CompareParams, compare
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.surface.mesh import Mesh

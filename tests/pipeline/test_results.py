@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from scanloom.pipeline.cache.digest import file_digest
+from scanloom.pipeline.cache.digest import compute_file_digest
 from scanloom.pipeline.run.events import StageFinished, StageProgress, StageStarted
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import InputError, StageError
@@ -158,7 +158,7 @@ def test_full_disk_while_results_are_placed(toy, scan, out, monkeypatch):
     def refuse(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("scanloom.pipeline.cache.files.shutil.copyfile", refuse)
+    monkeypatch.setattr("scanloom.pipeline.cache.atomic_files.shutil.copyfile", refuse)
     with pytest.raises(StageError, match=r"results cannot be written to .*: the disk is full"):
         toy.run(scan, out)
     assert files(out) == ["mixed.bin", "tables/counts.txt"]
@@ -270,7 +270,7 @@ def test_a_record_takes_away_no_files_elsewhere(toy, scan, out):
     mine = out.parent / "mine.txt"
     mine.write_bytes(b"mine")
     [record] = (out / "cache" / "runs").glob("*.json")
-    content = file_digest(mine)
+    content = compute_file_digest(mine)
     for name in ("../mine.txt", str(mine)):
         document = json.loads(record.read_text())
         document["stages"]["other"] = document["stages"]["mix"] | {"placed": {name: content}}

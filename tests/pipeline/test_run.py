@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 import pytest
 
-from scanloom.pipeline.artifacts.depth_maps import depth_scale
-from scanloom.pipeline.cache.digest import digest, file_digest
+from scanloom.pipeline.artifacts.depth_maps import choose_depth_scale
+from scanloom.pipeline.cache.digest import compute_digest, compute_file_digest
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.evaluation.measures import edge_figures
+from scanloom.pipeline.evaluation.measurements import edge_figures
 from scanloom.pipeline.graph import STAGES
 from scanloom.pipeline.run.events import RunStarted
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
@@ -29,7 +29,7 @@ from scanloom.stages.params import describe_all, flatten
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.mesh import Mesh
 
@@ -185,7 +185,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     for stage in report["stages"].values():
         assert stage["cached"] is False
         assert stage["reason"] == "first run"
-        assert stage["seconds"] >= stage["made_in_s"] > 0
+        assert stage["seconds"] >= stage["compute_seconds"] > 0
         assert stage["peak_memory_mb"] > 10
     assert report["stages"]["fuse"]["params"]["fuse"]["voxel_size"] == 0.02
 
@@ -251,13 +251,13 @@ def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, made, tmp_path, a
 def test_every_section_decides_one_stage():
     # How folders are read shows in what is read.
     used = [section for stage in STAGES for section in stage.sections]
-    assert sorted([*used, "scan", "photos", "cache"]) == sorted(Config.types())
+    assert sorted([*used, "scan", "photos", "cache"]) == sorted(Config.get_types())
 
 
-@pytest.mark.parametrize("section", sorted(set(Config.types()) - {"scan"}))
+@pytest.mark.parametrize("section", sorted(set(Config.get_types()) - {"scan"}))
 def test_every_parameter_is_in_the_key_unless_it_cannot_change_the_result(section):
-    about = describe_all(Config.types()[section])
-    assert set(flatten(Config().canonical(section))) == {
+    about = describe_all(Config.get_types()[section])
+    assert set(flatten(Config().to_canonical(section))) == {
         name for name, one in about.items() if one.invalidates
     }
 
@@ -326,7 +326,7 @@ def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
 def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
     for _ in ("made", "cached"):
-        result = run(rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse")
+        result = run(rgbd, tmp_path / "out", quick("fuse.max_skipped_ratio=0.5"), until="fuse")
         [skipped] = result.stages[1].figures["frames_skipped"]
         assert "0003" in skipped["reason"]
         [warned] = result.diagnostics
@@ -336,7 +336,7 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
 
 def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
-    options = quick("fuse.max_bad_share=0.5")
+    options = quick("fuse.max_skipped_ratio=0.5")
     first = run(rgbd, tmp_path / "out", options, until="fuse")
     moved_to = tmp_path / "elsewhere"
     rgbd.rename(moved_to)
@@ -383,13 +383,13 @@ def test_pairs_that_are_all_bad(stereo, tmp_path):
     for path in stereo.glob("right/*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path)).astype(np.uint16))
     with pytest.raises(InputError):
-        run(stereo, tmp_path / "out", quick("depth.max_skipped=1"))
+        run(stereo, tmp_path / "out", quick("depth.max_skipped_ratio=1"))
     assert names(tmp_path / "out") == []
 
 
 @pytest.mark.parametrize("limit", [0.5, 1.0, 38.0, 655.35, 2000.0])
 def test_depth_scale_uses_the_sixteen_bits(limit):
-    assert 65535 * 0.98 < limit * depth_scale(limit) <= 65535 * (1 + 1e-12)
+    assert 65535 * 0.98 < limit * choose_depth_scale(limit) <= 65535 * (1 + 1e-12)
 
 
 def test_edge_figures_of_a_known_mesh():
@@ -400,8 +400,8 @@ def test_edge_figures_of_a_known_mesh():
     found = edge_figures(square)
     assert found["count"] == 5
     assert found["length_mean_m"] == pytest.approx((3 + 3 + 4 + 4 + 5) / 5)
-    assert found["length_deviation_m"] == pytest.approx(math.sqrt((2 * 0.8**2 + 2 * 0.2**2 + 1.2**2) / 5))
-    assert (found["length_minimum_m"], found["length_maximum_m"]) == (3, 5)
+    assert found["length_std_m"] == pytest.approx(math.sqrt((2 * 0.8**2 + 2 * 0.2**2 + 1.2**2) / 5))
+    assert (found["length_min_m"], found["length_max_m"]) == (3, 5)
 
 
 def test_output_may_not_be_the_scan(rgbd, tmp_path, monkeypatch):
@@ -510,7 +510,7 @@ def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path,
 
     for at in ("copy_whole", "Results.write_report"):
         with monkeypatch.context() as patched:
-            patched.setattr(f"scanloom.pipeline.run.results.{at}", killed)
+            patched.setattr(f"scanloom.pipeline.run.output_folder.{at}", killed)
             with pytest.raises(KilledError):
                 run(rgbd, out, quick(), until="clean")
         run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")
@@ -522,8 +522,8 @@ def test_a_report_leads_to_nothing_outside_its_folder(rgbd, tmp_path):
     run(rgbd, out, quick(), until="fuse")
     report = json.loads((out / "report.json").read_text())
     del report["digest"]
-    report["placed"]["remesh"] = {"../other.ply": file_digest(other)}
-    (out / "report.json").write_text(json.dumps({**report, "digest": digest(report)}))
+    report["placed"]["remesh"] = {"../other.ply": compute_file_digest(other)}
+    (out / "report.json").write_text(json.dumps({**report, "digest": compute_digest(report)}))
     shutil.rmtree(out / "cache")
     with pytest.raises(InputError, match="not written by a run"):
         run(rgbd, out, quick(), until="fuse")

@@ -4,16 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from scanloom.pipeline.run.engine import Outcome
+from scanloom.pipeline.run.engine import StageOutcome
 from scanloom.pipeline.run.run import RunResult
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
 
 
-def outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = ()) -> Outcome:
+def outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = ()) -> StageOutcome:
     made = {"seconds": 2.5}
-    return Outcome(stage, cached, "", 0.25, {}, {}, made, Path(), (), diagnostics)
+    return StageOutcome(stage, cached, "", 0.25, {}, {}, made, Path(), (), diagnostics)
 
 
 @pytest.fixture

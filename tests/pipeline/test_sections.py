@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from scanloom.pipeline.sections import Sections
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +18,7 @@ class BrickParams:
     workers: int = param(2, "Bricks at the same time.", low=1, invalidates=False)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class FuseParams:
     bricks: BrickParams = field(default=BrickParams())
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class CleanParams:
     islands: int = param(100, "Smallest piece.", unit="triangles", low=0)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -210,21 +210,21 @@ def test_nested_sections_are_read_from_files_and_words():
 
 
 def test_canonical_form_leaves_out_what_cannot_change_the_result():
-    values = Config().canonical("fuse")
+    values = Config().to_canonical("fuse")
     assert set(values) == {f.name for f in fields(FuseParams)} - {"threads"}
     assert values["bricks"] == {"size": 0.5}
 
 
 def test_canonical_form_is_one_for_equal_values():
     one = Config(fuse=FuseParams(weight=1, voxel_size=-0.0))
-    assert repr(one.canonical("fuse")["weight"]) == "1.0"
-    assert repr(one.canonical("fuse")["voxel_size"]) == "0.0"
+    assert repr(one.to_canonical("fuse")["weight"]) == "1.0"
+    assert repr(one.to_canonical("fuse")["voxel_size"]) == "0.0"
     rows = [Config(fuse=FuseParams(center=row)) for row in ([1, -0.0, 2], (1.0, 0, 2), np.float32([1, 0, 2]))]
-    assert {repr(config.canonical("fuse")["center"]) for config in rows} == {"[1.0, 0.0, 2.0]"}
+    assert {repr(config.to_canonical("fuse")["center"]) for config in rows} == {"[1.0, 0.0, 2.0]"}
 
 
 def test_infinity_has_no_canonical_form():
     with pytest.raises(UsageError, match=r"fuse\.voxel_size is infinite"):
-        Config(fuse=FuseParams(voxel_size=float("inf"))).canonical("fuse")
+        Config(fuse=FuseParams(voxel_size=float("inf"))).to_canonical("fuse")
     with pytest.raises(UsageError, match=r"fuse\.bricks\.size is infinite"):
-        Config(fuse=FuseParams(bricks=BrickParams(size=float("inf")))).canonical("fuse")
+        Config(fuse=FuseParams(bricks=BrickParams(size=float("inf")))).to_canonical("fuse")

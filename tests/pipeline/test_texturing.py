@@ -7,17 +7,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from photographed import CAMERA, paint, photos
+from wall_photos import CAMERA, paint, photos
 
 from scanloom import InputError
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.run.dry_run import foresee
-from scanloom.pipeline.run.run import RunResult, run, wanted_of
+from scanloom.pipeline.run.dry_run import predict_run
+from scanloom.pipeline.run.run import RunResult, prepare_run, run
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.surface.color import color_at
 from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.surface_color import compute_surface_colors
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +78,7 @@ def test_photos_of_another_camera_are_taken(tmp_path: Path):
     chosen, weights = rng.choice(len(mesh.triangles), 2000), rng.dirichlet((1, 1, 1), 2000)
     places = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[chosen]])
     middle = (np.abs(places[:, :2] - 0.5) < 0.25).all(axis=1)
-    off = np.abs(color_at(mesh, chosen, weights) - paint(places[:, 0], places[:, 1]))[middle]
+    off = np.abs(compute_surface_colors(mesh, chosen, weights) - paint(places[:, 0], places[:, 1]))[middle]
     assert np.median(off) < 5
 
     # The folder's place does not matter; what is in it does, to the texture alone.
@@ -86,7 +86,7 @@ def test_photos_of_another_camera_are_taken(tmp_path: Path):
     assert ran(run(scan, out, config(moved), until="texture")) == set()
     first = moved / "000.png"
     first.write_bytes(cv2.imencode(".png", cv2.imread(str(first)) // 2)[1].tobytes())
-    foreseen = foresee(scan, out, config(moved), until="texture")
+    foreseen = predict_run(scan, out, config(moved), until="texture")
     assert [one.stage for one in foreseen.stages if not one.cached] == ["texture"]
     assert ran(run(scan, out, config(moved), until="texture")) == {"texture"}
     assert "texture" in {one.stage for one in result.stages}
@@ -96,7 +96,7 @@ def test_photos_are_read_as_their_section_says(tmp_path: Path):
     scan, images = grey_scan(tmp_path / "scan"), other_photos(tmp_path / "photos")
     told = config(images).set(["photos.last=5", "photos.intrinsics=200,201,80,60"])
     cache = Cache(tmp_path / "cache")
-    wanted = wanted_of(scan, tmp_path / "out", told, until="texture", force=(), cache=cache)
+    wanted = prepare_run(scan, tmp_path / "out", told, until="texture", force=(), cache=cache)
     assert wanted.photos is not None
     assert [len(wanted.scan.frames), len(wanted.photos.frames)] == [8, 6]
     assert wanted.photos.frames[0].camera.fy == 201

@@ -11,10 +11,10 @@ from coloured_meshes import sheet
 
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.report.page_told import deviation_tables, told_of
-from scanloom.pipeline.report.run_page import page_of_run
-from scanloom.pipeline.run.document import compose
-from scanloom.pipeline.run.run import wanted_of
+from scanloom.pipeline.report.report_summary import make_deviation_tables, summarize_report
+from scanloom.pipeline.report.run_page import make_run_page
+from scanloom.pipeline.run.report_document import compose_report
+from scanloom.pipeline.run.run import prepare_run
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 from scanloom.stages.scans.model.world import Scale
@@ -25,29 +25,29 @@ CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)
 
 def test_a_report_says_whether_metres_are_metres(tmp_path: Path) -> None:
     scan = Scan("colmap", [], is_metric=False)
-    said = compose(scan, (), (), {}, tmp_path)["scan"]
+    said = compose_report(scan, (), (), {}, tmp_path)["scan"]
     assert (said["metric"], said["scale"]) == (False, None)
     metric = replace(scan, is_metric=True, scale=Scale(0.3, "given"))
-    said = json.loads(json.dumps(compose(metric, (), (), {}, tmp_path)["scan"]))
+    said = json.loads(json.dumps(compose_report(metric, (), (), {}, tmp_path)["scan"]))
     assert said["metric"]
-    assert said["scale"] == {"metres_per_unit": 0.3, "source": "given", "spread_share": None}
+    assert said["scale"] == {"metres_per_unit": 0.3, "source": "given", "spread_ratio": None}
 
 
 def test_a_page_has_its_lengths_in_that_unit(tmp_path: Path) -> None:
-    assert "unit" not in told_of({"scan": {"metric": True}})
-    assert told_of({"scan": {"metric": False}})["unit"] == "units"
-    told = {"absolute_percentiles_m": {"95": 0.25}, "rms_m": 0.5, "share_within": 1.0, "tolerance_m": 2.0}
+    assert "unit" not in summarize_report({"scan": {"metric": True}})
+    assert summarize_report({"scan": {"metric": False}})["unit"] == "units"
+    told = {"absolute_percentiles_m": {"95": 0.25}, "rms_m": 0.5, "within_ratio": 1.0, "tolerance_m": 2.0}
     told |= {"delta_e_2000": None, "worst": [{"distance_m": 0.75, "point_m": [1, 2, 3]}]}
-    words = json.dumps(deviation_tables(told, 0.5, [], is_metric=False))
+    words = json.dumps(make_deviation_tables(told, 0.5, [], is_metric=False))
     assert "0.25 units" in words
     assert "location in scan coordinates, units" in words
     assert "mm" not in words
-    assert "250 mm" in json.dumps(deviation_tables(told, 0.5, []))
+    assert "250 mm" in json.dumps(make_deviation_tables(told, 0.5, []))
 
     for name in ("simplified", "clean"):
         write_ply(tmp_path / f"{name}.ply", sheet(4))
     (tmp_path / "report.json").write_text(json.dumps({"scan": {"metric": False}}))
-    page = page_of_run(tmp_path, 5_000_000)
+    page = make_run_page(tmp_path, 5_000_000)
     assert b'"unit": "units"' in page
     assert b'"unit": "mm"' not in page
 
@@ -91,7 +91,7 @@ def test_photos_in_the_world_of_a_scan_have_its_scale(
 ) -> None:
     scan, images = both
     config = Config().set([f"texture.images={images}", *settings])
-    wanted = wanted_of(scan, tmp_path / "out", config, None, (), Cache(tmp_path / "cache"))
+    wanted = prepare_run(scan, tmp_path / "out", config, None, (), Cache(tmp_path / "cache"))
     assert wanted.photos is not None
     places = [one.frames[2].world_from_camera for one in (wanted.scan, wanted.photos)]
     assert [None if one is None else one[0, 3] for one in places] == pytest.approx(list(factors))

@@ -12,16 +12,16 @@ from scipy.spatial.transform import Rotation
 from scanloom.pipeline.artifacts.depth_maps import write_depth_maps
 from scanloom.pipeline.artifacts.poses import Poses
 from scanloom.pipeline.artifacts.up_direction import UpDirection
-from scanloom.pipeline.cache.digest import label_digests, scan_digest
+from scanloom.pipeline.cache.digest import compute_label_digests, compute_scan_digest
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.graph import STAGES, plan_for
+from scanloom.pipeline.graph import STAGES, plan_stages
 from scanloom.pipeline.run.run import run
 from scanloom.pipeline.steps import upright
 from scanloom.pipeline.steps.upright import UprightSection
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from scanloom.stages.scans.model.world import Y_UP, Z_DOWN, Z_UP, WorldUp
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.depth import depth_scan
 from scanloom.stages.surface.mesh import Mesh
 
@@ -71,7 +71,7 @@ def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp
     turned[:3, :3] = Rotation.from_euler("x", 30, degrees=True).as_matrix()
     poses = {"0": turned.tolist(), "1": turned.tolist()}
     (tmp_path / "registration.json").write_text(json.dumps({"poses": poses, "apart": {"2": poses}}))
-    for found in (Poses(tmp_path).apply_to(scan), Poses(tmp_path).load_separate(scan)[2]):
+    for found in (Poses(tmp_path).apply_to(scan), Poses(tmp_path).load_separate_components(scan)[2]):
         assert found.up is None
         up = upright.estimate_up(tmp_path, FLOOR, found, None, UprightSection())
         np.testing.assert_allclose(up["up"], turned[:3, :3] @ UP, atol=1e-6)
@@ -82,7 +82,7 @@ def test_it_is_written_with_depth_in_the_axes_of_the_rectified_camera(tmp_path: 
     # The right camera stands lower: rectified, both are rolled towards it.
     right_from_left = np.eye(4)
     right_from_left[:3, 3] = (-0.1, -0.02, 0)
-    rig = StereoRig(CAMERA, CAMERA, right_from_left, rectified=False)
+    rig = StereoRig(CAMERA, CAMERA, right_from_left, is_rectified=False)
     wall = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 255, (72, 200, 3), np.uint8), (3, 3), 0)
     frame = replace(posed(LEVEL, up=UP), color=np.ascontiguousarray(wall[:, 20:116]))
     frame = replace(frame, right=np.ascontiguousarray(wall[:, 28:124]))
@@ -106,12 +106,12 @@ def test_it_decides_for_the_stages_alone_that_use_it() -> None:
         replace(scan, frames=[replace(frame, up=UP)]),
         replace(scan, frames=[replace(frame, up=-UP)]),
     ]
-    assert len({label_digests(one)["world"] for one in (scan, *others)}) == 1 + len(others)
-    assert {scan_digest(one).digest for one in others} == {scan_digest(scan).digest}
-    assert {stage.name for stage in STAGES if "world" in stage.reads} == {"depth", "upright"}
-    pairs = replace(scan, rig=StereoRig(CAMERA, CAMERA, np.eye(4), rectified=True))
+    assert len({compute_label_digests(one)["world"] for one in (scan, *others)}) == 1 + len(others)
+    assert {compute_scan_digest(one).digest for one in others} == {compute_scan_digest(scan).digest}
+    assert {stage.name for stage in STAGES if "world" in stage.input_names} == {"depth", "upright"}
+    pairs = replace(scan, rig=StereoRig(CAMERA, CAMERA, np.eye(4), is_rectified=True))
     for one, name in ((scan, "upright"), (pairs, "depth")):
-        assert [stage.name for stage in plan_for(one, Config()) if "world" in stage.reads] == [name]
+        assert [stage.name for stage in plan_stages(one, Config()) if "world" in stage.input_names] == [name]
 
 
 @pytest.mark.slow

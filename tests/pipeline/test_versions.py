@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from own_modules import modules_of
+from importable_modules import import_modules
 
 from scanloom import pipeline, stages
 from scanloom.pipeline.config import Config
@@ -16,15 +16,15 @@ from scanloom.pipeline.graph import STAGES
 from scanloom.pipeline.stage import Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from scanloom.stages.surface.pieces import table_of
+from scanloom.stages.surface.chunked_ply import make_table_path
 
 ROOT = Path(stages.__file__).parents[1]
-MODULES = modules_of(pipeline, stages)
+MODULES = import_modules(pipeline, stages)
 STATING = [module for module in MODULES if hasattr(module, "RESULT_VERSION")]
 
 CAMERA = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
 VIEWS = Scan("toy", [Frame("0", CAMERA)])
-PAIRS = Scan("toy", [Frame("0", CAMERA)], rig=StereoRig(CAMERA, CAMERA, None, rectified=True))
+PAIRS = Scan("toy", [Frame("0", CAMERA)], rig=StereoRig(CAMERA, CAMERA, None, is_rectified=True))
 # Depth of its own, which a network may fill in.
 MEASURED = Scan("toy", [Frame("0", CAMERA, depth=Path("0.png"))])
 METHODS = (
@@ -45,7 +45,7 @@ def config(words: str) -> Config:
 
 
 def versions(stage: Stage, scan: Scan, words: str = "", clean: Path = ROOT) -> Mapping[str, int]:
-    known = {**dict.fromkeys(stage.reads, scan), "clean_mesh": CleanMesh(clean)}
+    known = {**dict.fromkeys(stage.input_names, scan), "clean_mesh": CleanMesh(clean)}
     return stage.versions(known, config(words))
 
 
@@ -65,7 +65,7 @@ def all_versions(large: Path) -> dict[tuple[Any, ...], Mapping[str, int]]:
 
 @pytest.fixture
 def large(tmp_path: Path) -> Path:
-    table_of(tmp_path / "clean.ply").touch()
+    make_table_path(tmp_path / "clean.ply").touch()
     return tmp_path
 
 
@@ -78,7 +78,7 @@ def test_they_are_found():
     assert {
         "scanloom.stages.fusion.fuse",
         "scanloom.stages.simplification.simplify",
-        "scanloom.pipeline.evaluation.measures",
+        "scanloom.pipeline.evaluation.measurements",
     } <= names
     assert len(STATING) >= 12
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from scanloom.cli.app import app
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
-from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.views_depth import views_depth
 from scanloom.stages.surface.formats.ply import read_ply
 
@@ -33,14 +33,14 @@ def _no_shared_cache(monkeypatch):
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The made scene in Middlebury's multi-view layout."""
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     made = tmp_path / "scan"
     made.mkdir()
     lines = [str(len(scan.frames))]
     for frame in scan.frames:
         name = f"made{frame.name}.png"
         cv2.imwrite(str(made / name), frame.color)
-        camera_from_world = inverted(frame.world_from_camera)
+        camera_from_world = invert_pose(frame.world_from_camera)
         numbers = [
             *frame.camera.matrix.ravel(),
             *camera_from_world[:3, :3].ravel(),
@@ -101,7 +101,7 @@ def colmap(folder: Path, scan: Scan) -> None:
     (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {values}\n")
     lines = []
     for number, frame in enumerate(scan.frames):
-        camera_from_world = inverted(frame.world_from_camera)
+        camera_from_world = invert_pose(frame.world_from_camera)
         x, y, z, w = Rotation.from_matrix(camera_from_world[:3, :3]).as_quat()
         numbers = " ".join(repr(float(one)) for one in (w, x, y, z, *camera_from_world[:3, 3]))
         lines.append(f"{number} {numbers} 1 {frame.name}.png\n\n")
@@ -111,7 +111,7 @@ def colmap(folder: Path, scan: Scan) -> None:
 @pytest.fixture(scope="module")
 def in_memory() -> tuple[Scan, list[np.ndarray], list[np.ndarray]]:
     """The made scene, its true depth, and what is found of it."""
-    scan, truth = posed_scene.scan()
+    scan, truth = posed_scene.make_posed_scan()
     return scan, truth, [result.depth for _, result in views_depth(scan)]
 
 

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from scanloom.pipeline.cache.digest import scan_digest
+from scanloom.pipeline.cache.digest import compute_scan_digest
 from scanloom.pipeline.cache.store import Cache
-from scanloom.pipeline.run.engine import Engine, Outcome, Source
-from scanloom.pipeline.run.events import Events, unwatched
+from scanloom.pipeline.run.engine import Engine, StageInput, StageOutcome
+from scanloom.pipeline.run.events import RunEventHandler, ignore_run_event
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import AnyStage, Artifact, Context, Stage
-from scanloom.stages.diagnostics.collector import listening
-from scanloom.stages.params import check, param
+from scanloom.stages.diagnostics.collector import listen_to_diagnostics
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 
@@ -32,7 +32,7 @@ class MixParams:
     threads: int = param(1, "Threads to use.", low=1, invalidates=False)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class SoftParams:
     previews: int = param(0, "Pictures on the way.", low=0, invalidates=False)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class CutParams:
     soft: SoftParams = field(default=SoftParams())
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class CountParams:
     exact: bool = param(True, "Count every pixel.")
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -143,29 +143,29 @@ PLAN: tuple[AnyStage, ...] = (
         name="mix",
         section=MixParams,
         inputs=MixInputs,
-        writes=Mixed,
+        artifact=Mixed,
         run=mix,
         versions=at(mix=1),
         libraries={"numpy": np.__version__},
-        results=("mixed.bin",),
+        result_names=("mixed.bin",),
     ),
     Stage(
         name="cut",
         section=CutParams,
         inputs=CutInputs,
-        writes=Cut,
+        artifact=Cut,
         run=cut,
         versions=at(cut=1),
-        results=("cut.bin",),
+        result_names=("cut.bin",),
     ),
     Stage(
         name="count",
         section=CountParams,
         inputs=CountInputs,
-        writes=Counts,
+        artifact=Counts,
         run=count,
         versions=at(count=1),
-        results=("tables/",),
+        result_names=("tables/",),
     ),
 )
 
@@ -196,25 +196,25 @@ def run(
     until: str = "count",
     force: tuple[str, ...] = (),
     cache: Path | None = None,
-    events: Events = unwatched,
+    events: RunEventHandler = ignore_run_event,
     warnings: list[str] | None = None,
     overwrite: bool = False,
-) -> list[Outcome]:
+) -> list[StageOutcome]:
     """Run the toy pipeline as scanloom.pipeline.run.run does the real one."""
     out.mkdir(parents=True, exist_ok=True)
     scan = read_scan(folder)
-    content = scan_digest(scan)
-    frames = Source(content.digest, scan, content.parts, content.require_unchanged)
+    content = compute_scan_digest(scan)
+    frames = StageInput(content.digest, scan, content.parts, content.require_unchanged)
     store = Cache(cache or out / "cache")
     store.remove_abandoned()
     config, sources = ToyConfig().set(assignments), {"frames": frames}
     said = [] if warnings is None else warnings
     with (
-        listening(lambda one: said.append(str(one))),
+        listen_to_diagnostics(lambda one: said.append(str(one))),
         Engine(plan, config, sources, store, out, events, overwrite=overwrite) as engine,
     ):
         outcomes = list(engine.run(until, force))
-        engine.withdraw_outdated(until)
+        engine.remove_outdated(until)
         return outcomes
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from scanloom.stages.scans.model.images import read_color, read_depth, read_right
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.formats.ply import read_ply
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 pytestmark = pytest.mark.slow
 
@@ -37,12 +37,12 @@ def test_the_scans_are_small():
 
 
 def test_the_stereo_scan_reads_as_it_was_made(made):
-    scan, rig = read_scan(SAMPLES / "stereo"), made["make_samples"].rig()
+    scan, rig = read_scan(SAMPLES / "stereo"), made["make_samples"].make_rig()
     assert len(scan.frames) == made["make_samples"].PAIRS
-    assert (scan.rig.left, scan.rig.right, scan.rig.rectified) == (rig.left, rig.right, False)
+    assert (scan.rig.left, scan.rig.right, scan.rig.is_rectified) == (rig.left, rig.right, False)
     np.testing.assert_allclose(scan.rig.right_from_left, rig.right_from_left, atol=1e-8)
     assert scan.rig.baseline == pytest.approx(0.12, abs=1e-4)
-    for frame, pose in zip(scan.frames, made["make_samples"].arc(14, 104, 0.4), strict=True):
+    for frame, pose in zip(scan.frames, made["make_samples"].make_arc_poses(14, 104, 0.4), strict=True):
         np.testing.assert_allclose(frame.world_from_camera, pose, atol=1e-8)
 
 
@@ -53,7 +53,7 @@ def test_the_rgbd_scan_reads_as_it_was_made(made):
 
 
 def test_the_first_pair_is_made_again_from_its_seed(made, scene):
-    frame, rig = read_scan(SAMPLES / "stereo").frames[0], made["make_samples"].rig()
+    frame, rig = read_scan(SAMPLES / "stereo").frames[0], made["make_samples"].make_rig()
     rng = np.random.default_rng((made["make_samples"].SEED, 0, 0))
     pose = frame.world_from_camera
     for read, camera, at in (
@@ -75,7 +75,7 @@ def test_depth_is_the_true_surface_with_a_sensors_errors(number):
     z = depth[seen].astype(np.float64)
     points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
     points = points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
-    distances = Surface(truth).closest(points).distances
+    distances = RaycastingSurface(truth).find_closest_points(points).distances
     assert 0.0003 < np.median(distances) < 0.002
     assert np.quantile(distances, 0.99) < 0.01
 
@@ -107,13 +107,13 @@ def test_the_truth_is_the_shapes_the_scene_names(made, scene):
 
 def test_surfaces_of_the_truth_face_the_cameras():
     truth = read_ply(SAMPLES / "truth.ply")
-    surface = Surface(truth)
+    surface = RaycastingSurface(truth)
     corners = truth.vertices[truth.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     frame = read_scan(SAMPLES / "rgbd").frames[12]
     directions = np.random.default_rng(0).normal((0, 0, 1), 0.25, (5000, 3))
     directions = directions @ frame.world_from_camera[:3, :3].T
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    hits = surface.cast(frame.world_from_camera[:3, 3], directions)
+    hits = surface.cast_rays(frame.world_from_camera[:3, 3], directions)
     assert len(hits.rays) > 0.8 * len(directions)
     assert (np.einsum("kx,kx->k", normals[hits.triangles], directions[hits.rays]) < 0).all()

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
-from own_modules import modules_of
+from importable_modules import import_modules
 
 from scanloom import stages
 
-MODULES = modules_of(stages)
+MODULES = import_modules(stages)
 
 
 def classes_of(module: ModuleType) -> list[type]:

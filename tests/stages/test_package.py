@@ -10,7 +10,7 @@ import pytest
 
 import scanloom
 from scanloom import stages
-from scanloom.stages.files.written_by import installed_version
+from scanloom.stages.files.version import get_installed_version
 
 ROOT = Path(stages.__file__).parent
 TREE = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
@@ -88,7 +88,7 @@ def test_version_is_that_of_the_installed_distribution(monkeypatch):
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "version", missing)
-    assert installed_version() == "0+unknown"
+    assert get_installed_version() == "0+unknown"
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))

@@ -12,8 +12,8 @@ import pytest
 
 from scanloom import Page, show, stages
 from scanloom.stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture, lod
-from scanloom.stages.printing import line
-from scanloom.stages.scans.model.scan import Packed, SkippedFrame
+from scanloom.stages.printing import format_line
+from scanloom.stages.scans.model.scan import PackedImage, SkippedFrame
 from scanloom.stages.surface import thumbnail
 from scanloom.stages.surface.codes import MESH_LEFT_OUT
 
@@ -51,7 +51,7 @@ def frames(count: int = 4) -> list[Frame]:
     return [Frame(f"{i}", CAMERA, color, depth=depth, world_from_camera=p) for i, p in enumerate(poses)]
 
 
-def exported(mesh: Mesh) -> stages.Exported:
+def exported(mesh: Mesh) -> stages.ExportResult:
     with TemporaryDirectory() as folder:
         return stages.export(mesh, Path(folder) / "a.glb", stages.preset("web"))
 
@@ -83,7 +83,7 @@ def everything():
     """One of every public class that is no parameters and no error, by real calls where these are quick."""
     mesh, scan = ball(), Scan("made", frames())
     far = Camera(640, 480, 525.123456789, 525.1, 319.5, 239.5, tuple(np.linspace(0.1, 1.4, 14) / 3))
-    rig = StereoRig(CAMERA, CAMERA, np.eye(4), rectified=True)
+    rig = StereoRig(CAMERA, CAMERA, np.eye(4), is_rectified=True)
     left = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (96, 160, 3), np.uint8), (3, 3), 0)
     wide = Camera(128, 96, 100.0, 100.0, 63.5, 47.5)
     shifted = np.eye(4)
@@ -113,7 +113,7 @@ def everything():
         CAMERA,
         far,
         rig,
-        Packed(Path("video.mp4"), "frame 3", lambda: np.zeros((1, 1))),
+        PackedImage(Path("video.mp4"), "frame 3", lambda: np.zeros((1, 1))),
         fused,
         cleaned,
         cleaned.changes,
@@ -132,10 +132,10 @@ def everything():
         registration(),
         stages.adjust(scan),
         stages.texture(fused.mesh, scan),
-        stages.depth(*pair, StereoRig(wide, wide, shifted, rectified=True), disparities=16),
+        stages.depth(*pair, StereoRig(wide, wide, shifted, is_rectified=True), disparities=16),
         stages.stereo_disparity(*pair, 15),
         inspected,
-        inspected.path,
+        inspected.trajectory,
         inspected.depth,
         stages.topology(mesh),
         *simplified(mesh),
@@ -155,8 +155,8 @@ def everything():
         curve.points[0],
         show(mesh, page_size=2),
         # All of it was seen obliquely, as this asks.
-        (missing := stages.coverage(fused.mesh, scan, oblique=1.0, few_frames=100, least_area=1e-4)),
-        missing.places[0],
+        (missing := stages.coverage(fused.mesh, scan, oblique=1.0, few_frames=100, min_area=1e-4)),
+        missing.defects[0],
         MESH_LEFT_OUT.warning("colours are left out", "a.stl"),
     ]
 
@@ -223,7 +223,7 @@ def test_other_results_say_what_matters(results):
 
 
 def test_a_long_line_ends_where_a_fact_ends():
-    text = line(CAMERA, ["fact " * 20] * 9)
+    text = format_line(CAMERA, ["fact " * 20] * 9)
     assert text.endswith(", …)")
     assert len(text) <= 300
 
@@ -307,14 +307,14 @@ def test_what_cannot_be_drawn_is_still_a_table(mesh):
 
 def test_the_nearest_surface_is_drawn():
     # A small blue triangle in front of a large red one, seen from where the picture is drawn.
-    towards = thumbnail._TOWARDS_VIEWER / np.linalg.norm(thumbnail._TOWARDS_VIEWER)
+    towards = thumbnail._VIEW_DIRECTION / np.linalg.norm(thumbnail._VIEW_DIRECTION)
     right = np.array((towards[2], 0, -towards[0]))
     up = np.cross(towards, right)
     corners = [np.cos(a) * right + np.sin(a) * up for a in np.radians((90, 210, 330))]
     vertices = np.array([*corners, *(0.5 * corner + towards for corner in corners)])
     colors = np.array([(255, 0, 0)] * 3 + [(0, 0, 255)] * 3, np.uint8)
     for order in ([[0, 1, 2], [3, 4, 5]], [[3, 4, 5], [0, 1, 2]]):
-        image = thumbnail.thumbnail(vertices, np.array(order, np.int32), colors, None)
+        image = thumbnail.render_thumbnail(vertices, np.array(order, np.int32), colors, None)
         assert image.shape == (180, 240, 3)
         assert (image == (0, 0, 255)).all(axis=2).sum() > 1000
         assert (image == (255, 0, 0)).all(axis=2).sum() > 1000

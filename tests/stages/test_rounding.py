@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanloom.stages.printing.rounding import rounded_down, rounded_up
+from scanloom.stages.printing.rounding import round_down, round_up
 
 
 @pytest.mark.parametrize(
@@ -24,11 +24,11 @@ from scanloom.stages.printing.rounding import rounded_down, rounded_up
     ],
 )
 def test_to_four_digits(value: float, down: float, up: float) -> None:
-    assert (rounded_down(value), rounded_up(value)) == (down, up)
+    assert (round_down(value), round_up(value)) == (down, up)
 
 
 @given(st.floats(0, 1e12, allow_subnormal=False), st.integers(1, 6))
 def test_the_number_that_is_read_is_on_the_right_side(value: float, digits: int) -> None:
-    low, high = (f"{one(value, digits):.{digits}g}" for one in (rounded_down, rounded_up))
+    low, high = (f"{one(value, digits):.{digits}g}" for one in (round_down, round_up))
     assert float(low) <= value <= float(high)
     assert Fraction(high) - Fraction(low) <= Fraction(value) / 10 ** (digits - 1)

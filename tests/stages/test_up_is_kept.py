@@ -28,7 +28,7 @@ WAYS: dict[str, Callable[..., Mesh]] = {
     "repair": lambda mesh, _: stages.repair(mesh).mesh,
     "bake": lambda mesh, _: stages.bake(mesh, mesh).mesh,
     "remesh": lambda mesh, _: stages.remesh(mesh, levels=1).levels[-1],
-    "vertex colours": lambda mesh, _: stages.surface.convert.with_vertex_colors(mesh),
+    "vertex colours": lambda mesh, _: stages.surface.mesh_conversion.bake_vertex_colors(mesh),
 }
 
 

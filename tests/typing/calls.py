@@ -143,7 +143,7 @@ _ = simplify(mesh, method="quadric", ratio=0.1).details.proven  # error: attr-de
 # Parameters of one method are an object or a dict.
 simplify(mesh, method="planar", planar=scanloom.PlanarParams(crease_angle=30))
 simplify(mesh, method="planar", planar={"crease_angle": 30})
-simplify(mesh, ratio=0.1, seams={"set_penalty": 0.2})
+simplify(mesh, ratio=0.1, seams={"duplicate_penalty": 0.2})
 simplify(mesh, scanloom.SimplifyParams(planar=scanloom.PlanarParams(noise_angle=0)), method="planar")
 simplify(mesh, method="planar", planar={"angle": 30})  # error: call-overload
 simplify(mesh, method="planar", planar={"crease_angle": "flat"})  # error: call-overload

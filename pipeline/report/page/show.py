@@ -8,20 +8,20 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from scanloom.pipeline.report.page.packing import Shown, packed_page
+from scanloom.pipeline.report.page.packing import PageModelSource, make_packed_page
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
-from scanloom.stages.files.replacing import replacing
-from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from scanloom.stages.printing import line
-from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.files.atomic_files import write_file_atomically
+from scanloom.stages.printing import format_line
+from scanloom.stages.rendering.codes import RENDER_NOTHING_TO_DRAW
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.upright import direction_of
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.up_direction import parse_up_direction
 
 # Minimum megabytes of a page: size without models, plus a small model.
-_LEAST_MB = 1.2
+_MIN_MB = 1.2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,7 +44,7 @@ class Page:
 
     def __repr__(self) -> str:
         size = f"{len(self.html) / 1e6:.1f} MB"
-        return line(self, (self.title, size, "displayed in a notebook", 'or save("FILE.html")'))
+        return format_line(self, (self.title, size, "displayed in a notebook", 'or save("FILE.html")'))
 
     def _repr_html_(self) -> str:
         # A sandboxed iframe: the page cannot access the notebook.
@@ -62,7 +62,7 @@ class Page:
         StageError
             If the file cannot be written.
         """
-        with replacing(Path(path)) as draft:
+        with write_file_atomically(Path(path)) as draft:
             draft.write_bytes(self.html)
 
 
@@ -96,27 +96,27 @@ def show(
     UsageError
         If `up` is not a direction, or a size is too small.
     """
-    if page_size < _LEAST_MB:
+    if page_size < _MIN_MB:
         raise UsageError(
             USAGE_VALUE_INVALID,
             "page_size is {page_size:g} MB; it must be at least {least_mb:g} MB.",
             page_size=page_size,
-            least_mb=_LEAST_MB,
+            least_mb=_MIN_MB,
         )
     if height < 1:
         raise UsageError(
             USAGE_VALUE_INVALID, "height is {height} px; it must be at least 1 px.", height=height
         )
-    given = {title: thing, **(beside or {})}
+    models = {title: thing, **(beside or {})}
     with collecting() as diagnostics:
-        meshes = {name: _mesh_of(one, name) for name, one in given.items()}
-        stands = meshes[title].up if up is None else _direction(up)
-        shown = {name: Shown(mesh.with_(up=stands)) for name, mesh in meshes.items()}
-        html = packed_page(title, shown, int(1e6 * page_size))
+        meshes = {name: _get_mesh(one, name) for name, one in models.items()}
+        page_up = meshes[title].up if up is None else _parse_direction(up)
+        sources = {name: PageModelSource(mesh.with_(up=page_up)) for name, mesh in meshes.items()}
+        html = make_packed_page(title, sources, int(1e6 * page_size))
     return Page(title=title, html=html, width=width, height=height, diagnostics=tuple(diagnostics))
 
 
-def _mesh_of(thing: Any, name: str) -> Mesh:
+def _get_mesh(thing: Any, name: str) -> Mesh:
     own = getattr(thing, "mesh", None)
     mesh = as_mesh(own if isinstance(own, Mesh) else thing, name)
     if not len(mesh.triangles):
@@ -124,8 +124,8 @@ def _mesh_of(thing: Any, name: str) -> Mesh:
     return mesh
 
 
-def _direction(up: str) -> tuple[float, float, float] | None:
-    direction = direction_of(up)
+def _parse_direction(up: str) -> tuple[float, float, float] | None:
+    direction = parse_up_direction(up)
     if direction is None:
         return None
     x, y, z = direction.tolist()

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.cleaning.repairs.edited import GONE, Edited
-from scanloom.stages.cleaning.repairs.ragged import spread
-from scanloom.stages.surface.edges import Edges, Ids, edges_of
+from scanloom.stages.cleaning.repairs.editable_mesh import GONE, EditableMesh
+from scanloom.stages.cleaning.repairs.ragged_array import expand_slices
+from scanloom.stages.surface.edges import Edges, Ids, build_edges
 from scanloom.stages.surface.mesh import Vertices
-from scanloom.stages.surface.topology import repeats_vertex
+from scanloom.stages.surface.topology import has_repeated_vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,52 +27,52 @@ class Neighbourhood:
 
     Attributes
     ----------
-    rows : (k,) indices of the triangles in the mesh, ascending.
-    vertices : (j,) indices of the vertices in the mesh, first vertex at each position, ascending.
-    corner : (k, 3) input corner of each corner.
+    triangle_indices : (k,) indices of the triangles in the mesh, ascending.
+    vertex_indices : (j,) indices of the vertices in the mesh, first vertex at each position, ascending.
+    input_corners : (k, 3) input corner of each corner.
     triangles : (k, 3) local vertex indices.
-    places : (j, 3) positions in metres.
+    positions : (j, 3) positions in metres.
     is_inner : (j,) True if all triangles of a vertex are in the submesh.
     """
 
-    rows: Ids
-    vertices: Ids
-    corner: Ids
+    triangle_indices: Ids
+    vertex_indices: Ids
+    input_corners: Ids
     triangles: Ids
-    places: Vertices
+    positions: Vertices
     is_inner: NDArray[np.bool_]
 
     @cached_property
     def edges(self) -> Edges:
         """Edges of the submesh, in which no triangle uses a vertex twice."""
-        return edges_of(self.triangles.astype(np.int32), len(self.vertices))
+        return build_edges(self.triangles.astype(np.int32), len(self.vertex_indices))
 
     @cached_property
     def _corners_by_vertex(self) -> tuple[Ids, Ids, Ids]:
         flat = self.triangles.reshape(-1)
-        count = np.bincount(flat, minlength=len(self.vertices))
+        count = np.bincount(flat, minlength=len(self.vertex_indices))
         return np.argsort(flat, kind="stable"), np.cumsum(count) - count, count
 
-    def corners_at(self, vertices: Ids) -> tuple[Ids, Ids]:
+    def find_corners(self, vertices: Ids) -> tuple[Ids, Ids]:
         """Find the corners at the given vertices.
 
         Returns
         -------
-        owner : position of the corner's vertex in `vertices`.
+        owner : position of the corner's vertex in `vertex_indices`.
         corner : local corner index, equal to the index of the halfedge that starts there.
         """
         order, start, count = self._corners_by_vertex
-        owner, where = spread(start[vertices], count[vertices])
+        owner, where = expand_slices(start[vertices], count[vertices])
         return owner, order[where]
 
-    def vertices_where(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def mark_edge_ends(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (j,) of the ends of the selected edges."""
-        found = np.zeros(len(self.vertices), bool)
+        found = np.zeros(len(self.vertex_indices), bool)
         found[self.edges.ends[chosen]] = True
         return found
 
 
-def grown(triangles: Ids, vertex_count: int, rows: Ids, rings: int) -> Ids:
+def grow_rings(triangles: Ids, vertex_count: int, rows: Ids, rings: int) -> Ids:
     """Grow a set of triangles by rings of adjacent triangles.
 
     Adjacent triangles share a vertex. The result is ascending.
@@ -88,32 +88,32 @@ def grown(triangles: Ids, vertex_count: int, rows: Ids, rings: int) -> Ids:
     return np.flatnonzero(chosen)
 
 
-def neighbourhood(edited: Edited, rows: Ids, is_inner: NDArray[np.bool_]) -> Neighbourhood:
+def extract_neighbourhood(edited: EditableMesh, rows: Ids, is_inner: NDArray[np.bool_]) -> Neighbourhood:
     """Extract triangles of the edited mesh, without deleted and collapsed ones.
 
     Parameters
     ----------
     edited : mesh under repair.
     rows : triangles to extract.
-    is_inner : (n,) True if all triangles of a vertex are in `rows`.
+    is_inner : (n,) True if all triangles of a vertex are in `triangle_indices`.
     """
-    rows = rows[edited.is_there(rows)]
+    rows = rows[edited.is_present(rows)]
     triangles = edited.triangles[rows]
-    proper = ~repeats_vertex(triangles)
+    proper = ~has_repeated_vertex(triangles)
     rows, triangles = rows[proper], triangles[proper]
     vertices, index = np.unique(triangles, return_inverse=True)
     return Neighbourhood(
-        rows=rows,
-        vertices=vertices,
-        corner=edited.corner[rows],
+        triangle_indices=rows,
+        vertex_indices=vertices,
+        input_corners=edited.input_corners[rows],
         triangles=index.reshape(-1, 3),
-        places=edited.places[vertices],
+        positions=edited.positions[vertices],
         is_inner=is_inner[vertices],
     )
 
 
-def inner(triangles: Ids, vertex_count: int, rows: Ids) -> NDArray[np.bool_]:
-    """Return a mask (n,) of vertices with all triangles in `rows`."""
+def find_inner_vertices(triangles: Ids, vertex_count: int, rows: Ids) -> NDArray[np.bool_]:
+    """Return a mask (n,) of vertices with all triangles in `triangle_indices`."""
     outside = np.ones(len(triangles), bool)
     outside[rows] = False
     found = np.ones(vertex_count + 1, bool)

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.cleaning.regularity import corner_angles
-from scanloom.stages.cleaning.repairs.edited import GONE
+from scanloom.stages.cleaning.regularity import compute_corner_angles
+from scanloom.stages.cleaning.repairs.editable_mesh import GONE
 from scanloom.stages.cleaning.repairs.neighbourhood import Neighbourhood
-from scanloom.stages.cleaning.repairs.ragged import distinct_pairs
-from scanloom.stages.surface.edges import Ids, next_corner
+from scanloom.stages.cleaning.repairs.ragged_array import find_distinct_pairs
+from scanloom.stages.surface.edges import Ids, step_to_next_corner
 from scanloom.stages.surface.mesh import Mesh, Vertices
 
 # Reasons for not repairing a defect, by code; 0 means no objection.
@@ -37,12 +37,12 @@ REASONS = (
     "where the distance is not proven to be within max_shape",
     "without an applicable repair",
 )
-BORDER, SEAM, TANGLED, TURNS, WORSE, TOO_FAR, HELPLESS = range(1, len(REASONS))
+BORDER, SEAM, NON_MANIFOLD, FLIPPED, NEW_DEFECT, TOO_FAR, NO_OPERATION = range(1, len(REASONS))
 # Codes without a text. RIM: the neighbourhood must grow before the operation can be validated.
-FINE, RIM = 0, -1
+ACCEPTED, OUTSIDE_NEIGHBOURHOOD = 0, -1
 
 
-class Sameness:
+class CornerEquality:
     """Comparison of attributes between corners, and between triangles, of the input.
 
     Corners at one vertex with equal attributes are interchangeable.
@@ -61,14 +61,14 @@ class Sameness:
         if mesh.part_ids is not None:
             self._of_triangles.append(mesh.part_ids)
 
-    def corners(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
+    def compare_corners(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
         """Return a mask of corner pairs with equal vertex and attributes."""
         found = np.ones(len(one), bool)
         for values in self._of_corners:
             found &= (values[one] == values[other]).all(axis=1)
         return found
 
-    def triangles(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
+    def compare_triangles(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
         """Return a mask of the triangle pairs with equal material and part."""
         found = np.ones(len(one), bool)
         for values in self._of_triangles:
@@ -101,7 +101,7 @@ class Operations:
     def __len__(self) -> int:
         return len(self.kind)
 
-    def only(self, chosen: NDArray[np.bool_]) -> Operations:
+    def select(self, chosen: NDArray[np.bool_]) -> Operations:
         """Return the selected operations."""
         number = np.cumsum(chosen) - 1
         written = chosen[self.owner]
@@ -117,49 +117,65 @@ class Operations:
         )
 
 
-def together(some: list[Operations]) -> Operations:
+def concatenate_operations(batches: list[Operations]) -> Operations:
     """Concatenate batches of operations."""
-    starts = np.cumsum([0, *map(len, some)])
+    starts = np.cumsum([0, *map(len, batches)])
     names = ("kind", "place", "refused", "row", "corner", "moved", "target")
-    joined = {name: np.concatenate([getattr(one, name) for one in some]) for name in names}
-    owner = np.concatenate([one.owner + start for one, start in zip(some, starts, strict=False)])
+    joined = {name: np.concatenate([getattr(one, name) for one in batches]) for name in names}
+    owner = np.concatenate([one.owner + start for one, start in zip(batches, starts, strict=False)])
     return Operations(owner=owner, **joined)
 
 
-def drops(kind: int, rows: Ids) -> Operations:
+def create_deletions(kind: int, rows: Ids) -> Operations:
     """Create operations that delete triangles."""
     corner = np.full((len(rows), 3), GONE)
-    return _still(kind, rows, np.zeros(len(rows), np.int64), np.arange(len(rows)), rows, corner)
+    return _create_without_moves(
+        kind, rows, np.zeros(len(rows), np.int64), np.arange(len(rows)), rows, corner
+    )
 
 
-def flips(kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedges: Ids) -> Operations:
+def create_flips(
+    kind: int, around: Neighbourhood, equality: CornerEquality, place: Ids, halfedges: Ids
+) -> Operations:
     """Create operations that flip the edges of halfedges.
 
     The thinner of the two new triangles takes the index of the halfedge's triangle.
     """
     edges = around.edges
     edge = edges.of_halfedge[halfedges]
-    refused = np.where(edges.count[edge] == 2, FINE, np.where(edges.count[edge] == 1, BORDER, TANGLED))
-    refused[(refused == FINE) & (edges.forward[edge] != 1)] = TANGLED
-    done = np.flatnonzero(refused == FINE)
-    a0, other = halfedges[done], _other(around, halfedges[done])
-    b0, a1 = next_corner(a0), next_corner(other)
-    c, d = next_corner(b0), next_corner(a1)
-    corner = around.corner.reshape(-1)
-    alike = same.corners(corner[a0], corner[a1]) & same.corners(corner[b0], corner[other])
-    alike &= same.triangles(around.rows[a0 // 3], around.rows[other // 3])
-    refused[done[~alike]] = SEAM
+    refused = np.where(
+        edges.triangle_count[edge] == 2,
+        ACCEPTED,
+        np.where(edges.triangle_count[edge] == 1, BORDER, NON_MANIFOLD),
+    )
+    refused[(refused == ACCEPTED) & (edges.forward_count[edge] != 1)] = NON_MANIFOLD
+    done = np.flatnonzero(refused == ACCEPTED)
+    a0, other = halfedges[done], _get_opposite(around, halfedges[done])
+    b0, a1 = step_to_next_corner(a0), step_to_next_corner(other)
+    c, d = step_to_next_corner(b0), step_to_next_corner(a1)
+    corner = around.input_corners.reshape(-1)
+    is_interchangeable = equality.compare_corners(corner[a0], corner[a1]) & equality.compare_corners(
+        corner[b0], corner[other]
+    )
+    is_interchangeable &= equality.compare_triangles(
+        around.triangle_indices[a0 // 3], around.triangle_indices[other // 3]
+    )
+    refused[done[~is_interchangeable]] = SEAM
     new = np.stack([corner[[a0, d, c]].T, corner[[other, c, d]].T], axis=1)
     vertices = around.triangles.reshape(-1)
     shape = np.stack([vertices[[a0, d, c]].T, vertices[[other, c, d]].T], axis=1)
-    least = corner_angles(around.places, shape.reshape(-1, 3)).min(axis=1, initial=180).reshape(-1, 2)
-    new[least[:, 1] < least[:, 0]] = new[least[:, 1] < least[:, 0], ::-1]
+    min_angles = (
+        compute_corner_angles(around.positions, shape.reshape(-1, 3)).min(axis=1, initial=180).reshape(-1, 2)
+    )
+    new[min_angles[:, 1] < min_angles[:, 0]] = new[min_angles[:, 1] < min_angles[:, 0], ::-1]
     rows = np.stack([a0 // 3, other // 3], axis=1)
-    return _still(kind, place, refused, np.repeat(done, 2), rows.reshape(-1), new.reshape(-1, 3))
+    return _create_without_moves(
+        kind, place, refused, np.repeat(done, 2), rows.reshape(-1), new.reshape(-1, 3)
+    )
 
 
-def collapses(
-    kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedges: Ids, *, to_head: bool
+def create_collapses(
+    kind: int, around: Neighbourhood, equality: CornerEquality, place: Ids, halfedges: Ids, *, to_head: bool
 ) -> Operations:
     """Create operations that collapse halfedges: tail to head, or head to tail.
 
@@ -168,68 +184,78 @@ def collapses(
     edges = around.edges
     edge = edges.of_halfedge[halfedges]
     vertices = around.triangles.reshape(-1)
-    goes = halfedges if to_head else next_corner(halfedges)
-    refused = np.where(edges.count[edge] == 2, FINE, np.where(edges.count[edge] == 1, BORDER, TANGLED))
-    refused[(refused == FINE) & (edges.forward[edge] != 1)] = TANGLED
-    refused[(refused == FINE) & around.vertices_where(edges.count == 1)[vertices[goes]]] = BORDER
-    done = np.flatnonzero(refused == FINE)
-    here, there = halfedges[done], _other(around, halfedges[done])
-    goes, stays = goes[done], next_corner(here) if to_head else here
-    stays_there = there if to_head else next_corner(there)
-    corner = around.corner.reshape(-1)
-    torn = _differ(around, same, vertices[goes])
-    torn |= ~same.corners(corner[stays], corner[stays_there])
+    goes = halfedges if to_head else step_to_next_corner(halfedges)
+    refused = np.where(
+        edges.triangle_count[edge] == 2,
+        ACCEPTED,
+        np.where(edges.triangle_count[edge] == 1, BORDER, NON_MANIFOLD),
+    )
+    refused[(refused == ACCEPTED) & (edges.forward_count[edge] != 1)] = NON_MANIFOLD
+    refused[(refused == ACCEPTED) & around.mark_edge_ends(edges.triangle_count == 1)[vertices[goes]]] = BORDER
+    done = np.flatnonzero(refused == ACCEPTED)
+    here, there = halfedges[done], _get_opposite(around, halfedges[done])
+    goes, stays = goes[done], step_to_next_corner(here) if to_head else here
+    stays_there = there if to_head else step_to_next_corner(there)
+    corner = around.input_corners.reshape(-1)
+    torn = _find_seam_vertices(around, equality, vertices[goes])
+    torn |= ~equality.compare_corners(corner[stays], corner[stays_there])
     refused[done[torn]] = SEAM
-    owner, at = around.corners_at(vertices[goes])
+    owner, at = around.find_corners(vertices[goes])
     row = at // 3
-    new = around.corner[row].copy()
+    new = around.input_corners[row].copy()
     new[np.arange(len(row)), at % 3] = corner[stays][owner]
     new[(row == here[owner] // 3) | (row == there[owner] // 3)] = GONE
-    return _still(kind, place, refused, done[owner], row, new)
+    return _create_without_moves(kind, place, refused, done[owner], row, new)
 
 
-def smoothings(kind: int, around: Neighbourhood, same: Sameness, vertices: Ids) -> Operations:
+def create_smoothings(
+    kind: int, around: Neighbourhood, equality: CornerEquality, vertices: Ids
+) -> Operations:
     """Create operations that move vertices to the mean of their neighbours.
 
     This is one step of umbrella-operator Laplacian smoothing.
     """
-    owner, at = around.corners_at(vertices)
+    owner, at = around.find_corners(vertices)
     triangles = around.triangles[at // 3]
-    of_pairs, near = distinct_pairs(np.repeat(owner, 3), triangles.reshape(-1), len(around.vertices))
+    of_pairs, near = find_distinct_pairs(
+        np.repeat(owner, 3), triangles.reshape(-1), len(around.vertex_indices)
+    )
     ring = near != vertices[of_pairs]
     of_pairs, near = of_pairs[ring], near[ring]
     count = np.maximum(np.bincount(of_pairs, minlength=len(vertices)), 1)
-    sums = [np.bincount(of_pairs, axis, len(vertices)) for axis in around.places[near].T]
+    sums = [np.bincount(of_pairs, axis, len(vertices)) for axis in around.positions[near].T]
     return Operations(
         kind=np.full(len(vertices), kind),
         place=vertices,
-        refused=np.where(_differ(around, same, vertices), SEAM, FINE),
+        refused=np.where(_find_seam_vertices(around, equality, vertices), SEAM, ACCEPTED),
         owner=owner,
         row=at // 3,
-        corner=around.corner[at // 3],
+        corner=around.input_corners[at // 3],
         moved=vertices,
         target=np.stack(sums, axis=1) / count[:, None],
     )
 
 
-def _other(around: Neighbourhood, halfedges: Ids) -> Ids:
+def _get_opposite(around: Neighbourhood, halfedges: Ids) -> Ids:
     """Return the opposite halfedge on edges of two triangles."""
     edges = around.edges
     start = edges.start[edges.of_halfedge[halfedges]]
     return np.asarray(edges.halfedges[start] + edges.halfedges[start + 1] - halfedges)
 
 
-def _differ(around: Neighbourhood, same: Sameness, vertices: Ids) -> NDArray[np.bool_]:
+def _find_seam_vertices(around: Neighbourhood, equality: CornerEquality, vertices: Ids) -> NDArray[np.bool_]:
     """Return a mask of vertices whose corners or triangles differ."""
-    corner = around.corner.reshape(-1)
-    owner, at = around.corners_at(vertices)
+    corner = around.input_corners.reshape(-1)
+    owner, at = around.find_corners(vertices)
     one = at[np.searchsorted(owner, np.arange(len(vertices)))[owner]]
-    alike = same.corners(corner[at], corner[one])
-    alike &= same.triangles(around.rows[at // 3], around.rows[one // 3])
+    alike = equality.compare_corners(corner[at], corner[one])
+    alike &= equality.compare_triangles(around.triangle_indices[at // 3], around.triangle_indices[one // 3])
     return np.asarray(np.bincount(owner, ~alike, len(vertices)) > 0)
 
 
-def _still(kind: int, place: Ids, refused: Ids, owner: Ids, row: Ids, corner: Ids) -> Operations:
+def _create_without_moves(
+    kind: int, place: Ids, refused: Ids, owner: Ids, row: Ids, corner: Ids
+) -> Operations:
     """Create operations that move no vertex."""
     count = len(place)
     return Operations(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,14 +17,14 @@ class CoverageParams:
         unit="frames",
         low=1,
     )
-    oblique: float = param(
+    max_angle: float = param(
         70.0,
         "Surface that no frame observed at a smaller angle to its normal is weakly observed.",
         unit="degrees",
         low=0,
         high=90,
     )
-    far: float | None = param(
+    max_distance: float | None = param(
         None,
         "Surface that no frame measured from a smaller distance is weakly observed. Derived: 2.5 times the "
         "median viewing distance.",
@@ -40,13 +40,13 @@ class CoverageParams:
         low=0,
         low_open=True,
     )
-    least_area: float | None = param(
+    min_area: float | None = param(
         None,
         "Minimum area of a defect; smaller ones are ignored. Derived: 1/2000 of the surface.",
         unit="m²",
         low=0,
     )
-    place_size: float | None = param(
+    max_patch_size: float | None = param(
         None,
         "Maximum size of a defect. Larger ones are split, so that each can be captured in one view. Derived: "
         "three quarters of the median viewing distance.",
@@ -62,7 +62,9 @@ class CoverageParams:
         low=0,
         low_open=True,
     )
-    places: int = param(30, "Maximum number of defects listed, the most important first.", low=1, high=1000)
+    max_defects: int = param(
+        30, "Maximum number of defects listed, the most important first.", low=1, high=1000
+    )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)

@@ -19,7 +19,7 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.files.images import read_array
-from scanloom.stages.files.row_numbers import numbers_on
+from scanloom.stages.files.number_rows import parse_number_row
 from scanloom.stages.scans.calibration import (
     azure_kinect,
     named_arrays,
@@ -30,14 +30,14 @@ from scanloom.stages.scans.calibration import (
     zed,
 )
 from scanloom.stages.scans.calibration.contradictions import check_camera
-from scanloom.stages.scans.calibration.image_size import for_images, stated_size, with_rows_first
-from scanloom.stages.scans.calibration.lens_names import distortion_in
+from scanloom.stages.scans.calibration.image_size import fix_transposed_size, get_stated_size, scale_to_images
+from scanloom.stages.scans.calibration.lens_names import find_distortion
 from scanloom.stages.scans.calibration.table_values import (
-    MATRICES,
-    matrix_in,
-    number_of,
-    number_row,
-    table_in,
+    MATRIX_KEYS,
+    flatten_numbers,
+    get_matrix,
+    get_table,
+    to_finite_number,
 )
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
@@ -48,25 +48,25 @@ from scanloom.stages.scans.codes import (
 from scanloom.stages.scans.model.scan import Camera
 
 # Names of OpenCV's fisheye model, and of the models that OpenCV's standard distortion covers.
-_FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
-_PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
+_FISHEYE_MODELS = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
+_PINHOLE_MODELS = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # Shapes of matrices whose upper left part is the camera matrix.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
 # Suffixes of files of numbers or name-value lines, of a NumPy array, and of a NumPy archive.
-ARRAY, ARCHIVE = ".npy", ".npz"
-TEXTS = (".txt", ".csv", ".ini", ".conf", ARRAY)
-MATRIX_AND_BASELINE = 10
-_THREE_BY_FOUR, _MOST_NUMBERS = 12, 16
+ARRAY_SUFFIX, ARCHIVE_SUFFIX = ".npy", ".npz"
+TEXT_SUFFIXES = (".txt", ".csv", ".ini", ".conf", ARRAY_SUFFIX)
+MATRIX_AND_BASELINE_SIZE = 10
+_THREE_BY_FOUR_SIZE, _MAX_NUMBERS = 12, 16
 # Units of depth per metre: smaller values are metres per unit; and the value of millimetres.
-_LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
+_MIN_UNITS_PER_METRE, _MILLIMETRES_PER_METRE = 0.5, 1000.0
 # Name of the colour camera of a device. Depth maps are usually aligned to colour, rarely the reverse.
-_OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
+_COLOR_CAMERA_NAME = re.compile("rgb|colou?r", re.IGNORECASE)
 # Keys of a nested table that holds the camera matrix, with the distortion in the outer table.
-_INNER = ("intrinsic", "intrinsics")
+_INNER_TABLE_KEYS = ("intrinsic", "intrinsics")
 # Pixels; beyond this range, projections are not representable in float32.
-_FOCAL_LENGTHS = (1e-3, 1e9)
+_FOCAL_RANGE_PX = (1e-3, 1e9)
 # Coefficients of the rational model reach some hundreds, because its terms cancel each other.
-_LARGEST_DISTORTION = 1e6
+_MAX_DISTORTION = 1e6
 
 
 def read_camera(path: Path, width: int, height: int) -> Camera:
@@ -87,25 +87,27 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
     InputError
         If the file cannot be read, something is missing, or a number is implausible.
     """
-    document = document_of(path)
+    document = read_calibration_document(path)
     if document is None:
-        return for_images(matrix_camera(text_matrix(path), (), width, height, path), width, height, path)
-    return camera_from_table(orb_slam.as_table(document), width, height, path)
+        return scale_to_images(
+            create_camera_from_matrix(read_bare_matrix(path), (), width, height, path), width, height, path
+        )
+    return parse_camera_table(orb_slam.to_calibration_table(document), width, height, path)
 
 
-def document_of(path: Path) -> dict[str, Any] | None:
+def read_calibration_document(path: Path) -> dict[str, Any] | None:
     """Read a calibration file as a table of names and values.
 
     Returns None for bare numbers.
     """
-    if path.suffix == ARCHIVE:
-        return named_arrays.tables(path)
-    if path.suffix not in TEXTS:
+    if path.suffix == ARCHIVE_SUFFIX:
+        return named_arrays.read_small_arrays(path)
+    if path.suffix not in TEXT_SUFFIXES:
         return documents.read_document(path)
-    if path.suffix == ARRAY:
+    if path.suffix == ARRAY_SUFFIX:
         return None
     text = documents.read_text(path)
-    return zed.tables(text) or ros_text.tables(text) or named_text.tables(text)
+    return zed.parse_zed_text(text) or ros_text.parse_ros_text(text) or named_text.parse_named_text(text)
 
 
 def read_depth_scale(path: Path) -> float | None:
@@ -118,27 +120,27 @@ def read_depth_scale(path: Path) -> float | None:
     InputError
         If the file cannot be read, or the scale is not positive.
     """
-    document = document_of(path)
+    document = read_calibration_document(path)
     if document is None:
         return None
-    values = orb_slam.as_table(document)
+    values = orb_slam.to_calibration_table(document)
     tables = [values, *(one for one in values.values() if isinstance(one, dict))]
     value = next((one["depth_scale"] for one in tables if one.get("depth_scale") is not None), None)
     if value is None:
         return None
-    scale = number_of(value, "depth_scale", path)
+    scale = to_finite_number(value, "depth_scale", path)
     if scale <= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "depth_scale is {scale:g}; it must be positive.", path, scale=scale
         )
     if "cam_K" in values:
         # BOP states millimetres per unit.
-        return _MILLIMETRES / scale
+        return _MILLIMETRES_PER_METRE / scale
     # Depth units are at most 1 m, so a value below 0.5 is metres per unit (RealSense).
-    return 1 / scale if scale < _LEAST_UNITS else scale
+    return 1 / scale if scale < _MIN_UNITS_PER_METRE else scale
 
 
-def checked(camera: Camera, path: Path) -> Camera:
+def check_camera_values(camera: Camera, path: Path) -> Camera:
     """Check that the intrinsics of a camera are plausible, and return the camera.
 
     Raises
@@ -159,7 +161,7 @@ def checked(camera: Camera, path: Path) -> Camera:
             fx=camera.fx,
             fy=camera.fy,
         )
-    if not all(_FOCAL_LENGTHS[0] <= value <= _FOCAL_LENGTHS[1] for value in (camera.fx, camera.fy)):
+    if not all(_FOCAL_RANGE_PX[0] <= value <= _FOCAL_RANGE_PX[1] for value in (camera.fx, camera.fy)):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             "the focal lengths {fx:g} and {fy:g} px are implausible.",
@@ -167,7 +169,7 @@ def checked(camera: Camera, path: Path) -> Camera:
             fx=camera.fx,
             fy=camera.fy,
         )
-    if max(map(abs, camera.distortion), default=0.0) > _LARGEST_DISTORTION:
+    if max(map(abs, camera.distortion), default=0.0) > _MAX_DISTORTION:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             "the distortion coefficient {distortion:g} is implausible.",
@@ -191,7 +193,7 @@ def checked(camera: Camera, path: Path) -> Camera:
     return camera
 
 
-def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
+def parse_camera_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
     """Create a camera from a calibration table for a given image size in pixels.
 
     Raises
@@ -199,13 +201,13 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     InputError
         If something is missing, a number is implausible, or the aspect ratio differs.
     """
-    if azure_kinect.is_one(values):
-        values = azure_kinect.as_table(values, width, height, path)
-    if zed.is_one(values):
-        values = zed.as_table(values, width, height, path)
+    if azure_kinect.is_azure_kinect(values):
+        values = azure_kinect.to_calibration_table(values, width, height, path)
+    if zed.is_zed_calibration(values):
+        values = zed.to_calibration_table(values, width, height, path)
     chain = [key for key in values if re.fullmatch(r"cam\d+", str(key))]
     if len(chain) == 1:
-        return kalibr_camera(values, chain[0], width, height, path)
+        return parse_kalibr_camera(values, chain[0], width, height, path)
     if chain:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -216,40 +218,40 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
             path,
             chain=", ".join(chain[:8]),
         )
-    values = realsense.as_table(_of_one_camera(values, width, height, path))
-    size = stated_size(values, width, height, path)
+    values = realsense.to_calibration_table(_select_camera_table(values, width, height, path))
+    size = get_stated_size(values, width, height, path)
     fisheye = is_fisheye(values.get("distortion_model"), path)
-    distortion = coefficients(distortion_in(values, path, fisheye=fisheye), path, fisheye=fisheye)
-    camera = with_rows_first(_without_model(values, distortion, *size, path), width, height)
+    distortion = parse_distortion(find_distortion(values, path, fisheye=fisheye), path, fisheye=fisheye)
+    camera = fix_transposed_size(_parse_intrinsics(values, distortion, *size, path), width, height)
     check_camera(values, camera, path)
-    return for_images(replace(camera, fisheye=fisheye), width, height, path)
+    return scale_to_images(replace(camera, fisheye=fisheye), width, height, path)
 
 
-def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
+def _select_camera_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
     """Select the table of one camera.
 
     This is the table itself, its only nested camera, or the nested camera for this image size; if there are
     several, the colour camera.
     """
-    if is_of_adjust(values):
+    if is_adjust_result(values):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "this is the cameras.json of `adjust`, not a calibration. Pass it as scan.adjusted=FILE.",
+            "this is the cameras.json of `adjust`, not a calibration. Pass it as scan.adjusted_cameras=FILE.",
             path,
         )
-    if _is_camera(values):
+    if _has_intrinsics(values):
         return values
-    tables = {name: _with_inner(one) for name, one in values.items() if isinstance(one, dict)}
-    inner = {name: one for name, one in tables.items() if _is_camera(one)}
-    if len(inner) == 1 and next(iter(inner)) in _INNER:
-        return _with_inner(values)
+    tables = {name: _merge_inner_table(one) for name, one in values.items() if isinstance(one, dict)}
+    inner = {name: one for name, one in tables.items() if _has_intrinsics(one)}
+    if len(inner) == 1 and next(iter(inner)) in _INNER_TABLE_KEYS:
+        return _merge_inner_table(values)
     if len(inner) < 2:
         return next(iter(inner.values()), values)
     of_size = [
-        name for name, one in inner.items() if stated_size(one, width, height, path) == (width, height)
+        name for name, one in inner.items() if get_stated_size(one, width, height, path) == (width, height)
     ]
     fitting = of_size or list(inner)
-    chosen = [name for name in fitting if _OF_COLOR.search(name)] if len(fitting) > 1 else fitting
+    chosen = [name for name in fitting if _COLOR_CAMERA_NAME.search(name)] if len(fitting) > 1 else fitting
     if len(chosen) != 1:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -271,33 +273,33 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
     return inner[chosen[0]]
 
 
-def is_of_adjust(values: dict[str, Any]) -> bool:
+def is_adjust_result(values: dict[str, Any]) -> bool:
     """Return True if a table is the cameras.json of `adjust`."""
     return isinstance(values.get("accepted"), bool)
 
 
-def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
+def _merge_inner_table(values: dict[str, Any]) -> dict[str, Any]:
     """Merge a nested `intrinsic` or `intrinsics` table into its parent."""
-    inner = next((values[name] for name in _INNER if isinstance(values.get(name), dict)), None)
-    return values if inner is None or not _is_camera(inner) else values | inner
+    inner = next((values[name] for name in _INNER_TABLE_KEYS if isinstance(values.get(name), dict)), None)
+    return values if inner is None or not _has_intrinsics(inner) else values | inner
 
 
-def _is_camera(values: dict[str, Any]) -> bool:
-    return any(key in values for key in MATRICES) or {"fx", "fy"} <= values.keys()
+def _has_intrinsics(values: dict[str, Any]) -> bool:
+    return any(key in values for key in MATRIX_KEYS) or {"fx", "fy"} <= values.keys()
 
 
-def _without_model(
+def _parse_intrinsics(
     values: dict[str, Any], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
     if "intrinsic_matrix" in values:
         # Open3D stores the matrix column-major.
-        matrix = matrix_in(values, "intrinsic_matrix", path)
+        matrix = get_matrix(values, "intrinsic_matrix", path)
         if matrix.shape in _CAMERA_SHAPES and matrix[2, :2].any():
             matrix = matrix.T
-        return matrix_camera(matrix, distortion, width, height, path)
-    for key in MATRICES:
+        return create_camera_from_matrix(matrix, distortion, width, height, path)
+    for key in MATRIX_KEYS:
         if key in values:
-            return matrix_camera(matrix_in(values, key, path), distortion, width, height, path)
+            return create_camera_from_matrix(get_matrix(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -305,13 +307,13 @@ def _without_model(
             path,
             missing=", ".join(missing),
         )
-    fx, fy, cx, cy = (number_of(values[key], key, path) for key in ("fx", "fy", "cx", "cy"))
-    return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
+    fx, fy, cx, cy = (to_finite_number(values[key], key, path) for key in ("fx", "fy", "cx", "cy"))
+    return check_camera_values(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
 
-def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, path: Path) -> Camera:
+def parse_kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, path: Path) -> Camera:
     """Read one camera of a Kalibr camchain: `intrinsics: [fu, fv, cu, cv]` and distortion."""
-    table = table_in(values, side, path)
+    table = get_table(values, side, path)
     if table.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
             CAMERA_LENS_UNKNOWN,
@@ -321,7 +323,7 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
             table=table["camera_model"],
         )
     fisheye = is_fisheye(table.get("distortion_model"), path)
-    row = number_row(table.get("intrinsics"), "intrinsics", path)
+    row = flatten_numbers(table.get("intrinsics"), "intrinsics", path)
     if len(row) != 4:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -329,12 +331,14 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
             path,
             side=side,
         )
-    bent = coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
-    camera = Camera(*stated_size(table, width, height, path), *row, distortion=bent, fisheye=fisheye)
-    return for_images(checked(camera, path), width, height, path)
+    distortion = parse_distortion(table.get("distortion_coeffs"), path, fisheye=fisheye)
+    camera = Camera(
+        *get_stated_size(table, width, height, path), *row, distortion=distortion, fisheye=fisheye
+    )
+    return scale_to_images(check_camera_values(camera, path), width, height, path)
 
 
-def matrix_camera(
+def create_camera_from_matrix(
     matrix: NDArray[np.float64], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
     """Create a camera from a 3x3, 3x4 or 4x4 matrix.
@@ -352,10 +356,10 @@ def matrix_camera(
             matrix_shape=matrix.shape,
         )
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
+    return check_camera_values(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
 
-def text_numbers(path: Path) -> list[float]:
+def read_bare_numbers(path: Path) -> list[float]:
     """Read the bare numbers of a text file or a .npy array.
 
     Raises
@@ -363,9 +367,9 @@ def text_numbers(path: Path) -> list[float]:
     InputError
         If the file holds anything else.
     """
-    if path.suffix == ARRAY:
+    if path.suffix == ARRAY_SUFFIX:
         array = read_array(path, "the camera matrix")
-        if array.dtype.kind not in "uif" or array.size > _MOST_NUMBERS:
+        if array.dtype.kind not in "uif" or array.size > _MAX_NUMBERS:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
                 (
@@ -378,7 +382,7 @@ def text_numbers(path: Path) -> list[float]:
             )
         return [float(value) for value in array.ravel()]
     try:
-        rows = [numbers_on(text) for _, text in documents.lines(path)]
+        rows = [parse_number_row(text) for _, text in documents.iterate_lines(path)]
         return [number for row in rows for number in row]
     except ValueError as error:
         raise InputError(
@@ -386,20 +390,20 @@ def text_numbers(path: Path) -> list[float]:
         ) from error
 
 
-def text_matrix(path: Path) -> NDArray[np.float64]:
+def read_bare_matrix(path: Path) -> NDArray[np.float64]:
     """Read a camera matrix from rows of numbers, or from the four numbers fx fy cx cy.
 
     Returns
     -------
     (3, 3), (3, 4) or (4, 4) float64. A tenth number behind a 3x3 matrix is a baseline and ignored.
     """
-    values = text_numbers(path)
-    if len(values) == MATRIX_AND_BASELINE:
+    values = read_bare_numbers(path)
+    if len(values) == MATRIX_AND_BASELINE_SIZE:
         values.pop()
     if len(values) == 4:
         fx, fy, cx, cy = values
         values = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
-    if len(values) == _THREE_BY_FOUR:
+    if len(values) == _THREE_BY_FOUR_SIZE:
         return np.array(values).reshape(3, 4)
     if len(values) not in (9, 16):
         raise InputError(
@@ -422,9 +426,9 @@ def is_fisheye(model: object, path: Path) -> bool:
     InputError
         If the model is not supported.
     """
-    if model is None or model in _PINHOLE:
+    if model is None or model in _PINHOLE_MODELS:
         return False
-    if model in _FISHEYE:
+    if model in _FISHEYE_MODELS:
         return True
     raise InputError(
         CAMERA_LENS_UNKNOWN,
@@ -437,7 +441,7 @@ def is_fisheye(model: object, path: Path) -> bool:
     )
 
 
-def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
+def parse_distortion(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
     """Check OpenCV's distortion coefficients: 0, 4, 5, 8, 12 or 14.
 
     The result is empty if all are 0.
@@ -449,7 +453,7 @@ def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[f
     InputError
         For another number of coefficients.
     """
-    row = number_row(value, "distortion", path)
+    row = flatten_numbers(value, "distortion", path)
     if fisheye:
         if len(row) != 4:
             raise InputError(

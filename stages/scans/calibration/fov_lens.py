@@ -18,12 +18,12 @@ from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_
 from scanloom.stages.scans.model.scan import Camera
 
 # Radians; a smaller omega is a pinhole camera, and a larger one is not a lens.
-_NARROWEST, _WIDEST = 1e-3, math.pi - 1e-3
-_TOLERANCE = 0.1
-_RAYS = 500
+_MIN_OMEGA_RAD, _MAX_OMEGA_RAD = 1e-3, math.pi - 1e-3
+_TOLERANCE_PX = 0.1
+_RAY_COUNT = 500
 
 
-def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
+def convert_fov_to_fisheye(camera: Camera, omega: float, path: Path) -> Camera:
     """Fit OpenCV's fisheye model to a camera of the field-of-view model.
 
     The coefficients are fitted to the rays within the image of a pinhole camera of the same size and scale.
@@ -39,9 +39,9 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
     InputError
         If omega is implausible, or the fit deviates by 0.1 px or more.
     """
-    if abs(omega) < _NARROWEST:
+    if abs(omega) < _MIN_OMEGA_RAD:
         return camera
-    if not 0 < omega < _WIDEST:
+    if not 0 < omega < _MAX_OMEGA_RAD:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             "omega {omega:g} of the FOV lens is implausible; it must be an angle in radians.",
@@ -50,13 +50,13 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
         )
     scale = 2 * math.tan(omega / 2) / omega
     fx, fy = camera.fx * scale, camera.fy * scale
-    aside = max(camera.cx, camera.width - camera.cx) / fx, max(camera.cy, camera.height - camera.cy) / fy
-    angles = np.linspace(1e-3, math.atan(math.hypot(*aside)), _RAYS)
-    beside = np.arctan(omega * scale * np.tan(angles)) / (omega * scale)
+    corner = max(camera.cx, camera.width - camera.cx) / fx, max(camera.cy, camera.height - camera.cy) / fy
+    angles = np.linspace(1e-3, math.atan(math.hypot(*corner)), _RAY_COUNT)
+    radii = np.arctan(omega * scale * np.tan(angles)) / (omega * scale)
     powers = angles[:, None] ** np.array((3, 5, 7, 9))
-    coefficients = np.linalg.lstsq(powers, beside - angles, rcond=None)[0]
-    error = max(fx, fy) * float(np.abs(angles + powers @ coefficients - beside).max())
-    if not error < _TOLERANCE:
+    coefficients = np.linalg.lstsq(powers, radii - angles, rcond=None)[0]
+    error = max(fx, fy) * float(np.abs(angles + powers @ coefficients - radii).max())
+    if not error < _TOLERANCE_PX:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (

@@ -10,28 +10,33 @@ from typing import Any
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.calibration.table_values import number_of, number_row
+from scanloom.stages.scans.calibration.table_values import flatten_numbers, to_finite_number
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_CALIBRATION_MISMATCH,
     CAMERA_CALIBRATION_SCALED,
 )
-from scanloom.stages.scans.model.scan import Camera, scaled
+from scanloom.stages.scans.model.scan import Camera, scale_camera
 
 # Keys of a size as two numbers, and of its sides.
-_SIZES = ("image_size", "imageSize", "img_size", "resolution", "size")
-_SIDES = (("width", "height"), ("image_width", "image_height"), ("image_Width", "image_Height"), ("w", "h"))
-LARGEST_SIDE = 1 << 16
+_SIZE_KEYS = ("image_size", "imageSize", "img_size", "resolution", "size")
+_SIDE_KEYS = (
+    ("width", "height"),
+    ("image_width", "image_height"),
+    ("image_Width", "image_Height"),
+    ("w", "h"),
+)
+MAX_SIDE_PX = 1 << 16
 # Relative tolerance of aspect ratios: downscaling rounds the sides (1280×720 becomes 854×480).
-_SAME_SHAPE = 0.01
+_ASPECT_TOLERANCE = 0.01
 # Maximum distance of a principal point from the image centre, as ratio of the image size.
-_OFF_CENTRE = 0.25
+_MAX_CENTRE_OFFSET_RATIO = 0.25
 # Relative tolerance between the horizontal and vertical ratio of the principal point. If they agree, another
 # image size is inferred from the principal point.
-_SAME_FACTOR = 0.1
+_FACTOR_TOLERANCE = 0.1
 
 
-def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[int, int]:
+def get_stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[int, int]:
     """Return the (width, height) in pixels that a table states, or the image size.
 
     Raises
@@ -39,15 +44,15 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
     InputError
         If the stated size is implausible.
     """
-    sides = next((names for names in _SIDES if all(name in values for name in names)), None)
-    pair = next((name for name in _SIZES if name in values), None)
+    sides = next((names for names in _SIDE_KEYS if all(name in values for name in names)), None)
+    pair = next((name for name in _SIZE_KEYS if name in values), None)
     if sides is not None:
-        size = tuple(number_of(values[name], name, path) for name in sides)
+        size = tuple(to_finite_number(values[name], name, path) for name in sides)
     elif pair is not None and not isinstance(values[pair], (int, float, str)):
-        size = number_row(values[pair], pair, path)
+        size = flatten_numbers(values[pair], pair, path)
     else:
         return width, height
-    if len(size) != 2 or not all(1 <= side <= LARGEST_SIDE for side in size):
+    if len(size) != 2 or not all(1 <= side <= MAX_SIDE_PX for side in size):
         shown = "×".join(f"{side:g}" for side in size[:4])
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
@@ -58,7 +63,7 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
     return round(size[0]), round(size[1])
 
 
-def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
+def scale_to_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
     """Scale the camera of a calibration to the size of the images.
 
     Warns if the camera is scaled, or if its principal point is far from the image centre.
@@ -69,9 +74,9 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         If the aspect ratios differ: the images were cropped or rotated.
     """
     if (camera.width, camera.height) == (width, height):
-        _check_centre(camera, path)
+        _warn_off_centre(camera, path)
         return camera
-    if not is_of_shape((camera.width, camera.height), (width, height)):
+    if not has_same_aspect_ratio((camera.width, camera.height), (width, height)):
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
@@ -97,20 +102,20 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
             height=height,
         )
     )
-    return scaled(camera, width, height)
+    return scale_camera(camera, width, height)
 
 
-def is_of_shape(first: tuple[int, int], second: tuple[int, int]) -> bool:
+def has_same_aspect_ratio(first: tuple[int, int], second: tuple[int, int]) -> bool:
     """Return True if two sizes (width, height) have the same aspect ratio.
 
     If exactly one side is equal, the image was cropped, so the result is False.
     """
     if (first[0] == second[0]) != (first[1] == second[1]):
         return False
-    return abs(first[0] * second[1] / (first[1] * second[0]) - 1) <= _SAME_SHAPE
+    return abs(first[0] * second[1] / (first[1] * second[0]) - 1) <= _ASPECT_TOLERANCE
 
 
-def was_scaled(diagnostics: Sequence[Diagnostic]) -> bool:
+def has_scaling_warning(diagnostics: Sequence[Diagnostic]) -> bool:
     """Return True if diagnostics of reading a camera state that the camera was scaled."""
     return any(one.code == CAMERA_CALIBRATION_SCALED.name for one in diagnostics)
 
@@ -120,10 +125,10 @@ def is_off_centre(camera: Camera) -> bool:
 
     The calibration then probably belongs to other images.
     """
-    return any(abs(share - 0.5) > _OFF_CENTRE for share in _centre(camera))
+    return any(abs(share - 0.5) > _MAX_CENTRE_OFFSET_RATIO for share in _compute_relative_centre(camera))
 
 
-def with_rows_first(camera: Camera, width: int, height: int) -> Camera:
+def fix_transposed_size(camera: Camera, width: int, height: int) -> Camera:
     """Swap width and height of a camera if the file stated rows first (NumPy order).
 
     The sides are swapped only if that brings the principal point closer to the image centre.
@@ -136,21 +141,23 @@ def with_rows_first(camera: Camera, width: int, height: int) -> Camera:
     if (camera.width, camera.height) != (height, width) or width == height:
         return camera
     turned = replace(camera, width=width, height=height)
-    before, after = (max(abs(share - 0.5) for share in _centre(one)) for one in (camera, turned))
+    before, after = (
+        max(abs(share - 0.5) for share in _compute_relative_centre(one)) for one in (camera, turned)
+    )
     return turned if after < before else camera
 
 
-def _centre(camera: Camera) -> tuple[float, float]:
+def _compute_relative_centre(camera: Camera) -> tuple[float, float]:
     """Return the principal point as ratios of image width and height."""
     return (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
 
 
-def _check_centre(camera: Camera, path: Path) -> None:
+def _warn_off_centre(camera: Camera, path: Path) -> None:
     if not is_off_centre(camera):
         return
-    across, down = _centre(camera)
+    across, down = _compute_relative_centre(camera)
     hint = ""
-    if across > 0 and abs(across / max(down, 1e-9) - 1) < _SAME_FACTOR:
+    if across > 0 and abs(across / max(down, 1e-9) - 1) < _FACTOR_TOLERANCE:
         larger = (across + down) * camera.width, (across + down) * camera.height
         hint = f", such as {larger[0]:.0f}×{larger[1]:.0f}"
     emit(

@@ -10,18 +10,18 @@ from __future__ import annotations
 import re
 from typing import Any
 
-_LINE = re.compile(r"([A-Za-z][\w. ]{0,40}?)\s*(?:\(([^)]{0,40})\))?\s*[:=,]\s*(.{1,400})")
-_SPACED = re.compile(r"([A-Za-z]\w{0,40})()\s+([-+.\d].{0,400})")
+_NAME_VALUE_LINE = re.compile(r"([A-Za-z][\w. ]{0,40}?)\s*(?:\(([^)]{0,40})\))?\s*[:=,]\s*(.{1,400})")
+_SPACED_LINE = re.compile(r"([A-Za-z]\w{0,40})()\s+([-+.\d].{0,400})")
 _HEADING = re.compile(r"\[([^\]]{1,80})\]|((?:in|ex)trinsics? (?:of|from) .{1,120}?):?", re.IGNORECASE)
-_BETWEEN = re.compile(r"[\s,;\[\]{}]+")
+_SEPARATORS = re.compile(r"[\s,;\[\]{}]+")
 _ALIASES = {"ffx": "fx", "ffy": "fy"}
-_ROWS = ("distortion", "coeffs")
-_KNOWN = re.compile(
+_ROW_KEYS = ("distortion", "coeffs")
+_KNOWN_KEYS = re.compile(
     r"f?f[xy]|c[xy]|pp[xy]|width|height|[kp][1-6]|coeffs|distortion|model|baseline|depth_scale"
 )
 
 
-def tables(text: str) -> dict[str, Any] | None:
+def parse_named_text(text: str) -> dict[str, Any] | None:
     """Parse name-value lines into a table with one nested table per heading.
 
     Returns None if no table has `fx` and `fy`.
@@ -36,20 +36,20 @@ def tables(text: str) -> dict[str, Any] | None:
             here = {}
             whole[name if name not in whole else f"{name} ({len(whole)})"] = here
             continue
-        named = _LINE.fullmatch(words) or _SPACED.fullmatch(words)
+        named = _NAME_VALUE_LINE.fullmatch(words) or _SPACED_LINE.fullmatch(words)
         if named is not None:
-            _take(here, *named.groups())
+            _store_value(here, *named.groups())
     found = [whole, *(one for one in whole.values() if isinstance(one, dict))]
     return whole if any({"fx", "fy"} <= one.keys() for one in found) else None
 
 
-def _take(table: dict[str, Any], name: str, beside: str | None, value: str) -> None:
+def _store_value(table: dict[str, Any], name: str, alias: str | None, value: str) -> None:
     """Store a value under its calibration key, if one of its names is known."""
-    names = [one.strip().lower() for one in (name, beside or "") if _KNOWN.fullmatch(one.strip().lower())]
+    names = [one.strip().lower() for one in (name, alias or "") if _KNOWN_KEYS.fullmatch(one.strip().lower())]
     if not names:
         return
     key = _ALIASES.get(names[0], names[0])
-    words = [word for word in _BETWEEN.split(value) if word]
+    words = [word for word in _SEPARATORS.split(value) if word]
     try:
         numbers = [float(word) for word in words]
     except ValueError:
@@ -58,4 +58,4 @@ def _take(table: dict[str, Any], name: str, beside: str | None, value: str) -> N
             table["model"] = value.strip()
         return
     if numbers:
-        table[key] = numbers[0] if len(numbers) == 1 and key not in _ROWS else numbers
+        table[key] = numbers[0] if len(numbers) == 1 and key not in _ROW_KEYS else numbers

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from typing import Any
 
-_BENT = ("k1", "k2", "p1", "p2", "k3")
-_BENT_FISHEYE = ("k1", "k2", "k3", "k4")
-_FISHEYE = "KannalaBrandt8"
+_DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3")
+_FISHEYE_KEYS = ("k1", "k2", "k3", "k4")
+_FISHEYE_TYPE = "KannalaBrandt8"
 # Keys of a side in ROS's camera_info, from which the settings are copied.
-_SIDE = {
+_SIDE_KEYS = {
     "K": "camera_matrix",
     "D": "distortion_coefficients",
     "R": "rectification_matrix",
@@ -25,10 +25,10 @@ _SIDE = {
     "height": "height",
 }
 # A factor of 1 belongs to float depth and does not describe depth files.
-_LEAST_FACTOR = 1.0
+_MIN_DEPTH_FACTOR = 1.0
 
 
-def as_table(values: dict[str, Any]) -> dict[str, Any]:
+def to_calibration_table(values: dict[str, Any]) -> dict[str, Any]:
     """Convert ORB-SLAM settings to scanloom's calibration keys.
 
     Other tables are returned unchanged. Numbers are not validated here but when the camera is created.
@@ -36,36 +36,38 @@ def as_table(values: dict[str, Any]) -> dict[str, Any]:
     first = next((name for name in ("Camera1", "Camera") if f"{name}.fx" in values), None)
     if first is None:
         return values
-    table = _camera(values, first)
+    table = _convert_camera(values, first)
     factor = values.get("DepthMapFactor", values.get("RGBD.DepthMapFactor"))
-    if isinstance(factor, (int, float)) and factor > _LEAST_FACTOR:
+    if isinstance(factor, (int, float)) and factor > _MIN_DEPTH_FACTOR:
         table["depth_scale"] = factor
     if all(f"{side}.{key}" in values for side in ("LEFT", "RIGHT") for key in ("K", "P")):
-        return table | {side.lower(): _side(values, side) for side in ("LEFT", "RIGHT")}
+        return table | {side.lower(): _convert_side(values, side) for side in ("LEFT", "RIGHT")}
     if "Stereo.b" in values:
         table["baseline"] = values["Stereo.b"]
-    elif "Camera.bf" in values and (baseline := _ratio(values["Camera.bf"], table["fx"])) is not None:
+    elif (
+        "Camera.bf" in values and (baseline := _divide_or_none(values["Camera.bf"], table["fx"])) is not None
+    ):
         table["baseline"] = baseline
     relation = values.get("Stereo.T_c1_c2", values.get("Tlr"))
     if relation is not None and "Camera2.fx" in values:
-        table |= {"left": _camera(values, first), "right": _camera(values, "Camera2")}
+        table |= {"left": _convert_camera(values, first), "right": _convert_camera(values, "Camera2")}
         table["left_from_right"] = relation
     return table
 
 
-def _camera(values: dict[str, Any], name: str) -> dict[str, Any]:
+def _convert_camera(values: dict[str, Any], name: str) -> dict[str, Any]:
     table = {key: values[f"{name}.{key}"] for key in ("fx", "fy", "cx", "cy") if f"{name}.{key}" in values}
     table |= {key: values[f"Camera.{key}"] for key in ("width", "height") if f"Camera.{key}" in values}
-    is_fisheye = values.get("Camera.type") == _FISHEYE
-    bent = [values.get(f"{name}.{key}", 0.0) for key in (_BENT_FISHEYE if is_fisheye else _BENT)]
+    is_fisheye = values.get("Camera.type") == _FISHEYE_TYPE
+    bent = [values.get(f"{name}.{key}", 0.0) for key in (_FISHEYE_KEYS if is_fisheye else _DISTORTION_KEYS)]
     return table | {"distortion": bent} | ({"distortion_model": "equidistant"} if is_fisheye else {})
 
 
-def _side(values: dict[str, Any], side: str) -> dict[str, Any]:
-    return {name: values[f"{side}.{key}"] for key, name in _SIDE.items() if f"{side}.{key}" in values}
+def _convert_side(values: dict[str, Any], side: str) -> dict[str, Any]:
+    return {name: values[f"{side}.{key}"] for key, name in _SIDE_KEYS.items() if f"{side}.{key}" in values}
 
 
-def _ratio(first: object, second: object) -> float | None:
+def _divide_or_none(first: object, second: object) -> float | None:
     if not isinstance(first, (int, float)) or not isinstance(second, (int, float)):
         return None
     try:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_MATRICES = (
+_MATRIX_KEYS = (
     ("K1", "K2"),
     ("M1", "M2"),
     ("cameraMatrix1", "cameraMatrix2"),
@@ -23,7 +23,7 @@ _MATRICES = (
     ("mtxL", "mtxR"),
     ("Kl", "Kr"),
 )
-_LENSES = (
+_DISTORTION_KEYS = (
     ("D1", "D2"),
     ("dist1", "dist2"),
     ("distCoeffs1", "distCoeffs2"),
@@ -32,7 +32,7 @@ _LENSES = (
     ("distL", "distR"),
     ("Dl", "Dr"),
 )
-_SIDES = (
+_SIDE_MARKS = (
     ("left", "right"),
     ("Left", "Right"),
     ("LEFT", "RIGHT"),
@@ -42,51 +42,56 @@ _SIDES = (
     ("0", "1"),
 )
 # Names of the new camera matrices after undistortion or rectification; they do not belong to the raw images.
-_OF_STRAIGHTENED = re.compile("new|opt|rect|undist", re.IGNORECASE)
-_OF_A_LENS = re.compile("dist|coef|^d", re.IGNORECASE)
-_COEFFICIENTS = (4, 5, 8, 12, 14)
+_RECTIFIED_NAME = re.compile("new|opt|rect|undist", re.IGNORECASE)
+_DISTORTION_NAME = re.compile("dist|coef|^d", re.IGNORECASE)
+_COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
 # Pixels; a 3x3 matrix with ones on its diagonal is an identity or a rotation.
-_LEAST_FOCAL_LENGTH = 2.0
+_MIN_FOCAL_LENGTH_PX = 2.0
 
 
-def matrices_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
+def find_matrix_pair(values: dict[str, Any]) -> tuple[str, str] | None:
     """Return the keys of the left and right camera matrix.
 
     Returns None if not unique.
     """
-    return _known(values, _MATRICES) or _pair(values, lambda _, array: _is_camera_matrix(array))
+    return _find_known_pair(values, _MATRIX_KEYS) or _find_matching_pair(
+        values, lambda _, array: _is_camera_matrix(array)
+    )
 
 
-def lenses_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
+def find_distortion_pair(values: dict[str, Any]) -> tuple[str, str] | None:
     """Return the keys of the left and right distortion coefficients.
 
     Returns None if not unique.
     """
-    return _known(values, _LENSES) or _pair(
-        values, lambda name, array: array.size in _COEFFICIENTS and _OF_A_LENS.search(name) is not None
+    return _find_known_pair(values, _DISTORTION_KEYS) or _find_matching_pair(
+        values,
+        lambda name, array: array.size in _COEFFICIENT_COUNTS and _DISTORTION_NAME.search(name) is not None,
     )
 
 
-def _known(values: dict[str, Any], names: tuple[tuple[str, str], ...]) -> tuple[str, str] | None:
+def _find_known_pair(values: dict[str, Any], names: tuple[tuple[str, str], ...]) -> tuple[str, str] | None:
     return next((keys for keys in names if keys[0] in values and keys[1] in values), None)
 
 
-def _pair(values: dict[str, Any], fits: Callable[[str, NDArray[np.float64]], bool]) -> tuple[str, str] | None:
-    fitting = {name for name, value in values.items() if fits(name, _array_of(value))}
-    pairs = {(left, right) for left in fitting for right in _other_sides(left) if right in fitting}
+def _find_matching_pair(
+    values: dict[str, Any], fits: Callable[[str, NDArray[np.float64]], bool]
+) -> tuple[str, str] | None:
+    fitting = {name for name, value in values.items() if fits(name, _to_array(value))}
+    pairs = {(left, right) for left in fitting for right in _iterate_right_names(left) if right in fitting}
     if len(pairs) > 1:
-        pairs = {pair for pair in pairs if not _OF_STRAIGHTENED.search(pair[0])}
+        pairs = {pair for pair in pairs if not _RECTIFIED_NAME.search(pair[0])}
     return pairs.pop() if len(pairs) == 1 else None
 
 
-def _other_sides(name: str) -> Iterator[str]:
+def _iterate_right_names(name: str) -> Iterator[str]:
     """Yield the possible keys of the right camera for a key of the left camera."""
-    for left, right in _SIDES:
+    for left, right in _SIDE_MARKS:
         for found in re.finditer(left, name):
             yield name[: found.start()] + right + name[found.end() :]
 
 
-def _array_of(value: object) -> NDArray[np.float64]:
+def _to_array(value: object) -> NDArray[np.float64]:
     """Convert a value (nested lists or an OpenCV matrix) to an array.
 
     The result is empty if not numeric.
@@ -102,7 +107,7 @@ def _is_camera_matrix(array: NDArray[np.float64]) -> bool:
         return False
     matrix = array.reshape(3, 3)
     return (
-        min(matrix[0, 0], matrix[1, 1]) >= _LEAST_FOCAL_LENGTH
+        min(matrix[0, 0], matrix[1, 1]) >= _MIN_FOCAL_LENGTH_PX
         and not matrix[1, 0]
         and bool((matrix[2] == (0, 0, 1)).all())
     )

@@ -17,38 +17,38 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.calibration import orb_slam, zed
 from scanloom.stages.scans.calibration.camera_files import (
-    MATRIX_AND_BASELINE,
-    camera_from_table,
-    coefficients,
-    document_of,
+    MATRIX_AND_BASELINE_SIZE,
+    create_camera_from_matrix,
     is_fisheye,
-    kalibr_camera,
-    matrix_camera,
-    text_matrix,
-    text_numbers,
+    parse_camera_table,
+    parse_distortion,
+    parse_kalibr_camera,
+    read_bare_matrix,
+    read_bare_numbers,
+    read_calibration_document,
 )
-from scanloom.stages.scans.calibration.contradictions import check_relations, check_rig, warn_not_rectified
-from scanloom.stages.scans.calibration.image_size import for_images, stated_size
-from scanloom.stages.scans.calibration.lens_names import distortions_of_pair
-from scanloom.stages.scans.calibration.pair_names import matrices_of_pair
-from scanloom.stages.scans.calibration.table_values import matrix_in, number_of, table_in
+from scanloom.stages.scans.calibration.contradictions import check_extrinsics, check_rig, warn_not_rectified
+from scanloom.stages.scans.calibration.image_size import get_stated_size, scale_to_images
+from scanloom.stages.scans.calibration.lens_names import find_pair_distortions
+from scanloom.stages.scans.calibration.pair_names import find_matrix_pair
+from scanloom.stages.scans.calibration.table_values import get_matrix, get_table, to_finite_number
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_PAIR_UNCALIBRATED,
 )
-from scanloom.stages.scans.model.poses import inverted, matrix_of, rigid
+from scanloom.stages.scans.model.poses import check_rigid_pose, invert_pose, parse_pose_matrix
 from scanloom.stages.scans.model.scan import Camera, Pose, StereoRig
 
 # Key names of the rotation and translation between the cameras.
-_ROTATION = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)
-_TRANSLATION = re.compile("T|tr(a?ns?|anslation)(_?vec(tor)?)?", re.IGNORECASE)
-_PROJECTIONS = ("projection_matrix", "P", "p")
+_ROTATION_KEY = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)
+_TRANSLATION_KEY = re.compile("T|tr(a?ns?|anslation)(_?vec(tor)?)?", re.IGNORECASE)
+_PROJECTION_KEYS = ("projection_matrix", "P", "p")
 _FISHEYE = "fisheye"
 # Maximum plausible baseline in metres; a larger number without a unit is in millimetres.
-_WIDEST_METRES = 10.0
+_MAX_BASELINE_M = 10.0
 # Metres; few rigs are wider. Calibration boards measured in centimetres or squares give such numbers.
-_WIDE_METRES = 1.5
+_WIDE_BASELINE_M = 1.5
 
 
 def read_rig(
@@ -86,48 +86,49 @@ def read_rig(
         If the file does not parse, something is missing, or a number is implausible.
     """
     if document is None:
-        document = document_of(path)
+        document = read_calibration_document(path)
     if document is None:
-        document = _numbers_of_pair(path)
-    values = orb_slam.as_table(document)
-    if zed.is_one(values):
-        values = zed.as_pair(values, width, height, path)
-    infos = _camera_infos(values)
+        document = _read_bare_pair(path)
+    values = orb_slam.to_calibration_table(document)
+    if zed.is_zed_calibration(values):
+        values = zed.to_rig_table(values, width, height, path)
+    infos = _find_camera_infos(values)
     if "cam0" in values and "cam1" in values:
-        left, right, right_from_left = _kalibr(values, width, height, path)
+        left, right, right_from_left = _read_kalibr_rig(values, width, height, path)
     elif infos is not None:
-        left, right, right_from_left = _ros(*infos, width, height, path)
+        left, right, right_from_left = _read_ros_rig(*infos, width, height, path)
     elif "left" in values and "right" in values:
         left, right = (
-            camera_from_table(table_in(values, side, path), width, height, path) for side in ("left", "right")
+            parse_camera_table(get_table(values, side, path), width, height, path)
+            for side in ("left", "right")
         )
-        right_from_left = _extrinsics(values, path, required=baseline is None)
-    elif (keys := matrices_of_pair(values)) is not None:
-        lenses = distortions_of_pair(values, path)
-        size = stated_size(values, width, height, path)
-        fisheye = _is_of_fisheyes(values, path)
+        right_from_left = _read_extrinsics(values, path, required=baseline is None)
+    elif (keys := find_matrix_pair(values)) is not None:
+        lenses = find_pair_distortions(values, path)
+        size = get_stated_size(values, width, height, path)
+        fisheye = _has_fisheye_lenses(values, path)
         cameras = [
             replace(
-                matrix_camera(
-                    matrix_in(values, key, path), coefficients(lens, path, fisheye=fisheye), *size, path
+                create_camera_from_matrix(
+                    get_matrix(values, key, path), parse_distortion(lens, path, fisheye=fisheye), *size, path
                 ),
                 fisheye=fisheye,
             )
             for key, lens in zip(keys, lenses, strict=True)
         ]
-        left, right = (for_images(camera, width, height, path) for camera in cameras)
-        right_from_left = _extrinsics(values, path, required=baseline is None)
+        left, right = (scale_to_images(camera, width, height, path) for camera in cameras)
+        right_from_left = _read_extrinsics(values, path, required=baseline is None)
     elif "P1" in values and "P2" in values:
-        left, right, right_from_left = _projections(values, width, height, path)
+        left, right, right_from_left = _read_projections(values, width, height, path)
     else:
-        left = right = camera_from_table(values, width, height, path)
-        right_from_left = _extrinsics(values, path, required=baseline is None)
+        left = right = parse_camera_table(values, width, height, path)
+        right_from_left = _read_extrinsics(values, path, required=baseline is None)
 
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     if baseline is None:
-        right_from_left = _in_metres(right_from_left, values.get("unit"), path)
+        right_from_left = _convert_to_metres(right_from_left, values.get("unit"), path)
     else:
-        right_from_left = with_baseline(right_from_left, baseline)
+        right_from_left = set_baseline(right_from_left, baseline)
     if infos is not None:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
@@ -162,12 +163,12 @@ def read_rig(
     return rig
 
 
-def states_a_pair(values: dict[str, Any]) -> bool:
+def has_camera_pair(values: dict[str, Any]) -> bool:
     """Return True if a table has two camera matrices and a translation."""
-    return matrices_of_pair(values) is not None and _named(values, _TRANSLATION) is not None
+    return find_matrix_pair(values) is not None and _find_key(values, _TRANSLATION_KEY) is not None
 
 
-def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
+def set_baseline(right_from_left: Pose, baseline: float) -> Pose:
     """Set the length of the baseline, in metres; along x if it was 0."""
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     moved: Pose = right_from_left.copy()
@@ -175,37 +176,39 @@ def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
     return moved
 
 
-def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+def _read_kalibr_rig(
+    values: dict[str, Any], width: int, height: int, path: Path
+) -> tuple[Camera, Camera, Pose]:
     """Read a Kalibr camchain of two cameras.
 
     `T_cn_cnm1` maps points from camera 0 to camera 1. Without it, the extrinsics are computed from
     `T_cam_imu`.
     """
-    cameras = [kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
+    cameras = [parse_kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
     if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
-        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
-        return cameras[0], cameras[1], right @ inverted(left)
-    matrix = matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
-    right_from_left = _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+        left, right = (read_camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        return cameras[0], cameras[1], right @ invert_pose(left)
+    matrix = parse_pose_matrix(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+    right_from_left = _require_finite_pose(matrix, "cam1.T_cn_cnm1", path)
     if all("T_cam_imu" in values[side] for side in ("cam0", "cam1")):
-        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
-        by_body = right @ inverted(left)
-        check_relations(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
+        left, right = (read_camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        by_body = right @ invert_pose(left)
+        check_extrinsics(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
     return cameras[0], cameras[1], right_from_left
 
 
-def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+def _find_camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
     """Return the left and right camera_info tables of ROS.
 
     Returns None if one lacks a projection.
     """
     sides = values.get("left"), values.get("right")
-    if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
+    if not all(isinstance(side, dict) and _find_first_key(side, _PROJECTION_KEYS) for side in sides):
         return None
     return sides[0], sides[1]  # type: ignore[return-value]
 
 
-def _ros(
+def _read_ros_rig(
     left: dict[str, Any], right: dict[str, Any], width: int, height: int, path: Path
 ) -> tuple[Camera, Camera, Pose]:
     """Read a stereo pair of ROS camera_info tables.
@@ -213,10 +216,10 @@ def _ros(
     R rotates a camera to its rectified axes, and P[0,3] / P[0,0] of the right camera is the negative
     baseline. A point x in left camera coordinates is R_rightᵀ (R_left x + t) in right camera coordinates.
     """
-    cameras = [camera_from_table(side, width, height, path) for side in (left, right)]
-    turns = [_rectification(side, path) for side in (left, right)]
-    key = _first_key(right, _PROJECTIONS)
-    projection = matrix_in(right, key or "", path)
+    cameras = [parse_camera_table(side, width, height, path) for side in (left, right)]
+    turns = [_read_rectification(side, path) for side in (left, right)]
+    key = _find_first_key(right, _PROJECTION_KEYS)
+    projection = get_matrix(right, key or "", path)
     if projection.shape != (3, 4) or projection[0, 0] == 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "{key} of the right camera is not a 3x4 projection.", path, key=key
@@ -224,22 +227,22 @@ def _ros(
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = turns[1].T @ turns[0]
     right_from_left[:3, 3] = turns[1].T @ (projection[0, 3] / projection[0, 0], 0, 0)
-    return cameras[0], cameras[1], _finite_pose(right_from_left, "R and P", path)
+    return cameras[0], cameras[1], _require_finite_pose(right_from_left, "R and P", path)
 
 
-def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
-    key = _first_key(table, ("rectification_matrix", "R", "r"))
-    turn = np.eye(3) if key is None else matrix_in(table, key, path)
+def _read_rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
+    key = _find_first_key(table, ("rectification_matrix", "R", "r"))
+    turn = np.eye(3) if key is None else get_matrix(table, key, path)
     if turn.shape != (3, 3):
         raise InputError(CAMERA_CALIBRATION_INVALID, "{key} must be 3x3.", path, key=key)
     return turn
 
 
-def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
+def _find_first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
     return next((name for name in names if name in table), None)
 
 
-def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
+def _has_fisheye_lenses(values: dict[str, Any], path: Path) -> bool:
     """Return True if a stereo calibration has fisheye lenses.
 
     The distortion model decides, or the file name if there is no model.
@@ -255,11 +258,11 @@ def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
     return is_fisheye(model, path)
 
 
-def _named(values: dict[str, Any], names: re.Pattern[str]) -> str | None:
+def _find_key(values: dict[str, Any], names: re.Pattern[str]) -> str | None:
     return next((name for name in values if names.fullmatch(str(name))), None)
 
 
-def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
+def read_camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
     """Read T_cam_imu of a Kalibr camchain: maps points from body (IMU) to camera coordinates.
 
     Raises
@@ -268,12 +271,16 @@ def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
         If the matrix is missing or not rigid.
     """
     name = f"{side}.T_cam_imu"
-    return _finite_pose(matrix_of(table_in(values, side, path).get("T_cam_imu"), path, name), name, path)
+    return _require_finite_pose(
+        parse_pose_matrix(get_table(values, side, path).get("T_cam_imu"), path, name), name, path
+    )
 
 
-def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+def _read_projections(
+    values: dict[str, Any], width: int, height: int, path: Path
+) -> tuple[Camera, Camera, Pose]:
     """Read the projection matrices of a rectified pair; the baseline is -P2[0,3] / P2[0,0]."""
-    left, right = (matrix_in(values, key, path) for key in ("P1", "P2"))
+    left, right = (get_matrix(values, key, path) for key in ("P1", "P2"))
     if left.shape != (3, 4) or right.shape != (3, 4):
         raise InputError(CAMERA_CALIBRATION_INVALID, "P1 and P2 must be 3x4.", path)
     if left[0, 0] == 1:
@@ -285,30 +292,31 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
             ),
             path,
         )
-    size = stated_size(values, width, height, path)
+    size = get_stated_size(values, width, height, path)
     cameras = [
-        for_images(matrix_camera(p[:, :3], (), *size, path), width, height, path) for p in (left, right)
+        scale_to_images(create_camera_from_matrix(p[:, :3], (), *size, path), width, height, path)
+        for p in (left, right)
     ]
     right_from_left = np.eye(4)
     right_from_left[0, 3] = right[0, 3] / right[0, 0]
     return cameras[0], cameras[1], right_from_left
 
 
-def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
+def _read_extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     """Read right_from_left (4, 4) in the unit of the file.
 
     From R and T, from `left_from_right`, or from a baseline along x.
     """
     if "left_from_right" in values:
-        given = matrix_in(values, "left_from_right", path)
+        given = get_matrix(values, "left_from_right", path)
         if given.shape != (4, 4):
             raise InputError(CAMERA_CALIBRATION_INVALID, "the extrinsics of the cameras must be 4x4.", path)
-        return inverted(_finite_pose(given, "the extrinsics of the cameras", path))
+        return invert_pose(_require_finite_pose(given, "the extrinsics of the cameras", path))
     matrix = np.eye(4)
-    rotation = _named(values, _ROTATION)
-    translation = _named(values, _TRANSLATION)
+    rotation = _find_key(values, _ROTATION_KEY)
+    translation = _find_key(values, _TRANSLATION_KEY)
     if rotation is not None:
-        turn = matrix_in(values, rotation, path)
+        turn = get_matrix(values, rotation, path)
         if turn.size == 3:
             import cv2
 
@@ -322,24 +330,24 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
             )
         matrix[:3, :3] = turn
     if translation is not None:
-        shift = matrix_in(values, translation, path)
+        shift = get_matrix(values, translation, path)
         if shift.size != 3:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID, "{translation} must be 3 numbers.", path, translation=translation
             )
         matrix[:3, 3] = shift.ravel()
     elif "baseline" in values:
-        matrix[0, 3] = -abs(number_of(values["baseline"], "baseline", path))
+        matrix[0, 3] = -abs(to_finite_number(values["baseline"], "baseline", path))
     elif required:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
             ("the extrinsics are missing: R and T, or a baseline. Add them, or set scan.baseline=METRES."),
             path,
         )
-    return _finite_pose(matrix, "R, T", path)
+    return _require_finite_pose(matrix, "R, T", path)
 
 
-def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
+def _convert_to_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
     """Convert extrinsics to metres.
 
     A missing unit is inferred from the length, because calibration boards are often measured in millimetres.
@@ -352,7 +360,7 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
             path,
         )
     if unit is None:
-        unit = "mm" if length > _WIDEST_METRES else "m"
+        unit = "mm" if length > _MAX_BASELINE_M else "m"
         if unit == "mm":
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
@@ -364,7 +372,7 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
                     by_centimetres=length / 100,
                 )
             )
-        elif length > _WIDE_METRES:
+        elif length > _WIDE_BASELINE_M:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
                     "the baseline {length:g} has no unit and is read as metres, which is unusually wide",
@@ -400,19 +408,19 @@ def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool
     )
 
 
-def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
-    pose = rigid(matrix, path, name)
+def _require_finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
+    pose = check_rigid_pose(matrix, path, name)
     if pose is None:
         raise InputError(CAMERA_CALIBRATION_INVALID, "{name} is not finite.", path, name=name)
     return pose
 
 
-def _numbers_of_pair(path: Path) -> dict[str, Any]:
+def _read_bare_pair(path: Path) -> dict[str, Any]:
     """Read a rectified pair as a table.
 
     The file has nine matrix elements and a baseline, or only a matrix.
     """
-    numbers = text_numbers(path)
-    if len(numbers) == MATRIX_AND_BASELINE:
+    numbers = read_bare_numbers(path)
+    if len(numbers) == MATRIX_AND_BASELINE_SIZE:
         return {"K": numbers[:-1], "baseline": numbers[-1]}
-    return {"K": text_matrix(path).tolist()}
+    return {"K": read_bare_matrix(path).tolist()}

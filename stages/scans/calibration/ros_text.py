@@ -22,7 +22,7 @@ import re
 from typing import Any
 
 # Keys of ROS's YAML by the names in the text.
-_NAMES = {
+_YAML_KEYS = {
     "width": "image_width",
     "height": "image_height",
     "camera matrix": "camera_matrix",
@@ -34,7 +34,7 @@ _HEADING = re.compile(r"\[([^\]]{1,200})\]")
 _SIDE = re.compile("left|right", re.IGNORECASE)
 
 
-def tables(text: str) -> dict[str, Any] | None:
+def parse_ros_text(text: str) -> dict[str, Any] | None:
     """Parse the text into the table of a camera, or tables `left` and `right`.
 
     Returns None if the text has another form.
@@ -48,8 +48,8 @@ def tables(text: str) -> dict[str, Any] | None:
             cameras.append({})
         elif heading is not None and cameras:
             cameras[-1]["camera_name"] = heading[1]
-        elif words.lower() in _NAMES and cameras:
-            numbers = cameras[-1].setdefault(_NAMES[words.lower()], [])
+        elif words.lower() in _YAML_KEYS and cameras:
+            numbers = cameras[-1].setdefault(_YAML_KEYS[words.lower()], [])
         elif words:
             try:
                 numbers.extend(float(word) for word in words.split())

@@ -13,10 +13,10 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_TABLE_DAMAGED
 
 # Key names of a camera matrix in various programs.
-MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
+MATRIX_KEYS = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
 
 
-def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
+def get_matrix(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
     """Read a matrix of a calibration table.
 
     Forms: nested rows, a flat list, or OpenCV's rows, cols and data.
@@ -41,7 +41,7 @@ def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float6
         ) from error
 
 
-def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
+def flatten_numbers(value: object, name: str, path: Path) -> tuple[float, ...]:
     """Flatten a list of numbers of any shape to a tuple.
 
     The result is empty for None.
@@ -53,10 +53,10 @@ def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
     """
     if value is None:
         return ()
-    return tuple(float(number) for number in matrix_in({name: value}, name, path).ravel())
+    return tuple(float(number) for number in get_matrix({name: value}, name, path).ravel())
 
 
-def number_of(value: object, key: str, path: Path) -> float:
+def to_finite_number(value: object, key: str, path: Path) -> float:
     """Convert a value to a finite number.
 
     Raises
@@ -79,7 +79,7 @@ def number_of(value: object, key: str, path: Path) -> float:
     return number
 
 
-def table_in(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+def get_table(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
     """Return a nested table.
 
     Raises

@@ -14,19 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.calibration.image_size import is_of_shape
-from scanloom.stages.scans.calibration.table_values import number_of
+from scanloom.stages.scans.calibration.image_size import has_same_aspect_ratio
+from scanloom.stages.scans.calibration.table_values import to_finite_number
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_CALIBRATION_MISMATCH,
     CAMERA_PAIR_UNCALIBRATED,
 )
 
-_MARK = "[LEFT_CAM_"
-_STEREO = "STEREO"
-_NUMBERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+_SECTION_MARK = "[LEFT_CAM_"
+_STEREO_SECTION = "STEREO"
+_CAMERA_KEYS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 # (width, height) of one camera's images by mode name.
-_SIZES = {
+_MODE_SIZES = {
     "2K": (2208, 1242),
     "FHD": (1920, 1080),
     "FHD1200": (1920, 1200),
@@ -36,9 +36,9 @@ _SIZES = {
 }
 
 
-def tables(text: str) -> dict[str, Any] | None:
+def parse_zed_text(text: str) -> dict[str, Any] | None:
     """Parse a ZED calibration into tables by section; None for other texts."""
-    if _MARK not in text.upper():
+    if _SECTION_MARK not in text.upper():
         return None
     parser = configparser.ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=("#", ";"))
     try:
@@ -48,12 +48,12 @@ def tables(text: str) -> dict[str, Any] | None:
     return {name.upper(): dict(parser[name]) for name in parser.sections()}
 
 
-def is_one(values: dict[str, Any]) -> bool:
+def is_zed_calibration(values: dict[str, Any]) -> bool:
     """Return True if a document is a ZED calibration."""
-    return any(str(name).startswith(_MARK[1:]) for name in values)
+    return any(str(name).startswith(_SECTION_MARK[1:]) for name in values)
 
 
-def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
+def to_calibration_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
     """Convert the left camera for an image size to scanloom's calibration keys.
 
     Raises
@@ -61,10 +61,10 @@ def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dic
     InputError
         If no mode has this aspect ratio, or a number is missing.
     """
-    return _camera(values, "LEFT", _mode(values, width, height, path), path)
+    return _read_camera(values, "LEFT", _select_mode(values, width, height, path), path)
 
 
-def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
+def to_rig_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
     """Convert both cameras and their extrinsics to scanloom's calibration keys.
 
     x_right = R x_left + T, in millimetres.
@@ -72,41 +72,45 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
     Raises
     ------
     InputError
-        As `as_table`, and if a number of the extrinsics is missing.
+        As `to_calibration_table`, and if a number of the extrinsics is missing.
     """
-    mode = _mode(values, width, height, path)
-    stereo = values.get(_STEREO)
+    mode = _select_mode(values, width, height, path)
+    stereo = values.get(_STEREO_SECTION)
     if not isinstance(stereo, dict):
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
             "the section [{stereo}] with the extrinsics is missing.",
             path,
-            stereo=_STEREO,
+            stereo=_STEREO_SECTION,
         )
-    turn = [_stated(stereo, (f"{name}_{mode}", name), path) for name in ("rx", "cv", "rz")]
-    aside = [_stated(stereo, (f"{name}_{mode}", name), path, 0.0) for name in ("ty", "tz")]
+    rotation = [_read_number(stereo, (f"{name}_{mode}", name), path) for name in ("rx", "cv", "rz")]
+    offsets = [_read_number(stereo, (f"{name}_{mode}", name), path, 0.0) for name in ("ty", "tz")]
     # Stereolabs' own programs align rows with this rotation and baseline direction.
-    shift = [-length for length in (_stated(stereo, ("baseline",), path), *aside)]
+    translation = [-length for length in (_read_number(stereo, ("baseline",), path), *offsets)]
     return {
-        "left": _camera(values, "LEFT", mode, path),
-        "right": _camera(values, "RIGHT", mode, path),
-        "R": turn,
-        "T": shift,
+        "left": _read_camera(values, "LEFT", mode, path),
+        "right": _read_camera(values, "RIGHT", mode, path),
+        "R": rotation,
+        "T": translation,
         "unit": "mm",
         "rectified": False,
     }
 
 
-def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
+def _select_mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
     """Return the mode with the size of the images.
 
     Otherwise a mode with the same aspect ratio.
     """
-    there = [mode for mode in _SIZES if f"LEFT_CAM_{mode}" in values]
-    shaped = [mode for mode in there if is_of_shape(_SIZES[mode], (width, height))]
-    found = next((mode for mode in there if _SIZES[mode] == (width, height)), shaped[0] if shaped else None)
+    there = [mode for mode in _MODE_SIZES if f"LEFT_CAM_{mode}" in values]
+    shaped = [mode for mode in there if has_same_aspect_ratio(_MODE_SIZES[mode], (width, height))]
+    found = next(
+        (mode for mode in there if _MODE_SIZES[mode] == (width, height)), shaped[0] if shaped else None
+    )
     if found is None:
-        sizes = ", ".join(f"{_SIZES[mode][0]}×{_SIZES[mode][1]}" for mode in there) or "no known size"
+        sizes = (
+            ", ".join(f"{_MODE_SIZES[mode][0]}×{_MODE_SIZES[mode][1]}" for mode in there) or "no known size"
+        )
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             "it is for images of {sizes} px, but these are {width}×{height} px.",
@@ -118,25 +122,25 @@ def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
     return found
 
 
-def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[str, Any]:
+def _read_camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[str, Any]:
     name = f"{side}_CAM_{mode}"
     table = values.get(name)
     if not isinstance(table, dict):
         raise InputError(CAMERA_CALIBRATION_INVALID, "the section [{name}] is missing.", path, name=name)
     fx, fy, cx, cy, *bent = (
-        _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
+        _read_number(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _CAMERA_KEYS
     )
-    width, height = _SIZES[mode]
+    width, height = _MODE_SIZES[mode]
     return {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": bent}
 
 
-def _stated(
-    table: dict[str, Any], names: tuple[str, ...], path: Path, otherwise: float | None = None
+def _read_number(
+    table: dict[str, Any], names: tuple[str, ...], path: Path, default: float | None = None
 ) -> float:
-    """Return the number under the first existing name, or `otherwise`."""
+    """Return the number under the first existing name, or `default`."""
     name = next((name.lower() for name in names if name.lower() in table), None)
     if name is None:
-        if otherwise is None:
+        if default is None:
             raise InputError(CAMERA_CALIBRATION_INVALID, "{names} is missing.", path, names=names[0])
-        return otherwise
-    return number_of(table[name], name, path)
+        return default
+    return to_finite_number(table[name], name, path)

@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_PATH_OUTSIDE, FILE_UNREADABLE
-from scanloom.stages.files.images import image_size
-from scanloom.stages.files.inside import leads_inside
+from scanloom.stages.files.images import read_image_size
+from scanloom.stages.files.path_safety import is_safe_relative_path
 from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     SCAN_FILES_MISSING,
@@ -19,35 +19,35 @@ from scanloom.stages.scans.codes import (
 )
 from scanloom.stages.scans.model.scan import SkippedFrame
 
-IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
-DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
+DEPTH_SUFFIXES = (*IMAGE_SUFFIXES, ".npy", ".pfm", ".exr")
 # Folder names of colour and depth streams in data sets and exports.
 COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors", "mono", "gray", "grey")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
-_LONGEST_NAME = 255
+_MAX_NAME_LENGTH = 255
 # Minimum ratio of matched frames on the smaller side. Fewer matches are coincidental equal numbers.
-_LEAST_PAIRED = 0.1
+_MIN_PAIRED_RATIO = 0.1
 
 
-def numbers(name: str) -> tuple[int, ...]:
+def extract_numbers(name: str) -> tuple[int, ...]:
     """Extract the whole numbers of a file name as a sort key.
 
     As a sort key, they put 10.png after 2.png.
     """
     # File systems allow 255 bytes; Python refuses to convert numbers of several thousand digits.
-    return tuple(int(digits) for digits in re.findall(r"\d+", name[:_LONGEST_NAME]))
+    return tuple(int(digits) for digits in re.findall(r"\d+", name[:_MAX_NAME_LENGTH]))
 
 
 # Candidate keys to pair two file names: all numbers (0001-0002), the last number (cam0_0001 and cam1_0001),
 # or the first number (one frame number, two timestamps).
-_KEYS: tuple[Callable[[Path], object], ...] = (
-    lambda path: numbers(path.stem) or path.stem,
-    lambda path: (numbers(path.stem) or (path.stem,))[-1],
-    lambda path: (numbers(path.stem) or (path.stem,))[0],
+_PAIRING_KEYS: tuple[Callable[[Path], object], ...] = (
+    lambda path: extract_numbers(path.stem) or path.stem,
+    lambda path: (extract_numbers(path.stem) or (path.stem,))[-1],
+    lambda path: (extract_numbers(path.stem) or (path.stem,))[0],
 )
 
 
-def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
+def list_images(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> list[Path]:
     """Return the image files of a folder, ordered by their numbers.
 
     Raises
@@ -61,26 +61,26 @@ def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
         raise InputError(
             FILE_UNREADABLE, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
         ) from error
-    return sorted(found, key=lambda path: (numbers(path.stem), path.name))
+    return sorted(found, key=lambda path: (extract_numbers(path.stem), path.name))
 
 
-def first_existing(folder: Path, *names: str) -> Path | None:
+def find_first_existing(folder: Path, *names: str) -> Path | None:
     """Return the first of several names that exists, or None."""
     return next((folder / name for name in names if (folder / name).exists()), None)
 
 
-def has(folder: Path, *names: str) -> bool:
+def has_all(folder: Path, *names: str) -> bool:
     """Return True if all of these files or folders exist."""
     return all((folder / name).exists() for name in names)
 
 
-def inside(folder: Path, value: object, what: str, file: Path) -> Path:
+def resolve_inside(folder: Path, value: object, label: str, file: Path) -> Path:
     r"""Resolve an untrusted path and keep it inside the folder.
 
     Parameters
     ----------
     value : the path as read from `file`; `\` counts as `/`.
-    what : name of the entry, for the error message.
+    label : name of the entry, for the error message.
     file : the file that contains the path, for the error message.
 
     Raises
@@ -89,12 +89,14 @@ def inside(folder: Path, value: object, what: str, file: Path) -> Path:
         If the value is not a relative path inside the folder.
     """
     name = value.replace("\\", "/") if isinstance(value, str) else "/"
-    if not leads_inside(name) or not all(is_name(part) for part in PurePosixPath(name).parts):
-        raise InputError(FILE_PATH_OUTSIDE, "{what} is not a path inside the folder.", file, what=what)
+    if not is_safe_relative_path(name) or not all(
+        is_valid_file_name(part) for part in PurePosixPath(name).parts
+    ):
+        raise InputError(FILE_PATH_OUTSIDE, "{what} is not a path inside the folder.", file, what=label)
     return folder / PurePosixPath(name)
 
 
-def is_name(part: str) -> bool:
+def is_valid_file_name(part: str) -> bool:
     """Return True if the text can be a file name.
 
     File names must be encodable in UTF-8 and have at most 255 bytes.
@@ -107,7 +109,7 @@ def is_name(part: str) -> bool:
         return False
 
 
-def common_size(paths: Sequence[Path]) -> tuple[int, int]:
+def find_common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """Return the most frequent image size (width, height), in pixels.
 
     A sample of about eight images is read.
@@ -123,7 +125,7 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     fault: InputError | None = None
     paths = [path for path in paths if path.exists()] or paths
     for path in paths[:: max(1, len(paths) // 8)]:
-        with_size = _size_or_fault(path)
+        with_size = _read_size_or_error(path)
         if isinstance(with_size, InputError):
             fault = fault or with_size
         else:
@@ -133,14 +135,14 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     return sizes.most_common(1)[0][0]
 
 
-def _size_or_fault(path: Path) -> tuple[int, int] | InputError:
+def _read_size_or_error(path: Path) -> tuple[int, int] | InputError:
     try:
-        return image_size(path)
+        return read_image_size(path)
     except InputError as error:
         return error
 
 
-def pair(
+def match_by_number(
     first: Sequence[Path], second: Sequence[Path], first_name: str, second_name: str, folder: Path
 ) -> tuple[list[tuple[Path, Path]], list[SkippedFrame]]:
     """Pair the files of two streams by the numbers in their names.
@@ -165,10 +167,10 @@ def pair(
             )
     candidates = [
         (left, right)
-        for key in _KEYS
+        for key in _PAIRING_KEYS
         if len(left := {key(path): path for path in first}) == len(first)
         and len(right := {key(path): path for path in second}) == len(second)
-        and len(left.keys() & right.keys()) > _LEAST_PAIRED * min(len(left), len(right))
+        and len(left.keys() & right.keys()) > _MIN_PAIRED_RATIO * min(len(left), len(right))
     ]
     if candidates:
         left, right = max(candidates, key=lambda sides: len(sides[0].keys() & sides[1].keys()))
@@ -199,10 +201,12 @@ def pair(
     return list(zip(first, second, strict=True)), []
 
 
-def check_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> None:
-    """Warn if `pair` paired the files by position, for lack of common numbers."""
-    agreeing = max((sum(key(left) == key(right) for left, right in pairs) for key in _KEYS), default=0)
-    if len(pairs) < 2 or agreeing > _LEAST_PAIRED * len(pairs):
+def warn_if_paired_by_position(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> None:
+    """Warn if `match_by_number` paired the files by position, for lack of common numbers."""
+    agreeing = max(
+        (sum(key(left) == key(right) for left, right in pairs) for key in _PAIRING_KEYS), default=0
+    )
+    if len(pairs) < 2 or agreeing > _MIN_PAIRED_RATIO * len(pairs):
         return
     emit(
         SCAN_IMAGES_UNPAIRED.warning(

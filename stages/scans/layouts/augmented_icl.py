@@ -11,26 +11,26 @@ from pathlib import Path
 
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.codes import SCAN_FILES_MISSING
-from scanloom.stages.scans.image_folders.image_files import common_size, images, pair
+from scanloom.stages.scans.image_folders.image_files import find_common_size, list_images, match_by_number
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scale_camera
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 _CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 _UNITS_PER_METRE = 1000.0
-_NUMBER = re.compile(r"\d{5}")
+_NUMBER_NAME = re.compile(r"\d{5}")
 # Depth without simulated noise is preferred.
-_DEPTHS = ("*-depth-clean", "*-depth-simulated", "*-depth")
-_TRAJECTORIES = ("*.log", "*-traj.txt")
+_DEPTH_FOLDER_PATTERNS = ("*-depth-clean", "*-depth-simulated", "*-depth")
+_TRAJECTORY_PATTERNS = ("*.log", "*-traj.txt")
 
 
 def _matches(folder: Path) -> str | None:
-    streams = _streams(folder)
-    if streams is None or _trajectory(folder) is None:
+    streams = _find_streams(folder)
+    if streams is None or _find_trajectory(folder) is None:
         return None
     depth, color = streams
     if depth == color:
@@ -38,42 +38,43 @@ def _matches(folder: Path) -> str | None:
     return f"{color.name}/ and {depth.name}/"
 
 
-def _streams(folder: Path) -> tuple[Path, Path] | None:
+def _find_streams(folder: Path) -> tuple[Path, Path] | None:
     """Return the folders of depth and colour; both may be equal."""
     if any(
-        _NUMBER.fullmatch(path.stem) and path.with_suffix(".png").exists() for path in folder.glob("*.jpg")
+        _NUMBER_NAME.fullmatch(path.stem) and path.with_suffix(".png").exists()
+        for path in folder.glob("*.jpg")
     ):
         return folder, folder
     colors = [path for path in folder.glob("*-color") if path.is_dir()]
-    depths = [path for kind in _DEPTHS for path in folder.glob(kind) if path.is_dir()]
+    depths = [path for kind in _DEPTH_FOLDER_PATTERNS for path in folder.glob(kind) if path.is_dir()]
     return (depths[0], colors[0]) if len(colors) == 1 and depths else None
 
 
-def _trajectory(folder: Path) -> Path | None:
-    found = [path for kind in _TRAJECTORIES for path in folder.glob(kind)]
+def _find_trajectory(folder: Path) -> Path | None:
+    found = [path for kind in _TRAJECTORY_PATTERNS for path in folder.glob(kind)]
     return found[0] if len(found) == 1 else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    streams = _streams(folder)
+    streams = _find_streams(folder)
     if streams is None:
         raise InputError(
             SCAN_FILES_MISSING,
             "images named like 00000.jpg (colour) and 00000.png (depth) are required.",
             folder,
         )
-    depths, colors = images(streams[0], (".png",)), images(streams[1], (".jpg",))
-    pairs, skipped = pair(depths, colors, "depth (.png)", "colour (.jpg)", folder)
+    depths, colors = list_images(streams[0], (".png",)), list_images(streams[1], (".jpg",))
+    pairs, skipped = match_by_number(depths, colors, "depth (.png)", "colour (.jpg)", folder)
     names = [depth.stem for depth, _ in pairs]
-    path = options.file("poses", folder) or _trajectory(folder)
+    path = options.resolve_file("poses", folder) or _find_trajectory(folder)
     poses: list[Pose | None] = [None] * len(names)
     missing: tuple[Diagnostic, ...] = ()
     if path is None:
-        missing = (poses_missing("exactly one .log or *-traj.txt is required"),)
+        missing = (describe_missing_poses("exactly one .log or *-traj.txt is required"),)
     else:
-        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
-    size = common_size([depth for depth, _ in pairs])
-    camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
+        poses = trajectories.match_poses_to_frames(trajectories.read_trajectory(path), names, path)
+    size = find_common_size([depth for depth, _ in pairs])
+    camera = get_stated_camera(options, folder, *size) or scale_camera(_CAMERA, *size)
     frames = [
         Frame(
             name=name,
@@ -90,7 +91,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 LAYOUT = Layout(
     name="augmented-icl",
-    text="00000.jpg, 00000.png and one .log, or *-color/, *-depth-clean/, *-traj.txt (Augmented ICL-NUIM)",
+    description="00000.jpg, 00000.png and one .log, or *-color/, *-depth-clean/, *-traj.txt (Augmented ICL-NUIM)",
     matches=_matches,
     read=_read,
 )

@@ -21,8 +21,8 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.calibration import camera_files as calibration
-from scanloom.stages.scans.calibration.resolution import stated_camera
-from scanloom.stages.scans.calibration.table_values import number_of, number_row
+from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
+from scanloom.stages.scans.calibration.table_values import flatten_numbers, to_finite_number
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     FRAME_IMAGE_MISSING,
@@ -32,36 +32,40 @@ from scanloom.stages.scans.codes import (
 )
 from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
-    DEPTHS,
-    IMAGES,
-    common_size,
-    first_existing,
-    images,
+    DEPTH_SUFFIXES,
+    IMAGE_SUFFIXES,
+    find_common_size,
+    find_first_existing,
+    list_images,
 )
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.layouts.shared.views import single_view
-from scanloom.stages.scans.model.lacking import poses_missing
-from scanloom.stages.scans.model.poses import inverted, rigid
+from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
+from scanloom.stages.scans.model.poses import check_rigid_pose, invert_pose
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
-_CAMERAS = "scene_camera.json"
-_POSE = ("cam_R_w2c", "cam_t_w2c")
-_MILLIMETRES = 1000.0
-Table = Mapping[str, Any]
+_CAMERAS_FILE = "scene_camera.json"
+_POSE_KEYS = ("cam_R_w2c", "cam_t_w2c")
+_MM_PER_METRE = 1000.0
+CameraTable = Mapping[str, Any]
 
 
 def _matches(folder: Path) -> str | None:
-    is_there = (folder / _CAMERAS).is_file()
-    return _CAMERAS if is_there and first_existing(folder, *COLOR_FOLDERS, "depth") is not None else None
+    is_there = (folder / _CAMERAS_FILE).is_file()
+    return (
+        _CAMERAS_FILE
+        if is_there and find_first_existing(folder, *COLOR_FOLDERS, "depth") is not None
+        else None
+    )
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    path = folder / _CAMERAS
-    tables = _tables(path)
-    colors = _by_number(first_existing(folder, *COLOR_FOLDERS))
-    depths = _by_number(folder / "depth", DEPTHS)
+    path = folder / _CAMERAS_FILE
+    tables = _read_camera_tables(path)
+    colors = _list_by_number(find_first_existing(folder, *COLOR_FOLDERS))
+    depths = _list_by_number(folder / "depth", DEPTH_SUFFIXES)
     streams = depths or colors
     if not streams:
         raise InputError(
@@ -70,20 +74,20 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     used = sorted(number for number in streams if number in tables)
     if not used:
         raise InputError(CAMERA_CALIBRATION_INVALID, "the file has no entry for any of the images.", path)
-    size = common_size([streams[number] for number in used])
-    stated = stated_camera(options, folder, *size)
-    given = options.file("poses", folder)
+    size = find_common_size([streams[number] for number in used])
+    stated = get_stated_camera(options, folder, *size)
+    given = options.resolve_file("poses", folder)
     matched: dict[int, Pose | None] | None = None
     if given is not None:
         names = [streams[number].stem for number in used]
-        found = trajectories.match(trajectories.read_trajectory(given), names, given)
+        found = trajectories.match_poses_to_frames(trajectories.read_trajectory(given), names, given)
         matched = dict(zip(used, found, strict=True))
-    has_world = matched is not None or any(key in tables[number] for number in used for key in _POSE)
+    has_world = matched is not None or any(key in tables[number] for number in used for key in _POSE_KEYS)
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(
             streams[number].stem,
-            SCAN_FRAMES_SKIPPED.warning("{file} has no entry for this image", file=_CAMERAS),
+            SCAN_FRAMES_SKIPPED.warning("{file} has no entry for this image", file=_CAMERAS_FILE),
         )
         for number in sorted(streams.keys() - tables.keys())
     ]
@@ -91,18 +95,18 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         name, table = streams[number].stem, tables[number]
         color, depth = colors.get(number), depths.get(number)
         try:
-            pose = _pose(table, path) if matched is None else matched[number]
+            pose = _parse_pose(table, path) if matched is None else matched[number]
             if pose is None and has_world:
                 skipped.append(SkippedFrame(name, FRAME_POSE_MISSING.warning("the frame has no pose")))
                 continue
             if color is None and colors:
                 skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
                 continue
-            camera = stated or _camera(table, size, path)
+            camera = stated or _parse_camera(table, size, path)
             if depth is None and color is not None:
-                frames.append(single_view(name, camera, color, pose))
+                frames.append(create_view_frame(name, camera, color, pose))
                 continue
-            scale = options.depth_scale or _MILLIMETRES / _depth_scale(table, path)
+            scale = options.depth_scale or _MM_PER_METRE / _parse_depth_scale(table, path)
         except InputError as error:
             skipped.append(SkippedFrame(name, error.diagnostic))
             continue
@@ -114,22 +118,22 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         emit(
             SCAN_FRAMES_SKIPPED.warning(
                 "{file} has entries for {count} images that do not exist; they are ignored",
-                file=_CAMERAS,
+                file=_CAMERAS_FILE,
                 count=alone,
             )
         )
-    missing = () if has_world else (poses_missing("{file} has no cam_R_w2c", file=_CAMERAS),)
+    missing = () if has_world else (describe_missing_poses("{file} has no cam_R_w2c", file=_CAMERAS_FILE),)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
-def _tables(path: Path) -> dict[int, Table]:
+def _read_camera_tables(path: Path) -> dict[int, CameraTable]:
     """Read `scene_camera.json` as a table per image number."""
     document = documents.read_json(path)
     if not isinstance(document, dict) or not document:
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "the file must be a JSON object with a camera per image number.", path
         )
-    tables: dict[int, Table] = {}
+    tables: dict[int, CameraTable] = {}
     for key, table in document.items():
         if not (key.isascii() and key.isdigit() and len(key) < 10 and isinstance(table, dict)):
             raise InputError(
@@ -142,22 +146,24 @@ def _tables(path: Path) -> dict[int, Table]:
     return tables
 
 
-def _by_number(folder: Path | None, suffixes: Sequence[str] = IMAGES) -> dict[int, Path]:
+def _list_by_number(folder: Path | None, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[int, Path]:
     """Return the images of a folder by the number in their name.
 
     Empty if the folder does not exist.
     """
     if folder is None or not folder.is_dir():
         return {}
-    return {int(path.stem): path for path in images(folder, suffixes) if path.stem.isdecimal()}
+    return {int(path.stem): path for path in list_images(folder, suffixes) if path.stem.isdecimal()}
 
 
-def _camera(table: Table, size: tuple[int, int], path: Path) -> Camera:
-    return calibration.matrix_camera(_values(table, "cam_K", 9, path).reshape(3, 3), (), *size, path)
+def _parse_camera(table: CameraTable, size: tuple[int, int], path: Path) -> Camera:
+    return calibration.create_camera_from_matrix(
+        _parse_values(table, "cam_K", 9, path).reshape(3, 3), (), *size, path
+    )
 
 
-def _depth_scale(table: Table, path: Path) -> float:
-    scale = number_of(table.get("depth_scale", 1.0), "depth_scale", path)
+def _parse_depth_scale(table: CameraTable, path: Path) -> float:
+    scale = to_finite_number(table.get("depth_scale", 1.0), "depth_scale", path)
     if scale <= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "depth_scale is {scale:g}; it must be positive.", path, scale=scale
@@ -165,8 +171,8 @@ def _depth_scale(table: Table, path: Path) -> float:
     return scale
 
 
-def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float64]:
-    values = number_row(table.get(key), key, path)
+def _parse_values(table: CameraTable, key: str, count: int, path: Path) -> NDArray[np.float64]:
+    values = flatten_numbers(table.get(key), key, path)
     if len(values) != count:
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "{key} must be a list of {count} numbers.", path, key=key, count=count
@@ -174,22 +180,22 @@ def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float6
     return np.array(values)
 
 
-def _pose(table: Table, path: Path) -> Pose | None:
+def _parse_pose(table: CameraTable, path: Path) -> Pose | None:
     """Return the camera-to-world pose in metres, or None without one.
 
     None if the scene has no world frame or the pose is not finite (lost tracking).
     """
-    if not any(key in table for key in _POSE):
+    if not any(key in table for key in _POSE_KEYS):
         return None
-    rotation = _values(table, _POSE[0], 9, path).reshape(3, 3)
-    place = _values(table, _POSE[1], 3, path) / _MILLIMETRES
-    world_to_camera = rigid(np.column_stack([rotation, place]), path)
-    return None if world_to_camera is None else inverted(world_to_camera)
+    rotation = _parse_values(table, _POSE_KEYS[0], 9, path).reshape(3, 3)
+    translation = _parse_values(table, _POSE_KEYS[1], 3, path) / _MM_PER_METRE
+    world_to_camera = check_rigid_pose(np.column_stack([rotation, translation]), path)
+    return None if world_to_camera is None else invert_pose(world_to_camera)
 
 
 LAYOUT = Layout(
     name="bop",
-    text="rgb/ or gray/, depth/ and scene_camera.json (BOP's data sets), or views without depth/",
+    description="rgb/ or gray/, depth/ and scene_camera.json (BOP's data sets), or views without depth/",
     matches=_matches,
     read=_read,
 )

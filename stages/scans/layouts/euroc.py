@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.files.codes import FILE_IMAGE_FORMAT
-from scanloom.stages.files.images import read_stored
+from scanloom.stages.files.images import read_stored_image
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration import rig_calibration
-from scanloom.stages.scans.calibration.image_size import for_images, stated_size
-from scanloom.stages.scans.calibration.table_values import number_row
+from scanloom.stages.scans.calibration.image_size import get_stated_size, scale_to_images
+from scanloom.stages.scans.calibration.table_values import flatten_numbers
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_LENS_UNKNOWN,
@@ -30,49 +30,49 @@ from scanloom.stages.scans.codes import (
     FRAME_POSE_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from scanloom.stages.scans.image_folders.image_files import common_size, first_existing, has
-from scanloom.stages.scans.layouts.shared.gravity import ups_of
+from scanloom.stages.scans.image_folders.image_files import find_common_size, find_first_existing, has_all
+from scanloom.stages.scans.layouts.shared.gravity import estimate_up_directions
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
-from scanloom.stages.scans.model.poses import inverted, matrix_of, rigid
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
+from scanloom.stages.scans.model.poses import check_rigid_pose, invert_pose, parse_pose_matrix
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
+from scanloom.stages.scans.model.scan import Camera, Frame, PackedImage, Pose, Scan, SkippedFrame, StereoRig
 from scanloom.stages.scans.model.world import Z_UP
-from scanloom.stages.scans.streams.clocked_streams import Accelerometer
-from scanloom.stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.streams.timestamped_streams import Accelerometer
+from scanloom.stages.scans.trajectory.timed_poses import match_poses_by_time
 
 # Nanoseconds. Ground truth runs at 20 to 200 Hz: half of the longest interval, and a margin.
-_TOLERANCE = 30_000_000
-_CAMCHAIN = "dso/camchain.yaml"
-_IMU = "imu0"
-_GROUND_TRUTH = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "vicon0/data.csv")
+_POSE_TOLERANCE_NS = 30_000_000
+_CAMCHAIN_FILE = "dso/camchain.yaml"
+_IMU_FOLDER = "imu0"
+_GROUND_TRUTH_FILES = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "vicon0/data.csv")
 
 
-def _mav(folder: Path) -> Path:
+def _find_mav_folder(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
 def _matches(folder: Path) -> str | None:
-    mav = _mav(folder)
+    mav = _find_mav_folder(folder)
     if (mav / "cam0" / "sensor.yaml").exists():
         return (mav / "cam0" / "sensor.yaml").relative_to(folder).as_posix()
     if mav != folder and (mav / "cam0" / "data.csv").exists():
         return "mav0/cam0/data.csv"
-    is_chained = (mav / "cam0" / "data.csv").exists() and (folder / _CAMCHAIN).exists()
-    return f"cam0/data.csv and {_CAMCHAIN}" if is_chained else None
+    is_chained = (mav / "cam0" / "data.csv").exists() and (folder / _CAMCHAIN_FILE).exists()
+    return f"cam0/data.csv and {_CAMCHAIN_FILE}" if is_chained else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    mav = _mav(folder)
-    streams = [_stream(mav / name) for name in ("cam0", "cam1")]
-    size = common_size(list(streams[0].values()))
-    chain = options.file("calibration", folder) or first_existing(folder, _CAMCHAIN)
-    if chain is not None and (options.calibration or not has(mav, "cam0/sensor.yaml")):
-        rig, body_from_left = _chained(chain, size, options)
+    mav = _find_mav_folder(folder)
+    streams = [_read_stream(mav / name) for name in ("cam0", "cam1")]
+    size = find_common_size(list(streams[0].values()))
+    chain = options.resolve_file("calibration", folder) or find_first_existing(folder, _CAMCHAIN_FILE)
+    if chain is not None and (options.calibration or not has_all(mav, "cam0/sensor.yaml")):
+        rig, body_from_left = _read_camchain_rig(chain, size, options)
     else:
-        rig, body_from_left = _rig(mav, size, options)
-    path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
-    accelerometer = _accelerometer(mav, body_from_left)
+        rig, body_from_left = _read_rig(mav, size, options)
+    path = options.resolve_file("poses", folder) or find_first_existing(mav, *_GROUND_TRUTH_FILES)
+    accelerometer = _read_accelerometer(mav, body_from_left)
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(
@@ -82,11 +82,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         for side in (0, 1)
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
     ]
-    is_wide = _is_wide(list(streams[0].values()))
+    is_16_bit = _is_16_bit(list(streams[0].values()))
     times = sorted(streams[0].keys() & streams[1].keys())
     poses: list[Pose | None] = [None] * len(times)
     if path is not None:
-        poses = poses_at(path, times, [str(time) for time in times], _TOLERANCE, options)
+        poses = match_poses_by_time(path, times, [str(time) for time in times], _POSE_TOLERANCE_NS, options)
     for time, pose in zip(times, poses, strict=True):
         if pose is None and path is not None:
             skipped.append(
@@ -99,29 +99,29 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             Frame(
                 name=str(time),
                 camera=rig.left,
-                color=_narrowed(streams[0][time]) if is_wide else streams[0][time],
-                right=_narrowed(streams[1][time]) if is_wide else streams[1][time],
+                color=_wrap_8_bit(streams[0][time]) if is_16_bit else streams[0][time],
+                right=_wrap_8_bit(streams[1][time]) if is_16_bit else streams[1][time],
                 world_from_camera=None if pose is None else pose @ body_from_left,
                 timestamp=time,
             )
         )
     moments = np.array([frame.timestamp for frame in frames], np.int64)
-    ups = ups_of(accelerometer if frames else None, moments)
+    ups = estimate_up_directions(accelerometer if frames else None, moments)
     frames = [replace(frame, up=up) for frame, up in zip(frames, ups, strict=True)]
-    lacking = poses_missing(
+    lacking = describe_missing_poses(
         "{file} is missing",
         remedy="name a trajectory of the body frame with scan.poses=FILE",
-        file=_GROUND_TRUTH[0],
+        file=_GROUND_TRUTH_FILES[0],
     )
     missing = (lacking,) if path is None else ()
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
-def _stream(camera: Path) -> dict[int, Path]:
+def _read_stream(camera: Path) -> dict[int, Path]:
     """Read the images of a camera by timestamp (ns) from data.csv."""
     path = camera / "data.csv"
     found: dict[int, Path] = {}
-    for number, text in documents.lines(path):
+    for number, text in documents.iterate_lines(path):
         time, _, name = text.partition(",")
         if not time.strip().isdigit() or not name.strip() or int(time) >= 1 << 62:
             raise InputError(
@@ -133,16 +133,16 @@ def _stream(camera: Path) -> dict[int, Path]:
     return found
 
 
-def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
+def _read_accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
     """Read the accelerometer of imu0, or return None if there is none.
 
     At rest, its readings point up.
     """
-    path, sensor = mav / _IMU / "data.csv", mav / _IMU / "sensor.yaml"
+    path, sensor = mav / _IMU_FOLDER / "data.csv", mav / _IMU_FOLDER / "sensor.yaml"
     if not path.exists():
         return None
     times, readings = [], []
-    for number, text in documents.lines(path):
+    for number, text in documents.iterate_lines(path):
         words = text.split(",")
         try:
             time, values = int(words[0]), [float(word) for word in words[1:7]]
@@ -159,44 +159,44 @@ def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
         readings.append(values[3:])
     turn = None
     if sensor.exists():
-        body_from_imu = _mounting(documents.read_document(sensor), sensor)
+        body_from_imu = _parse_body_from_sensor(documents.read_document(sensor), sensor)
         turn = body_from_left[:3, :3].T @ body_from_imu[:3, :3]
     rows = np.array(readings, np.float64).reshape(-1, 3)
-    return Accelerometer(_IMU, np.array(times, np.int64), lambda number: rows[number], turn)
+    return Accelerometer(_IMU_FOLDER, np.array(times, np.int64), lambda number: rows[number], turn)
 
 
-def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
+def _read_rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
     """Read the rig and body_from_left, the extrinsics of the left camera."""
     cameras, body_from_camera = [], []
     for name in ("cam0", "cam1"):
         path = mav / name / "sensor.yaml"
         document = documents.read_document(path)
-        cameras.append(_camera(document, size, options, path))
-        body_from_camera.append(_mounting(document, path))
-    right_from_left = inverted(body_from_camera[1]) @ body_from_camera[0]
+        cameras.append(_read_camera(document, size, options, path))
+        body_from_camera.append(_parse_body_from_sensor(document, path))
+    right_from_left = invert_pose(body_from_camera[1]) @ body_from_camera[0]
     if options.baseline is not None:
-        right_from_left = rig_calibration.with_baseline(right_from_left, options.baseline)
-    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
+        right_from_left = rig_calibration.set_baseline(right_from_left, options.baseline)
+    return StereoRig(cameras[0], cameras[1], right_from_left, is_rectified=False), body_from_camera[0]
 
 
-def _is_wide(files: Sequence[Path]) -> bool:
+def _is_16_bit(files: Sequence[Path]) -> bool:
     """Return True if the images are 16-bit.
 
     The first existing file decides.
     """
     first = next((path for path in files if path.exists()), None)
     try:
-        return first is not None and read_stored(first).dtype == np.uint16
+        return first is not None and read_stored_image(first).dtype == np.uint16
     except InputError:
         return False
 
 
-def _narrowed(path: Path) -> Packed:
-    return Packed(path, "image", partial(_high_bytes, path))
+def _wrap_8_bit(path: Path) -> PackedImage:
+    return PackedImage(path, "image", partial(_read_high_bytes, path))
 
 
-def _high_bytes(path: Path) -> NDArray[np.uint8]:
-    image = read_stored(path)
+def _read_high_bytes(path: Path) -> NDArray[np.uint8]:
+    image = read_stored_image(path)
     if image.ndim != 2 or image.dtype != np.uint16:
         raise InputError(
             FILE_IMAGE_FORMAT, "a 16-bit greyscale image is expected, like the other images.", path
@@ -204,17 +204,19 @@ def _high_bytes(path: Path) -> NDArray[np.uint8]:
     return (image >> 8).astype(np.uint8)
 
 
-def _chained(path: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
+def _read_camchain_rig(path: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
     """Read the rig and body_from_left from a Kalibr camchain file."""
     document = documents.read_document(path)
     rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
-    stated = options.camera(*size)
+    stated = options.get_camera(*size)
     if stated is not None:
         rig = replace(rig, left=stated, right=stated)
-    return rig, inverted(rig_calibration.camera_from_body(document, "cam0", path))
+    return rig, invert_pose(rig_calibration.read_camera_from_body(document, "cam0", path))
 
 
-def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path) -> Camera:
+def _read_camera(
+    document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path
+) -> Camera:
     if document.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
             CAMERA_LENS_UNKNOWN,
@@ -223,27 +225,27 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingPar
             document=document["camera_model"],
         )
     fisheye = calibration.is_fisheye(document.get("distortion_model"), path)
-    fx, fy, cx, cy = _four(document, "intrinsics", path)
-    distortion = _four(document, "distortion_coefficients", path)
-    stated = options.camera(*size)
+    fx, fy, cx, cy = _parse_four_numbers(document, "intrinsics", path)
+    distortion = _parse_four_numbers(document, "distortion_coefficients", path)
+    stated = options.get_camera(*size)
     if stated is not None:
         return stated
-    camera = Camera(*stated_size(document, *size, path), fx, fy, cx, cy, distortion, fisheye)
-    return for_images(calibration.checked(camera, path), *size, path)
+    camera = Camera(*get_stated_size(document, *size, path), fx, fy, cx, cy, distortion, fisheye)
+    return scale_to_images(calibration.check_camera_values(camera, path), *size, path)
 
 
-def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
-    row = number_row(document.get(key), key, path)
+def _parse_four_numbers(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
+    row = flatten_numbers(document.get(key), key, path)
     if len(row) != 4:
         raise InputError(CAMERA_CALIBRATION_INVALID, "{key} must be 4 numbers.", path, key=key)
     return row
 
 
-def _mounting(document: dict[str, Any], path: Path) -> Pose:
+def _parse_body_from_sensor(document: dict[str, Any], path: Path) -> Pose:
     """Return T_BS (camera to body) as a (4, 4) pose."""
     matrix = document.get("T_BS")
     data = matrix.get("data") if isinstance(matrix, dict) else matrix
-    pose = rigid(matrix_of(data, path, "T_BS"), path, "T_BS")
+    pose = check_rigid_pose(parse_pose_matrix(data, path, "T_BS"), path, "T_BS")
     if pose is None:
         raise InputError(CAMERA_CALIBRATION_INVALID, "T_BS contains NaN or infinity.", path)
     return pose
@@ -251,9 +253,9 @@ def _mounting(document: dict[str, Any], path: Path) -> Pose:
 
 LAYOUT = Layout(
     name="euroc",
-    text="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, TUM-VI)",
+    description="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, TUM-VI)",
     matches=_matches,
     read=_read,
     up=Z_UP,
-    is_level=True,
+    is_gravity_aligned=True,
 )

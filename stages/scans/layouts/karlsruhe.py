@@ -18,55 +18,62 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID
-from scanloom.stages.scans.image_folders.image_files import common_size, first_existing, images, pair
-from scanloom.stages.scans.layouts.kitti.projections import projected_rig
+from scanloom.stages.scans.image_folders.image_files import (
+    find_common_size,
+    find_first_existing,
+    list_images,
+    match_by_number,
+)
+from scanloom.stages.scans.layouts.kitti.projections import create_projected_rig
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Frame, Pose, Scan
-from scanloom.stages.scans.streams.stereo_rigs import rig_of
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.streams.stereo_rigs import find_rig
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
-_NAME = re.compile(r"I([12])_\d+")
-_PROJECTION = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)
-_CALIBRATIONS = ("calib.txt", "../calib.txt")
-_POSES = ("poses.txt", "poses.tum")
-_CAR = "insdata.txt"
+_IMAGE_NAME = re.compile(r"I([12])_\d+")
+_PROJECTION_LINE = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)
+_CALIBRATION_FILES = ("calib.txt", "../calib.txt")
+_POSE_FILES = ("poses.txt", "poses.tum")
+_CAR_POSITIONS_FILE = "insdata.txt"
 
 
-def _sides(folder: Path) -> tuple[list[Path], list[Path]]:
-    named = [(match[1], path) for path in images(folder) if (match := _NAME.fullmatch(path.stem))]
+def _list_sides(folder: Path) -> tuple[list[Path], list[Path]]:
+    named = [(match[1], path) for path in list_images(folder) if (match := _IMAGE_NAME.fullmatch(path.stem))]
     left, right = ([path for side, path in named if side == number] for number in "12")
     return left, right
 
 
 def _matches(folder: Path) -> str | None:
-    left, right = _sides(folder)
+    left, right = _list_sides(folder)
     return f"files named like {left[0].name} and {right[0].name}" if left and right else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    pairs, skipped = pair(*_sides(folder), "the images named I1", "the images named I2", folder)
-    size = common_size([one for one, _ in pairs])
-    calib = first_existing(folder, *_CALIBRATIONS) if options.calibration is None else None
-    projections = {} if calib is None else _projections(calib)
+    pairs, skipped = match_by_number(
+        *_list_sides(folder), "the images named I1", "the images named I2", folder
+    )
+    size = find_common_size([one for one, _ in pairs])
+    calib = find_first_existing(folder, *_CALIBRATION_FILES) if options.calibration is None else None
+    projections = {} if calib is None else _read_projections(calib)
     missing: tuple[Diagnostic, ...] = ()
     if calib is not None and {"1", "2"} <= projections.keys():
-        rig, _ = projected_rig(projections["1"], projections["2"], size, options, calib)
+        rig, _ = create_projected_rig(projections["1"], projections["2"], size, options, calib)
     else:
-        rig, missing = rig_of(folder, options, size, ("calib.txt with P1_roi and P2_roi",))
+        rig, missing = find_rig(folder, options, size, ("calib.txt with P1_roi and P2_roi",))
     names = [one.stem for one, _ in pairs]
-    path = options.file("poses", folder) or first_existing(folder, *_POSES)
+    path = options.resolve_file("poses", folder) or find_first_existing(folder, *_POSE_FILES)
     poses: list[Pose | None] = [None] * len(pairs)
     if path is not None:
-        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+        poses = trajectories.match_poses_to_frames(trajectories.read_trajectory(path), names, path)
     else:
         car = (
-            f" ({_CAR} has positions of the car, but their offset to the cameras is unknown)"
-            if (folder / _CAR).is_file()
+            f" ({_CAR_POSITIONS_FILE} has positions of the car, but their offset to the cameras is unknown)"
+            if (folder / _CAR_POSITIONS_FILE).is_file()
             else ""
         )
-        missing = (*missing, poses_missing("poses.txt is missing{car}", car=car))
+        missing = (*missing, describe_missing_poses("poses.txt is missing{car}", car=car))
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)
@@ -74,10 +81,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
-def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
+def _read_projections(calib: Path) -> dict[str, NDArray[np.float64]]:
     """Read the projection matrices (3, 4), by camera number."""
     found = {}
-    for side, text in _PROJECTION.findall(documents.read_text(calib)):
+    for side, text in _PROJECTION_LINE.findall(documents.read_text(calib)):
         try:
             row = np.array([float(word) for word in text.split()])
         except ValueError:
@@ -92,7 +99,7 @@ def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
 
 LAYOUT = Layout(
     name="karlsruhe",
-    text="I1_000000.png and I2_000000.png in one folder, calib.txt with P1_roi (Karlsruhe, libviso2)",
+    description="I1_000000.png and I2_000000.png in one folder, calib.txt with P1_roi (Karlsruhe, libviso2)",
     matches=_matches,
     read=_read,
 )

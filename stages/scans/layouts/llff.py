@@ -16,96 +16,103 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_IMAGE_FORMAT
-from scanloom.stages.files.images import read_array, read_stored
+from scanloom.stages.files.images import read_array, read_stored_image
 from scanloom.stages.scans.calibration import camera_files as calibration
-from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from scanloom.stages.scans.image_folders.image_files import images, numbers
+from scanloom.stages.scans.image_folders.image_files import extract_numbers, list_images
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.layouts.shared.views import in_metres, single_view
-from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame, to_metres
+from scanloom.stages.scans.model.poses import check_rigid_pose
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.model.scan import Camera, Frame, PackedImage, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
-_FILE = "poses_bounds.npy"
-_COLUMNS = 17
-_MOST_VIEWS = 1 << 20
+_POSES_FILE = "poses_bounds.npy"
+_COLUMN_COUNT = 17
+_MAX_VIEW_COUNT = 1 << 20
 # The stored bounds are percentiles of the points, so the depth range is widened by this ratio.
-_BEYOND = 0.1
-_MASKS = ("masks", "mask")
+_RANGE_MARGIN_RATIO = 0.1
+_MASK_FOLDERS = ("masks", "mask")
 # Threshold of a mask pixel; masks saved as JPEG are grey where they were black.
-_SHOWN = 128
+_MASK_THRESHOLD = 128
 
 
 def _matches(folder: Path) -> str | None:
-    return _FILE if (folder / _FILE).is_file() and _image_folder(folder) is not None else None
+    return (
+        _POSES_FILE if (folder / _POSES_FILE).is_file() and _find_image_folder(folder) is not None else None
+    )
 
 
-def _image_folder(folder: Path) -> Path | None:
+def _find_image_folder(folder: Path) -> Path | None:
     """Return the folder of photos, preferring the highest resolution."""
-    smaller = sorted(folder.glob("images_*"), key=lambda place: (numbers(place.name), place.name))
+    smaller = sorted(folder.glob("images_*"), key=lambda place: (extract_numbers(place.name), place.name))
     places = [place for place in (folder / "images", *smaller) if place.is_dir()]
-    return next((place for place in places if images(place)), None)
+    return next((place for place in places if list_images(place)), None)
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    place = _image_folder(folder)
+    place = _find_image_folder(folder)
     if place is None:
         raise InputError(SCAN_FILES_MISSING, "a folder images/ with the photos is required.", folder)
-    path = folder / _FILE
-    rows = _rows(path)
+    path = folder / _POSES_FILE
+    rows = _read_rows(path)
     # Rows follow the lexicographic order of the names.
-    colors = sorted(images(place), key=lambda color: color.name)
+    colors = sorted(list_images(place), key=lambda color: color.name)
     names = [color.stem for color in colors]
-    rows = list(trajectories.by_number(rows, names, path, "rows"))
-    given = options.file("poses", folder)
+    rows = list(trajectories.assign_by_number(rows, names, path, "rows"))
+    given = options.resolve_file("poses", folder)
     if given is None:
         poses = [
-            in_metres(_pose(row, path, f"row {number}"), options.depth_scale)
+            to_metres(_parse_pose(row, path, f"row {number}"), options.depth_scale)
             for number, row in enumerate(rows)
         ]
     else:
-        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+        poses = trajectories.match_poses_to_frames(trajectories.read_trajectory(given), names, given)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for color, row, pose in zip(colors, rows, poses, strict=True):
         try:
-            camera = _camera(folder, options, row, path)
-            frame = single_view(color.stem, camera, color, pose, mask=_mask(folder, color))
+            camera = _parse_camera(folder, options, row, path)
+            frame = create_view_frame(color.stem, camera, color, pose, mask=_find_mask(folder, color))
         except InputError as error:
             skipped.append(SkippedFrame(color.stem, error.diagnostic))
             continue
-        frames.append(frame if given else replace(frame, depth_range=_range(row, options)))
+        frames.append(frame if given else replace(frame, depth_range=_parse_depth_range(row, options)))
     is_metric = given is not None or options.depth_scale is not None
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
 
 
-def _rows(path: Path) -> list[NDArray[np.float64]]:
+def _read_rows(path: Path) -> list[NDArray[np.float64]]:
     table = read_array(path, "the table of poses")
-    if table.ndim != 2 or table.shape[1] != _COLUMNS or len(table) > _MOST_VIEWS or table.dtype.kind != "f":
+    if (
+        table.ndim != 2
+        or table.shape[1] != _COLUMN_COUNT
+        or len(table) > _MAX_VIEW_COUNT
+        or table.dtype.kind != "f"
+    ):
         raise InputError(
             SCAN_TABLE_DAMAGED,
             "rows of {columns} numbers are expected, but the array has shape {table_shape} and type "
             "{table_dtype}.",
             path,
-            columns=_COLUMNS,
+            columns=_COLUMN_COUNT,
             table_shape=table.shape,
             table_dtype=table.dtype,
         )
     return list(np.array(table, np.float64))
 
 
-def _pose(row: NDArray[np.float64], path: Path, where: str) -> Pose | None:
+def _parse_pose(row: NDArray[np.float64], path: Path, where: str) -> Pose | None:
     down, right, back, at = row[:15].reshape(3, 5).T[:4]
-    return rigid(np.column_stack([right, down, -back, at]), path, where)
+    return check_rigid_pose(np.column_stack([right, down, -back, at]), path, where)
 
 
-def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path: Path) -> Camera:
+def _parse_camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path: Path) -> Camera:
     height, width, focal = row[4:15:5].tolist()
     if not all(1 <= side < 1 << 16 and side == int(side) for side in (width, height)):
         raise InputError(
@@ -117,34 +124,38 @@ def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path
         )
     size = int(width), int(height)
     camera = Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
-    return stated_camera(options, folder, *size) or calibration.checked(camera, path)
+    return get_stated_camera(options, folder, *size) or calibration.check_camera_values(camera, path)
 
 
-def _range(row: NDArray[np.float64], options: ReadingParams) -> tuple[float, float] | None:
+def _parse_depth_range(row: NDArray[np.float64], options: ReadingParams) -> tuple[float, float] | None:
     near, far = (row[15:] / (options.depth_scale or 1.0)).tolist()
-    return (near / (1 + _BEYOND), far * (1 + _BEYOND)) if 0 < near < far < np.inf else None
+    return (
+        (near / (1 + _RANGE_MARGIN_RATIO), far * (1 + _RANGE_MARGIN_RATIO))
+        if 0 < near < far < np.inf
+        else None
+    )
 
 
-def _mask(folder: Path, color: Path) -> Packed | None:
+def _find_mask(folder: Path, color: Path) -> PackedImage | None:
     """Return the mask of a photo, named like IMG_1.png or IMG_1_mask.JPG."""
-    places = [folder / name for name in _MASKS if (folder / name).is_dir()]
+    places = [folder / name for name in _MASK_FOLDERS if (folder / name).is_dir()]
     for stem in (color.stem, f"{color.stem}_mask", f"{color.stem}.mask", color.name):
         for found in (path for place in places for path in place.glob("*") if path.stem == stem):
-            return Packed(found, "mask", partial(_shown, found))
+            return PackedImage(found, "mask", partial(_read_mask, found))
     return None
 
 
-def _shown(path: Path) -> NDArray[np.uint8]:
-    mask = read_stored(path)
+def _read_mask(path: Path) -> NDArray[np.uint8]:
+    mask = read_stored_image(path)
     if mask.dtype != np.uint8:
         raise InputError(FILE_IMAGE_FORMAT, "an 8-bit mask is expected.", path)
     grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
-    return np.asarray(np.where(grey >= _SHOWN, 255, 0), np.uint8)
+    return np.asarray(np.where(grey >= _MASK_THRESHOLD, 255, 0), np.uint8)
 
 
 LAYOUT = Layout(
     name="llff",
-    text="poses_bounds.npy, images/, optionally masks/ (LLFF)",
+    description="poses_bounds.npy, images/, optionally masks/ (LLFF)",
     matches=_matches,
     read=_read,
 )

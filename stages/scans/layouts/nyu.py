@@ -19,19 +19,27 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_DEPTH_FORMAT
 from scanloom.stages.files.images import read_raw_depth
-from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING
-from scanloom.stages.scans.image_folders.image_files import common_size
-from scanloom.stages.scans.image_folders.timestamp_matching import nearest_in_time
+from scanloom.stages.scans.image_folders.image_files import find_common_size
+from scanloom.stages.scans.image_folders.timestamp_matching import match_timestamps
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
-from scanloom.stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.model.scan import (
+    Camera,
+    Frame,
+    PackedImage,
+    Pose,
+    Scan,
+    SkippedFrame,
+    scale_camera,
+)
+from scanloom.stages.scans.trajectory.timed_poses import match_poses_by_time
 
-_FILE = re.compile(r"([rd])-(\d{1,10}\.\d+)-\d+\.p[pg]m")
+_FILE_NAME = re.compile(r"([rd])-(\d{1,10}\.\d+)-\d+\.p[pg]m")
 # Nanoseconds; both streams run at up to 30 Hz and are not synchronised.
-_TOLERANCE = 50_000_000
+_TOLERANCE_NS = 50_000_000
 _DEPTH_CAMERA = Camera(
     640,
     480,
@@ -62,33 +70,33 @@ _COLOR_FROM_DEPTH = np.array(
 )
 # Lower disparities are invalid, since the sensor starts at 0.7 m. Beyond ten metres, one disparity step is
 # half a metre.
-_LEAST_DISPARITY = 600
-_LARGEST_DEPTH = 10.0
+_MIN_DISPARITY = 600
+_MAX_DEPTH_M = 10.0
 
 
 def _matches(folder: Path) -> str | None:
     names: dict[str, str] = {}
     for path in folder.glob("*.p[pg]m"):
-        if match := _FILE.fullmatch(path.name):
+        if match := _FILE_NAME.fullmatch(path.name):
             names.setdefault(match[1], path.name)
     return f"files named like {names['d']} and {names['r']}" if len(names) == 2 else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    depths, colors = _stream(folder, "d", ".pgm"), _stream(folder, "r", ".ppm")
+    depths, colors = _list_stream(folder, "d", ".pgm"), _list_stream(folder, "r", ".ppm")
     if not depths or not colors:
         raise InputError(
             SCAN_FILES_MISSING,
             "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are required.",
             folder,
         )
-    size = common_size([path for _, path in depths])
-    camera = stated_camera(options, folder, *size) or scaled(_DEPTH_CAMERA, *size)
-    given = options.file("poses", folder)
+    size = find_common_size([path for _, path in depths])
+    camera = get_stated_camera(options, folder, *size) or scale_camera(_DEPTH_CAMERA, *size)
+    given = options.resolve_file("poses", folder)
     depth_times, color_times = (
         np.array([time for time, _ in stream], np.int64) for stream in (depths, colors)
     )
-    partners = nearest_in_time(depth_times, color_times, _TOLERANCE)
+    partners = match_timestamps(depth_times, color_times, _TOLERANCE_NS)
     skipped = [
         SkippedFrame(depth.stem, FRAME_IMAGE_MISSING.warning("no colour image within 0.05 s"))
         for (_, depth), partner in zip(depths, partners.tolist(), strict=True)
@@ -98,7 +106,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     poses: list[Pose | None] = [None] * len(paired)
     if given is not None:
         moments, names = [time for time, *_ in paired], [depth.stem for _, depth, _ in paired]
-        poses = poses_at(given, moments, names, _TOLERANCE, options)
+        poses = match_poses_by_time(given, moments, names, _TOLERANCE_NS, options)
     frames: list[Frame] = []
     for (time, depth, partner), pose in zip(paired, poses, strict=True):
         frames.append(
@@ -106,7 +114,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 name=depth.stem,
                 camera=camera,
                 color=colors[partner][1],
-                depth=Packed(depth, "depth", partial(_metres, depth)),
+                depth=PackedImage(depth, "depth", partial(_read_depth, depth)),
                 depth_scale=options.depth_scale or 1.0,
                 world_from_camera=pose,
                 timestamp=time,
@@ -114,34 +122,34 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_from_depth=_COLOR_FROM_DEPTH,
             )
         )
-    missing = (poses_missing("the data set contains no poses"),) if given is None else ()
+    missing = (describe_missing_poses("the data set contains no poses"),) if given is None else ()
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
-def _stream(folder: Path, letter: str, suffix: str) -> list[tuple[int, Path]]:
+def _list_stream(folder: Path, letter: str, suffix: str) -> list[tuple[int, Path]]:
     """Return the timestamps (ns) and files of a stream, sorted by time."""
     found = [
         (round(float(match[2]) * 1e9), path)
         for path in folder.iterdir()
-        if path.suffix == suffix and (match := _FILE.fullmatch(path.name)) and match[1] == letter
+        if path.suffix == suffix and (match := _FILE_NAME.fullmatch(path.name)) and match[1] == letter
     ]
     return sorted(found)
 
 
-def _metres(path: Path) -> NDArray[np.float32]:
+def _read_depth(path: Path) -> NDArray[np.float32]:
     """Convert a disparity file to depth in metres, 0 where invalid."""
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
         raise InputError(FILE_DEPTH_FORMAT, "a 16-bit disparity image is expected.", path)
     disparity = raw.byteswap().astype(np.float32)
     gap = 1092.5 - disparity
-    known = (disparity >= _LEAST_DISPARITY) & (gap > 351.3 / _LARGEST_DEPTH)
+    known = (disparity >= _MIN_DISPARITY) & (gap > 351.3 / _MAX_DEPTH_M)
     return np.where(known, 351.3 / np.where(known, gap, 1), 0).astype(np.float32)
 
 
 LAYOUT = Layout(
     name="nyu",
-    text="r-SECONDS-CLOCK.ppm and d-SECONDS-CLOCK.pgm (NYU Depth V2, raw)",
+    description="r-SECONDS-CLOCK.ppm and d-SECONDS-CLOCK.pgm (NYU Depth V2, raw)",
     matches=_matches,
     read=_read,
 )

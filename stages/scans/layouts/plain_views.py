@@ -16,96 +16,106 @@ from pathlib import Path
 
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.noting import note, only_looking
-from scanloom.stages.scans.calibration.discovery import texts_of_poses
-from scanloom.stages.scans.calibration.resolution import found_camera, stated_camera
+from scanloom.stages.files.file_access_log import pause_recording, record_opened
+from scanloom.stages.scans.calibration.camera_resolution import find_or_guess_camera, get_stated_camera
+from scanloom.stages.scans.calibration.discovery import list_trajectory_candidates
 from scanloom.stages.scans.codes import FRAME_POSE_MISSING, POSE_ASSUMED, SCAN_FILES_MISSING
-from scanloom.stages.scans.image_folders.image_files import COLOR_FOLDERS, common_size, images
+from scanloom.stages.scans.image_folders.image_files import COLOR_FOLDERS, find_common_size, list_images
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.layouts.shared.views import single_view
-from scanloom.stages.scans.model.lacking import calibration_missing, poses_missing
+from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame
+from scanloom.stages.scans.model.missing_data import describe_missing_calibration, describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
-from scanloom.stages.scans.trajectory import files as trajectories
-from scanloom.stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
+from scanloom.stages.scans.trajectory.timed_poses import match_poses_by_time
 
 # The last four names are from stereo layouts with only one camera present.
-_FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs", "image_0", "image_2", "image_l", "image_left", "left")
+_PHOTO_FOLDERS = (
+    *COLOR_FOLDERS,
+    "photos",
+    "frames",
+    "imgs",
+    "image_0",
+    "image_2",
+    "image_l",
+    "image_left",
+    "left",
+)
 # Two views are the minimum for depth estimation.
-_LEAST_VIEWS = 2
+_MIN_VIEW_COUNT = 2
 # Names that are timestamps: seconds, or nanoseconds since 1970.
-_SECONDS, _NANOSECONDS = re.compile(r"\d+\.\d+"), re.compile(r"\d{16,19}")
-_TOLERANCE = 20_000_000
+_SECONDS_NAME, _NANOSECONDS_NAME = re.compile(r"\d+\.\d+"), re.compile(r"\d{16,19}")
+_POSE_TOLERANCE_NS = 20_000_000
 # Minimum ratio of photos that need a pose in a file for it to be the trajectory.
-_POSED = 0.5
+_MIN_POSED_RATIO = 0.5
 
 
 def _matches(folder: Path) -> str | None:
-    place = place_of_photos(folder)
-    if place is None:
+    photo_folder = find_photo_folder(folder)
+    if photo_folder is None:
         return None
-    with only_looking():
-        found = _trajectories(folder, images(place), ReadingParams())
+    with pause_recording():
+        found = _find_trajectories(folder, list_images(photo_folder), ReadingParams())
     if not found:
         return None
-    shown = f"{place.name}/" if place != folder else "images"
-    return f"{shown} and {found[0].name}, one pose per image"
+    photos = f"{photo_folder.name}/" if photo_folder != folder else "images"
+    return f"{photos} and {found[0].name}, one pose per image"
 
 
-def place_of_photos(folder: Path) -> Path | None:
+def find_photo_folder(folder: Path) -> Path | None:
     """Return the folder that contains the photos, or None."""
-    places = [folder / name for name in _FOLDERS if (folder / name).is_dir()]
-    return next((place for place in (*places, folder) if len(images(place)) >= _LEAST_VIEWS), None)
+    places = [folder / name for name in _PHOTO_FOLDERS if (folder / name).is_dir()]
+    return next((place for place in (*places, folder) if len(list_images(place)) >= _MIN_VIEW_COUNT), None)
 
 
-def _trajectories(folder: Path, colors: Sequence[Path], options: ReadingParams) -> list[Path]:
+def _find_trajectories(folder: Path, colors: Sequence[Path], options: ReadingParams) -> list[Path]:
     """Return the files of a folder that have poses for most photos."""
     found = []
-    for path in texts_of_poses(folder):
+    for path in list_trajectory_candidates(folder):
         try:
             with collecting(forward=False):
-                poses = _poses_of(path, colors, options)
+                poses = _match_poses(path, colors, options)
         except InputError:
             continue
-        if sum(pose is not None for pose in poses) >= max(_POSED * len(colors), _LEAST_VIEWS):
+        if sum(pose is not None for pose in poses) >= max(_MIN_POSED_RATIO * len(colors), _MIN_VIEW_COUNT):
             found.append(path)
     return found
 
 
-def _poses_of(path: Path, colors: Sequence[Path], options: ReadingParams) -> list[Pose | None]:
+def _match_poses(path: Path, colors: Sequence[Path], options: ReadingParams) -> list[Pose | None]:
     names = [color.stem for color in colors]
     trajectory = trajectories.read_trajectory(path)
-    moments = _moments(names, path)
+    moments = _parse_timestamps(names, path)
     if trajectory.timestamps is None or moments is None:
-        return trajectories.match(trajectory, names, path)
-    return poses_at(path, moments, names, _TOLERANCE, options)
+        return trajectories.match_poses_to_frames(trajectory, names, path)
+    return match_poses_by_time(path, moments, names, _POSE_TOLERANCE_NS, options)
 
 
-def _moments(names: Sequence[str], path: Path) -> list[int] | None:
+def _parse_timestamps(names: Sequence[str], path: Path) -> list[int] | None:
     """Return the timestamps (ns) that images are named by, or None."""
-    if all(_SECONDS.fullmatch(name) for name in names):
-        return [trajectories.stamp(name, path, 0) for name in names]
-    return [int(name) for name in names] if all(_NANOSECONDS.fullmatch(name) for name in names) else None
+    if all(_SECONDS_NAME.fullmatch(name) for name in names):
+        return [trajectories.parse_timestamp(name, path, 0) for name in names]
+    return [int(name) for name in names] if all(_NANOSECONDS_NAME.fullmatch(name) for name in names) else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    place = place_of_photos(folder)
-    if place is None:
+    photo_folder = find_photo_folder(folder)
+    if photo_folder is None:
         raise InputError(SCAN_FILES_MISSING, "a folder images/ with at least two photos is required.", folder)
-    colors = images(place)
-    camera, is_known = _camera(folder, options, colors)
-    path, poses = _poses(folder, options, colors)
+    colors = list_images(photo_folder)
+    camera, is_known = _find_camera(folder, options, colors)
+    path, poses = _find_poses(folder, options, colors)
     missing = []
     if not is_known:
         missing.append(
-            calibration_missing(
+            describe_missing_calibration(
                 "no file in the scan folder states the camera",
                 remedy="name a calibration with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy",
             )
         )
     if path is None:
         missing.append(
-            poses_missing(
+            describe_missing_poses(
                 "no file in the scan folder has a pose for each photo",
                 remedy="name a trajectory with scan.poses=FILE. Photos without poses need COLMAP; its "
                 "workspace folder can be read directly",
@@ -119,41 +129,41 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             skipped.append(SkippedFrame(color.stem, reason))
             continue
         try:
-            frames.append(single_view(color.stem, camera, color, pose))
+            frames.append(create_view_frame(color.stem, camera, color, pose))
         except InputError as error:
             skipped.append(SkippedFrame(color.stem, error.diagnostic))
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=tuple(missing), is_metric=True)
 
 
-def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera, bool]:
+def _find_camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera, bool]:
     """Return the camera of the images, and True if it is known.
 
     False means that the camera is only a guess.
     """
-    size = common_size(colors)
-    stated = stated_camera(options, folder, *size)
+    size = find_common_size(colors)
+    stated = get_stated_camera(options, folder, *size)
     if stated is not None:
         return stated, True
     with collecting(forward=False) as diagnostics:
-        camera, path = found_camera(folder, *size)
+        camera, path = find_or_guess_camera(folder, *size)
     # A guessed camera is not used; the calibration is reported as missing instead.
     if path is not None:
         emit(*diagnostics)
     return camera, path is not None
 
 
-def _poses(
+def _find_poses(
     folder: Path, options: ReadingParams, colors: Sequence[Path]
 ) -> tuple[Path | None, list[Pose | None]]:
     """Return the trajectory file (or None), and the pose of each image."""
-    given = options.file("poses", folder)
+    given = options.resolve_file("poses", folder)
     if given is not None:
-        return given, _poses_of(given, colors, options)
-    with only_looking():
-        found = _trajectories(folder, colors, options)
-    nothing: list[Pose | None] = [None] * len(colors)
+        return given, _match_poses(given, colors, options)
+    with pause_recording():
+        found = _find_trajectories(folder, colors, options)
+    no_poses: list[Pose | None] = [None] * len(colors)
     if not found:
-        return None, nothing
+        return None, no_poses
     if len(found) > 1:
         emit(
             POSE_ASSUMED.warning(
@@ -161,9 +171,9 @@ def _poses(
                 files=", ".join(path.name for path in found[:5]),
             )
         )
-        return None, nothing
+        return None, no_poses
     path = found[0]
-    note(path)
+    record_opened(path)
     emit(
         POSE_ASSUMED.warning(
             "the poses are read from {file}, which was found in the scan folder; they are assumed to "
@@ -171,12 +181,12 @@ def _poses(
             file=path.name,
         )
     )
-    return path, _poses_of(path, colors, options)
+    return path, _match_poses(path, colors, options)
 
 
 LAYOUT = Layout(
     name="plain-views",
-    text="images/ (or rgb/, photos/ and so on), a file with a pose per photo and a camera file, "
+    description="images/ (or rgb/, photos/ and so on), a file with a pose per photo and a camera file, "
     "under any name: views without depth",
     matches=_matches,
     read=_read,

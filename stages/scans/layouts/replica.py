@@ -11,23 +11,29 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from scanloom.stages.scans.image_folders.image_files import DEPTHS, common_size, first_existing, images, pair
+from scanloom.stages.scans.image_folders.image_files import (
+    DEPTH_SUFFIXES,
+    find_common_size,
+    find_first_existing,
+    list_images,
+    match_by_number,
+)
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scale_camera
 from scanloom.stages.scans.model.world import Z_UP
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 # Camera of all rendered rooms of the data set.
 _CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 _UNITS_PER_METRE = 6553.5
-_POSES = "traj.txt"
+_POSE_FILE = "traj.txt"
 
 
 def _matches(folder: Path) -> str | None:
-    is_there = (folder / _POSES).is_file() and (folder / "results").is_dir()
-    return f"{_POSES} and results/" if is_there else None
+    is_there = (folder / _POSE_FILE).is_file() and (folder / "results").is_dir()
+    return f"{_POSE_FILE} and results/" if is_there else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -38,18 +44,18 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             "a folder results/ with frame000000.jpg and depth000000.png is required.",
             folder,
         )
-    depths = [path for path in images(results, DEPTHS) if path.stem.startswith("depth")]
-    colors = [path for path in images(results) if path.stem.startswith("frame")]
-    pairs, skipped = pair(depths, colors, "results/depth*", "results/frame*", folder)
+    depths = [path for path in list_images(results, DEPTH_SUFFIXES) if path.stem.startswith("depth")]
+    colors = [path for path in list_images(results) if path.stem.startswith("frame")]
+    pairs, skipped = match_by_number(depths, colors, "results/depth*", "results/frame*", folder)
     names = [depth.stem.removeprefix("depth") for depth, _ in pairs]
-    path = options.file("poses", folder) or first_existing(folder, _POSES)
+    path = options.resolve_file("poses", folder) or find_first_existing(folder, _POSE_FILE)
     poses: list[Pose | None] = [None] * len(names)
     missing: tuple[Diagnostic, ...] = ()
     if path is None:
-        missing = (poses_missing("{file} is missing", file=_POSES),)
+        missing = (describe_missing_poses("{file} is missing", file=_POSE_FILE),)
     else:
-        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
-    camera, scale = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+        poses = trajectories.match_poses_to_frames(trajectories.read_trajectory(path), names, path)
+    camera, scale = _read_camera(folder, options, *find_common_size([depth for depth, _ in pairs]))
     frames = [
         Frame(
             name=name,
@@ -64,11 +70,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
+def _read_camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
     """Return the camera and the depth scale in units per metre."""
-    stated, given = options.camera(width, height), options.file("calibration", folder)
+    stated, given = options.get_camera(width, height), options.resolve_file("calibration", folder)
     # One camera file is shared by all rooms.
-    path = given or first_existing(folder, "cam_params.json", "../cam_params.json")
+    path = given or find_first_existing(folder, "cam_params.json", "../cam_params.json")
     if path is None:
         if stated is None:
             emit(
@@ -78,20 +84,20 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
                     units=_UNITS_PER_METRE,
                 )
             )
-        return stated or scaled(_CAMERA, width, height), _UNITS_PER_METRE
+        return stated or scale_camera(_CAMERA, width, height), _UNITS_PER_METRE
     table = documents.read_document(path) if path.suffix != ".txt" else {}
     entry = table.get("camera", table)
-    scale = _scale(entry, path) if isinstance(entry, dict) else _UNITS_PER_METRE
+    scale = _parse_scale(entry, path) if isinstance(entry, dict) else _UNITS_PER_METRE
     if stated is not None:
         return stated, scale
     if path.suffix == ".txt" or not isinstance(entry, dict):
         return calibration.read_camera(path, width, height), scale
     longer = {"w": "width", "h": "height"}
     sized = {longer.get(key) or key: value for key, value in entry.items()}
-    return calibration.camera_from_table(sized, width, height, path), scale
+    return calibration.parse_camera_table(sized, width, height, path), scale
 
 
-def _scale(entry: dict[str, Any], path: Path) -> float:
+def _parse_scale(entry: dict[str, Any], path: Path) -> float:
     value = entry.get("scale", _UNITS_PER_METRE)
     if not isinstance(value, (int, float)) or not 0 < value < 1e12:
         raise InputError(
@@ -105,7 +111,7 @@ def _scale(entry: dict[str, Any], path: Path) -> float:
 
 LAYOUT = Layout(
     name="replica",
-    text="results/frame000000.jpg, results/depth000000.png, traj.txt (Replica, rendered)",
+    description="results/frame000000.jpg, results/depth000000.png, traj.txt (Replica, rendered)",
     matches=_matches,
     read=_read,
     up=Z_UP,

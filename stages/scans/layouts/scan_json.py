@@ -19,7 +19,7 @@
           "color_camera": {…},           separate camera of the colour image; optional
           "color_from_depth": [[…], …],  4x4, metres: from the depth camera to the colour camera; optional
           "confidence": "confidence/000000.png",   8-bit confidence of the depth map; optional
-          "least_confidence": 1,         depth with a lower confidence is missing
+          "min_confidence": 1,         depth with a lower confidence is missing
           "mask": "mask/000000.png",     8-bit; 0 marks background; optional
           "up": [0, -1, 0],              up direction in camera axes, from an accelerometer; optional
           "depth_range": [0.5, 4.0],     metres, search range for depth estimation; optional
@@ -51,21 +51,21 @@ from scanloom.stages.files import documents
 from scanloom.stages.files.codes import FILE_TEXT_INVALID
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.codes import SCAN_TABLE_DAMAGED
-from scanloom.stages.scans.image_folders.image_files import inside
+from scanloom.stages.scans.image_folders.image_files import resolve_inside
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
-from scanloom.stages.scans.model.poses import matrix_of, rigid, turn_of
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
+from scanloom.stages.scans.model.poses import check_rigid_pose, parse_pose_matrix, parse_shutter_turn
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
 from scanloom.stages.scans.model.world import Direction, WorldUp
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 FORMAT_VERSION = 1
-FILE = "scan.json"
-_IMAGES = ("color", "depth", "confidence", "mask")
-_FARTHEST_M = 1e9
+SCAN_FILE = "scan.json"
+_IMAGE_KEYS = ("color", "depth", "confidence", "mask")
+_MAX_DEPTH_M = 1e9
 # Maximum absolute value of a direction component, so that its square stays finite.
-_LARGEST = 1e9
+_MAX_COMPONENT = 1e9
 
 
 def write_scan_json(
@@ -98,22 +98,22 @@ def write_scan_json(
         raise ValueError("all frames of a scan.json must have the same depth scale and missing values")
     document = {
         "version": FORMAT_VERSION,
-        "camera": _camera_table(first.camera),
+        "camera": _to_camera_table(first.camera),
         "depth_scale": first.depth_scale,
         "depth_missing": list(first.depth_missing),
         **({} if up is None else up.figures()),
         **({} if is_metric else {"metric": False}),
-        "frames": [_frame_table(frame, folder, first.camera) for frame in frames],
+        "frames": [_to_frame_table(frame, folder, first.camera) for frame in frames],
     }
-    path = folder / FILE
+    path = folder / SCAN_FILE
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return path
 
 
-def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
+def _to_frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
     pose = frame.world_from_camera
     table: dict[str, Any] = {"name": frame.name}
-    for key in _IMAGES:
+    for key in _IMAGE_KEYS:
         image = getattr(frame, key)
         if image is None:
             continue
@@ -124,13 +124,13 @@ def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
     if frame.timestamp is not None:
         table["timestamp"] = frame.timestamp
     if frame.camera != camera:
-        table["camera"] = _camera_table(frame.camera)
+        table["camera"] = _to_camera_table(frame.camera)
     if frame.color_camera is not None:
-        table["color_camera"] = _camera_table(frame.color_camera)
+        table["color_camera"] = _to_camera_table(frame.color_camera)
     if frame.color_from_depth is not None:
         table["color_from_depth"] = frame.color_from_depth.tolist()
     if frame.confidence is not None:
-        table["least_confidence"] = frame.least_confidence
+        table["min_confidence"] = frame.min_confidence
     if frame.depth_range is not None:
         table["depth_range"] = list(frame.depth_range)
     if frame.up is not None:
@@ -140,7 +140,7 @@ def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
     return table
 
 
-def _camera_table(camera: Camera) -> dict[str, Any]:
+def _to_camera_table(camera: Camera) -> dict[str, Any]:
     return {
         "width": camera.width,
         "height": camera.height,
@@ -154,11 +154,11 @@ def _camera_table(camera: Camera) -> dict[str, Any]:
 
 
 def _matches(folder: Path) -> str | None:
-    return FILE if (folder / FILE).is_file() else None
+    return SCAN_FILE if (folder / SCAN_FILE).is_file() else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    path = folder / FILE
+    path = folder / SCAN_FILE
     document = documents.read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
         raise InputError(SCAN_TABLE_DAMAGED, "the file has no list of frames.", path)
@@ -170,12 +170,16 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             document=document.get("version"),
             format_version=FORMAT_VERSION,
         )
-    given = options.file("poses", folder)
+    given = options.resolve_file("poses", folder)
     entries = document["frames"]
-    names = [_name(entry, i, path) for i, entry in enumerate(entries)]
-    poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), names, given)
-    scale = options.depth_scale or _positive(document.get("depth_scale", 1000.0), path)
-    missing = _integers(document.get("depth_missing", []), path)
+    names = [_parse_name(entry, i, path) for i, entry in enumerate(entries)]
+    poses = (
+        None
+        if given is None
+        else trajectories.match_poses_to_frames(trajectories.read_trajectory(given), names, given)
+    )
+    scale = options.depth_scale or _parse_positive(document.get("depth_scale", 1000.0), path)
+    missing = _parse_integers(document.get("depth_missing", []), path)
     is_metric = document.get("metric", True)
     if not isinstance(is_metric, bool):
         raise InputError(
@@ -184,10 +188,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             path,
             is_metric=str(is_metric)[:40],
         )
-    shared = _camera(document["camera"], options, path) if document.get("camera") is not None else None
+    shared = _parse_camera(document["camera"], options, path) if document.get("camera") is not None else None
     frames: list[Frame] = []
     for i, (name, entry) in enumerate(zip(names, entries, strict=True)):
-        camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
+        camera = _parse_camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
         if camera is None:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
@@ -195,9 +199,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 path,
                 name=name,
             )
-        pose = _pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
+        pose = _parse_pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
         own = entry.get("color_camera")
-        images = {key: _image(entry, key, name, path) for key in _IMAGES}
+        images = {key: _resolve_image(entry, key, name, path) for key in _IMAGE_KEYS}
         frames.append(
             Frame(
                 name=name,
@@ -207,26 +211,28 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 depth_scale=scale,
                 depth_missing=missing,
                 world_from_camera=pose,
-                timestamp=_timestamp(entry, name, path),
-                color_camera=None if own is None else _camera(own, None, path),
-                color_from_depth=_pose(entry, "color_from_depth", name, path),
+                timestamp=_parse_timestamp(entry, name, path),
+                color_camera=None if own is None else _parse_camera(own, None, path),
+                color_from_depth=_parse_pose(entry, "color_from_depth", name, path),
                 confidence=images["confidence"],
-                least_confidence=_least_confidence(entry, options, name, path),
+                min_confidence=_parse_min_confidence(entry, options, name, path),
                 mask=images["mask"],
-                depth_range=_depth_range(entry, name, path),
-                up=None if (up := _direction(entry, f"frame {name}: up", path)) is None else np.array(up),
-                shutter_turn=_shutter_turn(entry, name, path),
+                depth_range=_parse_depth_range(entry, name, path),
+                up=None
+                if (up := _parse_direction(entry, f"frame {name}: up", path)) is None
+                else np.array(up),
+                shutter_turn=_parse_shutter_turn(entry, name, path),
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
-    lacking = () if posed or not frames else (poses_missing("no frame has a pose"),)
+    lacking = () if posed or not frames else (describe_missing_poses("no frame has a pose"),)
     return Scan(
-        LAYOUT.name, frames, None, folder, missing=lacking, up=_up(document, path), is_metric=is_metric
+        LAYOUT.name, frames, None, folder, missing=lacking, up=_parse_up(document, path), is_metric=is_metric
     )
 
 
-def _up(document: dict[str, Any], path: Path) -> WorldUp | None:
-    direction, source = _direction(document, "up", path), document.get("up_source", FILE)
+def _parse_up(document: dict[str, Any], path: Path) -> WorldUp | None:
+    direction, source = _parse_direction(document, "up", path), document.get("up_source", SCAN_FILE)
     if direction is None:
         return None
     if not isinstance(source, str):
@@ -234,19 +240,21 @@ def _up(document: dict[str, Any], path: Path) -> WorldUp | None:
     return WorldUp(direction, source)
 
 
-def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | None:
+def _parse_direction(table: dict[str, Any], where: str, path: Path) -> Direction | None:
     value = table.get("up")
     if value is None:
         return None
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
-    length = math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _LARGEST else math.nan
-    if not length > 1 / _LARGEST:
+    length = (
+        math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _MAX_COMPONENT else math.nan
+    )
+    if not length > 1 / _MAX_COMPONENT:
         raise InputError(FILE_TEXT_INVALID, "{place} must be three numbers, not all 0.", path, place=where)
     x, y, z = (one / length for one in numbers)
     return x, y, z
 
 
-def _name(entry: object, position: int, path: Path) -> str:
+def _parse_name(entry: object, position: int, path: Path) -> str:
     name = entry.get("name", f"{position:06d}") if isinstance(entry, dict) else None
     if not isinstance(name, str):
         raise InputError(
@@ -255,23 +263,23 @@ def _name(entry: object, position: int, path: Path) -> str:
     return name
 
 
-def _image(entry: dict[str, Any], key: str, name: str, path: Path) -> Path | None:
+def _resolve_image(entry: dict[str, Any], key: str, name: str, path: Path) -> Path | None:
     value = entry.get(key)
     if value is None:
         return None
-    return inside(path.parent, value, f"frame {name}: {key}", path)
+    return resolve_inside(path.parent, value, f"frame {name}: {key}", path)
 
 
-def _pose(entry: dict[str, Any], key: str, name: str, path: Path) -> Pose | None:
+def _parse_pose(entry: dict[str, Any], key: str, name: str, path: Path) -> Pose | None:
     value = entry.get(key)
     if value is None:
         return None
     where = f"frame {name}" if key == "world_from_camera" else f"frame {name}: {key}"
-    return rigid(matrix_of(value, path, where), path, where)
+    return check_rigid_pose(parse_pose_matrix(value, path, where), path, where)
 
 
-def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, path: Path) -> int:
-    value = entry.get("least_confidence", 0) if options.least_confidence is None else options.least_confidence
+def _parse_min_confidence(entry: dict[str, Any], options: ReadingParams, name: str, path: Path) -> int:
+    value = entry.get("min_confidence", 0) if options.min_confidence is None else options.min_confidence
     if not isinstance(value, int) or not 0 <= value <= 255:
         raise InputError(
             SCAN_TABLE_DAMAGED,
@@ -282,12 +290,12 @@ def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, 
     return value
 
 
-def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, float] | None:
+def _parse_depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, float] | None:
     value = entry.get("depth_range")
     if value is None:
         return None
     numbers = value if isinstance(value, list) and all(isinstance(one, (int, float)) for one in value) else []
-    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _FARTHEST_M:
+    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _MAX_DEPTH_M:
         raise InputError(
             SCAN_TABLE_DAMAGED,
             "frame {name}: depth_range must be two numbers in metres, minimum < maximum.",
@@ -297,12 +305,12 @@ def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, f
     return float(numbers[0]), float(numbers[1])
 
 
-def _shutter_turn(entry: dict[str, Any], name: str, path: Path) -> NDArray[np.float64] | None:
+def _parse_shutter_turn(entry: dict[str, Any], name: str, path: Path) -> NDArray[np.float64] | None:
     value = entry.get("shutter_turn")
-    return None if value is None else turn_of(value, path, f"frame {name}")
+    return None if value is None else parse_shutter_turn(value, path, f"frame {name}")
 
 
-def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
+def _parse_timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
     value = entry.get("timestamp")
     if value is not None and (not isinstance(value, int) or abs(value) >= 1 << 62):
         raise InputError(
@@ -314,7 +322,7 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
     return value
 
 
-def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
+def _parse_camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
     """Read a camera table, unless `options` give the camera."""
     if not isinstance(table, dict):
         raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a JSON object.", path)
@@ -323,11 +331,11 @@ def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
         raise InputError(
             SCAN_TABLE_DAMAGED, "width and height of a camera in pixels are missing or invalid.", path
         )
-    stated = None if options is None else options.camera(width, height)
-    return stated or calibration.camera_from_table(table, width, height, path)
+    stated = None if options is None else options.get_camera(width, height)
+    return stated or calibration.parse_camera_table(table, width, height, path)
 
 
-def _positive(value: object, path: Path) -> float:
+def _parse_positive(value: object, path: Path) -> float:
     if not isinstance(value, (int, float)) or not 0 < value < 1e12:
         raise InputError(
             SCAN_TABLE_DAMAGED, "depth_scale is {value!r}; it must be a positive number.", path, value=value
@@ -335,7 +343,7 @@ def _positive(value: object, path: Path) -> float:
     return float(value)
 
 
-def _integers(values: object, path: Path) -> tuple[int, ...]:
+def _parse_integers(values: object, path: Path) -> tuple[int, ...]:
     if not isinstance(values, list) or not all(isinstance(value, int) for value in values):
         raise InputError(SCAN_TABLE_DAMAGED, "depth_missing must be a list of whole numbers.", path)
     return tuple(values)
@@ -343,7 +351,7 @@ def _integers(values: object, path: Path) -> tuple[int, ...]:
 
 LAYOUT = Layout(
     name="plain-rgbd",
-    text="scan.json, color/, depth/ (scanloom's own)",
+    description="scan.json, color/, depth/ (scanloom's own)",
     matches=_matches,
     read=_read,
 )

@@ -15,14 +15,14 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import RECORDING_DAMAGED
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED
-from scanloom.stages.scans.layouts.shared.axis_alignment import up_of_scannet
+from scanloom.stages.scans.layouts.shared.axis_alignment import find_scannet_up
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.poses import check_rigid_pose
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.scan import Camera, Frame, PackedImage, Pose, Scan, SkippedFrame
 from scanloom.stages.scans.recordings import sens
-from scanloom.stages.scans.recordings.choice import one_recording
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.recordings.recording_selection import find_single_recording
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 
 def _matches(folder: Path) -> str | None:
@@ -30,14 +30,14 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    recording = sens.read_sens(one_recording(folder, ".sens"))
-    camera, color_camera = _cameras(recording, folder, options)
+    recording = sens.read_sens(find_single_recording(folder, ".sens"))
+    camera, color_camera = _read_cameras(recording, folder, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for number, (entry, pose) in enumerate(
-        zip(recording.frames, _poses(recording, folder, options), strict=True)
+        zip(recording.frames, _read_poses(recording, folder, options), strict=True)
     ):
-        name, color = _name(number), None
+        name, color = _format_name(number), None
         if isinstance(pose, SkippedFrame):
             skipped.append(pose)
             continue
@@ -45,32 +45,32 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             if not entry.color.size:
                 skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
                 continue
-            color = _packed(recording, entry.color, f"colour {name}", sens.read_color)
+            color = _wrap_blob(recording, entry.color, f"colour {name}", sens.read_color)
         frames.append(
             Frame(
                 name=name,
                 camera=camera,
                 color=color,
-                depth=_packed(recording, entry.depth, f"depth {name}", sens.read_depth),
+                depth=_wrap_blob(recording, entry.depth, f"depth {name}", sens.read_depth),
                 depth_scale=options.depth_scale or recording.depth_scale,
                 world_from_camera=pose,
                 color_camera=color_camera,
             )
         )
     _check_header(recording)
-    up = up_of_scannet(recording.path, LAYOUT.name)
+    up = find_scannet_up(recording.path, LAYOUT.name)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), up=up)
 
 
-def _check_header(recording: sens.Sens) -> None:
+def _check_header(recording: sens.SensFile) -> None:
     """Warn about truncated files and ignored extrinsics."""
-    if len(recording.frames) < recording.promised:
+    if len(recording.frames) < recording.stated_frame_count:
         emit(
             RECORDING_DAMAGED.warning(
                 "the file is truncated or damaged: {count} of {promised} frames are readable",
                 recording.path,
                 count=len(recording.frames),
-                promised=recording.promised,
+                promised=recording.stated_frame_count,
             )
         )
     extrinsics = (recording.color_extrinsic, recording.depth_extrinsic)
@@ -82,59 +82,63 @@ def _check_header(recording: sens.Sens) -> None:
         )
 
 
-def _cameras(recording: sens.Sens, folder: Path, options: ReadingParams) -> tuple[Camera, Camera | None]:
+def _read_cameras(
+    recording: sens.SensFile, folder: Path, options: ReadingParams
+) -> tuple[Camera, Camera | None]:
     """Return the depth camera, and the colour camera (None without colour)."""
     size, path = recording.depth_size, recording.path
-    stated, given = options.camera(*size), options.file("calibration", folder)
+    stated, given = options.get_camera(*size), options.resolve_file("calibration", folder)
     if stated is not None:
         camera = stated
     elif given is not None:
         camera = calibration.read_camera(given, *size)
     else:
-        camera = calibration.matrix_camera(recording.depth_matrix, (), *size, path)
+        camera = calibration.create_camera_from_matrix(recording.depth_matrix, (), *size, path)
     if not any(frame.color.size for frame in recording.frames):
         return camera, None
-    return camera, calibration.matrix_camera(recording.color_matrix, (), *recording.color_size, path)
+    return camera, calibration.create_camera_from_matrix(
+        recording.color_matrix, (), *recording.color_size, path
+    )
 
 
-def _poses(
-    recording: sens.Sens, folder: Path, options: ReadingParams
+def _read_poses(
+    recording: sens.SensFile, folder: Path, options: ReadingParams
 ) -> Sequence[Pose | SkippedFrame | None]:
     """Return the pose of each frame, or the reason to skip it.
 
     A pose is None if tracking was lost.
     """
-    given = options.file("poses", folder)
+    given = options.resolve_file("poses", folder)
     if given is None:
-        return [_pose(frame, number, recording.path) for number, frame in enumerate(recording.frames)]
-    names = [_name(number) for number in range(len(recording.frames))]
-    return trajectories.match(trajectories.read_trajectory(given), names, given)
+        return [_parse_pose(frame, number, recording.path) for number, frame in enumerate(recording.frames)]
+    names = [_format_name(number) for number in range(len(recording.frames))]
+    return trajectories.match_poses_to_frames(trajectories.read_trajectory(given), names, given)
 
 
-def _pose(frame: sens.SensFrame, number: int, path: Path) -> Pose | SkippedFrame | None:
+def _parse_pose(frame: sens.SensFrame, number: int, path: Path) -> Pose | SkippedFrame | None:
     # The user cannot correct a single pose in a packed file, so an invalid pose only skips its frame.
     try:
-        return rigid(frame.pose, path, f"frame {number}")
+        return check_rigid_pose(frame.pose, path, f"frame {number}")
     except InputError as error:
-        return SkippedFrame(_name(number), error.diagnostic)
+        return SkippedFrame(_format_name(number), error.diagnostic)
 
 
-def _name(number: int) -> str:
+def _format_name(number: int) -> str:
     return f"{number:06d}"
 
 
-def _packed(
-    recording: sens.Sens,
+def _wrap_blob(
+    recording: sens.SensFile,
     blob: sens.Blob,
     name: str,
-    read: Callable[[sens.Sens, sens.Blob, str], NDArray[Any]],
-) -> Packed:
-    return Packed(recording.path, name, partial(read, recording, blob, name))
+    read: Callable[[sens.SensFile, sens.Blob, str], NDArray[Any]],
+) -> PackedImage:
+    return PackedImage(recording.path, name, partial(read, recording, blob, name))
 
 
 LAYOUT = Layout(
     name="scannet-sens",
-    text=".sens (ScanNet, packed)",
+    description=".sens (ScanNet, packed)",
     matches=_matches,
     read=_read,
     suffixes=(".sens",),

@@ -24,21 +24,27 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_DEPTH_FORMAT
-from scanloom.stages.files.images import read_raw_depth, read_stored
+from scanloom.stages.files.images import read_raw_depth, read_stored_image
 from scanloom.stages.scans.calibration import rig_calibration
-from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.codes import SCAN_FILES_MISSING
-from scanloom.stages.scans.image_folders.image_files import DEPTHS, common_size, first_existing, images, pair
+from scanloom.stages.scans.image_folders.image_files import (
+    DEPTH_SUFFIXES,
+    find_common_size,
+    find_first_existing,
+    list_images,
+    match_by_number,
+)
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
+from scanloom.stages.scans.model.scan import Camera, Frame, PackedImage, Pose, Scan, StereoRig, scale_camera
 from scanloom.stages.scans.model.world import Z_DOWN
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 
 @dataclass(frozen=True)
-class _View:
+class _ViewFiles:
     """Folder and file names of one view direction, and its camera."""
 
     left: str
@@ -48,14 +54,14 @@ class _View:
     camera: Camera
 
 
-_FIRST = _View(
+_VERSION_1_VIEW = _ViewFiles(
     "image_left", "image_right", "depth_left", "pose_left.txt", Camera(640, 480, 320.0, 320.0, 320.0, 240.0)
 )
 # In order of preference: the front view first.
 _VIEWS = (
-    _FIRST,
+    _VERSION_1_VIEW,
     *(
-        _View(
+        _ViewFiles(
             f"image_lcam_{way}",
             f"image_rcam_{way}",
             f"depth_lcam_{way}",
@@ -67,9 +73,9 @@ _VIEWS = (
         for way in ("front", "left", "right", "back", "top", "bottom")
     ),
 )
-_BASELINE = 0.25
+_BASELINE_M = 0.25
 # Metres. The sky has a large depth that varies between scenes.
-_SKY = 1000.0
+_SKY_DEPTH_M = 1000.0
 # Camera axes of the data set: x forward, y right, z down.
 _NED_FROM_CAMERA = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -85,12 +91,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         raise InputError(
             SCAN_FILES_MISSING, "a folder image_left/ (or image_lcam_front/) is required.", folder
         )
-    lefts = images(folder / view.left)
+    lefts = list_images(folder / view.left)
     has_depth = (folder / view.depth).is_dir()
     if has_depth:
-        others, name = images(folder / view.depth, DEPTHS), f"{view.depth}/"
+        others, name = list_images(folder / view.depth, DEPTH_SUFFIXES), f"{view.depth}/"
     elif (folder / view.right).is_dir():
-        others, name = images(folder / view.right), f"{view.right}/"
+        others, name = list_images(folder / view.right), f"{view.right}/"
     else:
         raise InputError(
             SCAN_FILES_MISSING,
@@ -99,19 +105,19 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             depth=view.depth,
             right=view.right,
         )
-    pairs, skipped = pair(lefts, others, f"{view.left}/", name, folder)
+    pairs, skipped = match_by_number(lefts, others, f"{view.left}/", name, folder)
     names = [left.stem for left, _ in pairs]
-    poses, missing = _poses(folder, options, view, names)
-    size = common_size([left for left, _ in pairs])
-    camera = stated_camera(options, folder, *size) or scaled(view.camera, *size)
-    rig = None if has_depth else _rig(camera, options)
+    poses, missing = _read_poses(folder, options, view, names)
+    size = find_common_size([left for left, _ in pairs])
+    camera = get_stated_camera(options, folder, *size) or scale_camera(view.camera, *size)
+    rig = None if has_depth else _create_rig(camera, options)
     frames = [
         Frame(
             name=frame_name,
             camera=camera,
             color=left,
             right=None if has_depth else other,
-            depth=Packed(other, "depth", partial(_depth, other)) if has_depth else None,
+            depth=PackedImage(other, "depth", partial(_read_depth, other)) if has_depth else None,
             depth_scale=options.depth_scale or 1.0,
             world_from_camera=pose,
         )
@@ -120,46 +126,46 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
-def _poses(
-    folder: Path, options: ReadingParams, view: _View, names: Sequence[str]
+def _read_poses(
+    folder: Path, options: ReadingParams, view: _ViewFiles, names: Sequence[str]
 ) -> tuple[list[Pose | None], tuple[Diagnostic, ...]]:
     """Return a pose per frame with OpenCV camera axes, and missing-pose diagnostics."""
-    given = options.file("poses", folder)
-    path = given or first_existing(folder, view.poses)
+    given = options.resolve_file("poses", folder)
+    path = given or find_first_existing(folder, view.poses)
     if path is None:
-        return [None] * len(names), (poses_missing("{file} is missing", file=view.poses),)
+        return [None] * len(names), (describe_missing_poses("{file} is missing", file=view.poses),)
     if given is not None and given.name != view.poses:
-        return trajectories.match(trajectories.read_trajectory(given), names, given), ()
+        return trajectories.match_poses_to_frames(trajectories.read_trajectory(given), names, given), ()
     trajectory = trajectories.read_translation_first(path)
-    poses = trajectories.match(trajectory, names, path)
+    poses = trajectories.match_poses_to_frames(trajectory, names, path)
     return [None if pose is None else pose @ _NED_FROM_CAMERA for pose in poses], ()
 
 
-def _depth(path: Path) -> NDArray[Any]:
+def _read_depth(path: Path) -> NDArray[Any]:
     """Read a depth map with the sky set to 0 (missing)."""
-    raw = _unpacked(path) if path.suffix == ".png" else read_raw_depth(path)
-    return np.where(raw < _SKY, raw, 0)
+    raw = _read_packed_depth(path) if path.suffix == ".png" else read_raw_depth(path)
+    return np.where(raw < _SKY_DEPTH_M, raw, 0)
 
 
-def _unpacked(path: Path) -> NDArray[np.float32]:
+def _read_packed_depth(path: Path) -> NDArray[np.float32]:
     """Decode float32 depth from an image with four 8-bit channels.
 
     Blue, green, red and alpha are the bytes of a value, lowest first.
     """
-    channels = read_stored(path)
+    channels = read_stored_image(path)
     if channels.dtype != np.uint8 or channels.ndim != 3 or channels.shape[2] != 4:
         raise InputError(FILE_DEPTH_FORMAT, "a depth map packed into four 8-bit channels is expected.", path)
     return np.ascontiguousarray(channels).view("<f4")[:, :, 0]
 
 
-def _rig(camera: Camera, options: ReadingParams) -> StereoRig:
-    beside = rig_calibration.with_baseline(np.eye(4), options.baseline or _BASELINE)
-    return StereoRig(camera, camera, beside, rectified=True)
+def _create_rig(camera: Camera, options: ReadingParams) -> StereoRig:
+    right_from_left = rig_calibration.set_baseline(np.eye(4), options.baseline or _BASELINE_M)
+    return StereoRig(camera, camera, right_from_left, is_rectified=True)
 
 
 LAYOUT = Layout(
     name="tartanair",
-    text="image_left/ (or image_lcam_front/), depth_left/ or image_right/, pose_left.txt (TartanAir)",
+    description="image_left/ (or image_lcam_front/), depth_left/ or image_right/, pose_left.txt (TartanAir)",
     matches=_matches,
     read=_read,
     up=Z_DOWN,

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.images import (
     decode_color,
-    file_bytes,
+    read_image_bytes,
     read_raw_depth,
-    read_stored,
+    read_stored_image,
     require_raw_depth,
 )
 from scanloom.stages.scans.codes import (
@@ -28,14 +28,22 @@ from scanloom.stages.scans.codes import (
     CAMERA_PAIR_UNCALIBRATED,
     FRAME_IMAGE_MISSING,
 )
-from scanloom.stages.scans.model.rolling_shutter import turn_of_color
-from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
-from scanloom.stages.scans.model.undistortion import Maps, maps_of, undistorted
+from scanloom.stages.scans.model.rolling_shutter import get_color_shutter_turn
+from scanloom.stages.scans.model.scan import (
+    Camera,
+    ColorImage,
+    DepthImage,
+    Frame,
+    PackedImage,
+    scale_camera,
+    to_pinhole,
+)
+from scanloom.stages.scans.model.undistortion import SamplingMaps, compute_sampling_maps, resample_to_pinhole
 
 # Metres; smaller depth is invalid, and its inverse would overflow.
-_NEAREST = 1e-6
+_MIN_DEPTH_M = 1e-6
 # Relative tolerance of the aspect ratio between image and camera, for rounded image sizes.
-_SAME_SHAPE = 0.02
+_ASPECT_TOLERANCE = 0.02
 
 
 def read_color(frame: Frame) -> ColorImage | None:
@@ -53,11 +61,14 @@ def read_color(frame: Frame) -> ColorImage | None:
     """
     if frame.color is None:
         return None
-    image = _color(frame.color, frame.name)
+    image = _read_color_source(frame.color, frame.name)
     camera = frame.color_camera or frame.camera
     if frame.depth is None:
         return image
-    return cast(ColorImage, undistorted(image, _maps(image, camera, turn_of_color(frame)), smooth=True))
+    return cast(
+        ColorImage,
+        resample_to_pinhole(image, _compute_maps(image, camera, get_color_shutter_turn(frame)), smooth=True),
+    )
 
 
 def read_pinhole(frame: Frame) -> ColorImage | None:
@@ -76,8 +87,8 @@ def read_pinhole(frame: Frame) -> ColorImage | None:
     if image is None:
         return None
     require_size(image, frame.camera, frame.color, frame.name)
-    maps = _maps(image, frame.camera, turn_of_color(frame))
-    return cast(ColorImage, undistorted(image, maps, smooth=True))
+    maps = _compute_maps(image, frame.camera, get_color_shutter_turn(frame))
+    return cast(ColorImage, resample_to_pinhole(image, maps, smooth=True))
 
 
 def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | None]:
@@ -86,7 +97,7 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
     Returns
     -------
     image : (h, w, 3) uint8 RGB at its stored size.
-    camera : pinhole camera of the image: `color_camera`, or `camera` if the frame has no separate one.
+    camera : pinhole camera of the image: `get_color_camera`, or `camera` if the frame has no separate one.
     valid : (h, w) bool, False outside the mask and where undistortion samples beyond the image. None if all
         pixels are valid.
 
@@ -97,25 +108,27 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
         camera is not calibrated.
     """
     if frame.color is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
-    image = _color(frame.color, frame.name)
-    height, width = image.shape[:2]
-    known = frame.color_camera or frame.camera
-    if not known.is_calibrated:
         raise InputError(
-            CAMERA_PAIR_UNCALIBRATED, "its camera is not calibrated.", _called(frame.color, frame.name)
+            FRAME_IMAGE_MISSING, "there is no colour image.", DiagnosticLocation(frame=frame.name)
         )
-    if abs(width * known.height / (height * known.width) - 1) > _SAME_SHAPE:
-        require_size(image, known, frame.color, frame.name)
-    camera = scaled(known, width, height)
+    image = _read_color_source(frame.color, frame.name)
+    height, width = image.shape[:2]
+    source_camera = frame.color_camera or frame.camera
+    if not source_camera.is_calibrated:
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED, "its camera is not calibrated.", _locate_source(frame.color, frame.name)
+        )
+    if abs(width * source_camera.height / (height * source_camera.width) - 1) > _ASPECT_TOLERANCE:
+        require_size(image, source_camera, frame.color, frame.name)
+    camera = scale_camera(source_camera, width, height)
     mask = read_mask(frame)
-    seen = None if mask is None else _in_size(mask, camera)
-    maps = maps_of(camera, width, height, turn_of_color(frame))
+    valid = None if mask is None else _resize_to_camera(mask, camera)
+    maps = compute_sampling_maps(camera, width, height, get_color_shutter_turn(frame))
     if maps is not None:
-        image = cast(ColorImage, undistorted(image, maps, smooth=True, sharp=True))
-        whole = np.full((height, width), 255, np.uint8) if seen is None else seen
-        seen = cast("NDArray[np.uint8]", undistorted(whole, maps, smooth=False))
-    return image, pinhole(camera), None if seen is None else seen > 0
+        image = cast(ColorImage, resample_to_pinhole(image, maps, smooth=True, sharp=True))
+        whole = np.full((height, width), 255, np.uint8) if valid is None else valid
+        valid = cast("NDArray[np.uint8]", resample_to_pinhole(whole, maps, smooth=False))
+    return image, to_pinhole(camera), None if valid is None else valid > 0
 
 
 def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
@@ -133,19 +146,19 @@ def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
     """
     if frame.mask is None:
         return None
-    image = _stored(frame.mask)
+    image = _read_source(frame.mask)
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
             "a mask with 8 bits per channel is expected, not {image_shape} {image_dtype}.",
-            _called(frame.mask, frame.name),
+            _locate_source(frame.mask, frame.name),
             image_shape=image.shape,
             image_dtype=image.dtype,
         )
-    return _in_size(image if image.ndim == 2 else image[:, :, :3].max(axis=2), frame.camera)
+    return _resize_to_camera(image if image.ndim == 2 else image[:, :, :3].max(axis=2), frame.camera)
 
 
-def read_seen(frame: Frame) -> NDArray[np.bool_]:
+def read_valid_pixels(frame: Frame) -> NDArray[np.bool_]:
     """Return the valid pixels of the image that `read_pinhole` returns.
 
     Returns
@@ -158,8 +171,10 @@ def read_seen(frame: Frame) -> NDArray[np.bool_]:
         As `read_mask`.
     """
     mask = read_mask(frame)
-    seen = np.full((frame.camera.height, frame.camera.width), 255, np.uint8) if mask is None else mask
-    return undistorted(seen, _maps(seen, frame.camera, frame.shutter_turn), smooth=False) > 0
+    valid = np.full((frame.camera.height, frame.camera.width), 255, np.uint8) if mask is None else mask
+    return (
+        resample_to_pinhole(valid, _compute_maps(valid, frame.camera, frame.shutter_turn), smooth=False) > 0
+    )
 
 
 def read_right(frame: Frame) -> ColorImage | None:
@@ -169,7 +184,7 @@ def read_right(frame: Frame) -> ColorImage | None:
     -------
     (h, w, 3) uint8 RGB with lens distortion; None if the frame has no right image.
     """
-    return None if frame.right is None else _color(frame.right, frame.name)
+    return None if frame.right is None else _read_color_source(frame.right, frame.name)
 
 
 def read_depth(frame: Frame) -> DepthImage | None:
@@ -177,7 +192,7 @@ def read_depth(frame: Frame) -> DepthImage | None:
 
     Returns
     -------
-    (h, w) float32 metres along the optical axis, 0 where missing, masked or below `least_confidence`. None if
+    (h, w) float32 metres along the optical axis, 0 where missing, masked or below `min_confidence`. None if
     the frame has no depth.
 
     Raises
@@ -191,16 +206,16 @@ def read_depth(frame: Frame) -> DepthImage | None:
         # Copied, because mask and confidence are applied in place.
         depth = np.array(frame.depth, np.float32)
     else:
-        depth = _stored_depth(frame.depth, frame)
+        depth = _read_stored_depth(frame.depth, frame)
     require_size(depth, frame.camera, frame.depth, frame.name)
     if frame.confidence is not None:
-        depth[_confidence(frame.confidence, frame) < frame.least_confidence] = 0
+        depth[_read_confidence(frame.confidence, frame) < frame.min_confidence] = 0
     mask = read_mask(frame)
     if mask is not None:
         depth[mask == 0] = 0
-    maps = _maps(depth, frame.camera, frame.shutter_turn)
-    depth = cast(DepthImage, undistorted(depth, maps, smooth=False))
-    return np.where(np.isfinite(depth) & (depth > _NEAREST), depth, np.float32(0))
+    maps = _compute_maps(depth, frame.camera, frame.shutter_turn)
+    depth = cast(DepthImage, resample_to_pinhole(depth, maps, smooth=False))
+    return np.where(np.isfinite(depth) & (depth > _MIN_DEPTH_M), depth, np.float32(0))
 
 
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
@@ -213,7 +228,7 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
                 "the image is {width}×{height} px, but its camera is calibrated for "
                 "{camera_width}×{camera_height} px."
             ),
-            _called(source, name),
+            _locate_source(source, name),
             remedy="Give images of the calibrated size, or a calibration for this size.",
             width=width,
             height=height,
@@ -222,23 +237,25 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
         )
 
 
-def _maps(image: NDArray[Any], camera: Camera, turn: NDArray[np.float64] | None) -> Maps | None:
-    return maps_of(camera, image.shape[1], image.shape[0], turn)
+def _compute_maps(
+    image: NDArray[Any], camera: Camera, turn: NDArray[np.float64] | None
+) -> SamplingMaps | None:
+    return compute_sampling_maps(camera, image.shape[1], image.shape[0], turn)
 
 
-def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
+def _read_color_source(source: Path | PackedImage | ColorImage, name: str) -> ColorImage:
     import cv2
 
-    if isinstance(source, Packed):
+    if isinstance(source, PackedImage):
         source, name = source.load(), str(source)
     if isinstance(source, Path):
-        return decode_color(file_bytes(source), source)
+        return decode_color(read_image_bytes(source), source)
     image = np.asarray(source)
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
             "colour must be (h, w, 3) uint8, not {image_shape} {image_dtype}.",
-            Where(frame=name),
+            DiagnosticLocation(frame=name),
             image_shape=image.shape,
             image_dtype=image.dtype,
         )
@@ -247,7 +264,7 @@ def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
     return cast(ColorImage, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
 
 
-def _stored_depth(source: Path | Packed, frame: Frame) -> DepthImage:
+def _read_stored_depth(source: Path | PackedImage, frame: Frame) -> DepthImage:
     if isinstance(source, Path):
         raw = read_raw_depth(source)
     else:
@@ -258,27 +275,27 @@ def _stored_depth(source: Path | Packed, frame: Frame) -> DepthImage:
     return depth
 
 
-def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDArray[np.uint8]:
+def _read_confidence(source: Path | PackedImage | NDArray[np.uint8], frame: Frame) -> NDArray[np.uint8]:
     """Read the confidence map, resized to the depth map without interpolation."""
-    image = _stored(source)
+    image = _read_source(source)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
             "a single-channel 8-bit confidence map is expected, not {image_shape} {image_dtype}.",
-            _called(source, frame.name),
+            _locate_source(source, frame.name),
             image_shape=image.shape,
             image_dtype=image.dtype,
         )
-    return _in_size(image, frame.camera)
+    return _resize_to_camera(image, frame.camera)
 
 
-def _stored(source: Path | Packed | NDArray[np.uint8]) -> NDArray[Any]:
+def _read_source(source: Path | PackedImage | NDArray[np.uint8]) -> NDArray[Any]:
     if isinstance(source, Path):
-        return read_stored(source)
-    return source.load() if isinstance(source, Packed) else source
+        return read_stored_image(source)
+    return source.load() if isinstance(source, PackedImage) else source
 
 
-def _in_size(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
+def _resize_to_camera(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
     import cv2
 
     size = (camera.width, camera.height)
@@ -286,8 +303,8 @@ def _in_size(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint8)
 
 
-def _called(source: object, name: str) -> Path | str | Where:
+def _locate_source(source: object, name: str) -> Path | str | DiagnosticLocation:
     """Return the location of an image for messages."""
     if isinstance(source, Path):
         return source
-    return str(source) if isinstance(source, Packed) else Where(frame=name)
+    return str(source) if isinstance(source, PackedImage) else DiagnosticLocation(frame=name)

@@ -17,12 +17,12 @@ Pose = NDArray[np.float64]
 # Maximum deviation of RᵀR from identity; files round to about six digits.
 _RIGID_TOLERANCE = 1e-3
 # Maximum plausible translation in metres or rotation in radians; larger values are damaged.
-LARGEST_VALUE = 1e9
+MAX_POSE_VALUE = 1e9
 # Radians; no camera rotates more during the readout of one image.
-_MOST_TURN = 1.0
+_MAX_SHUTTER_TURN_RAD = 1.0
 
 # From camera axes with y up and z backward (OpenGL) to y down and z forward (OpenCV).
-_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+_OPENCV_FROM_OPENGL = np.diag((1.0, -1.0, -1.0, 1.0))
 
 # Pose conventions that the user can state if the file does not follow its format.
 WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP = "world-to-camera", "y-up", "world-to-camera-y-up"
@@ -30,7 +30,7 @@ AS_WRITTEN = "as-written"
 CONVENTIONS = (AS_WRITTEN, WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP)
 
 
-def inverted(pose: Pose) -> Pose:
+def invert_pose(pose: Pose) -> Pose:
     """Invert a rigid (4, 4) pose."""
     inverse = np.eye(4)
     inverse[:3, :3] = pose[:3, :3].T
@@ -43,17 +43,17 @@ def from_opengl(pose: Pose) -> Pose:
 
     OpenGL: y up, z backward. OpenCV: y down, z forward.
     """
-    return np.asarray(pose @ _FLIP)
+    return np.asarray(pose @ _OPENCV_FROM_OPENGL)
 
 
-def meant(pose: Pose, convention: str) -> Pose:
+def to_camera_to_world(pose: Pose, convention: str) -> Pose:
     """Convert a (4, 4) pose of one of `CONVENTIONS` to world_from_camera in OpenCV axes."""
     if convention in (WORLD_TO_CAMERA, WORLD_TO_CAMERA_Y_UP):
-        pose = inverted(pose)
+        pose = invert_pose(pose)
     return from_opengl(pose) if convention in (Y_UP, WORLD_TO_CAMERA_Y_UP) else pose
 
 
-def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pose | None:
+def check_rigid_pose(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pose | None:
     """Check a 3x4 or 4x4 matrix and return it as a rigid (4, 4) pose.
 
     Returns None if all values are infinite or NaN (lost tracking).
@@ -79,15 +79,15 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
             POSE_INVALID,
             "{at}the pose holds a value that is not finite; correct it or remove its frame.",
             path,
-            at=at,
+            replace_location=at,
         )
     if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=_RIGID_TOLERANCE):
         raise InputError(
             POSE_INVALID,
             "{at}the last row of the pose is {words}, not 0 0 0 1; is it stored column-major?",
             path,
-            at=at,
-            words=_words(matrix[3]),
+            replace_location=at,
+            words=_format_row(matrix[3]),
         )
     rotation = top[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -102,16 +102,16 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
                 "where 0.001 is allowed."
             ),
             path,
-            at=at,
+            replace_location=at,
             kind=kind,
             deviation=deviation,
         )
-    if np.abs(top[:, 3]).max() > LARGEST_VALUE:
+    if np.abs(top[:, 3]).max() > MAX_POSE_VALUE:
         raise InputError(
             POSE_INVALID,
             "{at}a translation of {max:g} is implausible.",
             path,
-            at=at,
+            replace_location=at,
             max=np.abs(top[:, 3]).max(),
         )
     pose = np.eye(4)
@@ -119,7 +119,7 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
     return pose
 
 
-def divided(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalise_homogeneous(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Divide a homogeneous (4, 4) pose by its last element.
 
     Only if its last row is 0 0 0 w and the result has a rotation as its 3x3 part; else the matrix is returned
@@ -133,7 +133,7 @@ def divided(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return whole if deviation <= _RIGID_TOLERANCE else matrix
 
 
-def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
+def parse_shutter_turn(value: object, path: Path, where: str) -> NDArray[np.float64]:
     """Parse the rotation of a camera during readout.
 
     A (3,) rotation vector in radians, see `Frame.shutter_turn`.
@@ -144,18 +144,18 @@ def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
         If the value is not three numbers, or the angle exceeds 1 radian.
     """
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
-    if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
+    if len(numbers) != 3 or not math.hypot(*numbers) <= _MAX_SHUTTER_TURN_RAD:
         raise InputError(
             POSE_INVALID,
             "{place}: shutter_turn must be a rotation vector of three numbers, at most {most_turn:g} rad.",
             path,
             place=where,
-            most_turn=_MOST_TURN,
+            most_turn=_MAX_SHUTTER_TURN_RAD,
         )
     return np.array(numbers, np.float64)
 
 
-def pose_from_quaternion(
+def create_pose_from_quaternion(
     translation: Sequence[float], quaternion: Sequence[float], path: Path, where: str
 ) -> Pose | None:
     """Create a (4, 4) pose from a translation (metres) and a quaternion x y z w.
@@ -186,10 +186,10 @@ def pose_from_quaternion(
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), translation[1]],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), translation[2]],
     ]
-    return rigid(np.array(rotation), path, where)
+    return check_rigid_pose(np.array(rotation), path, where)
 
 
-def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
+def parse_pose_matrix(value: object, path: Path, where: str) -> NDArray[np.float64]:
     """Convert nested rows (3x4 or 4x4) or 16 row-major numbers to a (4, 4) float64 matrix.
 
     Raises
@@ -208,5 +208,5 @@ def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     return matrix.reshape(4, 4)
 
 
-def _words(values: NDArray[np.float64]) -> str:
+def _format_row(values: NDArray[np.float64]) -> str:
     return " ".join(f"{value:g}" for value in values)

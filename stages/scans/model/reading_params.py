@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.scans.model.poses import AS_WRITTEN, CONVENTIONS
 from scanloom.stages.scans.model.scan import Camera
 
@@ -59,7 +59,7 @@ class ReadingParams:
         "part of the scene (a backdrop, moving objects) and get no depth.",
         is_path=True,
     )
-    adjusted: str | None = param(
+    adjusted_cameras: str | None = param(
         None,
         "cameras.json of `scanloom adjust`, or of the folder adjusted/ of a run. Its poses and colour camera "
         "replace the folder's.",
@@ -72,7 +72,7 @@ class ReadingParams:
         low=0,
         low_open=True,
     )
-    least_confidence: int | None = param(
+    min_confidence: int | None = param(
         None,
         "Minimum confidence of depth; depth below it is ignored. Polycam has the levels 0, 127 and 255, "
         "other phones 0, 1 and 2. By default only the lowest level is ignored.",
@@ -109,10 +109,10 @@ class ReadingParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
-        self.camera(1, 1)
+        check_parameters(self)
+        self.get_camera(1, 1)
 
-    def camera(self, width: int, height: int) -> Camera | None:
+    def get_camera(self, width: int, height: int) -> Camera | None:
         """Return the camera from `intrinsics` for a given image size.
 
         Returns None if not given.
@@ -132,12 +132,12 @@ class ReadingParams:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 "is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5.",
-                Where(parameter="intrinsics"),
+                DiagnosticLocation(parameter="intrinsics"),
                 intrinsics=self.intrinsics,
             )
         return Camera(width, height, fx, fy, cx, cy)
 
-    def file(self, name: str, folder: Path) -> Path | None:
+    def resolve_file(self, name: str, folder: Path) -> Path | None:
         """Return the path that a parameter names; None if not given.
 
         If the path does not exist but exists inside the scan folder, the latter is returned.

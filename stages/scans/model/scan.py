@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.printing import counted, line, table
+from scanloom.stages.printing import format_count, format_line, render_table
 from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING, USAGE_FRAME_INVALID
-from scanloom.stages.scans.model.arrays import (
+from scanloom.stages.scans.model.array_validation import (
     check_color,
     check_depth,
     check_distortion,
@@ -27,7 +27,7 @@ from scanloom.stages.scans.model.arrays import (
     check_intrinsics,
     check_pose,
 )
-from scanloom.stages.scans.model.thumbnail import thumbnail
+from scanloom.stages.scans.model.thumbnail import render_thumbnail
 from scanloom.stages.scans.model.world import Scale, WorldUp
 
 Pose = NDArray[np.float64]
@@ -35,7 +35,7 @@ ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 
 # Relative tolerance between aspect ratios of colour and depth image, for rounded image sizes.
-_SAME_SHAPE = 0.02
+_ASPECT_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class Camera:
 
     def __repr__(self) -> str:
         known = f"fx {self.fx:.6g}, fy {self.fy:.6g}, cx {self.cx:.6g}, cy {self.cy:.6g} px"
-        lens = "fisheye" if self.fisheye else counted(len(self.distortion), "distortion coefficient")
+        lens = "fisheye" if self.fisheye else format_count(len(self.distortion), "distortion coefficient")
         size = f"{self.width} × {self.height} px"
-        return line(self, (size, known if self.is_calibrated else "not calibrated", lens))
+        return format_line(self, (size, known if self.is_calibrated else "not calibrated", lens))
 
     @property
     def is_calibrated(self) -> bool:
@@ -79,12 +79,12 @@ class Camera:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
 
 
-def pinhole(camera: Camera) -> Camera:
+def to_pinhole(camera: Camera) -> Camera:
     """Return the camera without lens distortion, for undistorted images."""
     return replace(camera, distortion=(), fisheye=False)
 
 
-def scaled(camera: Camera, width: int, height: int) -> Camera:
+def scale_camera(camera: Camera, width: int, height: int) -> Camera:
     """Return the camera for the same images resized.
 
     Pixel centres stay at integers.
@@ -110,19 +110,21 @@ class StereoRig:
     Attributes
     ----------
     right_from_left : (4, 4) float64, metres: maps points from left to right camera coordinates.
-    rectified : rows of both images correspond; the baseline is then -right_from_left[0, 3].
-    disparities : maximum number of disparities if the calibration file states it, or None.
+    is_rectified : rows of both images correspond; the baseline is then -right_from_left[0, 3].
+    disparity_count : maximum number of disparities if the calibration file states it, or None.
     """
 
     left: Camera
     right: Camera
     right_from_left: Pose
-    rectified: bool
-    disparities: int | None = None
+    is_rectified: bool
+    disparity_count: int | None = None
 
     def __repr__(self) -> str:
         size = f"{self.left.width} × {self.left.height} px"
-        return line(self, (size, f"baseline {self.baseline:.4g} m", "rectified" if self.rectified else ""))
+        return format_line(
+            self, (size, f"baseline {self.baseline:.4g} m", "rectified" if self.is_rectified else "")
+        )
 
     @property
     def baseline(self) -> float:
@@ -131,7 +133,7 @@ class StereoRig:
 
 
 @dataclass(frozen=True, eq=False)
-class Packed:
+class PackedImage:
     """Image inside a container file: a video frame or an archive entry.
 
     Attributes
@@ -139,7 +141,7 @@ class Packed:
     file : container; the cache treats the image as changed if the container changes.
     name : name of the image in the container, unique and used in messages.
     load : reads the image: (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of
-        `depth_scale` for depth, (h, w) uint8 for confidence and masks. Raises InputError. Thread-safe and
+        `choose_depth_scale` for depth, (h, w) uint8 for confidence and masks. Raises InputError. Thread-safe and
         repeatable.
     """
 
@@ -148,7 +150,7 @@ class Packed:
     load: Callable[[], NDArray[Any]]
 
     def __repr__(self) -> str:
-        return line(self, (str(self),))
+        return format_line(self, (str(self),))
 
     def __str__(self) -> str:
         """Return the name of the image in messages."""
@@ -159,7 +161,7 @@ class Packed:
 class Frame:
     """One moment of a scan: a colour image and either a right image or a depth map.
 
-    Images are paths, `Packed` images or arrays. Files are read on demand, see
+    Images are paths, `PackedImage` images or arrays. Files are read on demand, see
     `scanloom.stages.scans.model.images`.
 
     Attributes
@@ -178,7 +180,7 @@ class Frame:
     color_from_depth : (4, 4) float64, metres: maps points from depth to colour camera coordinates; None if
         both cameras have the same position.
     confidence : confidence of each depth value, higher is better; (h, w) uint8, resized to the depth map.
-    least_confidence : depth with a lower confidence is missing.
+    min_confidence : depth with a lower confidence is missing.
     mask : 0 where the pixel is not part of the scene (a backdrop, a border, moving objects); (h, w), resized
         to the image. Such pixels get no depth.
     depth_range : nearest and farthest depth of the frame in metres, if the folder states it; limits the depth
@@ -191,18 +193,18 @@ class Frame:
 
     name: str
     camera: Camera
-    color: Path | Packed | ColorImage | None = None
-    right: Path | Packed | ColorImage | None = None
-    depth: Path | Packed | DepthImage | None = None
+    color: Path | PackedImage | ColorImage | None = None
+    right: Path | PackedImage | ColorImage | None = None
+    depth: Path | PackedImage | DepthImage | None = None
     depth_scale: float = 1000.0
     depth_missing: tuple[int, ...] = ()
     world_from_camera: Pose | None = None
     timestamp: int | None = None
     color_camera: Camera | None = None
     color_from_depth: Pose | None = None
-    confidence: Path | Packed | NDArray[np.uint8] | None = None
-    least_confidence: int = 0
-    mask: Path | Packed | NDArray[np.uint8] | None = None
+    confidence: Path | PackedImage | NDArray[np.uint8] | None = None
+    min_confidence: int = 0
+    mask: Path | PackedImage | NDArray[np.uint8] | None = None
     depth_range: tuple[float, float] | None = None
     up: NDArray[np.float64] | None = None
     shutter_turn: NDArray[np.float64] | None = None
@@ -213,7 +215,7 @@ class Frame:
             raise InputError(
                 USAGE_FRAME_INVALID,
                 "world_from_camera must be a (4, 4) array; Frame.from_arrays takes other forms.",
-                Where(frame=self.name),
+                DiagnosticLocation(frame=self.name),
             )
         if isinstance(depth, np.ndarray) and not np.issubdtype(depth.dtype, np.floating):
             raise InputError(
@@ -222,7 +224,7 @@ class Frame:
                     "a depth array must be floats in metres, not {depth_dtype}; "
                     "Frame.from_arrays takes integers with depth_scale."
                 ),
-                Where(frame=self.name),
+                DiagnosticLocation(frame=self.name),
                 depth_dtype=depth.dtype,
             )
 
@@ -240,7 +242,7 @@ class Frame:
         color_from_depth: ArrayLike | None = None,
         mask: ArrayLike | None = None,
         confidence: ArrayLike | None = None,
-        least_confidence: int = 0,
+        min_confidence: int = 0,
         timestamp: int | None = None,
         name: str = "",
     ) -> Frame:
@@ -260,7 +262,7 @@ class Frame:
         color_from_depth : (4, 4) or (3, 4) rigid, metres; maps points from depth to colour camera
             coordinates. Default: both cameras have the same position.
         mask : (h, w) uint8 or bool, 0 where the pixel is not part of the scene.
-        confidence : (h, w) uint8; depth with confidence below `least_confidence` is missing.
+        confidence : (h, w) uint8; depth with confidence below `min_confidence` is missing.
         timestamp : nanoseconds.
         name : name in messages; `Scan.from_frames` numbers frames without a name.
 
@@ -287,7 +289,10 @@ class Frame:
         if colors is not None and depths is not None:
             if color_intrinsics is not None:
                 color_camera = _create_camera(color_intrinsics, colors, where)
-            elif abs(colors.shape[0] * camera.width / (colors.shape[1] * camera.height) - 1) > _SAME_SHAPE:
+            elif (
+                abs(colors.shape[0] * camera.width / (colors.shape[1] * camera.height) - 1)
+                > _ASPECT_TOLERANCE
+            ):
                 raise InputError(
                     USAGE_FRAME_INVALID,
                     (
@@ -317,7 +322,7 @@ class Frame:
             color_camera=color_camera,
             color_from_depth=check_pose(color_from_depth, "color_from_depth", where),
             confidence=None if confidence is None else check_gray(confidence, "confidence", where),
-            least_confidence=least_confidence,
+            min_confidence=min_confidence,
             mask=None if mask is None else check_gray(mask, "a mask", where),
         )
 
@@ -331,12 +336,14 @@ class Frame:
             "mask": self.mask,
         }
         size = f"{self.camera.width} × {self.camera.height} px"
-        return line(self, (self.name, size, *(name for name, part in parts.items() if part is not None)))
+        return format_line(
+            self, (self.name, size, *(name for name, part in parts.items() if part is not None))
+        )
 
-    _repr_html_ = table
+    _repr_html_ = render_table
 
     def _thumbnail(self) -> bytes | None:
-        return thumbnail([one for one in (self.color, self.right) if one is not None])
+        return render_thumbnail([one for one in (self.color, self.right) if one is not None])
 
     def figures(self) -> dict[str, Any]:
         """Summarise the frame as a JSON object without reading images."""
@@ -354,7 +361,7 @@ class Frame:
 
 
 # Short names of missing data by diagnostic code.
-_LACKING = {POSE_MISSING.name: "poses", CAMERA_PAIR_UNCALIBRATED.name: "calibration"}
+_MISSING_NAMES = {POSE_MISSING.name: "poses", CAMERA_PAIR_UNCALIBRATED.name: "calibration"}
 
 
 @dataclass(frozen=True)
@@ -390,31 +397,31 @@ class Scan:
     frames : frames in capture order.
     rig : set for stereo pairs, None for RGB-D frames and single views.
     folder : folder or file of the scan.
-    skipped : frames that the reader skipped (pose lost, file missing).
+    skipped_frames : frames that the reader skipped (pose lost, file missing).
     diagnostics : warnings of the reader.
     missing : data that a mesh requires and the scan lacks: diagnostics of the codes pose.missing and
         camera.pair-uncalibrated.
-    box : (2, 3) float64 metres, minimum and maximum corner of the scanned volume, if the folder states it.
+    bounding_box : (2, 3) float64 metres, minimum and maximum corner of the scanned volume, if the folder states it.
     held_out : frames that no stage uses, for evaluation.
     up : up direction in world coordinates, if the layout or the folder states it.
     is_metric : lengths are metres; otherwise poses and depth have the same unknown unit.
     scale : conversion to metres that was applied to a scan without metric scale.
-    read_from : all files that the scan was read from, and the image files of all frames, selected or not.
+    source_files : all files that the scan was read from, and the image files of all frames, selected or not.
     """
 
     layout: str
     frames: Sequence[Frame]
     rig: StereoRig | None = None
     folder: Path | None = None
-    skipped: tuple[SkippedFrame, ...] = ()
+    skipped_frames: tuple[SkippedFrame, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = field(default=())
     missing: tuple[Diagnostic, ...] = ()
-    box: NDArray[np.float64] | None = None
+    bounding_box: NDArray[np.float64] | None = None
     held_out: Sequence[Frame] = ()
     up: WorldUp | None = None
     is_metric: bool = True
     scale: Scale | None = None
-    read_from: frozenset[Path] = frozenset()
+    source_files: frozenset[Path] = frozenset()
 
     @classmethod
     def from_frames(
@@ -454,7 +461,7 @@ class Scan:
                 raise InputError(
                     USAGE_FRAME_INVALID,
                     "it has {describe_kind}, but frame {numbered_name} has {describe_kind_2}.",
-                    Where(frame=frame.name),
+                    DiagnosticLocation(frame=frame.name),
                     describe_kind=_describe_kind(kind),
                     numbered_name=numbered[0].name,
                     describe_kind_2=_describe_kind(kinds[0]),
@@ -479,25 +486,25 @@ class Scan:
         )
 
     def __repr__(self) -> str:
-        return line(
+        return format_line(
             self,
             (
                 self.layout,
-                counted(len(self.frames), "frame") or "no frames",
+                format_count(len(self.frames), "frame") or "no frames",
                 self._kind,
                 "poses" if self.has_poses else "no poses",
                 "" if self.is_metric else "not metric",
                 f"{len(self.held_out):,} held out" if self.held_out else "",
-                f"{len(self.skipped):,} skipped" if self.skipped else "",
-                *(f"lacks {_LACKING.get(one.code, one.code)}" for one in self.missing),
-                counted(len(self.diagnostics), "diagnostic"),
+                f"{len(self.skipped_frames):,} skipped" if self.skipped_frames else "",
+                *(f"lacks {_MISSING_NAMES.get(one.code, one.code)}" for one in self.missing),
+                format_count(len(self.diagnostics), "diagnostic"),
             ),
         )
 
-    _repr_html_ = table
+    _repr_html_ = render_table
 
     def _thumbnail(self) -> bytes | None:
-        return thumbnail([frame.color for frame in self.frames if frame.color is not None])
+        return render_thumbnail([frame.color for frame in self.frames if frame.color is not None])
 
     def figures(self) -> dict[str, Any]:
         """Summarise the scan as a JSON object without reading images.
@@ -512,7 +519,7 @@ class Scan:
             "frames_with_poses": sum(frame.world_from_camera is not None for frame in self.frames),
             "size_px": None if camera is None else [camera.width, camera.height],
             "frames_held_out": len(self.held_out),
-            "frames_skipped": [one.figures() for one in self.skipped],
+            "frames_skipped": [one.figures() for one in self.skipped_frames],
             "missing": [one.figures() for one in self.missing],
         }
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scanloom.stages.scans.model.scan import ColorImage
 
 # OpenCV dictionaries by family name. For each ArUco size, the largest dictionary contains the smaller ones.
-_DICTIONARIES = {
+_OPENCV_DICTIONARIES = {
     "apriltag-36h11": "DICT_APRILTAG_36h11",
     "apriltag-25h9": "DICT_APRILTAG_25h9",
     "apriltag-16h5": "DICT_APRILTAG_16h5",
@@ -21,14 +21,14 @@ _DICTIONARIES = {
     "aruco-7x7": "DICT_7X7_1000",
     "aruco-original": "DICT_ARUCO_ORIGINAL",
 }
-FAMILIES = tuple(_DICTIONARIES)
+TAG_FAMILIES = tuple(_OPENCV_DICTIONARIES)
 # Margin around a tag for the second detection: ratio of its longest edge, plus pixels. It includes the white
 # border.
-_AROUND, _AROUND_PX = 0.35, 4.0
+_MARGIN_RATIO, _MARGIN_PX = 0.35, 4.0
 # Gamma of photos, approximately sRGB.
 _GAMMA = 2.2
 # The AprilTag refinement returns coordinates relative to pixel corners, not centres.
-_FROM_CORNER_PX = 0.5
+_PIXEL_CENTRE_OFFSET_PX = 0.5
 
 
 def find_tags(image: ColorImage, family: str) -> Mapping[int, NDArray[np.float64]]:
@@ -49,25 +49,25 @@ def find_tags(image: ColorImage, family: str) -> Mapping[int, NDArray[np.float64
     import cv2
 
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARIES[family]))
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _OPENCV_DICTIONARIES[family]))
     settings = cv2.aruco.DetectorParameters()
-    coarse = _detected(cv2.aruco.ArucoDetector(dictionary, settings), grey)
+    coarse = _detect_markers(cv2.aruco.ArucoDetector(dictionary, settings), grey)
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
     fine = cv2.aruco.ArucoDetector(dictionary, settings)
     found = {}
     for number, corners in coarse:
         longest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max())
-        around = _AROUND * longest + _AROUND_PX
-        left, top = np.maximum(np.floor(corners.min(axis=0) - around), 0).astype(int).tolist()
-        right, bottom = np.ceil(corners.max(axis=0) + around).astype(int).tolist()
-        near = _as_light(grey[top:bottom, left:right])
-        better = [own for other, own in _detected(fine, near) if other == number]
-        if len(better) == 1 and sum(other == number for other, _ in coarse) == 1:
-            found[number] = better[0] + (left, top) - _FROM_CORNER_PX
+        margin = _MARGIN_RATIO * longest + _MARGIN_PX
+        left, top = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int).tolist()
+        right, bottom = np.ceil(corners.max(axis=0) + margin).astype(int).tolist()
+        crop = _convert_to_linear(grey[top:bottom, left:right])
+        refined = [own for other, own in _detect_markers(fine, crop) if other == number]
+        if len(refined) == 1 and sum(other == number for other, _ in coarse) == 1:
+            found[number] = refined[0] + (left, top) - _PIXEL_CENTRE_OFFSET_PX
     return found
 
 
-def _as_light(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _convert_to_linear(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Linearise a grey image (inverse gamma), with the brightest pixel at 255.
 
     Lens blur is linear in light. In a gamma-encoded photo the half-way level of a blurred edge is on its dark
@@ -77,7 +77,7 @@ def _as_light(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * light), np.uint8)
 
 
-def _detected(detector: Any, grey: NDArray[np.uint8]) -> list[tuple[int, NDArray[np.float64]]]:
+def _detect_markers(detector: Any, grey: NDArray[np.uint8]) -> list[tuple[int, NDArray[np.float64]]]:
     corners, numbers, _ = detector.detectMarkers(grey)
     if numbers is None:
         return []

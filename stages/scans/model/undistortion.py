@@ -8,27 +8,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.scans.model.rolling_shutter import as_read
-from scanloom.stages.scans.model.scan import Camera, scaled
+from scanloom.stages.scans.model.rolling_shutter import compute_readout_map
+from scanloom.stages.scans.model.scan import Camera, scale_camera
 
-_Map = NDArray[np.float32]
+_SamplingMap = NDArray[np.float32]
 
 
-class Maps(NamedTuple):
+class SamplingMaps(NamedTuple):
     """Sampling positions in the image for each pixel of the pinhole camera, (h, w) float32 each.
 
     Attributes
     ----------
-    across, down : columns and rows in the image, pixels.
-    farther : ratio of depth in the image to depth of the pinhole camera; None if the ratio is 1.
+    columns, rows : columns and rows in the image, pixels.
+    depth_ratio : ratio of depth in the image to depth of the pinhole camera; None if the ratio is 1.
     """
 
-    across: _Map
-    down: _Map
-    farther: _Map | None = None
+    columns: _SamplingMap
+    rows: _SamplingMap
+    depth_ratio: _SamplingMap | None = None
 
 
-def maps_of(camera: Camera, width: int, height: int, turn: NDArray[np.float64] | None = None) -> Maps | None:
+def compute_sampling_maps(
+    camera: Camera, width: int, height: int, turn: NDArray[np.float64] | None = None
+) -> SamplingMaps | None:
     """Compute the sampling maps for images of a camera at a given size.
 
     Returns None if the images are pinhole images already.
@@ -39,11 +41,13 @@ def maps_of(camera: Camera, width: int, height: int, turn: NDArray[np.float64] |
         `Frame.shutter_turn`. The output is the view from the pose at the middle row.
     """
     if turn is not None:
-        return Maps(*as_read(scaled(camera, width, height), turn))
-    return _undistortion(camera, width, height) if camera.distortion else None
+        return SamplingMaps(*compute_readout_map(scale_camera(camera, width, height), turn))
+    return _compute_lens_maps(camera, width, height) if camera.distortion else None
 
 
-def undistorted(image: NDArray[Any], maps: Maps | None, *, smooth: bool, sharp: bool = False) -> NDArray[Any]:
+def resample_to_pinhole(
+    image: NDArray[Any], maps: SamplingMaps | None, *, smooth: bool, sharp: bool = False
+) -> NDArray[Any]:
     """Resample an image to the pinhole camera.
 
     Parameters
@@ -57,19 +61,19 @@ def undistorted(image: NDArray[Any], maps: Maps | None, *, smooth: bool, sharp: 
 
     if maps is None:
         return image
-    how = cv2.INTER_CUBIC if sharp else cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
-    seen = cv2.remap(image, maps.across, maps.down, how)
-    is_depth = seen.dtype.kind == "f"
-    return seen / maps.farther if is_depth and maps.farther is not None else seen
+    interpolation = cv2.INTER_CUBIC if sharp else cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
+    resampled = cv2.remap(image, maps.columns, maps.rows, interpolation)
+    is_depth = resampled.dtype.kind == "f"
+    return resampled / maps.depth_ratio if is_depth and maps.depth_ratio is not None else resampled
 
 
 @functools.lru_cache(maxsize=4)
-def _undistortion(camera: Camera, width: int, height: int) -> Maps:
+def _compute_lens_maps(camera: Camera, width: int, height: int) -> SamplingMaps:
     """Compute the maps of lens distortion for an image size, cached."""
     import cv2
 
-    matrix = scaled(camera, width, height).matrix
+    matrix = scale_camera(camera, width, height).matrix
     distortion = np.array(camera.distortion)
     of = cv2.fisheye.initUndistortRectifyMap if camera.fisheye else cv2.initUndistortRectifyMap
     across, down = of(matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1)
-    return Maps(np.asarray(across, np.float32), np.asarray(down, np.float32))
+    return SamplingMaps(np.asarray(across, np.float32), np.asarray(down, np.float32))

@@ -11,7 +11,7 @@ Y_UP: Direction = (0.0, 1.0, 0.0)
 Z_UP: Direction = (0.0, 0.0, 1.0)
 Y_DOWN: Direction = (0.0, -1.0, 0.0)
 Z_DOWN: Direction = (0.0, 0.0, -1.0)
-_IN_WORDS = {Y_UP: "y up", Z_UP: "z up", Y_DOWN: "y down", Z_DOWN: "z down"}
+_DIRECTION_NAMES = {Y_UP: "y up", Z_UP: "z up", Y_DOWN: "y down", Z_DOWN: "z down"}
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class WorldUp:
         return {"up": list(self.direction), "up_source": self.source}
 
 
-def up_of_layout(name: str, direction: Direction) -> WorldUp:
+def create_layout_up(name: str, direction: Direction) -> WorldUp:
     """Create the up direction that a layout defines.
 
     `direction` is an axis constant of this module.
     """
-    return WorldUp(direction, f"layout {name}: {_IN_WORDS[direction]}")
+    return WorldUp(direction, f"layout {name}: {_DIRECTION_NAMES[direction]}")
 
 
 @dataclass(frozen=True)
@@ -48,17 +48,17 @@ class Scale:
     ----------
     metres_per_unit : factor that was applied to all lengths.
     source : origin of the information, such as `given`.
-    spread_share : maximum relative deviation of individual measurements; None if nothing was measured.
+    spread_ratio : maximum relative deviation of individual measurements; None if nothing was measured.
     """
 
     metres_per_unit: float
     source: str
-    spread_share: float | None = None
+    spread_ratio: float | None = None
 
     def figures(self) -> dict[str, Any]:
         """Return all fields as a JSON object."""
         return {
             "metres_per_unit": self.metres_per_unit,
             "source": self.source,
-            "spread_share": self.spread_share,
+            "spread_ratio": self.spread_ratio,
         }

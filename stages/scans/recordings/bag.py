@@ -16,7 +16,15 @@ import numpy as np
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import RECORDING_WRONG_KIND
-from scanloom.stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
+from scanloom.stages.scans.recordings.chunked import (
+    FILE_CHUNK,
+    ByteSpan,
+    Chunk,
+    Connection,
+    RecordIndex,
+    open_span,
+    read_chunked_recording,
+)
 from scanloom.stages.scans.recordings.recording import Recording
 
 _MAGIC = b"#ROSBAG V2.0\n"
@@ -24,7 +32,7 @@ _MESSAGE, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x04", b"\x05", b"\x07"
 _INDEX_ENTRY = np.dtype([("seconds", "<u4"), ("nanoseconds", "<u4"), ("offset", "<u4")])
 # Maximum bytes. A header holds a few names and numbers; a connection record also holds the message
 # definition.
-_LONGEST_HEADER, _LONGEST_CONNECTION = 1 << 16, 1 << 20
+_MAX_HEADER_BYTES, _MAX_CONNECTION_BYTES = 1 << 16, 1 << 20
 
 
 class _Record(NamedTuple):
@@ -36,7 +44,7 @@ class _Record(NamedTuple):
     def end(self) -> int:
         return self.start + self.size
 
-    def number(self, name: bytes) -> int:
+    def read_number(self, name: bytes) -> int:
         return int.from_bytes(self.fields[name], "little")
 
 
@@ -48,7 +56,7 @@ def read_bag(path: Path) -> Recording:
     InputError
         If the file cannot be read, is not a bag of format 2.0, or is encrypted.
     """
-    with opened(path) as file:
+    with open_span(path) as file:
         start = file.read(0, min(len(_MAGIC), file.size))
         if start != _MAGIC:
             what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "not a ROS bag"
@@ -58,55 +66,55 @@ def read_bag(path: Path) -> Recording:
                 path,
                 what=what,
             )
-        return read_chunked(path, file, len(_MAGIC), _note, _find)
+        return read_chunked_recording(path, file, len(_MAGIC), _index_record, _locate_message)
 
 
-def _note(found: Found, chunk: int, span: Span, at: int) -> int:
-    record = _record(span, at)
+def _index_record(found: RecordIndex, chunk: int, span: ByteSpan, at: int) -> int:
+    record = _read_record(span, at)
     kind = record.fields[b"op"]
     if record.fields.get(b"encryptor"):
         raise InputError(
             RECORDING_WRONG_KIND, "the bag is encrypted; encrypted bags are not supported.", found.path
         )
-    if kind == _CONNECTION and record.size <= _LONGEST_CONNECTION:
-        described = _fields(span.read(record.start, record.size))
-        writer = Writer(record.fields[b"topic"].decode(), described[b"type"].decode(), is_cdr=False)
-        found.writers.setdefault(record.number(b"conn"), writer)
-    elif kind == _CHUNK and chunk == FILE:
+    if kind == _CONNECTION and record.size <= _MAX_CONNECTION_BYTES:
+        described = _parse_fields(span.read(record.start, record.size))
+        writer = Connection(record.fields[b"topic"].decode(), described[b"type"].decode(), is_cdr=False)
+        found.connections.setdefault(record.read_number(b"conn"), writer)
+    elif kind == _CHUNK and chunk == FILE_CHUNK:
         compression = record.fields[b"compression"].decode("ascii")
         packed = "" if compression == "none" else compression
-        found.chunks.append(Chunk(record.start, record.size, packed, record.number(b"size")))
-    elif kind == _INDEX and chunk == FILE and len(found.chunks) > 1:
+        found.chunks.append(Chunk(record.start, record.size, packed, record.read_number(b"size")))
+    elif kind == _INDEX and chunk == FILE_CHUNK and len(found.chunks) > 1:
         entries = np.frombuffer(span.read(record.start, record.size), _INDEX_ENTRY)
         times = entries["seconds"].astype(np.int64) * 1_000_000_000 + entries["nanoseconds"]
         indexed = len(found.chunks) - 1
-        found.indexed.add(indexed)
-        found.add(record.number(b"conn"), times, indexed, entries["offset"])
+        found.indexed_chunks.add(indexed)
+        found.add_messages(record.read_number(b"conn"), times, indexed, entries["offset"])
     return record.end
 
 
-def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
-    record = _record(span, at)
+def _locate_message(span: ByteSpan, at: int, writers: frozenset[int]) -> tuple[int, int]:
+    record = _read_record(span, at)
     # Index entries may point to the connection record that precedes the first message of a connection.
     while record.fields[b"op"] == _CONNECTION:
-        record = _record(span, record.end)
-    if record.fields[b"op"] != _MESSAGE or record.number(b"conn") not in writers:
+        record = _read_record(span, record.end)
+    if record.fields[b"op"] != _MESSAGE or record.read_number(b"conn") not in writers:
         raise ValueError("unexpected record type")
     return record.start, record.size
 
 
-def _record(span: Span, at: int) -> _Record:
+def _read_record(span: ByteSpan, at: int) -> _Record:
     length = int.from_bytes(span.read(at, 4), "little")
-    if length > _LONGEST_HEADER:
+    if length > _MAX_HEADER_BYTES:
         raise ValueError("header too long")
     block = span.read(at + 4, length + 4)
-    record = _Record(_fields(block[:length]), at + 8 + length, int.from_bytes(block[length:], "little"))
+    record = _Record(_parse_fields(block[:length]), at + 8 + length, int.from_bytes(block[length:], "little"))
     if record.end > span.size:
         raise EOFError
     return record
 
 
-def _fields(block: bytes) -> dict[bytes, bytes]:
+def _parse_fields(block: bytes) -> dict[bytes, bytes]:
     fields, at = {}, 0
     while at < len(block):
         start = at + 4

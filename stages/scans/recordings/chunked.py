@@ -36,30 +36,30 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files import opening, zstd_blocks
+from scanloom.stages.files import input_files, zstd_blocks
 from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN
-from scanloom.stages.scans.recordings.recording import LARGEST_MESSAGE, Messages, Recording
+from scanloom.stages.scans.recordings.recording import MAX_MESSAGE_BYTES, Recording, TopicMessages
 
 # Exceptions that parsing a damaged record raises.
-_BROKEN = (struct.error, ValueError, KeyError, EOFError, RuntimeError)
+_PARSE_ERRORS = (struct.error, ValueError, KeyError, EOFError, RuntimeError)
 # Maximum bytes of a chunk. Recorders close a chunk after some megabytes or one message; no camera image is
 # larger.
-_LARGEST_CHUNK = 1 << 28
+_MAX_CHUNK_BYTES = 1 << 28
 # Maximum bytes of a message record before its data.
-_LONGEST_HEAD = 256
+_MAX_MESSAGE_HEAD_BYTES = 256
 # Chunk index of the file itself.
-FILE = 0
+FILE_CHUNK = 0
 
 
-class Writer(NamedTuple):
+class Connection(NamedTuple):
     """Properties common to all messages of one connection or channel.
 
     Topic, message type, and serialisation.
     """
 
     topic: str
-    kind: str
+    message_type: str
     is_cdr: bool
 
 
@@ -67,13 +67,13 @@ class Chunk(NamedTuple):
     """Location, compression ("" for uncompressed) and uncompressed size of a chunk, in bytes."""
 
     start: int
-    stored: int
+    stored_bytes: int
     compression: str
     size: int
 
 
 @dataclass(frozen=True, eq=False)
-class Span:
+class ByteSpan:
     """Byte range of a file or a decompressed chunk.
 
     Offsets are relative to its start.
@@ -100,25 +100,25 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class RecordIndex:
     """Index built by walking the records of a file.
 
     Attributes
     ----------
     chunks : chunks of the file; the first is the file itself.
-    writers : connections or channels, by their number in the file.
+    connections : connections or channels, by their number in the file.
     messages : by writer number, (n, 3) int64 arrays of recording time (ns), chunk index and offset in the
         chunk.
-    indexed : indices of the chunks that are followed by an index.
+    indexed_chunks : indices of the chunks that are followed by an index.
     """
 
     path: Path
     chunks: list[Chunk]
-    writers: dict[int, Writer] = field(default_factory=dict)
+    connections: dict[int, Connection] = field(default_factory=dict)
     messages: dict[int, list[NDArray[np.int64]]] = field(default_factory=dict)
-    indexed: set[int] = field(default_factory=set)
+    indexed_chunks: set[int] = field(default_factory=set)
 
-    def add(self, writer: int, times: ArrayLike, chunk: int, offsets: ArrayLike) -> None:
+    def add_messages(self, writer: int, times: ArrayLike, chunk: int, offsets: ArrayLike) -> None:
         """Add messages of a chunk, by recording time (ns) and offset."""
         entries = np.stack(np.broadcast_arrays(times, chunk, offsets), axis=-1).reshape(-1, 3)
         if len(entries):
@@ -126,14 +126,14 @@ class Found:
 
 
 # Adds the record at an offset of a chunk to the index, and returns the offset of the next record.
-Note = Callable[[Found, int, Span, int], int]
+RecordIndexer = Callable[[RecordIndex, int, ByteSpan, int], int]
 # Returns start and length of the data of the message at an offset; raises ValueError if the record is not a
 # message of one of these writers.
-Find = Callable[[Span, int, frozenset[int]], tuple[int, int]]
+MessageLocator = Callable[[ByteSpan, int, frozenset[int]], tuple[int, int]]
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Span]:
+def open_span(path: Path) -> Iterator[ByteSpan]:
     """Open a file for reading as a span.
 
     Raises
@@ -142,95 +142,103 @@ def opened(path: Path) -> Iterator[Span]:
         If opening fails, or a read inside the context fails with OSError.
     """
     try:
-        with opening.opened(path) as file:
-            yield Span(file, 0, path.stat().st_size)
+        with input_files.open_input(path) as file:
+            yield ByteSpan(file, 0, path.stat().st_size)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
 
 
-def read_chunked(path: Path, file: Span, start: int, note: Note, find: Find) -> Recording:
+def read_chunked_recording(
+    path: Path, file: ByteSpan, start: int, index_record: RecordIndexer, locate_message: MessageLocator
+) -> Recording:
     """Index a chunked recording. Records after a damaged one are ignored.
 
     Parameters
     ----------
     start : offset of the first record, bytes.
-    note, find : format-specific record parsers.
+    index_record, locate_message : format-specific record parsers.
 
     Raises
     ------
     InputError
         If the file cannot be read.
     """
-    found = Found(path, [Chunk(0, file.size, "", file.size)])
-    broken = _walk(note, found, FILE, file, start)
+    found = RecordIndex(path, [Chunk(0, file.size, "", file.size)])
+    broken = _walk_records(index_record, found, FILE_CHUNK, file, start)
     fault = None if broken is None else f"the record at byte {broken} of {file.size} is damaged or truncated"
     for number, chunk in enumerate(found.chunks[1:], 1):
         # Unfinished files describe their connections only inside chunks, in the first chunk of each
         # connection.
-        if number not in found.indexed or _is_first_of_unknown(found, number):
+        if number not in found.indexed_chunks or _is_first_chunk_of_unknown(found, number):
             try:
-                broken = _walk(note, found, number, _unpacked(file, chunk, path, None), 0)
-            except (*_BROKEN, InputError):
+                broken = _walk_records(
+                    index_record, found, number, _decompress_chunk(file, chunk, path, None), 0
+                )
+            except (*_PARSE_ERRORS, InputError):
                 broken = 0
             if broken is not None:
                 fault = fault or f"the chunk at byte {chunk.start} of {file.size} is damaged"
-    return Recording(path, _topics(found, find), fault)
+    return Recording(path, _collect_topics(found, locate_message), fault)
 
 
-def _walk(note: Note, found: Found, chunk: int, span: Span, at: int) -> int | None:
+def _walk_records(
+    index_record: RecordIndexer, found: RecordIndex, chunk: int, span: ByteSpan, at: int
+) -> int | None:
     """Index all records of a span.
 
     Returns the offset of a damaged record, or None.
     """
     try:
         while at < span.size:
-            at = note(found, chunk, span, at)
-    except _BROKEN:
+            at = index_record(found, chunk, span, at)
+    except _PARSE_ERRORS:
         return at
     return None
 
 
-def _is_first_of_unknown(found: Found, chunk: int) -> bool:
-    unknown = found.messages.keys() - found.writers.keys()
+def _is_first_chunk_of_unknown(found: RecordIndex, chunk: int) -> bool:
+    unknown = found.messages.keys() - found.connections.keys()
     return any(found.messages[writer][0][0, 1] == chunk for writer in unknown)
 
 
-def _topics(found: Found, find: Find) -> Mapping[str, Messages]:
-    numbers: dict[Writer, list[int]] = {}
-    for number, writer in sorted(found.writers.items()):
+def _collect_topics(found: RecordIndex, locate_message: MessageLocator) -> Mapping[str, TopicMessages]:
+    numbers: dict[Connection, list[int]] = {}
+    for number, writer in sorted(found.connections.items()):
         if number in found.messages:
             numbers.setdefault(writer, []).append(number)
     topics = {}
     for writer, own in numbers.items():
         entries = np.concatenate([part for number in own for part in found.messages[number]])
-        read = partial(_message, found.path, found.chunks, entries[:, 1:], find, frozenset(own))
-        topics[writer.topic] = Messages(
-            writer.kind, entries[:, 0].copy(), writer.is_cdr, read, lambda _: found.path
+        read = partial(
+            _read_message, found.path, found.chunks, entries[:, 1:], locate_message, frozenset(own)
+        )
+        topics[writer.topic] = TopicMessages(
+            writer.message_type, entries[:, 0].copy(), writer.is_cdr, read, lambda _: found.path
         )
     return topics
 
 
-def _message(
+def _read_message(
     path: Path,
     chunks: Sequence[Chunk],
-    places: NDArray[np.int64],
-    find: Find,
+    locations: NDArray[np.int64],
+    locate_message: MessageLocator,
     writers: frozenset[int],
     number: int,
-    first: int | None,
+    byte_count: int | None,
 ) -> bytes:
-    chunk, offset = places[number].tolist()
-    end = None if first is None else offset + _LONGEST_HEAD + first
+    chunk, offset = locations[number].tolist()
+    end = None if byte_count is None else offset + _MAX_MESSAGE_HEAD_BYTES + byte_count
     try:
-        with opened(path) as file:
-            span = _unpacked(file, chunks[chunk], path, end)
-            start, size = find(span, offset, writers)
-            if first is None and size > LARGEST_MESSAGE:
+        with open_span(path) as file:
+            span = _decompress_chunk(file, chunks[chunk], path, end)
+            start, size = locate_message(span, offset, writers)
+            if byte_count is None and size > MAX_MESSAGE_BYTES:
                 raise ValueError("too large")
-            return span.read(start, size if first is None else min(size, first))
-    except _BROKEN as error:
+            return span.read(start, size if byte_count is None else min(size, byte_count))
+    except _PARSE_ERRORS as error:
         raise InputError(
             RECORDING_DAMAGED,
             "message {number} of its topic, or its chunk, is damaged.",
@@ -239,23 +247,23 @@ def _message(
         ) from error
 
 
-def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
+def _decompress_chunk(file: ByteSpan, chunk: Chunk, path: Path, end: int | None) -> ByteSpan:
     """Decompress a chunk, up to the offset `end` if given.
 
     Never produces more bytes than the chunk header states, so a decompression bomb cannot fill the memory.
     """
     if not chunk.compression:
-        return Span(file.file, chunk.start, min(chunk.size, chunk.stored))
-    claimed = max(chunk.size, chunk.stored)
-    if claimed > _LARGEST_CHUNK:
+        return ByteSpan(file.file, chunk.start, min(chunk.size, chunk.stored_bytes))
+    claimed = max(chunk.size, chunk.stored_bytes)
+    if claimed > _MAX_CHUNK_BYTES:
         raise InputError(
             RECORDING_DAMAGED,
             "a chunk states a size of {claimed} bytes, which exceeds any valid chunk; its header is damaged.",
             path,
             claimed=claimed,
         )
-    if chunk.compression not in _UNPACK:
-        known = ", ".join(_UNPACK)
+    if chunk.compression not in _DECOMPRESSORS:
+        known = ", ".join(_DECOMPRESSORS)
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
             "unknown chunk compression {compression!r}; {known} are supported.",
@@ -264,28 +272,28 @@ def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
             known=known,
         )
     wanted = chunk.size if end is None else min(end, chunk.size)
-    content = _UNPACK[chunk.compression](file.read(chunk.start, chunk.stored), wanted)
+    content = _DECOMPRESSORS[chunk.compression](file.read(chunk.start, chunk.stored_bytes), wanted)
     if len(content) < wanted:
         raise EOFError
-    return Span(BytesIO(content), 0, chunk.size)
+    return ByteSpan(BytesIO(content), 0, chunk.size)
 
 
-def _lz4(data: bytes, most: int) -> bytes:
+def _decompress_lz4(data: bytes, max_bytes: int) -> bytes:
     import lz4.frame
 
-    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most))
+    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=max_bytes))
 
 
-def _bz2(data: bytes, most: int) -> bytes:
+def _decompress_bz2(data: bytes, max_bytes: int) -> bytes:
     try:
-        return bz2.BZ2Decompressor().decompress(data, max_length=most)
+        return bz2.BZ2Decompressor().decompress(data, max_length=max_bytes)
     except OSError as error:
         raise ValueError("damaged") from error
 
 
 # Compression names, common to both formats.
-_UNPACK: Mapping[str, Callable[[bytes, int], bytes]] = {
-    "lz4": _lz4,
-    "bz2": _bz2,
-    "zstd": zstd_blocks.unpacked,
+_DECOMPRESSORS: Mapping[str, Callable[[bytes, int], bytes]] = {
+    "lz4": _decompress_lz4,
+    "bz2": _decompress_bz2,
+    "zstd": zstd_blocks.decompress_zstd,
 }

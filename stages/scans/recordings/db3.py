@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
-from scanloom.stages.files.opening import opened, require_regular
+from scanloom.stages.files.input_files import open_input, require_regular_file
 from scanloom.stages.scans.codes import RECORDING_WRONG_KIND
 from scanloom.stages.scans.recordings.recording import (
-    LARGEST_MESSAGE,
-    Messages,
+    MAX_MESSAGE_BYTES,
     Recording,
-    as_ros_1,
-    unpacked,
+    TopicMessages,
+    decompress_message,
+    to_ros_1_type,
 )
 
 _SQLITE = b"SQLite format 3\0"
-_BESIDE = ("-wal", "-journal", "-shm")
+_COMPANION_SUFFIXES = ("-wal", "-journal", "-shm")
 _HEADER_BYTES = 100
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"id", "topic_id", "timestamp", "data"}}
 
@@ -46,12 +46,12 @@ def read_db3(path: Path) -> Recording:
         recording.
     """
     try:
-        with opened(path) as file:
+        with open_input(path) as file:
             header = file.read(_HEADER_BYTES)
         # SQLite also opens these companion files; opening a named pipe would block.
-        for beside in (path.with_name(path.name + ending) for ending in _BESIDE):
-            if beside.exists():
-                require_regular(beside)
+        for companion in (path.with_name(path.name + ending) for ending in _COMPANION_SUFFIXES):
+            if companion.exists():
+                require_regular_file(companion)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
@@ -62,14 +62,14 @@ def read_db3(path: Path) -> Recording:
         )
     # SQLite reads the missing pages of a truncated file as zeros, which would become black images.
     page, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
-    promised = (1 << 16 if page == 1 else page) * pages
-    if path.stat().st_size < promised:
+    expected_bytes = (1 << 16 if page == 1 else page) * pages
+    if path.stat().st_size < expected_bytes:
         raise InputError(
             RECORDING_DAMAGED,
             "the file is truncated: {promised} bytes are expected.",
             path,
             remedy="Copy it again.",
-            promised=promised,
+            promised=expected_bytes,
         )
     for table, columns in _COLUMNS.items():
         kinds = _query(path, "SELECT type FROM sqlite_master WHERE name = ?", table)
@@ -92,30 +92,30 @@ def read_db3(path: Path) -> Recording:
     for number, name, kind in _query(path, "SELECT id, name, type FROM topics"):
         if number in entries and isinstance(name, str) and isinstance(kind, str):
             rows, times = np.array(entries[number], np.int64).T
-            topics[name] = Messages(
-                as_ros_1(kind), times, True, partial(_message, path, rows), lambda _: path
+            topics[name] = TopicMessages(
+                to_ros_1_type(kind), times, True, partial(_read_message, path, rows), lambda _: path
             )
     return Recording(path, topics, None)
 
 
-def _message(path: Path, rows: NDArray[np.int64], number: int, first: int | None) -> bytes:
+def _read_message(path: Path, rows: NDArray[np.int64], number: int, byte_count: int | None) -> bytes:
     row = int(rows[number])
     sizes = _query(path, "SELECT length(data) FROM messages WHERE id = ?", row)
-    if not sizes or not isinstance(sizes[0][0], int) or sizes[0][0] > LARGEST_MESSAGE:
+    if not sizes or not isinstance(sizes[0][0], int) or sizes[0][0] > MAX_MESSAGE_BYTES:
         raise InputError(
             RECORDING_DAMAGED, "message {row} is missing or exceeds the size limit.", path, row=row
         )
     ((data,),) = _query(path, "SELECT data FROM messages WHERE id = ?", row)
     if not isinstance(data, bytes):
         raise InputError(RECORDING_DAMAGED, "message {row} is damaged.", path, row=row)
-    return unpacked(data, f"message {row}", path)[:first]
+    return decompress_message(data, f"message {row}", path)[:byte_count]
 
 
-def _query(path: Path, words: str, *values: object) -> list[tuple[Any, ...]]:
+def _query(path: Path, sql: str, *values: object) -> list[tuple[Any, ...]]:
     try:
         connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
         try:
-            return connection.execute(words, values).fetchall()
+            return connection.execute(sql, values).fetchall()
         finally:
             connection.close()
     except (sqlite3.Error, ValueError, OverflowError) as error:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import RECORDING_DAMAGED
-from scanloom.stages.scans.model.poses import pose_from_quaternion
+from scanloom.stages.scans.model.poses import create_pose_from_quaternion
 from scanloom.stages.scans.model.scan import Pose
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 IMU = "sensor_msgs/Imu"
 # Bytes of the CDR header of a ROS 2 message; its second byte is 1 for little-endian.
-_CDR_HEAD = 4
+_CDR_HEADER_BYTES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class ImageMessage:
     is_big_endian : byte order of 16-bit and float pixels.
     step : row stride in bytes.
     data : (n,) uint8, all rows.
-    rest : bytes after the message; RealSense's recorder appends the depth unit as a float32.
+    trailing_bytes : bytes after the message; RealSense's recorder appends the depth unit as a float32.
     """
 
     width: int
@@ -51,7 +51,7 @@ class ImageMessage:
     is_big_endian: bool
     step: int
     data: NDArray[np.uint8]
-    rest: bytes
+    trailing_bytes: bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class CameraMessage:
 
 
 @cache
-def _types(is_cdr: bool) -> Typestore:
+def _get_types(is_cdr: bool) -> Typestore:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if is_cdr:
@@ -90,15 +90,15 @@ def _types(is_cdr: bool) -> Typestore:
     return types
 
 
-def _message(
-    data: bytes, kind: str, source: Path | str, called: str, *, is_cdr: bool = False
+def _parse_message(
+    data: bytes, kind: str, source: Path | str, label: str, *, is_cdr: bool = False
 ) -> tuple[Any, bytes]:
     """Deserialise a message.
 
     Parameters
     ----------
     kind : message type as ROS 1 names it.
-    called : name of the message in error messages.
+    label : name of the message in error messages.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def _message(
     """
     from rosbags.serde import SerdeError
 
-    types = _types(is_cdr)
+    types = _get_types(is_cdr)
     known = types.get_msgdef(kind.replace("/", "/msg/"))
     try:
         if not is_cdr:
@@ -120,11 +120,11 @@ def _message(
             return message, data[end:]
         if data[1:2] != b"\1":
             raise ValueError("not little-endian")
-        message, end = known.deserialize_cdr_le(memoryview(data)[_CDR_HEAD:], 0, known.cls, types)
-        return message, data[_CDR_HEAD + end :]
+        message, end = known.deserialize_cdr_le(memoryview(data)[_CDR_HEADER_BYTES:], 0, known.cls, types)
+        return message, data[_CDR_HEADER_BYTES + end :]
     except (SerdeError, struct.error, ValueError) as error:
         raise InputError(
-            RECORDING_DAMAGED, "{called} is truncated or damaged.", source, called=called
+            RECORDING_DAMAGED, "{called} is truncated or damaged.", source, called=label
         ) from error
 
 
@@ -163,9 +163,15 @@ def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> Imag
     InputError
         If the message is truncated.
     """
-    said, rest = _message(data, IMAGE, source, "the image", is_cdr=is_cdr)
+    message, rest = _parse_message(data, IMAGE, source, "the image", is_cdr=is_cdr)
     return ImageMessage(
-        said.width, said.height, said.encoding, bool(said.is_bigendian), said.step, said.data, rest
+        message.width,
+        message.height,
+        message.encoding,
+        bool(message.is_bigendian),
+        message.step,
+        message.data,
+        rest,
     )
 
 
@@ -177,14 +183,14 @@ def read_camera_info(data: bytes, source: Path | str, *, is_cdr: bool = False) -
     InputError
         If the message is truncated.
     """
-    said, _ = _message(data, "sensor_msgs/CameraInfo", source, "the camera_info", is_cdr=is_cdr)
+    message, _ = _parse_message(data, "sensor_msgs/CameraInfo", source, "the camera_info", is_cdr=is_cdr)
     # The fields are named D, K, R, P in ROS 1 and d, k, r, p in ROS 2.
-    distortion, *matrices = (getattr(said, name if is_cdr else name.upper()) for name in "dkrp")
+    distortion, *matrices = (getattr(message, name if is_cdr else name.upper()) for name in "dkrp")
     matrix, turn, projection = (np.reshape(values, (3, -1)) for values in matrices)
     return CameraMessage(
-        said.width,
-        said.height,
-        said.distortion_model,
+        message.width,
+        message.height,
+        message.distortion_model,
         tuple(distortion.tolist()),
         matrix,
         turn,
@@ -200,8 +206,8 @@ def read_compressed(data: bytes, source: Path | str, *, is_cdr: bool = False) ->
     InputError
         If the message is truncated.
     """
-    said, _ = _message(data, COMPRESSED_IMAGE, source, "the image", is_cdr=is_cdr)
-    return said.format, said.data.tobytes()
+    message, _ = _parse_message(data, COMPRESSED_IMAGE, source, "the image", is_cdr=is_cdr)
+    return message.format, message.data.tobytes()
 
 
 def read_text(data: bytes, source: Path | str) -> str:
@@ -209,8 +215,8 @@ def read_text(data: bytes, source: Path | str) -> str:
 
     Raises InputError if the message is truncated.
     """
-    said, _ = _message(data, "std_msgs/String", source, "a text", is_cdr=True)
-    return str(said.data)
+    message, _ = _parse_message(data, "std_msgs/String", source, "a text", is_cdr=True)
+    return str(message.data)
 
 
 def read_frame(data: bytes, source: Path | str, *, is_cdr: bool = False) -> str:
@@ -218,8 +224,8 @@ def read_frame(data: bytes, source: Path | str, *, is_cdr: bool = False) -> str:
 
     Raises InputError if the message is truncated.
     """
-    said, _ = _message(data, "std_msgs/Header", source, "the message", is_cdr=is_cdr)
-    return str(said.frame_id)
+    message, _ = _parse_message(data, "std_msgs/Header", source, "the message", is_cdr=is_cdr)
+    return str(message.frame_id)
 
 
 def read_transform(data: bytes, source: Path) -> Pose:
@@ -230,7 +236,7 @@ def read_transform(data: bytes, source: Path) -> Pose:
     InputError
         If the message is truncated or the transform is not rigid.
     """
-    return _pose(_message(data, "geometry_msgs/Transform", source, "a transform")[0], source)
+    return _to_pose(_parse_message(data, "geometry_msgs/Transform", source, "a transform")[0], source)
 
 
 def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[tuple[str, str, Pose]]:
@@ -246,16 +252,17 @@ def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[
     InputError
         If the message is truncated or a transform is not rigid.
     """
-    said, _ = _message(data, "tf2_msgs/TFMessage", source, "a transform", is_cdr=is_cdr)
+    message, _ = _parse_message(data, "tf2_msgs/TFMessage", source, "a transform", is_cdr=is_cdr)
     return [
-        (one.header.frame_id, one.child_frame_id, _pose(one.transform, source)) for one in said.transforms
+        (one.header.frame_id, one.child_frame_id, _to_pose(one.transform, source))
+        for one in message.transforms
     ]
 
 
-def _pose(said: Any, source: Path) -> Pose:
-    place = [getattr(said.translation, axis) for axis in "xyz"]
-    turn = [getattr(said.rotation, axis) for axis in "xyzw"]
-    pose = pose_from_quaternion(place, turn, source, "a transform")
+def _to_pose(transform: Any, source: Path) -> Pose:
+    translation = [getattr(transform.translation, axis) for axis in "xyz"]
+    rotation = [getattr(transform.rotation, axis) for axis in "xyzw"]
+    pose = create_pose_from_quaternion(translation, rotation, source, "a transform")
     if pose is None:
         raise InputError(RECORDING_DAMAGED, "a transform contains NaN or infinity.", source)
     return pose
@@ -271,11 +278,11 @@ def read_acceleration(data: bytes, source: Path | str, *, is_cdr: bool = False) 
     InputError
         If the message is truncated.
     """
-    said, _ = _message(data, IMU, source, "an IMU reading", is_cdr=is_cdr)
+    message, _ = _parse_message(data, IMU, source, "an IMU reading", is_cdr=is_cdr)
     # ROS marks a quantity that the sensor does not measure by a covariance of -1.
-    if said.linear_acceleration_covariance[0] == -1:
+    if message.linear_acceleration_covariance[0] == -1:
         return np.full(3, np.nan)
-    return np.array([getattr(said.linear_acceleration, axis) for axis in "xyz"], np.float64)
+    return np.array([getattr(message.linear_acceleration, axis) for axis in "xyz"], np.float64)
 
 
 def read_float(data: bytes, source: Path | str) -> float:

@@ -21,21 +21,21 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from scanloom.stages.files.image_bytes import MAX_PIXELS
 from scanloom.stages.files.images import decode_color
-from scanloom.stages.files.opening import opened
+from scanloom.stages.files.input_files import open_input
 from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN, RECORDING_WRONG_KIND
 from scanloom.stages.scans.model.scan import ColorImage
 
 _FORMAT_VERSION = 4
-_LONGEST_NAME = 1 << 16
+_MAX_NAME_BYTES = 1 << 16
 _MATRIX = struct.Struct("<16f")
 _SETTINGS = struct.Struct("<iiIIIIfQ")
 _FRAME = struct.Struct("<16fQQQQ")
 _RAW_COLOR, _PNG_COLOR, _JPEG_COLOR = 0, 1, 2
 _RAW_DEPTH, _ZLIB_DEPTH = 0, 1
 # Depth units per metre, for units from 1 km down to 1 nm; other values are damaged.
-_SCALES = (1e-3, 1e9)
+_DEPTH_SCALE_RANGE = (1e-3, 1e9)
 # Maximum bytes per pixel and fixed overhead of an encoded image; a larger blob is damaged.
-_LARGEST_PIXEL, _LARGEST_OVERHEAD = 8, 1 << 20
+_MAX_BYTES_PER_PIXEL, _MAX_OVERHEAD_BYTES = 8, 1 << 20
 
 
 @dataclass(frozen=True)
@@ -62,17 +62,17 @@ class SensFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class Sens:
+class SensFile:
     """Header and frame index of a `.sens` file.
 
     Attributes
     ----------
     color_matrix, depth_matrix : (4, 4) float64 intrinsics, for images of `color_size` and `depth_size`.
     color_extrinsic, depth_extrinsic : (4, 4) float64; the identity in the data set.
-    color_coder, depth_coder : compression of the images, by the numbers of the format.
+    color_compression, depth_compression : compression of the images, by the numbers of the format.
     color_size, depth_size : (width, height), pixels.
     depth_scale : depth units per metre.
-    promised : frame count stated in the header; `frames` holds only the complete frames.
+    stated_frame_count : frame count stated in the header; `frames` holds only the complete frames.
     """
 
     path: Path
@@ -80,16 +80,16 @@ class Sens:
     color_extrinsic: NDArray[np.float64]
     depth_matrix: NDArray[np.float64]
     depth_extrinsic: NDArray[np.float64]
-    color_coder: int
-    depth_coder: int
+    color_compression: int
+    depth_compression: int
     color_size: tuple[int, int]
     depth_size: tuple[int, int]
     depth_scale: float
-    promised: int
+    stated_frame_count: int
     frames: Sequence[SensFrame]
 
 
-def read_sens(path: Path) -> Sens:
+def read_sens(path: Path) -> SensFile:
     """Read the header and the frame index of a `.sens` file.
 
     Frames after the first truncated or damaged frame cannot be located and are ignored.
@@ -101,15 +101,15 @@ def read_sens(path: Path) -> Sens:
         Also if the file has no complete frame.
     """
     try:
-        with opened(path) as file:
-            return _read(file, path.stat().st_size, path)
+        with open_input(path) as file:
+            return _read_file(file, path.stat().st_size, path)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
 
 
-def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
+def read_color(sens: SensFile, blob: Blob, name: str) -> ColorImage:
     """Read a colour image, (h, w, 3) uint8 RGB.
 
     Parameters
@@ -121,8 +121,8 @@ def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
     InputError
         If the image cannot be read or does not decode.
     """
-    data = _bytes(sens.path, blob, name)
-    if sens.color_coder != _RAW_COLOR:
+    data = _read_blob(sens.path, blob, name)
+    if sens.color_compression != _RAW_COLOR:
         return decode_color(data, f"{sens.path}: {name}")
     width, height = sens.color_size
     if len(data) != 3 * width * height:
@@ -136,7 +136,7 @@ def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
     return np.frombuffer(data, np.uint8).reshape(height, width, 3)
 
 
-def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
+def read_depth(sens: SensFile, blob: Blob, name: str) -> NDArray[np.uint16]:
     """Read a depth map, (h, w) uint16 in the file's unit.
 
     Parameters
@@ -148,10 +148,10 @@ def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
     InputError
         If the image cannot be read or does not decompress to the size stated in the header.
     """
-    data = _bytes(sens.path, blob, name)
+    data = _read_blob(sens.path, blob, name)
     width, height = sens.depth_size
     size = 2 * width * height
-    if sens.depth_coder == _ZLIB_DEPTH:
+    if sens.depth_compression == _ZLIB_DEPTH:
         try:
             # Request one byte more than expected to detect excess data, but no more: a blob of zeros could
             # fill the memory.
@@ -173,8 +173,8 @@ def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
     return np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
 
 
-def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
-    version, name_size = struct.unpack("<IQ", _exactly(file, 12, path))
+def _read_file(file: BinaryIO, file_size: int, path: Path) -> SensFile:
+    version, name_size = struct.unpack("<IQ", _read_exactly(file, 12, path))
     if version != _FORMAT_VERSION:
         raise InputError(
             RECORDING_WRONG_KIND,
@@ -183,18 +183,18 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
             format_version=_FORMAT_VERSION,
             version=version,
         )
-    if name_size > _LONGEST_NAME:
+    if name_size > _MAX_NAME_BYTES:
         raise InputError(
             RECORDING_DAMAGED,
             "the header is damaged: the sensor name has {name_size} bytes.",
             path,
             name_size=name_size,
         )
-    _exactly(file, name_size, path)
+    _read_exactly(file, name_size, path)
     color_matrix, color_extrinsic, depth_matrix, depth_extrinsic = (
-        _matrix(_exactly(file, _MATRIX.size, path)) for _ in range(4)
+        _parse_matrix(_read_exactly(file, _MATRIX.size, path)) for _ in range(4)
     )
-    settings = _SETTINGS.unpack(_exactly(file, _SETTINGS.size, path))
+    settings = _SETTINGS.unpack(_read_exactly(file, _SETTINGS.size, path))
     color_coder, depth_coder, color_width, color_height, width, height, scale, promised = settings
     if color_coder not in (_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR):
         raise InputError(
@@ -223,14 +223,15 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
             width=width,
             height=height,
         )
-    if not _SCALES[0] <= scale <= _SCALES[1]:
+    if not _DEPTH_SCALE_RANGE[0] <= scale <= _DEPTH_SCALE_RANGE[1]:
         raise InputError(
             RECORDING_DAMAGED, "the header is damaged: {scale:g} depth units per metre.", path, scale=scale
         )
     limits = [
-        _LARGEST_PIXEL * pixels + _LARGEST_OVERHEAD for pixels in (color_width * color_height, width * height)
+        _MAX_BYTES_PER_PIXEL * pixels + _MAX_OVERHEAD_BYTES
+        for pixels in (color_width * color_height, width * height)
     ]
-    frames = _frames(file, file_size, promised, limits)
+    frames = _read_frames(file, file_size, promised, limits)
     if not frames:
         raise InputError(
             RECORDING_DAMAGED,
@@ -239,29 +240,29 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
             remedy="copy the file again.",
             promised=promised,
         )
-    return Sens(
+    return SensFile(
         path=path,
         color_matrix=color_matrix,
         color_extrinsic=color_extrinsic,
         depth_matrix=depth_matrix,
         depth_extrinsic=depth_extrinsic,
-        color_coder=color_coder,
-        depth_coder=depth_coder,
+        color_compression=color_coder,
+        depth_compression=depth_coder,
         color_size=(color_width, color_height),
         depth_size=(width, height),
         depth_scale=scale,
-        promised=promised,
+        stated_frame_count=promised,
         frames=frames,
     )
 
 
-def _frames(file: BinaryIO, file_size: int, promised: int, limits: Sequence[int]) -> list[SensFrame]:
+def _read_frames(file: BinaryIO, file_size: int, stated_count: int, limits: Sequence[int]) -> list[SensFrame]:
     """Index the complete frames, up to the first damaged one.
 
     `limits` are the maximum sizes of a colour and a depth image, bytes.
     """
     frames: list[SensFrame] = []
-    while len(frames) < promised:
+    while len(frames) < stated_count:
         header = file.read(_FRAME.size)
         if len(header) < _FRAME.size:
             break
@@ -270,17 +271,17 @@ def _frames(file: BinaryIO, file_size: int, promised: int, limits: Sequence[int]
         end = start + color_size + depth_size
         if end > file_size or color_size > limits[0] or not 0 < depth_size <= limits[1]:
             break
-        pose = _matrix(header[: _MATRIX.size])
+        pose = _parse_matrix(header[: _MATRIX.size])
         frames.append(SensFrame(pose, Blob(start, color_size), Blob(start + color_size, depth_size)))
         file.seek(end)
     return frames
 
 
-def _matrix(data: bytes) -> NDArray[np.float64]:
+def _parse_matrix(data: bytes) -> NDArray[np.float64]:
     return np.array(_MATRIX.unpack(data)).reshape(4, 4)
 
 
-def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
+def _read_exactly(file: BinaryIO, size: int, path: Path) -> bytes:
     data = file.read(size)
     if len(data) < size:
         raise InputError(
@@ -289,9 +290,9 @@ def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
     return data
 
 
-def _bytes(path: Path, blob: Blob, name: str) -> bytes:
+def _read_blob(path: Path, blob: Blob, name: str) -> bytes:
     try:
-        with opened(path) as file:
+        with open_input(path) as file:
             file.seek(blob.start)
             data = file.read(blob.size)
     except OSError as error:

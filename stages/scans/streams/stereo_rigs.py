@@ -13,21 +13,21 @@ import numpy as np
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.files import documents
-from scanloom.stages.files.noting import note, only_looking
+from scanloom.stages.files.file_access_log import pause_recording, record_opened
 from scanloom.stages.scans.calibration import rig_calibration
-from scanloom.stages.scans.calibration.camera_files import document_of
+from scanloom.stages.scans.calibration.camera_files import read_calibration_document
 from scanloom.stages.scans.calibration.discovery import (
-    parts_of_calibration,
-    places_of_calibrations,
-    rigs_beside,
-    warn_of_rejected,
+    find_rigs,
+    list_calibration_folders,
+    read_split_calibration,
+    warn_rejected_files,
 )
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
-from scanloom.stages.scans.image_folders.image_files import first_existing, has
-from scanloom.stages.scans.model.lacking import calibration_missing
+from scanloom.stages.scans.image_folders.image_files import find_first_existing, has_all
+from scanloom.stages.scans.model.missing_data import describe_missing_calibration
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, StereoRig
-from scanloom.stages.scans.streams.clocked_streams import Images
+from scanloom.stages.scans.streams.timestamped_streams import TimestampedImages
 
 _OPENCV_FILES = ("intrinsics.yml", "extrinsics.yml")
 # ROS's camera calibrator writes one file per camera.
@@ -38,7 +38,7 @@ _ROS_FILES = (
 )
 
 
-def rig_of(
+def find_rig(
     folder: Path, options: ReadingParams, size: tuple[int, int], names: Sequence[str]
 ) -> tuple[StereoRig, tuple[Diagnostic, ...]]:
     """Find and read the stereo calibration of a folder.
@@ -65,27 +65,27 @@ def rig_of(
     InputError
         If the calibration cannot be read.
     """
-    stated = options.camera(*size)
-    path = options.file("calibration", folder) or first_existing(folder, *names)
+    stated = options.get_camera(*size)
+    path = options.resolve_file("calibration", folder) or find_first_existing(folder, *names)
     if path is not None:
-        document = _with_other_half(path)
+        document = _merge_opencv_files(path)
         rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     elif stated is not None and options.baseline is not None:
-        beside = rig_calibration.with_baseline(np.eye(4), options.baseline)
-        return StereoRig(stated, stated, beside, rectified=True), ()
-    elif (several := _in_halves(folder) or _in_parts(folder)) is not None:
-        document, path = several
+        right_from_left = rig_calibration.set_baseline(np.eye(4), options.baseline)
+        return StereoRig(stated, stated, right_from_left, is_rectified=True), ()
+    elif (split_calibration := _read_split_calibration(folder) or _read_matrix_files(folder)) is not None:
+        document, path = split_calibration
         rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
-    elif found := rigs_beside(folder, *size, options.baseline):
+    elif found := find_rigs(folder, *size, options.baseline):
         rig, path, diagnostics = found[0]
         if len(found) > 1:
-            lacking = calibration_missing(
+            lacking = describe_missing_calibration(
                 "several files contain one: {files}",
                 remedy="choose one with scan.calibration=FILE",
                 files=", ".join(one.name for _, one, _ in found[:5]),
             )
-            return uncalibrated(size), (lacking,)
-        note(path)
+            return create_uncalibrated_rig(size), (lacking,)
+        record_opened(path)
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
                 "the calibration is read from {file}, which was found in the scan folder",
@@ -94,27 +94,31 @@ def rig_of(
             *diagnostics,
         )
     else:
-        warn_of_rejected(folder, *size, rig_calibration.read_rig)
-        half = "; intrinsics.yml exists, but extrinsics.yml does not" if has(folder, "intrinsics.yml") else ""
-        lacking = calibration_missing(
+        warn_rejected_files(folder, *size, rig_calibration.read_rig)
+        opencv_hint = (
+            "; intrinsics.yml exists, but extrinsics.yml does not"
+            if has_all(folder, "intrinsics.yml")
+            else ""
+        )
+        lacking = describe_missing_calibration(
             "{file} is missing{half}",
             remedy="name a calibration with scan.calibration=FILE, or for rectified pairs set "
             "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES",
             file=names[0],
-            half=half,
+            half=opencv_hint,
         )
-        return uncalibrated(size), (lacking,)
+        return create_uncalibrated_rig(size), (lacking,)
     return (rig if stated is None else replace(rig, left=stated, right=stated)), ()
 
 
-def _in_halves(folder: Path) -> tuple[dict[str, Any], Path] | None:
+def _read_split_calibration(folder: Path) -> tuple[dict[str, Any], Path] | None:
     """Read a calibration that OpenCV's sample or ROS split into two files.
 
     Returns the merged document and the path of the second file, or None.
     """
-    for place in places_of_calibrations(folder):
+    for place in list_calibration_folders(folder):
         for pair in (_OPENCV_FILES, *_ROS_FILES):
-            if has(place, *pair):
+            if has_all(place, *pair):
                 first, second = (documents.read_document(place / name) for name in pair)
                 table = first | second if pair == _OPENCV_FILES else {"left": first, "right": second}
                 if place != folder:
@@ -127,17 +131,17 @@ def _in_halves(folder: Path) -> tuple[dict[str, Any], Path] | None:
     return None
 
 
-def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
+def _read_matrix_files(folder: Path) -> tuple[dict[str, Any], Path] | None:
     """Read a calibration that stores each matrix in a separate file.
 
     Returns the merged document and the folder of the files, or None.
     """
-    for place in places_of_calibrations(folder):
-        with only_looking():
-            table, files = parts_of_calibration(place)
-        if rig_calibration.states_a_pair(table):
+    for place in list_calibration_folders(folder):
+        with pause_recording():
+            table, files = read_split_calibration(place)
+        if rig_calibration.has_camera_pair(table):
             for path in files:
-                note(path)
+                record_opened(path)
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
                     "the calibration is read from {files} (one matrix per file)",
@@ -148,7 +152,7 @@ def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
     return None
 
 
-def _with_other_half(path: Path) -> dict[str, Any] | None:
+def _merge_opencv_files(path: Path) -> dict[str, Any] | None:
     """Read OpenCV's intrinsics and extrinsics files as one document.
 
     `path` is either of the two files.
@@ -158,11 +162,11 @@ def _with_other_half(path: Path) -> dict[str, Any] | None:
     for half, other in (("extrinsics", "intrinsics"), ("intrinsics", "extrinsics")):
         beside = path.with_name(path.name.replace(half, other))
         if half in path.name and path.is_file() and beside.is_file():
-            return (document_of(beside) or {}) | (document_of(path) or {}) or None
+            return (read_calibration_document(beside) or {}) | (read_calibration_document(path) or {}) or None
     return None
 
 
-def stated_rig(left: Images, folder: Path, options: ReadingParams) -> StereoRig | None:
+def read_stated_rig(left: TimestampedImages, folder: Path, options: ReadingParams) -> StereoRig | None:
     """Return the rig that the user gives for a recording, or None.
 
     Raises
@@ -172,15 +176,15 @@ def stated_rig(left: Images, folder: Path, options: ReadingParams) -> StereoRig 
     """
     if options.calibration is None and (options.intrinsics is None or options.baseline is None):
         return None
-    height, width = left.color(0).shape[:2]
-    rig, _ = rig_of(folder, options, (width, height), ())
+    height, width = left.read_color(0).shape[:2]
+    rig, _ = find_rig(folder, options, (width, height), ())
     return rig
 
 
-def uncalibrated(size: tuple[int, int]) -> StereoRig:
+def create_uncalibrated_rig(size: tuple[int, int]) -> StereoRig:
     """Create a placeholder rig of which only the image size is known.
 
     All other numbers are NaN.
     """
     camera = Camera(*size, math.nan, math.nan, math.nan, math.nan)
-    return StereoRig(camera, camera, np.full((4, 4), math.nan), rectified=False)
+    return StereoRig(camera, camera, np.full((4, 4), math.nan), is_rectified=False)

@@ -11,10 +11,10 @@ from pathlib import Path
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import POSE_INVALID
 from scanloom.stages.scans.model.scan import Pose, SkippedFrame
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 # Maximum ratio of damaged files; with more, the file format is probably a different one.
-_MOST_DAMAGED = 0.1
+_MAX_DAMAGED_RATIO = 0.1
 
 
 def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], list[SkippedFrame]]:
@@ -33,10 +33,10 @@ def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], 
     InputError
         The first error, if more than a tenth of the files are damaged.
     """
-    read = {name: _pose_or_fault(path) for name, path in files.items()}
+    read = {name: _try_read_pose(path) for name, path in files.items()}
     poses = {name: pose for name, pose in read.items() if not isinstance(pose, InputError)}
     faults = {name: fault for name, fault in read.items() if isinstance(fault, InputError)}
-    if len(faults) > _MOST_DAMAGED * len(files):
+    if len(faults) > _MAX_DAMAGED_RATIO * len(files):
         raise next(iter(faults.values()))
     return poses, [
         SkippedFrame(name, POSE_INVALID.warning("its pose is damaged: {reason}", reason=str(error)))
@@ -44,7 +44,7 @@ def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], 
     ]
 
 
-def _pose_or_fault(path: Path) -> Pose | InputError | None:
+def _try_read_pose(path: Path) -> Pose | InputError | None:
     try:
         return trajectories.read_pose(path)
     except InputError as error:

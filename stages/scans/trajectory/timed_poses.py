@@ -9,13 +9,13 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import POSE_TRAJECTORY_UNREADABLE, RECORDING_CLOCKS_DIFFER
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Pose
-from scanloom.stages.scans.trajectory import files as trajectories
-from scanloom.stages.scans.trajectory.files import Trajectory
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
+from scanloom.stages.scans.trajectory.trajectory_formats import Trajectory
 
 
-def poses_at(
+def match_poses_by_time(
     path: Path,
-    moments: Sequence[int],
+    timestamps: Sequence[int],
     names: Sequence[str],
     tolerance: int,
     options: ReadingParams,
@@ -30,7 +30,7 @@ def poses_at(
     Parameters
     ----------
     path : trajectory file.
-    moments : timestamps of the frames, nanoseconds.
+    timestamps : timestamps of the frames, nanoseconds.
     names : names of the frames.
     tolerance : maximum time between frame and pose, nanoseconds.
     read : reader of the file format.
@@ -42,7 +42,7 @@ def poses_at(
     """
     trajectory = read(path)
     if options.poses_by_order:
-        return trajectories.match(trajectory, names, path)
+        return trajectories.match_poses_to_frames(trajectory, names, path)
     if trajectory.timestamps is None:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
@@ -54,12 +54,12 @@ def poses_at(
         )
     if not len(trajectory):
         raise InputError(POSE_TRAJECTORY_UNREADABLE, "the trajectory file holds no poses.", path)
-    ordered = trajectories.in_order(trajectory)
-    poses = [trajectories.interpolate(ordered, moment, tolerance) for moment in moments]
-    if moments and all(pose is None for pose in poses):
+    ordered = trajectories.sort_by_time(trajectory)
+    poses = [trajectories.interpolate_pose(ordered, moment, tolerance) for moment in timestamps]
+    if timestamps and all(pose is None for pose in poses):
         times = trajectory.timestamps.tolist()
         start, end = (end / 1e9 for end in (min(times), max(times)))
-        first, last = (end / 1e9 for end in (min(moments), max(moments)))
+        first, last = (end / 1e9 for end in (min(timestamps), max(timestamps)))
         offered = " There are as many poses as frames: scan.poses_by_order=true assigns them in order."
         raise InputError(
             RECORDING_CLOCKS_DIFFER,
@@ -74,6 +74,6 @@ def poses_at(
             end=end,
             first=first,
             last=last,
-            offered=offered if len(times) == len(moments) else "",
+            offered=offered if len(times) == len(timestamps) else "",
         )
     return poses

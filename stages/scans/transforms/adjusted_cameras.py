@@ -24,11 +24,11 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, POSE_MISSING
-from scanloom.stages.scans.model.poses import matrix_of, rigid, turn_of
+from scanloom.stages.scans.model.poses import check_rigid_pose, parse_pose_matrix, parse_shutter_turn
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
 
 
-def with_adjusted(scan: Scan, path: Path) -> Scan:
+def apply_adjusted_cameras(scan: Scan, path: Path) -> Scan:
     """Apply the cameras.json of `adjust` to the frames of a scan, by frame name.
 
     Raises
@@ -37,12 +37,14 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
         If the file is not a cameras.json of `adjust`, or contains none of the frames.
     """
     document = documents.read_json(path)
-    if not isinstance(document, dict) or not calibration.is_of_adjust(document):
+    if not isinstance(document, dict) or not calibration.is_adjust_result(document):
         raise InputError(CAMERA_ADJUSTED_MISMATCH, "a cameras.json of `scanloom adjust` is expected.", path)
-    poses = _poses(document, path)
-    camera = _color_camera(document, path)
-    turns = _turns(document, path)
-    frames = [_adjusted(frame, poses.get(frame.name), camera, turns.get(frame.name)) for frame in scan.frames]
+    poses = _read_poses(document, path)
+    camera = _read_color_camera(document, path)
+    turns = _read_shutter_turns(document, path)
+    frames = [
+        _apply_to_frame(frame, poses.get(frame.name), camera, turns.get(frame.name)) for frame in scan.frames
+    ]
     if poses and not any(frame.name in poses for frame in scan.frames):
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
@@ -55,7 +57,7 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
     return replace(scan, frames=frames, missing=missing)
 
 
-def _adjusted(
+def _apply_to_frame(
     frame: Frame,
     pose: Pose | None,
     camera: tuple[Camera, Pose] | None,
@@ -70,7 +72,7 @@ def _adjusted(
     return frame
 
 
-def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
+def _read_poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
     names, poses = document.get("names"), document.get("poses")
     if not isinstance(names, dict) or not isinstance(poses, dict) or set(names) != set(poses):
         raise InputError(
@@ -81,10 +83,10 @@ def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
         )
     if not all(isinstance(name, str) for name in names.values()):
         raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is not a string.", path)
-    return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
+    return {names[place]: _read_finite_pose(poses[place], f"frame {names[place]}", path) for place in poses}
 
 
-def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64]]:
+def _read_shutter_turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64]]:
     names, turns = document["names"], document.get("shutter_turns")
     if turns is None:
         return {}
@@ -95,10 +97,10 @@ def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64
             path,
             remedy="run `scanloom adjust` again.",
         )
-    return {names[place]: turn_of(turns[place], path, f"frame {names[place]}") for place in turns}
+    return {names[place]: parse_shutter_turn(turns[place], path, f"frame {names[place]}") for place in turns}
 
 
-def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] | None:
+def _read_color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] | None:
     table = document.get("color_camera")
     if table is None:
         return None
@@ -109,12 +111,12 @@ def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] |
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "color_camera needs its width and height in pixels.", path
         )
-    camera = calibration.camera_from_table(table, width, height, path)
-    return camera, _pose(document.get("color_from_depth"), "color_from_depth", path)
+    camera = calibration.parse_camera_table(table, width, height, path)
+    return camera, _read_finite_pose(document.get("color_from_depth"), "color_from_depth", path)
 
 
-def _pose(value: object, where: str, path: Path) -> Pose:
-    pose = rigid(matrix_of(value, path, where), path, where)
+def _read_finite_pose(value: object, where: str, path: Path) -> Pose:
+    pose = check_rigid_pose(parse_pose_matrix(value, path, where), path, where)
     if pose is None:
         raise InputError(CAMERA_ADJUSTED_MISMATCH, "{place} is not finite.", path, place=where)
     return pose

@@ -15,13 +15,13 @@ from scanloom.stages.scans.codes import SCALE_NOT_METRIC
 from scanloom.stages.scans.model.scan import Frame, Pose, Scan, StereoRig
 from scanloom.stages.scans.model.world import Scale
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.transforms.tag_scale import scale_by_tags
+from scanloom.stages.scans.transforms.tag_scale import estimate_scale_from_tags
 
 # Maximum relative correction of a metric scan without a warning.
-_CORRECTION = 0.1
+_MAX_CORRECTION_RATIO = 0.1
 
 
-def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
+def apply_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
     """Scale a scan to metres if its scale is given or can be measured.
 
     All lengths are multiplied, including depth, so that depth and poses stay consistent. If depth is metric
@@ -33,7 +33,7 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
     InputError
         If the scale must be measured from tags, and this fails.
     """
-    scale = _scale(scan, options, folder)
+    scale = _resolve_scale(scan, options, folder)
     if scale is None:
         if not scan.is_metric:
             emit(
@@ -47,10 +47,10 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
         return scan
     factor = scale.metres_per_unit
     if options.poses is not None and scan.is_metric and not scan.is_views:
-        frames = [_moved(frame, factor) for frame in scan.frames]
+        frames = [_scale_frame_pose(frame, factor) for frame in scan.frames]
         return replace(scan, frames=frames, scale=scale)
     is_stated = options.depth_scale is not None or options.poses is not None
-    if scan.is_metric and not is_stated and abs(factor - 1) > _CORRECTION:
+    if scan.is_metric and not is_stated and abs(factor - 1) > _MAX_CORRECTION_RATIO:
         emit(
             SCALE_NOT_METRIC.warning(
                 "layout {layout} is metric, but its lengths are multiplied by {factor:.4g}",
@@ -60,44 +60,44 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
         )
     return replace(
         scan,
-        frames=[_scaled(frame, factor) for frame in scan.frames],
-        rig=None if scan.rig is None else _scaled_rig(scan.rig, factor),
-        box=None if scan.box is None else scan.box * factor,
+        frames=[_scale_frame(frame, factor) for frame in scan.frames],
+        rig=None if scan.rig is None else _scale_rig(scan.rig, factor),
+        bounding_box=None if scan.bounding_box is None else scan.bounding_box * factor,
         is_metric=True,
         scale=scale,
     )
 
 
-def _scale(scan: Scan, options: ScanParams, folder: Path) -> Scale | None:
-    stated = options.stated_scale()
+def _resolve_scale(scan: Scan, options: ScanParams, folder: Path) -> Scale | None:
+    stated = options.resolve_scale()
     if stated is not None:
         return Scale(stated, "given" if options.scale is not None else "a known distance")
     if options.tag_size is not None:
-        return scale_by_tags(scan.frames, options.tag_size, options.tag_family, folder)
+        return estimate_scale_from_tags(scan.frames, options.tag_size, options.tag_family, folder)
     return None
 
 
-def _moved(frame: Frame, factor: float) -> Frame:
+def _scale_frame_pose(frame: Frame, factor: float) -> Frame:
     pose = frame.world_from_camera
-    return frame if pose is None else replace(frame, world_from_camera=_scaled_pose(pose, factor))
+    return frame if pose is None else replace(frame, world_from_camera=_scale_pose(pose, factor))
 
 
-def _scaled(frame: Frame, factor: float) -> Frame:
-    apart, near_and_far, depth = frame.color_from_depth, frame.depth_range, frame.depth
+def _scale_frame(frame: Frame, factor: float) -> Frame:
+    color_from_depth, near_and_far, depth = frame.color_from_depth, frame.depth_range, frame.depth
     return replace(
-        _moved(frame, factor),
+        _scale_frame_pose(frame, factor),
         depth=depth * np.float32(factor) if isinstance(depth, np.ndarray) else depth,
         depth_scale=frame.depth_scale / factor,
-        color_from_depth=None if apart is None else _scaled_pose(apart, factor),
+        color_from_depth=None if color_from_depth is None else _scale_pose(color_from_depth, factor),
         depth_range=None if near_and_far is None else (near_and_far[0] * factor, near_and_far[1] * factor),
     )
 
 
-def _scaled_rig(rig: StereoRig, factor: float) -> StereoRig:
-    return replace(rig, right_from_left=_scaled_pose(rig.right_from_left, factor))
+def _scale_rig(rig: StereoRig, factor: float) -> StereoRig:
+    return replace(rig, right_from_left=_scale_pose(rig.right_from_left, factor))
 
 
-def _scaled_pose(pose: Pose, factor: float) -> Pose:
+def _scale_pose(pose: Pose, factor: float) -> Pose:
     scaled: Pose = pose.copy()
     scaled[:3, 3] *= factor
     return scaled

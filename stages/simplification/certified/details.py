@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.printing import by_fields, table
-from scanloom.stages.printing.rounding import DIGITS, rounded_up
-from scanloom.stages.simplification.crowding import report_crowded_by_topology
-from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.printing import format_by_fields, render_table
+from scanloom.stages.printing.rounding import PRINTED_DIGITS, round_up
+from scanloom.stages.simplification.blocked_edges import report_topology_blocking
+from scanloom.stages.simplification.result import Details, SimplificationResult
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,7 +24,7 @@ class CertifiedDetails(Details):
     shape_bound, color_bound : (q,) float64, metres and levels, proven both ways for each triangle: for its
         points, and for input points whose nearest point is on it. `color_bound` is None without colours.
         Values may equal `max_shape` and `max_color` (or `color_bound_levels`) although smaller ones are true,
-        unless `close_bounds` is set.
+        unless `tight_bounds` is set.
     shape_bound_m, color_bound_levels : maximum over all triangles of input and result.
     shape_attained_m, color_attained_levels : largest deviation found at a point. The true maximum is between
         this value and the bound.
@@ -40,8 +40,8 @@ class CertifiedDetails(Details):
         without texture seams.
     """
 
-    __repr__ = by_fields
-    _repr_html_ = table
+    __repr__ = format_by_fields
+    _repr_html_ = render_table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
@@ -66,17 +66,17 @@ class CertifiedDetails(Details):
     color_measured_levels: float | None = None
     seam_drift: float | None = None
 
-    def report(self, result: Simplified[Any]) -> None:
+    def report(self, result: SimplificationResult[Any]) -> None:
         """Warn if most remaining edges cannot collapse because of the topology."""
         if result.stopped_by == "triangles":
-            report_crowded_by_topology(result)
+            report_topology_blocking(result)
 
-    def text(self) -> str:
+    def describe(self) -> str:
         """Describe the proven bounds, and whether the requested bounds were met."""
-        most = f"{_at_most(self.shape_bound_m)} m"
+        bound_text = f"{_format_bound(self.shape_bound_m)} m"
         if self.color_bound_levels is not None:
-            most += f" and {_at_most(self.color_bound_levels)} levels"
-        text = f"Proven: no point is more than {most} off."
+            bound_text += f" and {_format_bound(self.color_bound_levels)} levels"
+        text = f"Proven: no point is more than {bound_text} off."
         if self.color_measured_levels is not None:
             text += (
                 f" Measured, not proven: colours differ by {self.color_measured_levels:.3g} levels at most."
@@ -90,5 +90,5 @@ class CertifiedDetails(Details):
         )
 
 
-def _at_most(value: float) -> str:
-    return f"{rounded_up(value):.{DIGITS}g}"
+def _format_bound(value: float) -> str:
+    return f"{round_up(value):.{PRINTED_DIGITS}g}"

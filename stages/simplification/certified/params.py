@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedParams:
     """Parameters of method `certified`."""
 
-    close_bounds: bool = param(
+    tight_bounds: bool = param(
         False,
         "Bound each triangle as tightly as possible, which takes two to four times as long. "
         "Otherwise the bounds of a triangle may equal max_shape and max_color (or the "
@@ -19,4 +19,4 @@ class CertifiedParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)

@@ -9,23 +9,28 @@ import numpy as np
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.simplification.certified.along_seams import run_along_seams
+from scanloom.stages.simplification.certified.constants import (
+    EXPECTED_REDUCTION,
+    MAX_SUBDIVISIONS,
+    PROOF_TOLERANCE,
+    VERTEX_BOUND_RATIO,
+)
+from scanloom.stages.simplification.certified.corner_attribute_run import run_with_corner_attributes
 from scanloom.stages.simplification.certified.details import CertifiedDetails
-from scanloom.stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
 from scanloom.stages.simplification.certified.params import CertifiedParams
-from scanloom.stages.simplification.certified.unproven import not_proven
+from scanloom.stages.simplification.certified.unproven_warning import create_unproven_warning
 from scanloom.stages.simplification.codes import USAGE_METHOD_MISMATCH
-from scanloom.stages.simplification.color_weight import balanced_weight
-from scanloom.stages.simplification.corner_attributes import is_in_pieces
-from scanloom.stages.simplification.in_sheets import run_in_sheets
-from scanloom.stages.simplification.kernel_input import as_result, require_colors
+from scanloom.stages.simplification.color_weight import compute_balanced_weight
+from scanloom.stages.simplification.corner_attributes import has_corner_attributes
+from scanloom.stages.simplification.kernel_input import build_result_mesh, require_colors
+from scanloom.stages.simplification.manifold_sheets import run_on_manifold_sheets
 from scanloom.stages.simplification.records.record import CollapseRecord
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.task import Task
-from scanloom.stages.surface.color import attributes_of, has_color
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.surface_color import get_vertex_attributes, has_color
 
 RESULT_VERSION = 7
 
@@ -36,7 +41,7 @@ REGION_TRIANGLES = 8192
 _SHAPE_PER_DIAGONAL = 0.005
 
 
-def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
+def run(task: Task[CertifiedParams]) -> SimplificationResult[CertifiedDetails]:
     """Simplify with method `certified`.
 
     Raises
@@ -45,14 +50,14 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
         For importance below 1, or a bound on colour for a mesh without colours.
     """
     mesh = task.mesh
-    along_seams = is_in_pieces(mesh)
-    if not along_seams:
+    has_corner_data = has_corner_attributes(mesh)
+    if not has_corner_data:
         require_colors(mesh, task.max_color)
     elif task.max_color is not None and not has_color(mesh):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
             "is given, but the mesh has neither image nor vertex colours",
-            Where(parameter="max_color"),
+            DiagnosticLocation(parameter="max_color"),
             remedy="leave it out.",
         )
     if not (np.isfinite(task.importance).all() and (task.importance >= 1).all()):
@@ -61,37 +66,37 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
             "importance has values below 1 or not finite; method certified divides its "
             "bounds by it, so it must be at least 1.",
         )
-    shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if task.max_shape is None else float(task.max_shape)
-    if along_seams:
-        return run_along_seams(task, shape)
+    shape = _SHAPE_PER_DIAGONAL * _compute_diagonal(mesh) if task.max_shape is None else float(task.max_shape)
+    if has_corner_data:
+        return run_with_corner_attributes(task, shape)
     # The default bound depends on the given mesh, which may have unused vertices; split sheets have none.
-    return run_in_sheets(replace(task, max_shape=shape), _as_it_is)
+    return run_on_manifold_sheets(replace(task, max_shape=shape), _run_on_manifold)
 
 
-def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
+def _run_on_manifold(task: Task[CertifiedParams]) -> SimplificationResult[CertifiedDetails]:
     mesh = task.mesh
     shape = task.max_shape or 0.0
     color = math.inf if task.max_color is None else float(task.max_color)
     weight = task.attribute_scale
     if weight is None:
-        weight = balanced_weight(mesh, len(mesh.triangles) // REDUCTION, task.threads)
+        weight = compute_balanced_weight(mesh, len(mesh.triangles) // EXPECTED_REDUCTION, task.threads)
     with_color = mesh.colors is not None
     result = _kernels.simplify_certified(
         mesh.vertices,
-        attributes_of(mesh),
+        get_vertex_attributes(mesh),
         mesh.triangles,
         task.lock,
         task.importance,
         bounds=(shape, color),
         weight=weight,
-        share=SHARE_OF_VERTICES,
-        tolerance=(TOLERANCE, TOLERANCE),
-        effort=PIECES,
-        close=task.params.close_bounds,
-        running=task.running(REGION_TRIANGLES),
+        share=VERTEX_BOUND_RATIO,
+        tolerance=(PROOF_TOLERANCE, PROOF_TOLERANCE),
+        effort=MAX_SUBDIVISIONS,
+        close=task.params.tight_bounds,
+        running=task.make_kernel_options(REGION_TRIANGLES),
         progress=task.progress,
     )
-    light = as_result(
+    simplified = build_result_mesh(
         mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
     )
     # Without a triangle count, the kernel's target is 0 and the bounds are the only limit, even if no
@@ -100,14 +105,14 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     if not result.proven:
         proven = result.bound[0], result.bound[1] if with_color else None
         fails = (result.shape_bound > max(shape, 2 * result.slack)) | (result.color_bound > color)
-        emit(not_proven(light, fails, result.shape_bound, proven))
+        emit(create_unproven_warning(simplified, fails, result.shape_bound, proven))
         stopped_by = "request" if stopped_by == "request" else "unproven"
     record = None
     if task.record:
         base = mesh.with_(texture=None)
         record = CollapseRecord(base, result.removed, result.survivor, result.path, task.lock)
-    return Simplified(
-        mesh=light,
+    return SimplificationResult(
+        mesh=simplified,
         vertex_source=result.vertex_source,
         triangle_source=result.triangle_source,
         method="certified",
@@ -136,5 +141,5 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     )
 
 
-def _diagonal(mesh: Mesh) -> float:
+def _compute_diagonal(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scanloom.stages.printing import by_fields, table
-from scanloom.stages.simplification.crowding import report_crowded_by_topology
-from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.printing import format_by_fields, render_table
+from scanloom.stages.simplification.blocked_edges import report_topology_blocking
+from scanloom.stages.simplification.result import Details, SimplificationResult
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,8 +24,8 @@ class Jia01Details(Details):
     splits : number of edges that were split.
     """
 
-    __repr__ = by_fields
-    _repr_html_ = table
+    __repr__ = format_by_fields
+    _repr_html_ = render_table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, largest change "
@@ -41,7 +41,7 @@ class Jia01Details(Details):
     bounded: dict[str, bool]
     splits: int
 
-    def report(self, result: Simplified[Any]) -> None:
+    def report(self, result: SimplificationResult[Any]) -> None:
         """Warn if most remaining edges cannot collapse because of the topology."""
         if result.stopped_by == "triangles":
-            report_crowded_by_topology(result)
+            report_topology_blocking(result)

@@ -15,18 +15,18 @@ from scanloom.stages.surface.mesh import Mesh
 
 # Defaults tuned on a room fused at 2 cm and on a sphere with a satellite map; the results are in the
 # docstring of the package.
-EDGES_PER_RESOLUTION = 36.0  # target edge length / mean edge length of the input
-SHAPE_PER_RESOLUTION = 0.1  # the paper's value
-SHAPE_PER_DIAGONAL = 0.005  # preserves the shape of meshes with few large triangles
+RESOLUTION_PER_MEAN_EDGE = 36.0  # target edge length / mean edge length of the input
+MAX_SHAPE_PER_RESOLUTION = 0.1  # the paper's value
+MAX_SHAPE_PER_DIAGONAL = 0.005  # preserves the shape of meshes with few large triangles
 MAX_COLOR = 400.0  # 8-bit levels, accumulated over the collapses around an edge
 
 # Maximum ratio of triangles that splitting adds by default. It prevents a few long edges from determining the
 # resolution.
-_SPLIT_SHARE = 0.05
+_MAX_SPLIT_RATIO = 0.05
 
 
 @dataclass(frozen=True)
-class Limits:
+class Jia01Limits:
     """Limits L, S_max and T_max of the paper.
 
     Attributes
@@ -43,7 +43,7 @@ class Limits:
     attribute_scale: float
 
 
-def limits_of(task: Task[Jia01Params]) -> Limits:
+def resolve_limits(task: Task[Jia01Params]) -> Jia01Limits:
     """Complete the given limits by defaults.
 
     With a triangle count, limits that were not given are infinite bounds.
@@ -52,9 +52,9 @@ def limits_of(task: Task[Jia01Params]) -> Limits:
     given = (task.params.resolution, task.max_shape, task.max_color)
     resolution, max_shape, max_color = given
     if resolution is None:
-        resolution = _default_resolution(mesh, task.threads)
+        resolution = _compute_default_resolution(mesh, task.threads)
     if max_shape is None:
-        max_shape = _default_shape(mesh, resolution)
+        max_shape = _compute_default_shape(mesh, resolution)
     if max_color is None:
         max_color = MAX_COLOR
     # A bound of 0 allows no texture change; the collapse order then needs another unit.
@@ -66,7 +66,7 @@ def limits_of(task: Task[Jia01Params]) -> Limits:
         math.inf if only_given and wanted is None else value
         for value, wanted in zip((resolution, max_shape, max_color), given, strict=True)
     )
-    return Limits(
+    return Jia01Limits(
         bounds=(next(bounds), next(bounds), next(bounds)),
         scales=(resolution, max_shape, color_scale),
         max_color=max_color,
@@ -74,29 +74,29 @@ def limits_of(task: Task[Jia01Params]) -> Limits:
     )
 
 
-def _default_shape(mesh: Mesh, resolution: float) -> float:
+def _compute_default_shape(mesh: Mesh, resolution: float) -> float:
     # Column by column, because `ptp` over rows of three is several times slower.
     extent = [np.ptp(column) for column in mesh.vertices.T] if len(mesh.vertices) else [0.0]
     diagonal = float(np.linalg.norm(extent))
-    share = SHAPE_PER_RESOLUTION * resolution
-    return min(share, SHAPE_PER_DIAGONAL * diagonal) if diagonal > 0 else share
+    share = MAX_SHAPE_PER_RESOLUTION * resolution
+    return min(share, MAX_SHAPE_PER_DIAGONAL * diagonal) if diagonal > 0 else share
 
 
-def _default_resolution(mesh: Mesh, threads: int) -> float:
+def _compute_default_resolution(mesh: Mesh, threads: int) -> float:
     """Derive the resolution (m) from the mean edge length.
 
     It is increased until splitting adds few triangles.
     """
     lengths = _kernels.side_lengths(mesh.vertices, mesh.triangles, wanted_threads=threads).ravel()
-    resolution = EDGES_PER_RESOLUTION * float(lengths.mean()) if len(lengths) else 0.0
+    resolution = RESOLUTION_PER_MEAN_EDGE * float(lengths.mean()) if len(lengths) else 0.0
     if not resolution > 0:
         return 1.0  # no edge has a length; the value has no effect
-    while _split_triangles(lengths, resolution) > _SPLIT_SHARE * len(mesh.triangles):
+    while _count_split_triangles(lengths, resolution) > _MAX_SPLIT_RATIO * len(mesh.triangles):
         resolution *= 1.1
     return resolution
 
 
-def _split_triangles(lengths: NDArray[np.float64], resolution: float) -> float:
+def _count_split_triangles(lengths: NDArray[np.float64], resolution: float) -> float:
     """Compute a lower bound on the triangles that splitting adds.
 
     Edges are halved until they are short enough; each cut adds one triangle.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.simplification.shared_params import require_finite
 
 
@@ -28,5 +28,5 @@ class Jia01Params:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
         require_finite(self, "resolution")

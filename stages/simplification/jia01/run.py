@@ -6,17 +6,17 @@ import math
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
-from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.simplification.in_sheets import run_in_sheets
 from scanloom.stages.simplification.jia01.details import Jia01Details
-from scanloom.stages.simplification.jia01.limits import limits_of
+from scanloom.stages.simplification.jia01.limits import resolve_limits
 from scanloom.stages.simplification.jia01.params import Jia01Params
-from scanloom.stages.simplification.kernel_input import as_result
+from scanloom.stages.simplification.kernel_input import build_result_mesh
+from scanloom.stages.simplification.manifold_sheets import run_on_manifold_sheets
 from scanloom.stages.simplification.records.record import CollapseRecord
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.task import Task
-from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.surface_color import get_vertex_attributes
 
 RESULT_VERSION = 2
 
@@ -25,10 +25,10 @@ RESULT_VERSION = 2
 REGION_TRIANGLES = 16384
 
 # Maximum number of triangles after splitting; they need about 4 GB.
-_TRIANGLE_LIMIT = 20_000_000
+_MAX_TRIANGLES = 20_000_000
 
 
-def run(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
+def run(task: Task[Jia01Params]) -> SimplificationResult[Jia01Details]:
     """Simplify with method `jia01`.
 
     Raises
@@ -36,51 +36,53 @@ def run(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     UsageError
         If the resolution is so fine that splitting would create more than 20 million triangles.
     """
-    return run_in_sheets(task, _as_it_is)
+    return run_on_manifold_sheets(task, _run_on_manifold)
 
 
-def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
+def _run_on_manifold(task: Task[Jia01Params]) -> SimplificationResult[Jia01Details]:
     mesh = task.mesh
-    limits = limits_of(task)
+    limits = resolve_limits(task)
     try:
         result = _kernels.simplify(
             mesh.vertices,
-            attributes_of(mesh),
+            get_vertex_attributes(mesh),
             mesh.triangles,
             task.lock,
             bounds=limits.bounds,
             scales=limits.scales,
             attribute_scale=limits.attribute_scale,
             paper_rule=task.params.paper_rule,
-            triangle_limit=max(_TRIANGLE_LIMIT, len(mesh.triangles)),
-            running=task.running(REGION_TRIANGLES),
+            triangle_limit=max(_MAX_TRIANGLES, len(mesh.triangles)),
+            running=task.make_kernel_options(REGION_TRIANGLES),
             progress=task.progress,
         )
     except _kernels.LimitError as error:
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {scales:g} m; at this edge length, {error}",
-            Where(parameter="jia01.resolution"),
+            DiagnosticLocation(parameter="jia01.resolution"),
             remedy="give a larger value.",
             scales=limits.scales[0],
             error=error,
         ) from error
-    light = as_result(
+    simplified = build_result_mesh(
         mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
     )
     record = None
     if task.record:
         base = mesh.with_(texture=None)
-        way = result.removed, result.survivor, result.path
+        collapses = result.removed, result.survivor, result.path
         if result.split is None:
-            record = CollapseRecord(base, *way, task.lock)
+            record = CollapseRecord(base, *collapses, task.lock)
         else:
             vertices, attributes, triangles, vertex_source, triangle_source = result.split
-            split = as_result(base, vertices, attributes, triangles, vertex_source, "simplify")
-            record = CollapseRecord(split, *way, task.lock[vertex_source], vertex_source, triangle_source)
+            split = build_result_mesh(base, vertices, attributes, triangles, vertex_source, "simplify")
+            record = CollapseRecord(
+                split, *collapses, task.lock[vertex_source], vertex_source, triangle_source
+            )
     names = ("resolution", "max_shape", "max_color")
-    return Simplified(
-        mesh=light,
+    return SimplificationResult(
+        mesh=simplified,
         vertex_source=result.vertex_source,
         triangle_source=result.triangle_source,
         method="jia01",

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.printing import by_fields, table
+from scanloom.stages.printing import format_by_fields, render_table
 from scanloom.stages.simplification.planar.patches import Patches
 from scanloom.stages.simplification.result import Details
 
@@ -36,8 +36,8 @@ class PlanarDetails(Details):
     triangle_patch : (q,) int32, patch of each triangle of the result.
     """
 
-    __repr__ = by_fields
-    _repr_html_ = table
+    __repr__ = format_by_fields
+    _repr_html_ = render_table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles from {patches:,} patches, no more than {shape_bound_m:at_most} m and "

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
-from scanloom.stages.simplification.shared_params import HOW_FAR, require_finite
+from scanloom.stages.params import check_parameters, param
+from scanloom.stages.simplification.shared_params import TARGET_GROUP, require_finite
 
 # 8-bit levels. At 60 levels a simplified room looks like its scan; without a bound, stains and shadows
 # disappear.
@@ -46,7 +46,7 @@ class PlanarParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class PatchParams(PlanarParams):
         unit="m",
         low=0,
         low_open=True,
-        group=HOW_FAR,
+        group=TARGET_GROUP,
         common=True,
     )
     max_color: float | None = param(
@@ -70,7 +70,7 @@ class PatchParams(PlanarParams):
         f"coloured meshes: {MAX_COLOR:g}; 1000 is effectively no bound.",
         unit="8-bit levels",
         low=0,
-        group=HOW_FAR,
+        group=TARGET_GROUP,
     )
     threads: int | None = param(
         None,

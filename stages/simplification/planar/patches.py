@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.printing import by_figures, table
+from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.mesh import Colors, Mesh
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]
 
 # Largest patches listed individually in the statistics.
-_LISTED = 10
+_LISTED_PATCHES = 10
 
 # Golden-ratio step on the hue circle: hues of consecutive patches are far apart.
-_GOLDEN = 0.618034
+_GOLDEN_RATIO_STEP = 0.618034
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ class Patches:
     areas : (k,) float64, m².
     triangles : (k,) int32, triangle count of each patch.
     thickness : (k,) float64, metres, distance of two parallel planes that enclose the patch.
-    looks : number of neighbour tests during growth; run time is proportional to it.
+    neighbour_test_count : number of neighbour tests during growth; run time is proportional to it.
     """
 
-    __repr__ = by_figures
-    _repr_html_ = table
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
 
     triangle_patch: Ids
     normals: Floats
@@ -46,7 +46,7 @@ class Patches:
     areas: Floats
     triangles: Ids
     thickness: Floats
-    looks: int
+    neighbour_test_count: int
 
     @property
     def count(self) -> int:
@@ -64,21 +64,21 @@ class Patches:
                 "thickness_m": float(thickness),
                 "normal": normal.tolist(),
             }
-            for own, triangles, thickness, normal in (row for row, _ in zip(rows, range(_LISTED)))  # noqa: B905
+            for own, triangles, thickness, normal in (row for row, _ in zip(rows, range(_LISTED_PATCHES)))  # noqa: B905
         ]
         # Patches are sorted by area, so the first ones cover half of it.
-        half = int(np.searchsorted(np.cumsum(self.areas), 0.5 * area)) + 1 if self.count else 0
+        half_area_count = int(np.searchsorted(np.cumsum(self.areas), 0.5 * area)) + 1 if self.count else 0
         return {
             "patches": self.count,
             "area_m2": area,
-            "patches_of_half_the_area": half,
+            "patches_of_half_the_area": half_area_count,
             "largest_patches": largest,
         }
 
 
-def patch_colors(count: int) -> Colors:
+def generate_patch_colors(count: int) -> Colors:
     """Generate distinct colours (count, 3) for consecutive patches."""
-    turns = np.arange(count) * _GOLDEN % 1
+    turns = np.arange(count) * _GOLDEN_RATIO_STEP % 1
     levels = [
         colorsys.hsv_to_rgb(hue, (0.55, 0.8)[i % 2], (0.95, 0.75, 0.85)[i % 3]) for i, hue in enumerate(turns)
     ]
@@ -86,7 +86,7 @@ def patch_colors(count: int) -> Colors:
     return colors
 
 
-def colored_by_patch(mesh: Mesh, triangle_patch: Ids) -> Mesh:
+def color_by_patch(mesh: Mesh, triangle_patch: Ids) -> Mesh:
     """Colour each patch of a mesh differently.
 
     Vertices on patch borders are duplicated so that colours do not blend. Triangles without a patch are
@@ -102,7 +102,7 @@ def colored_by_patch(mesh: Mesh, triangle_patch: Ids) -> Mesh:
     keys = patch.astype(np.int64) * max(len(mesh.vertices), 1) + corners
     distinct, first, number = np.unique(keys, return_index=True, return_inverse=True)
     colors = (
-        patch_colors(int(patch.max(initial=-1)) + 1)[patch[first]]
+        generate_patch_colors(int(patch.max(initial=-1)) + 1)[patch[first]]
         if len(distinct)
         else np.zeros((0, 3), np.uint8)
     )

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.params import resolve
-from scanloom.stages.progress import Progress, silent
-from scanloom.stages.simplification.in_sheets import joined, run_on, sheets_of
-from scanloom.stages.simplification.kernel_input import as_result, kernel_input, require_colors
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.simplification.kernel_input import build_result_mesh, make_kernel_input, require_colors
+from scanloom.stages.simplification.manifold_sheets import run_on_sheets, split_into_sheets, weld_into_sheets
+from scanloom.stages.simplification.planar.bound_search import FewestTriangles, search_fewest_triangles
 from scanloom.stages.simplification.planar.details import PlanarDetails
 from scanloom.stages.simplification.planar.params import MAX_COLOR, PatchParams, PlanarParams
 from scanloom.stages.simplification.planar.patches import Patches
-from scanloom.stages.simplification.planar.tighter import Fewest, fewest_triangles
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.task import Task
-from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import bounding_box
-from scanloom.stages.surface.sheets import Sheets
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.raycasting import compute_bounding_box
+from scanloom.stages.surface.sheet_decomposition import Sheets
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 RESULT_VERSION = 3
 
 # Vertices, vertex attributes, triangles, and triangle labels that patches do not cross.
-_Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
+_SurfaceArrays: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
 
 _SHAPE_PER_DIAGONAL = 0.005
-_FARTHEST_COLORS = 255 * math.sqrt(3)
+_MAX_COLOR_DISTANCE = 255 * math.sqrt(3)
 
 
 def planar_patches(
     mesh: MeshLike,
     params: PatchParams | None = None,
     *,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     **changes: Unpack[PatchKeywords],
 ) -> Patches:
     """Segment a mesh into connected near-planar patches.
@@ -78,31 +78,31 @@ def planar_patches(
     """
     params = resolve(PatchParams, params, dict(changes))
     mesh = as_mesh(mesh)
-    given = kernel_input(mesh)
+    kernel_arrays = make_kernel_input(mesh)
     cosines, bounds, threads = (
-        _cosines(params),
-        _bounds(mesh, params.max_shape, params.max_color),
+        _compute_cosines(params),
+        _resolve_bounds(mesh, params.max_shape, params.max_color),
         params.threads or 0,
     )
 
-    def found(surface: _Surface) -> _kernels.PlanarPatches:
+    def find_patches(surface: _SurfaceArrays) -> _kernels.PlanarPatches:
         return _kernels.planar_patches(
             *surface, cosines=cosines, bounds=bounds, threads=threads, progress=progress
         )
 
-    whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
-    sheets = joined(mesh)
+    surface_arrays = kernel_arrays.vertices, kernel_arrays.attributes, mesh.triangles, _label_triangles(mesh)
+    sheets = weld_into_sheets(mesh)
     if sheets is None:
         try:
-            return _patches(found(whole), given.origin)
+            return _build_patches(find_patches(surface_arrays), kernel_arrays.origin)
         except _kernels.InvalidMeshError:
             # The mesh is not a manifold; its sheets are.
-            sheets = sheets_of(mesh)
-    in_sheets = found(_in_sheets(whole, sheets))
-    return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
+            sheets = split_into_sheets(mesh)
+    in_sheets = find_patches(_select_sheets(surface_arrays, sheets))
+    return _build_patches(in_sheets, kernel_arrays.origin, _map_to_mesh(mesh, sheets, in_sheets.input_patch))
 
 
-def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
+def run(task: Task[PlanarParams]) -> SimplificationResult[PlanarDetails]:
     """Simplify with method `planar`.
 
     Raises
@@ -111,70 +111,70 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
         For a colour bound on a mesh without colours.
     """
     mesh = task.mesh
-    sheets = joined(mesh)
+    sheets = weld_into_sheets(mesh)
     if sheets is None:
-        return _as_it_is(task)
-    found = run_on(sheets, task, _as_it_is)
+        return _run_on_mesh(task)
+    found = run_on_sheets(sheets, task, _run_on_mesh)
     patches = found.details.patches
-    of_input = _of_triangles(mesh, sheets, patches.triangle_patch)
+    of_input = _map_to_mesh(mesh, sheets, patches.triangle_patch)
     return replace(found, details=replace(found.details, patches=replace(patches, triangle_patch=of_input)))
 
 
-def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
+def _run_on_mesh(task: Task[PlanarParams]) -> SimplificationResult[PlanarDetails]:
     mesh = task.mesh
-    given = kernel_input(mesh)
-    shape, color = _bounds(mesh, task.max_shape, task.max_color)
-    cosines = _cosines(task.params)
+    kernel_arrays = make_kernel_input(mesh)
+    shape, color = _resolve_bounds(mesh, task.max_shape, task.max_color)
+    cosines = _compute_cosines(task.params)
 
-    def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> Fewest[_kernels.ByPatches]:
-        return fewest_triangles(
+    def run_search(surface: _SurfaceArrays, lock: NDArray[np.bool_]) -> FewestTriangles[_kernels.ByPatches]:
+        return search_fewest_triangles(
             lambda bound, progress: _kernels.simplify_planar(
                 *surface,
                 lock,
                 cosines=cosines,
                 bounds=(bound, color),
                 threads=task.threads,
-                partial=task.partial,
+                partial=task.keep_on_interrupt,
                 progress=progress,
             ),
             vertices=surface[0],
             triangles=surface[2],
             max_shape=shape,
-            diagonal=_diagonal(mesh),
+            diagonal=_compute_diagonal(mesh),
             progress=task.progress,
         )
 
-    whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
+    surface_arrays = kernel_arrays.vertices, kernel_arrays.attributes, mesh.triangles, _label_triangles(mesh)
     try:
-        fewest = simplified(whole, task.lock)
+        fewest = run_search(surface_arrays, task.lock)
         result = fewest.result
         triangles, source, triangle_source = result.triangles, result.vertex_source, result.triangle_source
         input_patch = result.input_patch
     except _kernels.InvalidMeshError:
-        sheets = sheets_of(mesh)
+        sheets = split_into_sheets(mesh)
         of_sheets = sheets.vertex_source
         # Triangles around contacts between sheets stay unchanged, so the contacts stay closed.
-        fewest = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.touches)
+        fewest = run_search(_select_sheets(surface_arrays, sheets), task.lock[of_sheets] | sheets.is_contact)
         result = fewest.result
         source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
         triangles = one.reshape(-1).astype(np.int32)[result.triangles]
         triangle_source = sheets.triangle_source[result.triangle_source]
-        input_patch = _of_triangles(mesh, sheets, result.input_patch)
-    colors = given.attributes[source].astype(np.float64)
-    plain = mesh.with_(part_ids=None, part_names=())
+        input_patch = _map_to_mesh(mesh, sheets, result.input_patch)
+    colors = kernel_arrays.attributes[source].astype(np.float64)
+    base_mesh = mesh.with_(part_ids=None, part_names=())
     if mesh.texture is not None and not mesh.texture.has_uvs().any():
-        plain = plain.with_(texture=None)
-    light = as_result(plain, mesh.vertices[source], colors, triangles, source, "simplify")
-    light = _carried(light, mesh, triangle_source)
+        base_mesh = base_mesh.with_(texture=None)
+    result_mesh = build_result_mesh(base_mesh, mesh.vertices[source], colors, triangles, source, "simplify")
+    result_mesh = _transfer_attributes(result_mesh, mesh, triangle_source)
     # The bounds hold in exact arithmetic; the slack covers a few roundings of coordinates.
-    slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
+    slack = 1e-14 * float(np.abs(kernel_arrays.vertices).max(initial=0))
     bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
     shape_bound = np.where(bounds[:, 0] > 0, bounds[:, 0] + slack, 0)
     # The distance between black and white is the maximum.
-    color_bound = np.minimum(bounds[:, 1], _FARTHEST_COLORS)
+    color_bound = np.minimum(bounds[:, 1], _MAX_COLOR_DISTANCE)
     with_color = mesh.colors is not None
-    return Simplified(
-        mesh=light,
+    return SimplificationResult(
+        mesh=result_mesh,
         vertex_source=source,
         triangle_source=triangle_source,
         method="planar",
@@ -193,13 +193,13 @@ def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
             max_color_levels=color if with_color else None,
             kept_patches=int(result.kept.sum()),
             iterations=result.rounds,
-            patches=_patches(result, given.origin, input_patch),
+            patches=_build_patches(result, kernel_arrays.origin, input_patch),
             triangle_patch=result.triangle_patch,
         ),
     )
 
 
-def _labels(mesh: Mesh) -> NDArray[np.int32]:
+def _label_triangles(mesh: Mesh) -> NDArray[np.int32]:
     """Label triangles (m,) by material and part; (0,) if all are equal."""
     key = np.zeros(len(mesh.triangles), np.int64)
     for ids in (None if mesh.texture is None else mesh.texture.material_ids, mesh.part_ids):
@@ -209,23 +209,23 @@ def _labels(mesh: Mesh) -> NDArray[np.int32]:
     return number.astype(np.int32) if len(kinds) > 1 else np.zeros(0, np.int32)
 
 
-def _carried(light: Mesh, mesh: Mesh, triangle_source: NDArray[np.int32]) -> Mesh:
+def _transfer_attributes(light: Mesh, mesh: Mesh, triangle_source: NDArray[np.int32]) -> Mesh:
     """Transfer parts, and materials without texture coordinates, to the result."""
     if mesh.part_ids is not None:
         light = light.with_(part_ids=mesh.part_ids[triangle_source], part_names=mesh.part_names)
     if mesh.texture is None or mesh.texture.has_uvs().any():
         return light
-    return light.with_(texture=mesh.texture.rows(triangle_source))
+    return light.with_(texture=mesh.texture.select_triangles(triangle_source))
 
 
-def _in_sheets(whole: _Surface, sheets: Sheets) -> _Surface:
-    vertices, attributes, _, labels = whole
+def _select_sheets(surface_arrays: _SurfaceArrays, sheets: Sheets) -> _SurfaceArrays:
+    vertices, attributes, _, labels = surface_arrays
     of_sheets = sheets.vertex_source
     own = labels[sheets.triangle_source] if len(labels) else labels
     return vertices[of_sheets], attributes[of_sheets], sheets.triangles, own
 
 
-def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArray[np.int32]:
+def _map_to_mesh(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArray[np.int32]:
     """Map patches of sheet triangles to triangles of the mesh.
 
     Triangles without a sheet get -1.
@@ -235,7 +235,7 @@ def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArr
     return result
 
 
-def _cosines(params: PlanarParams) -> tuple[float, float, float]:
+def _compute_cosines(params: PlanarParams) -> tuple[float, float, float]:
     """Compute the minimum cosines of the three angles.
 
     A third value above 1 disables `noise_angle`.
@@ -248,22 +248,22 @@ def _cosines(params: PlanarParams) -> tuple[float, float, float]:
     return max(fidelity, 0.0), max(detail, 0.0), noise if params.noise_angle > 0 else 2.0
 
 
-def _bounds(mesh: Mesh, shape: float | None, max_color: float | None) -> tuple[float, float]:
+def _resolve_bounds(mesh: Mesh, shape: float | None, max_color: float | None) -> tuple[float, float]:
     require_colors(mesh, max_color)
     if shape is None:
         # A mesh without extent needs no bound; 1 m is arbitrary.
-        shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) or 1.0
+        shape = _SHAPE_PER_DIAGONAL * _compute_diagonal(mesh) or 1.0
     if mesh.colors is None:
         return shape, math.inf
     return shape, MAX_COLOR if max_color is None else max_color
 
 
-def _diagonal(mesh: Mesh) -> float:
-    low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+def _compute_diagonal(mesh: Mesh) -> float:
+    low, high = compute_bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     return float(np.linalg.norm(high - low))
 
 
-def _patches(
+def _build_patches(
     found: _kernels.PlanarPatches,
     origin: NDArray[np.float64],
     triangle_patch: NDArray[np.int32] | None = None,
@@ -275,5 +275,5 @@ def _patches(
         areas=found.areas,
         triangles=found.faces,
         thickness=found.thickness,
-        looks=found.looks,
+        neighbour_test_count=found.looks,
     )

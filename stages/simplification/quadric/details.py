@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scanloom.stages.printing import by_fields, table
-from scanloom.stages.simplification.crowding import report_crowded_by_topology
-from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.printing import format_by_fields, render_table
+from scanloom.stages.simplification.blocked_edges import report_topology_blocking
+from scanloom.stages.simplification.result import Details, SimplificationResult
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,8 +20,8 @@ class QuadricDetails(Details):
     fitted : True if vertices and colours were fitted to the input at the end.
     """
 
-    __repr__ = by_fields
-    _repr_html_ = table
+    __repr__ = format_by_fields
+    _repr_html_ = render_table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "
@@ -31,6 +31,6 @@ class QuadricDetails(Details):
     attribute_scale_m_per_level: float
     fitted: bool
 
-    def report(self, result: Simplified[Any]) -> None:
+    def report(self, result: SimplificationResult[Any]) -> None:
         """Warn if most remaining edges cannot collapse because of the topology."""
-        report_crowded_by_topology(result)
+        report_topology_blocking(result)

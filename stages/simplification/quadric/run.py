@@ -7,13 +7,18 @@ from __future__ import annotations
 
 from scanloom.stages import _kernels
 from scanloom.stages.progress import Progress
-from scanloom.stages.simplification.color_weight import color_weight
-from scanloom.stages.simplification.in_sheets import run_in_sheets
-from scanloom.stages.simplification.kernel_input import Light, as_result, fitted, kernel_input
+from scanloom.stages.simplification.cache_order import run_reordered
+from scanloom.stages.simplification.color_weight import compute_color_weight
+from scanloom.stages.simplification.kernel_input import (
+    ReducedMesh,
+    build_result_mesh,
+    fit_to_input,
+    make_kernel_input,
+)
+from scanloom.stages.simplification.manifold_sheets import run_on_manifold_sheets
 from scanloom.stages.simplification.quadric.details import QuadricDetails
 from scanloom.stages.simplification.records.record import CollapseRecord
-from scanloom.stages.simplification.reordered import run_reordered
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.task import Task
 
 RESULT_VERSION = 2
@@ -22,31 +27,31 @@ RESULT_VERSION = 2
 REGION_TRIANGLES = 8192
 
 
-def run(task: Task[None]) -> Simplified[QuadricDetails]:
+def run(task: Task[None]) -> SimplificationResult[QuadricDetails]:
     """Simplify with method `quadric`."""
-    return run_in_sheets(task, _in_order)
+    return run_on_manifold_sheets(task, _run_in_cache_order)
 
 
-def _in_order(task: Task[None]) -> Simplified[QuadricDetails]:
-    return run_reordered(task, _as_it_is)
+def _run_in_cache_order(task: Task[None]) -> SimplificationResult[QuadricDetails]:
+    return run_reordered(task, _run_on_manifold)
 
 
-def _as_it_is(task: Task[None]) -> Simplified[QuadricDetails]:
+def _run_on_manifold(task: Task[None]) -> SimplificationResult[QuadricDetails]:
     mesh, lock, progress = task.mesh, task.lock, task.progress
-    running = task.running(REGION_TRIANGLES)
-    given = kernel_input(mesh)
+    running = task.make_kernel_options(REGION_TRIANGLES)
+    kernel_arrays = make_kernel_input(mesh)
     weight = task.attribute_scale
     if weight is None:
         try:
-            weight = color_weight(mesh, running.target_triangles, task.threads)
+            weight = compute_color_weight(mesh, running.target_triangles, task.threads)
         except KeyboardInterrupt:
-            if not task.partial:
+            if not task.keep_on_interrupt:
                 raise
             # Nothing has been simplified yet, so the partial result is the input.
-            weight, progress = 0.0, _no_more
+            weight, progress = 0.0, _stop_immediately
     result = _kernels.simplify_by_quadrics(
-        given.vertices,
-        given.attributes,
+        kernel_arrays.vertices,
+        kernel_arrays.attributes,
         mesh.triangles,
         lock,
         task.importance,
@@ -55,28 +60,32 @@ def _as_it_is(task: Task[None]) -> Simplified[QuadricDetails]:
         progress=progress,
     )
     source = result.vertex_source
-    vertices, attributes = given.placed_back(result.vertices, source), result.attributes
+    vertices, attributes = kernel_arrays.to_world(result.vertices, source), result.attributes
     stopped_by, is_fitted = result.stopped_by, False
     if task.fit and result.collapses and stopped_by != "request":
-        light = Light(vertices, attributes, result.triangles, source, result.became)
+        reduced = ReducedMesh(vertices, attributes, result.triangles, source, result.became)
         try:
-            vertices, attributes = fitted(
-                light, given, lock, task.threads, _finishing(progress, len(mesh.triangles), running)
+            vertices, attributes = fit_to_input(
+                reduced,
+                kernel_arrays,
+                lock,
+                task.threads,
+                _make_finish_progress(progress, len(mesh.triangles), running),
             )
             is_fitted = True
-        except (_Content, KeyboardInterrupt) as stop:
-            if not (task.partial or isinstance(stop, _Content)):
+        except (_StopRequest, KeyboardInterrupt) as stop:
+            if not (task.keep_on_interrupt or isinstance(stop, _StopRequest)):
                 raise
             stopped_by = "request"
-    light_mesh = as_result(mesh, vertices, attributes, result.triangles, source, "simplify")
+    simplified = build_result_mesh(mesh, vertices, attributes, result.triangles, source, "simplify")
     record = None
     if task.record:
         path = result.path.copy()
-        path[:, :3] = given.placed_back(path[:, :3], result.survivor)
+        path[:, :3] = kernel_arrays.to_world(path[:, :3], result.survivor)
         base = mesh.with_(texture=None)
         record = CollapseRecord(base, result.removed, result.survivor, path, lock)
-    return Simplified(
-        mesh=light_mesh,
+    return SimplificationResult(
+        mesh=simplified,
         vertex_source=source,
         triangle_source=result.triangle_source,
         method="quadric",
@@ -90,15 +99,15 @@ def _as_it_is(task: Task[None]) -> Simplified[QuadricDetails]:
     )
 
 
-def _no_more(done: int, total: int) -> bool:  # noqa: ARG001
+def _stop_immediately(done: int, total: int) -> bool:  # noqa: ARG001
     return False
 
 
-class _Content(Exception):  # noqa: N818 (nothing went wrong)
+class _StopRequest(Exception):  # noqa: N818 (nothing went wrong)
     """Request to stop and return the mesh simplified so far."""
 
 
-def _finishing(progress: Progress, triangles: int, running: _kernels.Running) -> Progress:
+def _make_finish_progress(progress: Progress, triangles: int, running: _kernels.Running) -> Progress:
     """Create a progress callback that reports 100 % during the final fit.
 
     Raises
@@ -106,10 +115,10 @@ def _finishing(progress: Progress, triangles: int, running: _kernels.Running) ->
     _Content
         From the callback, when `progress` requests an early stop.
     """
-    going = max(triangles - running.target_triangles, 0)
+    removal_count = max(triangles - running.target_triangles, 0)
 
     def tell(done: int, total: int) -> None:  # noqa: ARG001
-        if progress(going, going) is False:
-            raise _Content
+        if progress(removal_count, removal_count) is False:
+            raise _StopRequest
 
     return tell

@@ -7,16 +7,16 @@ from typing import Any
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
-from scanloom.stages.simplification.records.archive import Arrays, json_object, read_arrays
+from scanloom.stages.simplification.records.archive import Arrays, parse_json_object, read_arrays
+from scanloom.stages.simplification.records.mesh_serialization import deserialize_mesh
 from scanloom.stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
-from scanloom.stages.simplification.records.sound import require_sound
-from scanloom.stages.simplification.records.stored_mesh import mesh_of
-from scanloom.stages.simplification.records.stored_wedges import wedges_of
-from scanloom.stages.surface.mesh import validated
+from scanloom.stages.simplification.records.record_validation import validate_record
+from scanloom.stages.simplification.records.wedge_serialization import deserialize_wedges
+from scanloom.stages.surface.mesh import validate_mesh
 
-_NEEDED = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
+_REQUIRED_ARRAYS = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
 # Exceptions that arrays of an invalid record cause.
-_STRANGE = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
+_INVALID_ERRORS = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 
 
 def load_record(path: Path | str) -> CollapseRecord:
@@ -41,26 +41,26 @@ def load_record(path: Path | str) -> CollapseRecord:
             format_version=FORMAT_VERSION,
         )
     try:
-        about = json_object(arrays["about"])
-        missing = [name for name in _NEEDED if name not in arrays]
+        metadata = parse_json_object(arrays["about"])
+        missing = [name for name in _REQUIRED_ARRAYS if name not in arrays]
         if missing:
             raise InputError(
                 SIMPLIFY_RECORD_INVALID, "is damaged: {missing} is missing.", path, missing=missing[0]
             )
-        record = _record_of(arrays, about, path)
-    except _STRANGE as error:
+        record = _build_record(arrays, metadata, path)
+    except _INVALID_ERRORS as error:
         raise InputError(
             SIMPLIFY_RECORD_INVALID, "is damaged, or not a collapse record ({error}).", path, error=error
         ) from error
-    require_sound(record, path)
+    validate_record(record, path)
     return record
 
 
-def _record_of(arrays: Arrays, about: dict[str, Any], path: Path) -> CollapseRecord:
+def _build_record(arrays: Arrays, metadata: dict[str, Any], path: Path) -> CollapseRecord:
     wedges = None
-    if "wedges" in about:
-        wedges = wedges_of(_group(arrays, "wedges/"), about["wedges"])
-    mesh = validated(mesh_of(_group(arrays, "mesh/"), about["mesh"]), str(path))
+    if "wedges" in metadata:
+        wedges = deserialize_wedges(_select_group(arrays, "wedges/"), metadata["wedges"])
+    mesh = validate_mesh(deserialize_mesh(_select_group(arrays, "mesh/"), metadata["mesh"]), str(path))
     return CollapseRecord(
         mesh,
         removed=arrays["removed"],
@@ -73,5 +73,5 @@ def _record_of(arrays: Arrays, about: dict[str, Any], path: Path) -> CollapseRec
     )
 
 
-def _group(arrays: Arrays, prefix: str) -> Arrays:
+def _select_group(arrays: Arrays, prefix: str) -> Arrays:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -20,18 +20,30 @@ from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
 from scanloom.stages.params import resolve
-from scanloom.stages.printing import by_fields, table
-from scanloom.stages.progress import silent
+from scanloom.stages.printing import format_by_fields, render_table
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
-from scanloom.stages.simplification.corner_attributes import LightCorners
-from scanloom.stages.simplification.kernel_input import Floats, Ids, Light, as_result, fitted, kernel_input
+from scanloom.stages.simplification.corner_attributes import SimplifiedCorners
+from scanloom.stages.simplification.kernel_input import (
+    Floats,
+    Ids,
+    ReducedMesh,
+    build_result_mesh,
+    fit_to_input,
+    make_kernel_input,
+)
 from scanloom.stages.simplification.records.archive import Arrays, write_arrays
-from scanloom.stages.simplification.records.steps import After, Replayed, ReplayParams, Steps
-from scanloom.stages.simplification.records.stored_mesh import stored_mesh
-from scanloom.stages.simplification.records.stored_wedges import stored_wedges
+from scanloom.stages.simplification.records.collapse_steps import (
+    CollapseSteps,
+    ReplayedMesh,
+    ReplayParams,
+    ReplayState,
+)
+from scanloom.stages.simplification.records.mesh_serialization import serialize_mesh
+from scanloom.stages.simplification.records.wedge_serialization import serialize_wedges
 from scanloom.stages.simplification.records.wedges import Wedges
-from scanloom.stages.surface.color import attributes_of
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.surface_color import get_vertex_attributes
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -60,8 +72,8 @@ class CollapseRecord:
     wedges : changes of corner attributes; None without corner attributes.
     """
 
-    __repr__ = by_fields
-    _repr_html_ = table
+    __repr__ = format_by_fields
+    _repr_html_ = render_table
 
     mesh: Mesh
     removed: Ids
@@ -73,16 +85,16 @@ class CollapseRecord:
     wedges: Wedges | None = None
 
     @cached_property
-    def _steps(self) -> Steps:
+    def _steps(self) -> CollapseSteps:
         if self.wedges is None:
-            return Steps(self.mesh.triangles, len(self.mesh.vertices), self.removed, self.survivor)
-        return Steps(self.wedges.triangles, self.wedges.vertices, self.removed, self.survivor)
+            return CollapseSteps(self.mesh.triangles, len(self.mesh.vertices), self.removed, self.survivor)
+        return CollapseSteps(self.wedges.triangles, self.wedges.vertex_count, self.removed, self.survivor)
 
-    def triangles_after(self, collapses: int) -> int:
+    def count_triangles_after(self, collapses: int) -> int:
         """Return the number of triangles after a number of collapses."""
-        return self._steps.triangles_after(collapses)
+        return self._steps.count_triangles_after(collapses)
 
-    def replay(self, params: ReplayParams | None = None, **changes: Unpack[ReplayKeywords]) -> Replayed:
+    def replay(self, params: ReplayParams | None = None, **changes: Unpack[ReplayKeywords]) -> ReplayedMesh:
         """Restore the mesh at a triangle count or number of collapses.
 
         The topology of the input is preserved at every step. The last step is bit-identical to the result of
@@ -107,7 +119,9 @@ class CollapseRecord:
         params = resolve(ReplayParams, params, dict(changes))
         if self.wedges is None:
             with collecting() as diagnostics:
-                found = self._vertices_after(self._steps.after(self._steps.wanted(params)), fit=params.fit)
+                found = self._replay_vertices(
+                    self._steps.compute_state(self._steps.compute_collapse_count(params)), fit=params.fit
+                )
             return replace(found, diagnostics=tuple(diagnostics))
         if params.fit:
             raise UsageError(
@@ -115,47 +129,56 @@ class CollapseRecord:
                 "a record of method seams cannot be fitted to the input",
                 remedy="run simplify with that triangle count instead.",
             )
-        return self._wedges_after(self.wedges, self._steps.after(self._steps.wanted(params)))
+        return self._replay_wedges(
+            self.wedges, self._steps.compute_state(self._steps.compute_collapse_count(params))
+        )
 
-    def _vertices_after(self, after: After, *, fit: bool) -> Replayed:
-        place = self._moved(np.concatenate([self.mesh.vertices, attributes_of(self.mesh)], axis=1), after)
-        vertices, attributes = place[after.vertices, :3], place[after.vertices, 3:]
-        vertex_source, triangle_source = after.vertices.astype(np.int32), after.rows.astype(np.int32)
+    def _replay_vertices(self, state: ReplayState, *, fit: bool) -> ReplayedMesh:
+        positions = self._move_survivors(
+            np.concatenate([self.mesh.vertices, get_vertex_attributes(self.mesh)], axis=1), state
+        )
+        vertices, attributes = positions[state.vertices, :3], positions[state.vertices, 3:]
+        vertex_source, triangle_source = (
+            state.vertices.astype(np.int32),
+            state.triangle_indices.astype(np.int32),
+        )
         if fit:
-            light = Light(vertices, attributes, after.triangles, vertex_source, after.became)
+            reduced = ReducedMesh(vertices, attributes, state.triangles, vertex_source, state.merged_into)
             try:
-                vertices, attributes = fitted(light, kernel_input(self.mesh), self.lock, 0, silent)
+                vertices, attributes = fit_to_input(
+                    reduced, make_kernel_input(self.mesh), self.lock, 0, ignore_progress
+                )
             except _kernels.InvalidMeshError as error:
                 raise MeshError(
                     SIMPLIFY_RECORD_INVALID, "the mesh of the record cannot be fitted: {error}.", error=error
                 ) from error
-        mesh = as_result(self.mesh, vertices, attributes, after.triangles, vertex_source, "replay")
+        mesh = build_result_mesh(self.mesh, vertices, attributes, state.triangles, vertex_source, "replay")
         if self.vertex_source is not None and self.triangle_source is not None:
             vertex_source = self.vertex_source[vertex_source]
             triangle_source = self.triangle_source[triangle_source]
-        return Replayed(mesh, vertex_source, triangle_source, after.collapses)
+        return ReplayedMesh(mesh, vertex_source, triangle_source, state.collapses)
 
-    def _wedges_after(self, wedges: Wedges, after: After) -> Replayed:
+    def _replay_wedges(self, wedges: Wedges, state: ReplayState) -> ReplayedMesh:
         attributes = wedges.attributes
-        inputs = self.mesh.triangles.reshape(-1)[wedges.first_corners()]
-        place = self._moved(attributes.positions[inputs] - attributes.origin, after)
-        triangle_source = wedges.kept[after.rows]
-        corners, corner_source = wedges.corners_after(after.collapses, triangle_source)
-        left = LightCorners(
-            places=place[after.vertices],
-            triangles=after.triangles,
+        input_vertices = self.mesh.triangles.reshape(-1)[wedges.find_first_corners()]
+        positions = self._move_survivors(attributes.positions[input_vertices] - attributes.origin, state)
+        triangle_source = wedges.kept_triangles[state.triangle_indices]
+        corners, corner_source = wedges.compute_corners_after(state.collapses, triangle_source)
+        simplified = SimplifiedCorners(
+            positions=positions[state.vertices],
+            triangles=state.triangles,
             corners=corners,
             corner_source=corner_source.astype(np.int32),
-            vertex_source=inputs[after.vertices].astype(np.int32),
+            vertex_source=input_vertices[state.vertices].astype(np.int32),
             triangle_source=triangle_source.astype(np.int32),
         )
-        mesh, vertex_source = attributes.as_mesh(self.mesh, left)
-        return Replayed(mesh, vertex_source, left.triangle_source, after.collapses)
+        mesh, vertex_source = attributes.to_mesh(self.mesh, simplified)
+        return ReplayedMesh(mesh, vertex_source, simplified.triangle_source, state.collapses)
 
-    def _moved(self, place: Floats, after: After) -> Floats:
+    def _move_survivors(self, positions: Floats, state: ReplayState) -> Floats:
         # NumPy keeps the last of several values assigned to one vertex.
-        place[self.survivor[: after.collapses]] = self.path[: after.collapses]
-        return place
+        positions[self.survivor[: state.collapses]] = self.path[: state.collapses]
+        return positions
 
     def save(self, path: Path | str) -> None:
         """Write the record to an `.npz` file for `load_record`.
@@ -167,17 +190,17 @@ class CollapseRecord:
         """
         mesh = self.mesh
         of_wedges: Arrays = {}
-        about: dict[str, Any] = {"content": "collapses of vertices", "collapses": len(self.removed)}
+        metadata: dict[str, Any] = {"content": "collapses of vertices", "collapses": len(self.removed)}
         if self.wedges is None:
             # Other attributes cannot be replayed.
             mesh = Mesh(mesh.vertices, mesh.triangles, mesh.colors, mesh.normals, up=mesh.up)
         else:
-            about["content"] += " and wedges"
-            of_wedges, about["wedges"] = stored_wedges(self.wedges)
-        of_mesh, about["mesh"] = stored_mesh(mesh)
+            metadata["content"] += " and wedges"
+            of_wedges, metadata["wedges"] = serialize_wedges(self.wedges)
+        of_mesh, metadata["mesh"] = serialize_mesh(mesh)
         arrays = {
             "scanloom_collapse_record": np.array(FORMAT_VERSION),
-            "about": np.array(json.dumps(about)),
+            "about": np.array(json.dumps(metadata)),
             **{f"mesh/{name}": array for name, array in of_mesh.items()},
             "removed": self.removed,
             "survivor": self.survivor,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.simplification.corner_attributes import CornerAttributes, Ids
-from scanloom.stages.simplification.records.steps import roots
+from scanloom.stages.simplification.records.collapse_steps import find_roots
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,25 +45,25 @@ class Wedges:
     changed_when: Ids
 
     @cached_property
-    def kept(self) -> NDArray[np.int64]:
+    def kept_triangles(self) -> NDArray[np.int64]:
         """Triangles of the mesh that were not removed as degenerate."""
         return np.flatnonzero(self.corner_vertex[::3] >= 0)
 
     @cached_property
     def triangles(self) -> Ids:
-        """Vertices (len(kept), 3) of the triangles in `kept`, int32."""
-        return self.corner_vertex.reshape(-1, 3)[self.kept]
+        """Vertices (len(kept), 3) of the triangles in `kept_triangles`, int32."""
+        return self.corner_vertex.reshape(-1, 3)[self.kept_triangles]
 
     @property
-    def vertices(self) -> int:
+    def vertex_count(self) -> int:
         """Number of vertices."""
         return int(self.corner_vertex.max(initial=-1)) + 1
 
-    def first_corners(self) -> NDArray[np.int64]:
+    def find_first_corners(self) -> NDArray[np.int64]:
         """Return the first corner of the mesh at each vertex."""
-        return self._first(self.corner_vertex)
+        return self._find_first(self.corner_vertex)
 
-    def corners_after(
+    def compute_corners_after(
         self, collapses: int, triangles: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the corner attributes of some triangles after a number of collapses.
@@ -78,19 +78,19 @@ class Wedges:
         corners : (3 q, k) float64, in the columns of `CornerAttributes.columns`.
         source : (3 q,) int64, corner of the mesh with equal attributes; −1 for none.
         """
-        source = self._first(self.corner_wedge)
+        source = self._find_first(self.corner_wedge)
         values = self.attributes.columns[source]
         until = np.searchsorted(self.changed_when, collapses)
         # NumPy keeps the last of several values assigned to one wedge.
         values[self.changed[:until]] = self.changed_to[:until]
         source[self.changed[:until]] = self.changed_source[:until]
         until = np.searchsorted(self.when, collapses)
-        root = roots(len(source), self.removed[:until], self.survivor[:until])
+        root = find_roots(len(source), self.removed[:until], self.survivor[:until])
         corners = (3 * triangles[:, None] + np.arange(3)).reshape(-1)
         wedge = root[self.corner_wedge[corners]]
         return values[wedge], source[wedge]
 
-    def _first(self, of_corner: Ids) -> NDArray[np.int64]:
+    def _find_first(self, of_corner: Ids) -> NDArray[np.int64]:
         corners = np.flatnonzero(self.corner_vertex >= 0)
         first = np.zeros(int(of_corner.max(initial=-1)) + 1, np.int64)
         # In reverse order, because NumPy keeps the last of several values assigned to one index.

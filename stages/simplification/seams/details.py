@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.printing import by_fields, table
+from scanloom.stages.printing import format_by_fields, render_table
+from scanloom.stages.simplification.blocked_edges import report_lock_blocking, report_topology_blocking
 from scanloom.stages.simplification.codes import SIMPLIFY_SEAM_DRIFT
-from scanloom.stages.simplification.crowding import report_crowded_by_locks, report_crowded_by_topology
-from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.simplification.result import Details, SimplificationResult
 
 # Texels. Larger shifts of the texture are visible next to a seam.
 _VISIBLE_DRIFT_TEXELS = 16
 # Minimum ratio of refused edges to report the drift bound as the reason. CartoonHouses has 3 %, and removing
 # the bound hardly changes its triangle count.
-_MIN_SHARE = 0.2
+_MIN_DRIFT_RATIO = 0.2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,8 +34,8 @@ class SeamsDetails(Details):
     seam_drift_texels : the same in texels of the largest image; None without images.
     """
 
-    __repr__ = by_fields
-    _repr_html_ = table
+    __repr__ = format_by_fields
+    _repr_html_ = render_table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} duplicate "
@@ -50,15 +50,15 @@ class SeamsDetails(Details):
     seam_drift: float
     seam_drift_texels: float | None
 
-    def report(self, result: Simplified[Any]) -> None:
+    def report(self, result: SimplificationResult[Any]) -> None:
         """Warn about blocked edges, and about seams that moved in the image."""
-        report_crowded_by_topology(result)
-        report_crowded_by_locks(result)
+        report_topology_blocking(result)
+        report_lock_blocking(result)
         self._report_drift(result)
 
-    def _report_drift(self, result: Simplified[Any]) -> None:
+    def _report_drift(self, result: SimplificationResult[Any]) -> None:
         refused = sum(result.refused.values())
-        is_main = result.refused.get("drift", 0) > _MIN_SHARE * refused
+        is_main = result.refused.get("drift", 0) > _MIN_DRIFT_RATIO * refused
         if result.stopped_by == "bounds" and is_main:
             emit(
                 SIMPLIFY_SEAM_DRIFT.warning(

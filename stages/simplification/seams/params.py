@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 # Vertices within this ratio of the bounding box's diagonal are joined: the precision of 32-bit floats.
 SIMILAR_DISTANCE = 1e-6
@@ -16,7 +16,7 @@ SEAM_DRIFT_EDGES = 1.5
 MAX_SEAM_DRIFT_RATIO = 0.1
 
 # Image side in texels for meshes with texture coordinates but no image.
-ASSUMED_SIDE = 1024
+DEFAULT_IMAGE_SIDE = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +48,10 @@ class SeamsParams:
         "Weight of the shape-only quadric near seams, relative to the quadric of shape and attributes.",
         low=0,
     )
-    across_textures: float = param(
+    material_border_penalty: float = param(
         0.5, "Penalty for a collapse where several materials meet, as a fraction of its cost.", low=0
     )
-    across_parts: float = param(
+    part_border_penalty: float = param(
         0.5, "Penalty for a collapse where several parts meet, as a fraction of its cost.", low=0
     )
     valence_penalty: float = param(
@@ -59,7 +59,7 @@ class SeamsParams:
         "Penalty for each edge beyond eight at the new vertex, as a fraction of the cost of the collapse.",
         low=0,
     )
-    set_penalty: float = param(
+    duplicate_penalty: float = param(
         0.1,
         "Penalty for each duplicate of an edge's end points beyond two, as a fraction of the "
         "cost of the collapse.",
@@ -75,4 +75,4 @@ class SeamsParams:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)

@@ -9,28 +9,28 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.simplification.cache_order import run_reordered
 from scanloom.stages.simplification.codes import SIMPLIFY_COORDINATES_UNUSABLE
-from scanloom.stages.simplification.color_weight import color_weight
-from scanloom.stages.simplification.corner_attributes import CornerAttributes, LightCorners
+from scanloom.stages.simplification.color_weight import compute_color_weight
+from scanloom.stages.simplification.corner_attributes import CornerAttributes, SimplifiedCorners
 from scanloom.stages.simplification.records.record import CollapseRecord
 from scanloom.stages.simplification.records.wedges import Wedges
-from scanloom.stages.simplification.reordered import run_reordered
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.seams.details import SeamsDetails
 from scanloom.stages.simplification.seams.params import (
-    ASSUMED_SIDE,
+    DEFAULT_IMAGE_SIDE,
     MAX_SEAM_DRIFT_RATIO,
     SEAM_DRIFT_EDGES,
     SIMILAR_DISTANCE,
     SeamsParams,
 )
-from scanloom.stages.simplification.seams.similar import joinable_sets
+from scanloom.stages.simplification.seams.similar_vertices import group_joinable_vertices
 from scanloom.stages.simplification.task import Task
-from scanloom.stages.surface.color import attributes_of
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import bounding_box
-from scanloom.stages.surface.texture import Texture, signed_areas
-from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.raycasting import compute_bounding_box
+from scanloom.stages.surface.surface_color import get_vertex_attributes
+from scanloom.stages.surface.texture import Texture, compute_signed_areas
+from scanloom.stages.surface.topology import compute_areas
 
 RESULT_VERSION = 6
 
@@ -38,47 +38,52 @@ RESULT_VERSION = 6
 REGION_TRIANGLES = 2048
 
 # Maximum of the default similarity distance, as a ratio of the median triangle side.
-_SIMILAR_PER_SIDE = 0.01
+_MAX_SIMILAR_PER_SIDE = 0.01
 
 Floats = NDArray[np.float64]
 
 
-def run(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
+def run(task: Task[SeamsParams]) -> SimplificationResult[SeamsDetails]:
     """Simplify with method `seams`."""
-    return run_reordered(task, _as_it_is)
+    return run_reordered(task, _run_in_order)
 
 
-def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
-    return simplified(task, expected=task.triangles or 0)[0]
+def _run_in_order(task: Task[SeamsParams]) -> SimplificationResult[SeamsDetails]:
+    return simplify_in_order(task, expected_triangles=task.triangles or 0)[0]
 
 
-def simplified(
-    task: Task[SeamsParams], *, expected: int, within: tuple[float, float, Floats] | None = None
-) -> tuple[Simplified[SeamsDetails], float]:
+def simplify_in_order(
+    task: Task[SeamsParams],
+    *,
+    expected_triangles: int,
+    distance_bound: tuple[float, float, Floats] | None = None,
+) -> tuple[SimplificationResult[SeamsDetails], float]:
     """Simplify a mesh without reordering it.
 
     Parameters
     ----------
     task : arguments of the method.
-    expected : expected triangle count, from which the weights of colours and normals are derived.
-    within : bound on the distance in metres, ratio of the bound that vertices may use, and factors (n,) on
+    expected_triangles : expected triangle count, from which the weights of colours and normals are derived.
+    distance_bound : bound on the distance in metres, ratio of the bound that vertices may use, and factors (n,) on
         the bound per vertex; None for no bound.
 
     Returns
     -------
     result : Simplified
-    provable : metres; the bound of `within`, or the smallest provable distance if that is larger.
+    provable : metres; the bound of `distance_bound`, or the smallest provable distance if that is larger.
     """
     mesh, params, lock = task.mesh, task.params, task.lock
-    low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+    low, high = compute_bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
-    copy_distance = _similar_distance(mesh, float(np.linalg.norm(high - low)))
+    copy_distance = _compute_similar_distance(mesh, float(np.linalg.norm(high - low)))
     distance = copy_distance if params.similar_distance is None else params.similar_distance
-    sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance, copy_distance)
-    lock = lock | apart
-    attributes = _attributes(task, positions, origin, expected)
+    sets, positions, is_separate = group_joinable_vertices(
+        mesh.vertices, mesh.triangles, distance, copy_distance
+    )
+    lock = lock | is_separate
+    attributes = _build_attributes(task, positions, origin, expected_triangles)
     texture = mesh.texture
-    side = _largest_side(texture)
+    side = _find_largest_side(texture)
     count = len(mesh.triangles)
     has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
     found = _kernels.simplify_seams(
@@ -91,25 +96,25 @@ def simplified(
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
         task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
-        knobs=_knobs(params, texture, attributes.uv_scale, expected),
-        fit=task.fit and within is None,
-        within=within,
-        running=task.running(REGION_TRIANGLES),
+        knobs=_build_kernel_options(params, texture, attributes.uv_scale, expected_triangles),
+        fit=task.fit and distance_bound is None,
+        within=distance_bound,
+        running=task.make_kernel_options(REGION_TRIANGLES),
         progress=task.progress,
     )
-    left = LightCorners(
-        places=found.vertices,
+    kernel_result = SimplifiedCorners(
+        positions=found.vertices,
         triangles=found.triangles,
         corners=found.corners,
         corner_source=found.corner_source,
         vertex_source=found.vertex_source,
         triangle_source=found.triangle_source,
     )
-    light, vertex_source = attributes.as_mesh(mesh, left)
-    record = None if found.log is None else _record(mesh, attributes, lock, found.log)
+    simplified_mesh, vertex_source = attributes.to_mesh(mesh, kernel_result)
+    record = None if found.log is None else _build_record(mesh, attributes, lock, found.log)
     drift = found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0
-    result = Simplified(
-        mesh=light,
+    result = SimplificationResult(
+        mesh=simplified_mesh,
         vertex_source=vertex_source,
         triangle_source=found.triangle_source,
         method="seams",
@@ -132,7 +137,7 @@ def simplified(
     return result, found.provable or 0.0
 
 
-def _similar_distance(mesh: Mesh, diagonal: float) -> float:
+def _compute_similar_distance(mesh: Mesh, diagonal: float) -> float:
     """Compute the default distance (m) within which vertices count as duplicates.
 
     The limit by the median side makes it robust against outliers that enlarge the bounding box.
@@ -142,10 +147,10 @@ def _similar_distance(mesh: Mesh, diagonal: float) -> float:
     sides = sides[sides > 0]
     if not len(sides):
         return 0.0
-    return min(SIMILAR_DISTANCE * diagonal, _SIMILAR_PER_SIDE * float(np.median(sides)))
+    return min(SIMILAR_DISTANCE * diagonal, _MAX_SIMILAR_PER_SIDE * float(np.median(sides)))
 
 
-def _record(
+def _build_record(
     mesh: Mesh, attributes: CornerAttributes, lock: NDArray[np.bool_], log: _kernels.SeamLog
 ) -> CollapseRecord:
     wedges = Wedges(
@@ -163,7 +168,9 @@ def _record(
     return CollapseRecord(mesh, log.removed, log.survivor, log.places, lock, wedges=wedges)
 
 
-def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, target: int) -> CornerAttributes:
+def _build_attributes(
+    task: Task[SeamsParams], positions: Floats, origin: Floats, target: int
+) -> CornerAttributes:
     """Scale the corner attributes to metres by their weights."""
     mesh, params = task.mesh, task.params
     corners = mesh.triangles.reshape(-1)
@@ -172,7 +179,7 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
     texture = mesh.texture
     if texture is not None and texture.has_uvs().any():
         # A scale of 0 would lose the texture coordinates.
-        uv_scale = max(params.texture_weight, 1e-9) * _metres_per_image(mesh, positions)
+        uv_scale = max(params.texture_weight, 1e-9) * _compute_metres_per_image(mesh, positions)
         if not np.isfinite(uv_scale):
             raise MeshError(
                 SIMPLIFY_COORDINATES_UNUSABLE,
@@ -186,14 +193,14 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
     if mesh.colors is not None:
         color_scale = task.attribute_scale or 0.0
         if task.attribute_scale is None:
-            color_scale = color_weight(mesh, target, task.threads)
+            color_scale = compute_color_weight(mesh, target, task.threads)
         color_scale = max(color_scale, 1e-12)
-        columns.append(attributes_of(mesh)[corners] * color_scale)
+        columns.append(get_vertex_attributes(mesh)[corners] * color_scale)
     normals = mesh.corner_normals.reshape(-1, 3) if mesh.corner_normals is not None else None
     if normals is None and mesh.normals is not None:
         normals = mesh.normals[corners]
     if normals is not None:
-        normal_scale = max(params.normal_weight * _metres_per_normal(mesh, positions, target), 1e-12)
+        normal_scale = max(params.normal_weight * _compute_metres_per_normal(mesh, positions, target), 1e-12)
         columns.append(normals * normal_scale)
     return CornerAttributes(
         origin=origin,
@@ -208,35 +215,35 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
     )
 
 
-def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
+def _compute_metres_per_image(mesh: Mesh, positions: Floats) -> float:
     """Compute the mean surface length that the image's side covers, in metres."""
     assert mesh.texture is not None
-    in_image = np.abs(signed_areas(mesh.texture.uvs))
-    seen = in_image > 0
-    if not seen.any():
+    in_image = np.abs(compute_signed_areas(mesh.texture.uvs))
+    has_area = in_image > 0
+    if not has_area.any():
         # Palette: each triangle maps to a single texel, and every other colour is far away in the image.
         return float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
     with np.errstate(over="ignore"):  # An infinite result is rejected by the caller.
-        ratio = areas(positions, mesh.triangles)[seen].sum() / in_image[seen].sum()
+        ratio = compute_areas(positions, mesh.triangles)[has_area].sum() / in_image[has_area].sum()
     return float(np.sqrt(ratio)) or 1.0
 
 
-def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
+def _compute_metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
     """Compute the metres that weigh as much as a unit normal difference.
 
     On a surface of curvature radius r, an edge of length e deviates by e² / 8r at its centre. The normals at
     its ends differ by e / r. An eighth of the expected edge length balances the two.
     """
-    area = float(areas(positions, mesh.triangles).sum())
-    return _edge_of_triangle(area / max(target, 1)) / 8
+    area = float(compute_areas(positions, mesh.triangles).sum())
+    return _compute_edge_length(area / max(target, 1)) / 8
 
 
-def _edge_of_triangle(area: float) -> float:
+def _compute_edge_length(area: float) -> float:
     """Compute the edge length of an equilateral triangle from its area."""
     return float(np.sqrt(area * 4 / np.sqrt(3)))
 
 
-def _largest_side(texture: Texture | None) -> int | None:
+def _find_largest_side(texture: Texture | None) -> int | None:
     """Return the largest image side of a texture, in texels.
 
     The images are not decoded. The result is None without images.
@@ -246,18 +253,20 @@ def _largest_side(texture: Texture | None) -> int | None:
     return max((max(size) for size in sizes if size is not None), default=None)
 
 
-def _knobs(params: SeamsParams, texture: Texture | None, uv_scale: float, target: int) -> _kernels.SeamKnobs:
+def _build_kernel_options(
+    params: SeamsParams, texture: Texture | None, uv_scale: float, target: int
+) -> _kernels.SeamKnobs:
     if params.max_seam_drift is None:
         # Repeating images cover the surface several times.
-        covered = 1.0 if texture is None else max(float(np.abs(signed_areas(texture.uvs)).sum()), 1.0)
-        drift = min(SEAM_DRIFT_EDGES * _edge_of_triangle(covered / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
+        covered = 1.0 if texture is None else max(float(np.abs(compute_signed_areas(texture.uvs)).sum()), 1.0)
+        drift = min(SEAM_DRIFT_EDGES * _compute_edge_length(covered / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
     else:
-        drift = params.max_seam_drift / (_largest_side(texture) or ASSUMED_SIDE)
+        drift = params.max_seam_drift / (_find_largest_side(texture) or DEFAULT_IMAGE_SIDE)
     return _kernels.SeamKnobs(
-        across_materials=params.across_textures,
-        across_parts=params.across_parts,
+        across_materials=params.material_border_penalty,
+        across_parts=params.part_border_penalty,
         valence=params.valence_penalty,
-        wedges=params.set_penalty,
+        wedges=params.duplicate_penalty,
         shape=params.shape_weight,
         seam_drift=drift * uv_scale,
     )

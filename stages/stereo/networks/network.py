@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
-from scanloom.stages.stereo.networks.process import NetworkProcesses
-from scanloom.stages.stereo.networks.serving import TYPES
+from scanloom.stages.stereo.networks.process_pool import NetworkProcesses
 from scanloom.stages.stereo.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
+from scanloom.stages.stereo.networks.worker import TENSOR_TYPES
 
 RESULT_VERSION = 1
 
@@ -22,25 +22,25 @@ Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
 # Minimum size of an output map relative to the image, per side.
-_COARSEST = 1 / 16
+_MIN_SIZE_RATIO = 1 / 16
 _HALF = "/2"
 
 
 @dataclass(frozen=True)
-class OfPair:
+class PairPrediction:
     """Output of a stereo network for a rectified pair.
 
     Attributes
     ----------
     left, right : (h, w) float32 px, disparity of each image (x of the left minus x of the right image). Not
         finite where the network gave no number. The right one comes from the mirrored pair.
-    sure : (h, w) float32, 0 to 1, confidence of the left disparity by the network; 1 if it has no such
+    confidence : (h, w) float32, 0 to 1, confidence of the left disparity by the network; 1 if it has no such
         output.
     """
 
     left: Map
     right: Map
-    sure: Map
+    confidence: Map
 
 
 class Network:
@@ -53,7 +53,7 @@ class Network:
     Parameters
     ----------
     file : ONNX file; see scanloom.stages.stereo.networks.sidecar for its sidecar.
-    memory, seconds : limits per process, bytes and seconds; see scanloom.stages.stereo.networks.process.
+    memory, seconds : limits per process, bytes and seconds; see scanloom.stages.stereo.networks.process_pool.
     sidecar : replaces the sidecar next to the file.
 
     Raises
@@ -68,18 +68,18 @@ class Network:
         sidecar = sidecar or (read_sidecar(file) if file.is_file() else None)
         processes = NetworkProcesses(file, memory, seconds)
         assert sidecar is not None  # NetworkProcesses raises if the file is missing
-        self._use(file, sidecar, processes)
+        self._initialise(file, sidecar, processes)
 
     @classmethod
-    def of(cls, processes: NetworkProcesses, sidecar: Sidecar) -> Network:
+    def from_processes(cls, processes: NetworkProcesses, sidecar: Sidecar) -> Network:
         """Create a network whose processes are already running."""
         network = cls.__new__(cls)
-        network._use(processes.file, sidecar, processes)
+        network._initialise(processes.file, sidecar, processes)
         return network
 
-    def _use(self, file: Path, sidecar: Sidecar, processes: NetworkProcesses) -> None:
+    def _initialise(self, file: Path, sidecar: Sidecar, processes: NetworkProcesses) -> None:
         self.file, self.sidecar, self._processes = file, sidecar, processes
-        _require_outputs(sidecar, processes)
+        _check_outputs(sidecar, processes)
         self._inputs = {one["name"]: one for one in processes.inputs}
         missing = next((name for name in self._inputs if name not in sidecar.inputs), None)
         odd = next((name for name in sidecar.inputs if name not in self._inputs), missing)
@@ -91,14 +91,14 @@ class Network:
                 detail=", ".join(self._inputs)[:200] or "none",
                 inputs=", ".join(sidecar.inputs)[:200],
             )
-        self.fixed_size = self._fixed_size()
+        self.fixed_size = self._derive_fixed_size()
 
     @property
     def is_stereo(self) -> bool:
         """Return True if the network takes pairs instead of single images."""
         return self.sidecar.kind == STEREO
 
-    def of_pair(self, left: Image, right: Image, focal_baseline: float, offset: float) -> OfPair:
+    def predict_pair(self, left: Image, right: Image, focal_baseline: float, offset: float) -> PairPrediction:
         """Compute the disparities of both images of a rectified pair.
 
         Parameters
@@ -111,16 +111,20 @@ class Network:
         InputError
             If the network cannot be run, or its output is not a map of the image.
         """
-        of_left, sure = self.of_left(left, right, focal_baseline, offset)
-        mirrored, _ = self.of_left(_mirrored(right), _mirrored(left), focal_baseline, offset)
-        return OfPair(of_left, _mirrored(mirrored), sure)
+        of_left, sure = self.predict_left(left, right, focal_baseline, offset)
+        mirrored, _ = self.predict_left(_mirror(right), _mirror(left), focal_baseline, offset)
+        return PairPrediction(of_left, _mirror(mirrored), sure)
 
-    def of_left(self, left: Image, right: Image, focal_baseline: float, offset: float) -> tuple[Map, Map]:
-        """Compute the left disparity and its confidence; see `of_pair`."""
-        depth, *rest = self._maps({"left": left, "right": right})
-        return self._in_pixels(depth, focal_baseline, offset), self._sure(rest, depth.shape)
+    def predict_left(
+        self, left: Image, right: Image, focal_baseline: float, offset: float
+    ) -> tuple[Map, Map]:
+        """Compute the left disparity and its confidence; see `predict_pair`."""
+        depth, *rest = self._run_on_images({"left": left, "right": right})
+        return self._convert_to_pixels(depth, focal_baseline, offset), self._combine_confidence(
+            rest, depth.shape
+        )
 
-    def of_image(self, image: Image) -> tuple[Map, Map]:
+    def predict_image(self, image: Image) -> tuple[Map, Map]:
         """Run a monocular network on an image and on its mirror image.
 
         Returns
@@ -131,12 +135,12 @@ class Network:
         Raises
         ------
         InputError
-            As `of_pair`.
+            As `predict_pair`.
         """
-        first, second = (self._maps({"image": one})[0] for one in (image, _mirrored(image)))
-        return first, _mirrored(second)
+        first, second = (self._run_on_images({"image": one})[0] for one in (image, _mirror(image)))
+        return first, _mirror(second)
 
-    def _in_pixels(self, depth: Map, focal_baseline: float, offset: float) -> Map:
+    def _convert_to_pixels(self, depth: Map, focal_baseline: float, offset: float) -> Map:
         unit = self.sidecar.unit
         if unit == PX:
             return depth
@@ -146,15 +150,15 @@ class Network:
             inverse = 1 / depth if unit == DEPTH else depth
             return np.asarray(np.float32(focal_baseline) * inverse - np.float32(offset), np.float32)
 
-    def _sure(self, told: Sequence[Map], shape: tuple[int, ...]) -> Map:
+    def _combine_confidence(self, outputs: Sequence[Map], shape: tuple[int, ...]) -> Map:
         """Combine confidence and occlusion outputs to a confidence from 0 to 1."""
         sure = np.ones(shape, np.float32)
-        for name, one in zip(self.sidecar.outputs[1:], told, strict=True):
+        for name, one in zip(self.sidecar.outputs[1:], outputs, strict=True):
             known = np.clip(np.nan_to_num(one, nan=1.0 if name == self.sidecar.occlusion else 0.0), 0, 1)
             sure *= 1 - known if name == self.sidecar.occlusion else known
         return sure
 
-    def _maps(self, images: Mapping[str, Image]) -> list[Map]:
+    def _run_on_images(self, images: Mapping[str, Image]) -> list[Map]:
         """Run the network and return its outputs at image size."""
         import cv2
 
@@ -167,15 +171,15 @@ class Network:
         )
         padded = {
             name: np.asarray(
-                cv2.copyMakeBorder(_in_size(one, wide, high), 0, below, 0, right, cv2.BORDER_REPLICATE),
+                cv2.copyMakeBorder(_resize(one, wide, high), 0, below, 0, right, cv2.BORDER_REPLICATE),
                 np.uint8,
             )
             for name, one in images.items()
         }
-        feeds = {name: self._tensor(padded, name, taken) for name, taken in self.sidecar.inputs.items()}
+        feeds = {name: self._build_tensor(padded, name, taken) for name, taken in self.sidecar.inputs.items()}
         found = self._processes.run(feeds, self.sidecar.outputs)
         maps = [
-            self._plane(one, name, (high + below, wide + right))[:high, :wide]
+            self._extract_map(one, name, (high + below, wide + right))[:high, :wide]
             for name, one in zip(self.sidecar.outputs, found, strict=True)
         ]
         if not np.isfinite(maps[0]).any():
@@ -189,9 +193,9 @@ class Network:
         scale = self.sidecar.sign * (width / wide if self.sidecar.unit == PX else 1)
         with np.errstate(over="ignore", invalid="ignore"):
             maps[0] = maps[0] * np.float32(scale)
-        return [_in_size(one, width, height) for one in maps]
+        return [_resize(one, width, height) for one in maps]
 
-    def _tensor(self, images: Mapping[str, Image], name: str, taken: str) -> NDArray[Any]:
+    def _build_tensor(self, images: Mapping[str, Image], name: str, role: str) -> NDArray[Any]:
         """Build the tensor of a network input.
 
         Parameters
@@ -202,9 +206,11 @@ class Network:
         """
         import cv2
 
-        is_half = taken.endswith(_HALF)
-        what = taken.removesuffix(_HALF)
-        planes = [self._values(images[one]) for one in (("left", "right") if what == "pair" else (what,))]
+        is_half = role.endswith(_HALF)
+        what = role.removesuffix(_HALF)
+        planes = [
+            self._normalise_image(images[one]) for one in (("left", "right") if what == "pair" else (what,))
+        ]
         values: NDArray[Any] = np.concatenate(planes, axis=2)
         if is_half:
             size = (values.shape[1] // 2, values.shape[0] // 2)
@@ -213,13 +219,13 @@ class Network:
         if self.sidecar.layout == "nchw":
             values = values.transpose(2, 0, 1)
         about = self._inputs[name]
-        kind = np.dtype(TYPES[about["type"]])
+        kind = np.dtype(TENSOR_TYPES[about["type"]])
         if kind.kind == "u":
             values = np.clip(np.rint(values), 0, 255)
         leading = max(len(about["shape"]) - 3, 0) if about["shape"] else 1
         return values.astype(kind).reshape(*leading * (1,), *values.shape)
 
-    def _values(self, image: Image) -> Map:
+    def _normalise_image(self, image: Image) -> Map:
         """Normalise an image as the sidecar states.
 
         Returns
@@ -240,7 +246,7 @@ class Network:
         values = np.float32(low) + colors.astype(np.float32) * np.float32((high - low) / 255)
         return np.asarray((values - mean) / std, np.float32)
 
-    def _plane(self, output: Map, name: str, size: tuple[int, int]) -> Map:
+    def _extract_map(self, output: Map, name: str, size: tuple[int, int]) -> Map:
         """Return an output as a map (h, w).
 
         Parameters
@@ -259,7 +265,7 @@ class Network:
             plane = plane[0] if self.sidecar.layout == "nchw" else plane[..., 0]
         if (
             plane.ndim != 2
-            or min(np.divide(plane.shape, size)) < _COARSEST
+            or min(np.divide(plane.shape, size)) < _MIN_SIZE_RATIO
             or max(np.divide(plane.shape, size)) > 1
         ):
             raise InputError(
@@ -270,25 +276,25 @@ class Network:
                 ),
                 self.file,
                 name=name[:40],
-                shape=_shape(output.shape),
+                shape=_format_shape(output.shape),
                 size=size[1],
                 size_2=size[0],
             )
-        return _in_size(plane, size[1], size[0])
+        return _resize(plane, size[1], size[0])
 
-    def _fixed_size(self) -> tuple[int | None, int | None]:
+    def _derive_fixed_size(self) -> tuple[int | None, int | None]:
         """Return the fixed height and width of the inputs, None where any."""
         heights, widths = set(), set()
         for name, taken in self.sidecar.inputs.items():
             about = self._inputs[name]
-            if about["type"] not in TYPES:
+            if about["type"] not in TENSOR_TYPES:
                 raise InputError(
                     DEPTH_NETWORK_SIDECAR_INVALID,
                     "its input {name} has type {about}; supported are {types}.",
                     self.file,
                     name=name[:40],
                     about=about["type"],
-                    types=", ".join(TYPES),
+                    types=", ".join(TENSOR_TYPES),
                 )
             shape = about["shape"]
             if not shape:
@@ -305,7 +311,7 @@ class Network:
                     ),
                     self.file,
                     name=name[:40],
-                    shape=_shape(shape),
+                    shape=_format_shape(shape),
                     taken=taken,
                     color=self.sidecar.color,
                     layout=self.sidecar.layout,
@@ -323,7 +329,7 @@ class Network:
         return found[0], found[1]
 
 
-def _require_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
+def _check_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
     there = [one["name"] for one in processes.outputs]
     for name in sidecar.outputs:
         if name not in there:
@@ -336,11 +342,11 @@ def _require_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
             )
 
 
-def _mirrored(image: NDArray[Any]) -> NDArray[Any]:
+def _mirror(image: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(image[:, ::-1])
 
 
-def _in_size(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+def _resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     import cv2
 
     if image.shape[:2] == (height, width):
@@ -350,5 +356,5 @@ def _in_size(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     return np.asarray(cv2.resize(np.ascontiguousarray(image), (width, height), interpolation=method))
 
 
-def _shape(shape: Sequence[int | None]) -> str:
+def _format_shape(shape: Sequence[int | None]) -> str:
     return " × ".join("?" if one is None else str(one) for one in shape) or "nothing"

@@ -39,18 +39,18 @@ from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 STEREO, MONOCULAR = "stereo", "monocular"
 PX, NORMALISED, DEPTH, INVERSE_DEPTH = "px", "normalised", "depth", "inverse_depth"
 
-_TAKEN = {STEREO: ("left", "right", "pair"), MONOCULAR: ("image",)}
+_ROLES = {STEREO: ("left", "right", "pair"), MONOCULAR: ("image",)}
 _UNITS = {STEREO: (PX, NORMALISED, DEPTH, INVERSE_DEPTH), MONOCULAR: (INVERSE_DEPTH, DEPTH)}
-_WORDS = {
+_CHOICES = {
     "kind": (STEREO, MONOCULAR),
     "color": ("rgb", "bgr", "grey"),
     "layout": ("nchw", "nhwc"),
     "unit": _UNITS[STEREO],
 }
-_MOST_MULTIPLE = 1024
+_MAX_MULTIPLE = 1024
 # Maximum length of an input or output name, characters.
-_LONGEST_NAME = 200
-_LARGEST = 1e6
+_MAX_NAME_LENGTH = 200
+_MAX_NUMBER = 1e6
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Sidecar:
     # Not part of the sidecar: the file it was read from.
     file: Path | None = field(default=None, compare=False)
 
-    def checked(self) -> Sidecar:
+    def validate(self) -> Sidecar:
         """Validate the combination of fields.
 
         Returns
@@ -89,7 +89,7 @@ class Sidecar:
             If fields contradict each other.
         """
         taken = [what.removesuffix("/2") for what in self.inputs.values()]
-        allowed = _TAKEN[self.kind]
+        allowed = _ROLES[self.kind]
         for name, what in zip(self.inputs, taken, strict=True):
             if what not in allowed:
                 raise InputError(
@@ -125,7 +125,7 @@ class Sidecar:
         return 1 if self.color == "grey" else 3
 
 
-def sidecar_of(network: Path) -> Path:
+def get_sidecar_path(network: Path) -> Path:
     """Return the path of a network's sidecar."""
     return network.with_suffix(".toml")
 
@@ -138,7 +138,7 @@ def read_sidecar(network: Path) -> Sidecar:
     InputError
         If the sidecar is missing, unreadable or invalid.
     """
-    path = sidecar_of(network)
+    path = get_sidecar_path(network)
     if not path.is_file():
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
@@ -169,29 +169,31 @@ def read_sidecar(network: Path) -> Sidecar:
                 DEPTH_NETWORK_SIDECAR_INVALID, "the required key {name} is missing.", path, name=name
             )
     try:
-        return Sidecar(**{name: _checked(name, value) for name, value in values.items()}, file=path).checked()
+        return Sidecar(
+            **{name: _check_value(name, value) for name, value in values.items()}, file=path
+        ).validate()
     except InputError as error:
-        raise error.at(path) from None
+        raise error.replace_location(path) from None
 
 
-def written(sidecar: Sidecar) -> str:
+def format_sidecar(sidecar: Sidecar) -> str:
     """Format a sidecar as TOML for `read_sidecar`."""
     lines = []
     for one in fields(Sidecar):
         value = getattr(sidecar, one.name)
         if one.name not in ("inputs", "file") and value is not None:
-            lines.append(f"{one.name} = {_toml(value)}")
+            lines.append(f"{one.name} = {_format_toml_value(value)}")
     inputs = (f"{json.dumps(name)} = {json.dumps(taken)}" for name, taken in sidecar.inputs.items())
     return "\n".join([*lines, "", "[inputs]", *inputs, ""])
 
 
-def _toml(value: Any) -> str:
+def _format_toml_value(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(f'{number:g}' for number in value)}]"
     return json.dumps(value, ensure_ascii=False)
 
 
-def _checked(name: str, value: Any) -> Any:
+def _check_value(name: str, value: Any) -> Any:
     """Validate and convert the value of a field.
 
     Raises
@@ -199,67 +201,71 @@ def _checked(name: str, value: Any) -> Any:
     InputError
         If the value is invalid; the message states the valid values.
     """
-    if name in _WORDS:
-        if value not in _WORDS[name]:
+    if name in _CHOICES:
+        if value not in _CHOICES[name]:
             raise InputError(
                 USAGE_VALUE_INVALID,
                 "{name} is {shown}; it must be one of {words}.",
                 name=name,
-                shown=_shown(value),
-                words=", ".join(_WORDS[name]),
+                shown=_format_value(value),
+                words=", ".join(_CHOICES[name]),
             )
         return value
     if name in ("output", "confidence", "occlusion"):
-        return _name(name, value)
+        return _check_name(name, value)
     if name == "range":
-        return _numbers(name, value, 2)
+        return _check_numbers(name, value, 2)
     if name in ("mean", "std"):
-        return _numbers(name, value, 3)
+        return _check_numbers(name, value, 3)
     if name == "sign":
         if value not in (1, -1) or isinstance(value, bool):
             raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "sign is {shown}; it must be 1 or -1.", shown=_shown(value)
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "sign is {shown}; it must be 1 or -1.",
+                shown=_format_value(value),
             )
         return int(value)
     if name == "multiple_of":
-        if type(value) is not int or not 1 <= value <= _MOST_MULTIPLE:
+        if type(value) is not int or not 1 <= value <= _MAX_MULTIPLE:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
                 "multiple_of is {shown}; it must be from 1 to {most_multiple}.",
-                shown=_shown(value),
-                most_multiple=_MOST_MULTIPLE,
+                shown=_format_value(value),
+                most_multiple=_MAX_MULTIPLE,
             )
         return value
     if not isinstance(value, dict) or not value:
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID, "inputs must be a table that maps each network input to its role."
         )
-    return {_name("inputs", key): _name(f"inputs.{key[:40]}", taken) for key, taken in value.items()}
+    return {
+        _check_name("inputs", key): _check_name(f"inputs.{key[:40]}", taken) for key, taken in value.items()
+    }
 
 
-def _name(name: str, value: Any) -> str:
-    if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_NAME:
+def _check_name(name: str, value: Any) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= _MAX_NAME_LENGTH:
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
             "{name} is {shown}; it must be a name.",
             name=name,
-            shown=_shown(value),
+            shown=_format_value(value),
         )
     return value
 
 
-def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
+def _check_numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
     good = isinstance(value, list) and len(value) == count
-    if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in value):
+    if not good or not all(type(one) in (int, float) and abs(one) <= _MAX_NUMBER for one in value):
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
             "{name} is {shown}; it must be {count} numbers.",
             name=name,
-            shown=_shown(value),
+            shown=_format_value(value),
             count=count,
         )
     return tuple(float(one) for one in value)
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return repr(value)[:60]

@@ -26,38 +26,38 @@ from scanloom.stages.surface.codes import (
     MESH_TEXTURE_DAMAGED,
     MESH_VALUES_REPLACED,
 )
-from scanloom.stages.surface.formats.colors import srgb_from_linear, to_uint8
+from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb, to_uint8
 from scanloom.stages.surface.formats.gltf_container import (
-    COMPRESSED,
     SCAN_FROM_WORLD,
+    UNSUPPORTED_COMPRESSIONS,
     Gltf,
-    Tree,
+    JsonObject,
     read_container,
 )
-from scanloom.stages.surface.formats.gltf_materials import MaterialReader, Placement
-from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.formats.gltf_materials import MaterialReader, UvPlacement
+from scanloom.stages.surface.mesh import Mesh, validate_mesh
 from scanloom.stages.surface.texture import Texture
-from scanloom.stages.surface.welding import merge_vertices
+from scanloom.stages.surface.welding import weld_vertices
 
 # Generators that write vertex colours as sRGB, contrary to the specification.
-_DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")
+_SRGB_GENERATORS = ("https://github.com/mikedh/trimesh", "Open3D")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 # Attributes that are read, reported elsewhere, or written by scanloom in addition to standard ones.
-_KNOWN = re.compile(
+_KNOWN_ATTRIBUTES = re.compile(
     r"POSITION|NORMAL|TANGENT|TEXCOORD_\d+|COLOR_0|JOINTS_\d+|WEIGHTS_\d+|_COLOR_DISPLAYED|_VALUES"
 )
 # Tolerance of the orthonormality test of a rotation matrix.
-_ROTATION = 1e-6
+_ROTATION_TOLERANCE = 1e-6
 # Many nodes can instance one large mesh. More corners and vertices than this exceed memory and indicate a
 # damaged or malicious file.
-_MOST_CORNERS = 1 << 29
+_MAX_CORNERS = 1 << 29
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
 @dataclass
-class _Part:
+class _PrimitiveMesh:
     """Mesh of one primitive, with the node transform applied."""
 
     vertices: Floats
@@ -71,12 +71,12 @@ class _Part:
 
 
 @dataclass
-class _Reading:
+class _ReaderState:
     """State of reading one file."""
 
     gltf: Gltf
     materials: MaterialReader
-    corners: int = 0
+    corner_count: int = 0
 
     def warn(self, message: str, code: Code = MESH_LEFT_OUT, **values: Any) -> None:
         emit(code.warning(message, self.gltf.path, **values))
@@ -122,87 +122,92 @@ def read_gltf(path: Path | str) -> Mesh:
 
 
 def _read_scene(gltf: Gltf) -> Mesh:
-    reading = _Reading(gltf, MaterialReader(gltf))
+    reading = _ReaderState(gltf, MaterialReader(gltf))
     for name in ("animations", "skins", "cameras"):
-        if gltf.items(name):
+        if gltf.get_list(name):
             reading.warn("{name} are left out", name=name)
     extensions = gltf.tree.get("extensions")
     if isinstance(extensions, dict) and extensions:
         names = ", ".join(sorted(extensions))
         reading.warn("data of the extensions {names} is left out", names=names)
-    parts: list[_Part] = []
-    turn = _scan_from_world(reading)
-    nodes = _placed_nodes(gltf, np.eye(4) if turn is None else turn)
+    parts: list[_PrimitiveMesh] = []
+    turn = _read_scan_rotation(reading)
+    nodes = _collect_mesh_nodes(gltf, np.eye(4) if turn is None else turn)
     for number, (node, matrix) in enumerate(nodes):
-        mesh = gltf.item("meshes", node["mesh"])
+        mesh = gltf.get_item("meshes", node["mesh"])
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
             reading.warn("instances of EXT_mesh_gpu_instancing are left out, except one")
         name = str(node.get("name") or mesh.get("name") or ("" if len(nodes) == 1 else f"node {number}"))
-        found = (_part(reading, primitive, matrix, number, name) for primitive in mesh["primitives"])
+        found = (
+            _read_primitive(reading, primitive, matrix, number, name) for primitive in mesh["primitives"]
+        )
         parts += [part for part in found if part is not None]
-    assembled = _assembled(reading, parts)
+    assembled = _merge_primitives(reading, parts)
     if turn is None:
         return assembled
     x, y, z = turn[:3, 1].tolist()
     return assembled.with_(up=(x, y, z))
 
 
-def _scan_from_world(reading: _Reading) -> Floats | None:
+def _read_scan_rotation(reading: _ReaderState) -> Floats | None:
     """Return the rotation (4, 4) from world to scan axes; None if the file has none."""
     extras = reading.gltf.tree["asset"].get("extras")
     given = extras.get(SCAN_FROM_WORLD) if isinstance(extras, dict) else None
     if given is None:
         return None
-    matrix = _turn(given)
+    matrix = _parse_rotation(given)
     if matrix is None:
         reading.warn("{name} is left out: it is not a rotation", name=SCAN_FROM_WORLD)
     return matrix
 
 
-def _turn(given: Any) -> Floats | None:
+def _parse_rotation(given: Any) -> Floats | None:
     try:
         matrix = np.array(given, float).reshape(4, 4).T
     except (ValueError, TypeError):
         return None
-    turn = matrix[:3, :3]
-    if not np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION) or np.linalg.det(turn) < 0:
+    rotation = matrix[:3, :3]
+    if (
+        not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_TOLERANCE)
+        or np.linalg.det(rotation) < 0
+    ):
         return None
-    alone = np.eye(4)
-    alone[:3, :3] = turn
-    return alone if np.array_equal(matrix, alone) else None
+    expected = np.eye(4)
+    expected[:3, :3] = rotation
+    return expected if np.array_equal(matrix, expected) else None
 
 
-def _placed_nodes(gltf: Gltf, world: Floats) -> list[tuple[Tree, Floats]]:
+def _collect_mesh_nodes(gltf: Gltf, world: Floats) -> list[tuple[JsonObject, Floats]]:
     """Return the nodes with a mesh, and their transforms (4, 4).
 
     Nodes are in scene order. `world` (4, 4) is applied to the whole scene.
     """
-    nodes, scenes = gltf.items("nodes"), gltf.items("scenes")
+    nodes, scenes = gltf.get_list("nodes"), gltf.get_list("scenes")
     if scenes:
-        roots = gltf.item("scenes", gltf.tree.get("scene", 0)).get("nodes", [])
+        roots = gltf.get_item("scenes", gltf.tree.get("scene", 0)).get("nodes", [])
     else:
         children = {child for node in nodes for child in node.get("children", [])}
         roots = [number for number in range(len(nodes)) if number not in children]
     found = []
-    waiting = [(number, world) for number in reversed(roots)]
-    seen: set[int] = set()
-    while waiting:
-        number, parent = waiting.pop()
-        if number in seen:
+    stack = [(number, world) for number in reversed(roots)]
+    visited: set[int] = set()
+    while stack:
+        number, parent = stack.pop()
+        if number in visited:
             raise ValueError("a node has two parents")
-        seen.add(number)
-        node = gltf.item("nodes", number)
-        own = _matrix(node)
+        visited.add(number)
+        node = gltf.get_item("nodes", number)
+        own = _read_node_matrix(node)
         # A root rotation that `world` inverts must cancel exactly; the float product would not.
-        undone = number in roots and np.array_equal(own, world.T)
-        matrix = np.eye(4) if undone else parent @ own
+        is_inverse = number in roots and np.array_equal(own, world.T)
+        matrix = np.eye(4) if is_inverse else parent @ own
         if "mesh" in node:
             found.append((node, matrix))
-        waiting += [(child, matrix) for child in reversed(node.get("children", []))]
+        stack += [(child, matrix) for child in reversed(node.get("children", []))]
     return found
 
 
-def _matrix(node: Tree) -> Floats:
+def _read_node_matrix(node: JsonObject) -> Floats:
     if "matrix" in node:
         return np.asarray(np.array(node["matrix"], float).reshape(4, 4).T)
     matrix = np.eye(4)
@@ -217,15 +222,17 @@ def _matrix(node: Tree) -> Floats:
     return matrix
 
 
-def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: str) -> _Part | None:
+def _read_primitive(
+    reading: _ReaderState, primitive: JsonObject, matrix: Floats, node: int, name: str
+) -> _PrimitiveMesh | None:
     gltf = reading.gltf
     mode = primitive.get("mode", _TRIANGLES)
     attributes = primitive["attributes"]
     if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
         reading.warn("points and lines are left out")
         return None
-    compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
-    if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
+    compressed = any(key in UNSUPPORTED_COMPRESSIONS for key in primitive.get("extensions", {}))
+    if compressed and "bufferView" not in gltf.get_item("accessors", attributes["POSITION"]):
         raise InputError(
             MESH_COMPRESSION_UNKNOWN,
             "uses an unsupported compression",
@@ -236,40 +243,42 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
         reading.warn("morph targets are left out")
     if "TANGENT" in attributes:
         reading.warn("tangents are left out: programs derive them from normals and texture coordinates")
-    others = [name for name in attributes if not _KNOWN.fullmatch(name)]
+    others = [name for name in attributes if not _KNOWN_ATTRIBUTES.fullmatch(name)]
     if others:
         reading.warn("attributes {names} are left out", names=", ".join(sorted(others)))
-    vertices = gltf.array(attributes["POSITION"])[:, :3].astype(np.float64)
-    triangles = _triangles(gltf, primitive, mode, len(vertices))
-    reading.corners += triangles.size + len(vertices)
-    if reading.corners > _MOST_CORNERS:
+    vertices = gltf.read_accessor(attributes["POSITION"])[:, :3].astype(np.float64)
+    triangles = _read_triangles(gltf, primitive, mode, len(vertices))
+    reading.corner_count += triangles.size + len(vertices)
+    if reading.corner_count > _MAX_CORNERS:
         raise InputError(
             MESH_FILE_DAMAGED,
             "its nodes have more than {most_corners:,} corners and vertices; it is damaged.",
             gltf.path,
-            most_corners=_MOST_CORNERS,
+            most_corners=_MAX_CORNERS,
         )
-    vertices, triangles, normal_matrix = _placed(vertices, triangles, matrix)
-    colors = _colors(reading, attributes, len(vertices))
-    material, placement = reading.materials.number(primitive.get("material"), with_colors=colors is not None)
+    vertices, triangles, normal_matrix = _apply_transform(vertices, triangles, matrix)
+    colors = _read_colors(reading, attributes, len(vertices))
+    material, placement = reading.materials.read_material(
+        primitive.get("material"), with_colors=colors is not None
+    )
     extras = primitive.get("extras")
     if isinstance(extras, dict) and isinstance(extras.get("part"), str):
         name = extras["part"]
-    return _Part(
+    return _PrimitiveMesh(
         vertices,
         triangles,
         colors,
-        _normals(reading, attributes, normal_matrix, len(vertices)),
-        _uvs(reading, attributes, placement, len(vertices)),
+        _read_normals(reading, attributes, normal_matrix, len(vertices)),
+        _read_uvs(reading, attributes, placement, len(vertices)),
         material,
         node,
         name,
     )
 
 
-def _triangles(gltf: Gltf, primitive: Tree, mode: int, count: int) -> Rows:
+def _read_triangles(gltf: Gltf, primitive: JsonObject, mode: int, count: int) -> Rows:
     if "indices" in primitive:
-        indices = gltf.array(primitive["indices"])[:, 0].astype(np.int64)
+        indices = gltf.read_accessor(primitive["indices"])[:, 0].astype(np.int64)
     else:
         indices = np.arange(count)
     if mode == _TRIANGLES:
@@ -286,16 +295,16 @@ def _triangles(gltf: Gltf, primitive: Tree, mode: int, count: int) -> Rows:
     return np.asarray(triangles[(a != b) & (b != c) & (c != a)])
 
 
-def _placed(vertices: Floats, triangles: Rows, matrix: Floats) -> tuple[Floats, Rows, Floats]:
+def _apply_transform(vertices: Floats, triangles: Rows, matrix: Floats) -> tuple[Floats, Rows, Floats]:
     """Apply a node transform; return vertices, triangles and the matrix for normals.
 
     Triangles are flipped if the transform mirrors.
     """
-    linear, move = matrix[:3, :3], matrix[:3, 3]
+    linear, translation = matrix[:3, :3], matrix[:3, 3]
     if not np.array_equal(linear, np.eye(3)):
         vertices = vertices @ linear.T
-    if move.any():
-        vertices = vertices + move
+    if translation.any():
+        vertices = vertices + translation
     # The cofactor matrix is the inverse transpose times the determinant, and exists for singular matrices
     # too.
     cofactors = np.stack([np.cross(linear[k - 2], linear[k - 1]) for k in range(3)])
@@ -304,21 +313,23 @@ def _placed(vertices: Floats, triangles: Rows, matrix: Floats) -> tuple[Floats, 
     return vertices, triangles, cofactors
 
 
-def _attribute(reading: _Reading, attributes: Tree, name: str, columns: int, count: int) -> Floats | None:
+def _read_attribute(
+    reading: _ReaderState, attributes: JsonObject, name: str, columns: int, count: int
+) -> Floats | None:
     if name not in attributes:
         return None
-    values = reading.gltf.array(attributes[name])
+    values = reading.gltf.read_accessor(attributes[name])
     if len(values) != count or values.shape[1] < columns:
         reading.warn("{name} is left out: it does not match the vertices", name=name)
         return None
     return values
 
 
-def _colors(reading: _Reading, attributes: Tree, count: int) -> NDArray[np.uint8] | None:
-    values = _attribute(reading, attributes, "_COLOR_DISPLAYED", 3, count)
+def _read_colors(reading: _ReaderState, attributes: JsonObject, count: int) -> NDArray[np.uint8] | None:
+    values = _read_attribute(reading, attributes, "_COLOR_DISPLAYED", 3, count)
     if values is not None:
         return to_uint8(values[:, :3])
-    values = _attribute(reading, attributes, "COLOR_0", 3, count)
+    values = _read_attribute(reading, attributes, "COLOR_0", 3, count)
     if values is None:
         return None
     if not np.isfinite(values).all():
@@ -327,11 +338,11 @@ def _colors(reading: _Reading, attributes: Tree, count: int) -> NDArray[np.uint8
         reading.warn("the transparency of vertices is left out")
     unit = np.nan_to_num(values[:, :3].astype(np.float64), nan=0, posinf=0, neginf=0).clip(0, 1)
     generator = str(reading.gltf.tree["asset"].get("generator", ""))
-    return to_uint8(unit if generator.startswith(_DISPLAYED) else srgb_from_linear(unit))
+    return to_uint8(unit if generator.startswith(_SRGB_GENERATORS) else convert_linear_to_srgb(unit))
 
 
-def _normals(reading: _Reading, attributes: Tree, matrix: Floats, count: int) -> Floats | None:
-    normals = _attribute(reading, attributes, "NORMAL", 3, count)
+def _read_normals(reading: _ReaderState, attributes: JsonObject, matrix: Floats, count: int) -> Floats | None:
+    normals = _read_attribute(reading, attributes, "NORMAL", 3, count)
     if normals is None:
         return None
     normals = normals[:, :3].astype(np.float64)
@@ -345,7 +356,9 @@ def _normals(reading: _Reading, attributes: Tree, matrix: Floats, count: int) ->
     return normals
 
 
-def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) -> Floats | None:
+def _read_uvs(
+    reading: _ReaderState, attributes: JsonObject, placement: UvPlacement, count: int
+) -> Floats | None:
     sets = [name for name in attributes if name.startswith("TEXCOORD_")]
     wanted = f"TEXCOORD_{placement.uv_set}"
     others = sorted(set(sets) - {wanted})
@@ -353,42 +366,42 @@ def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) 
         reading.warn(
             "texture coordinates {names} are left out: only one set is supported", names=", ".join(others)
         )
-    uvs = _attribute(reading, attributes, wanted, 2, count)
+    uvs = _read_attribute(reading, attributes, wanted, 2, count)
     if uvs is None:
         return None
-    uvs = placement.moved(uvs[:, :2].astype(np.float64))
+    uvs = placement.apply(uvs[:, :2].astype(np.float64))
     uvs[:, 1] = 1 - uvs[:, 1]
     return uvs
 
 
-def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
+def _merge_primitives(reading: _ReaderState, parts: list[_PrimitiveMesh]) -> Mesh:
     """Merge all primitives to one mesh and weld the duplicated vertices of each node."""
     if not parts:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     for part in parts:
-        validated(Mesh(part.vertices, part.triangles), str(reading.gltf.path))
+        validate_mesh(Mesh(part.vertices, part.triangles), str(reading.gltf.path))
     counts = [len(part.vertices) for part in parts]
     starts = np.cumsum([0, *counts])
     placed = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
     triangles = np.concatenate(placed).astype(np.int32)
-    colors = _filled([part.colors for part in parts], counts, 255)
+    colors = _concatenate_filled([part.colors for part in parts], counts, 255)
     if any(part.colors is None for part in parts) and colors is not None:
         reading.warn("parts without vertex colours become white", MESH_VALUES_REPLACED)
-    normals = _filled([part.normals for part in parts], counts, 0)
+    normals = _concatenate_filled([part.normals for part in parts], counts, 0)
     corner_normals = None if normals is None else normals[triangles]
     names = list(dict.fromkeys((part.node, part.name) for part in parts if part.name))
     numbers = {name: number for number, name in enumerate(names)}
-    part_ids = _repeated([numbers.get((part.node, part.name), -1) for part in parts], parts)
+    part_ids = _repeat_per_triangle([numbers.get((part.node, part.name), -1) for part in parts], parts)
     mesh = Mesh(
         np.concatenate([part.vertices for part in parts]),
         triangles,
         colors,
         normals,
-        texture=_texture(reading, parts),
+        texture=_merge_textures(reading, parts),
         part_ids=part_ids if names else None,
         part_names=tuple(name for _, name in names),
     )
-    mesh = merge_vertices(mesh, apart=np.repeat([part.node for part in parts], counts))
+    mesh = weld_vertices(mesh, group_ids=np.repeat([part.node for part in parts], counts))
     if corner_normals is None or mesh.normals is None:
         return mesh
     if any(part.normals is None for part in parts):
@@ -397,16 +410,16 @@ def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
     return mesh if same else mesh.with_(corner_normals=corner_normals)
 
 
-def _texture(reading: _Reading, parts: list[_Part]) -> Texture | None:
+def _merge_textures(reading: _ReaderState, parts: list[_PrimitiveMesh]) -> Texture | None:
     materials = tuple(reading.materials.materials)
-    uvs = _filled(
+    uvs = _concatenate_filled(
         [None if part.uvs is None else part.uvs[part.triangles] for part in parts],
         [len(part.triangles) for part in parts],
         0,
     )
     if uvs is None and not materials:
         return None
-    ids = _repeated([part.material for part in parts], parts)
+    ids = _repeat_per_triangle([part.material for part in parts], parts)
     if uvs is None:
         uvs = np.zeros((len(ids), 3, 2))
     finite = np.isfinite(uvs).all(axis=(1, 2))
@@ -421,18 +434,18 @@ def _texture(reading: _Reading, parts: list[_Part]) -> Texture | None:
     return Texture(uvs, ids, materials)
 
 
-def _filled(arrays: list[Any], counts: list[int], value: float) -> Any:
+def _concatenate_filled(arrays: list[Any], counts: list[int], value: float) -> Any:
     """Concatenate arrays, filling missing ones with `value`; None if all are missing."""
-    shown = next((array for array in arrays if array is not None), None)
-    if shown is None:
+    template = next((array for array in arrays if array is not None), None)
+    if template is None:
         return None
     return np.concatenate(
         [
-            np.full((count, *shown.shape[1:]), value, shown.dtype) if array is None else array
+            np.full((count, *template.shape[1:]), value, template.dtype) if array is None else array
             for array, count in zip(arrays, counts, strict=True)
         ]
     )
 
 
-def _repeated(numbers: list[int], parts: list[_Part]) -> NDArray[np.int32]:
+def _repeat_per_triangle(numbers: list[int], parts: list[_PrimitiveMesh]) -> NDArray[np.int32]:
     return np.repeat(np.array(numbers, np.int32), [len(part.triangles) for part in parts])

@@ -7,11 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.formats.gltf_container import Tree
-from scanloom.stages.surface.formats.gltf_packing import PACKED, VERTICES, Lattice, packed
+from scanloom.stages.surface.formats.gltf_container import JsonObject
+from scanloom.stages.surface.formats.gltf_packing import (
+    MESHOPT_COMPRESSION,
+    VERTEX_TARGET,
+    QuantizationGrid,
+    compress_buffer,
+)
 
 
-class Buffer:
+class GltfBuffer:
     """Growing binary buffer that records buffer views and accessors in the glTF tree.
 
     Views compressed by meshoptimizer refer to a second, fallback buffer that has a size but no data
@@ -21,25 +26,29 @@ class Buffer:
     ----------
     lattice : quantization of positions; None for single-precision positions.
     texel_steps : quantization steps of texture coordinates per texel; 0 for the full 16-bit range.
-    pack : True to compress views with meshoptimizer.
+    uses_meshopt : True to compress views with meshoptimizer.
     """
 
-    def __init__(self, tree: Tree, lattice: Lattice | None, texel_steps: int = 0, *, pack: bool) -> None:
+    def __init__(
+        self, tree: JsonObject, lattice: QuantizationGrid | None, texel_steps: int = 0, *, use_meshopt: bool
+    ) -> None:
         self._tree = tree
         self.lattice = lattice
         self.texel_steps = texel_steps
-        self.pack = pack
-        self.pieces: list[bytes] = []
+        self.uses_meshopt = use_meshopt
+        self.blocks: list[bytes] = []
         self.size = 0
-        self.plain_size = 0
+        self.uncompressed_size = 0
 
-    def view(self, data: bytes, **details: Any) -> int:
+    def add_view(self, data: bytes, **details: Any) -> int:
         """Append bytes, aligned to 4; return the index of the new buffer view."""
-        views: list[Tree] = self._tree.setdefault("bufferViews", [])
+        views: list[JsonObject] = self._tree.setdefault("bufferViews", [])
         views.append({"buffer": 0, "byteOffset": self._append(data), "byteLength": len(data), **details})
         return len(views) - 1
 
-    def accessor(self, values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
+    def add_accessor(
+        self, values: NDArray[Any], element_type: str, component_type: int, target: int, **details: Any
+    ) -> int:
         """Append an array (rows padded to the alignment); return the accessor index.
 
         Parameters
@@ -50,31 +59,31 @@ class Buffer:
         target : buffer view target: vertex attributes or indices.
         details : further properties of the accessor.
         """
-        accessors: list[Tree] = self._tree.setdefault("accessors", [])
+        accessors: list[JsonObject] = self._tree.setdefault("accessors", [])
         accessors.append({
-            "bufferView": self._rows(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
-            "componentType": code,
+            "bufferView": self._add_rows_view(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
+            "componentType": component_type,
             "count": len(values),
-            "type": kind,
+            "type": element_type,
             **details,
         })  # fmt: skip
         return len(accessors) - 1
 
-    def _rows(self, values: NDArray[Any], target: int) -> int:
+    def _add_rows_view(self, values: NDArray[Any], target: int) -> int:
         row = values[0].nbytes
-        strides = {"byteStride": row} if target == VERTICES and self.lattice is not None else {}
-        if not self.pack:
-            return self.view(values.tobytes(), target=target, **strides)
-        data, mode = packed(values, target)
-        views: list[Tree] = self._tree.setdefault("bufferViews", [])
+        strides = {"byteStride": row} if target == VERTEX_TARGET and self.lattice is not None else {}
+        if not self.uses_meshopt:
+            return self.add_view(values.tobytes(), target=target, **strides)
+        data, mode = compress_buffer(values, target)
+        views: list[JsonObject] = self._tree.setdefault("bufferViews", [])
         views.append({
             "buffer": 1,
-            "byteOffset": self.plain_size,
+            "byteOffset": self.uncompressed_size,
             "byteLength": values.nbytes,
             "target": target,
             **strides,
             "extensions": {
-                PACKED: {
+                MESHOPT_COMPRESSION: {
                     "buffer": 0,
                     "byteOffset": self._append(data),
                     "byteLength": len(data),
@@ -84,18 +93,23 @@ class Buffer:
                 }
             },
         })  # fmt: skip
-        self.plain_size += values.nbytes + -values.nbytes % 4
+        self.uncompressed_size += values.nbytes + -values.nbytes % 4
         return len(views) - 1
 
     def _append(self, data: bytes) -> int:
         at, padding = self.size, -len(data) % 4
-        self.pieces += [data, bytes(padding)]
+        self.blocks += [data, bytes(padding)]
         self.size += len(data) + padding
         return at
 
-    def described(self, **details: Any) -> list[Tree]:
+    def describe(self, **details: Any) -> list[JsonObject]:
         """Return the entries of the file's "buffers" list."""
-        buffers: list[Tree] = [{"byteLength": self.size, **details}]
-        if self.pack:
-            buffers.append({"byteLength": self.plain_size, "extensions": {PACKED: {"fallback": True}}})
+        buffers: list[JsonObject] = [{"byteLength": self.size, **details}]
+        if self.uses_meshopt:
+            buffers.append(
+                {
+                    "byteLength": self.uncompressed_size,
+                    "extensions": {MESHOPT_COMPRESSION: {"fallback": True}},
+                }
+            )
         return buffers

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_UNREADABLE
-from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.input_files import read_input_bytes
 from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
-from scanloom.stages.surface.formats.textures import beside
+from scanloom.stages.surface.formats.texture_files import resolve_companion
 
-Tree = dict[str, Any]
+JsonObject = dict[str, Any]
 
 # Unsupported codec: no maintained package decodes Draco without a compiler.
-COMPRESSED = ("KHR_draco_mesh_compression",)
-PACKED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+UNSUPPORTED_COMPRESSIONS = ("KHR_draco_mesh_compression",)
+MESHOPT_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 # Key in `asset.extras` of the rotation (4, 4) from the y-up world to scan axes.
 SCAN_FROM_WORLD = "scan_from_world"
@@ -35,7 +35,7 @@ SCAN_FROM_WORLD = "scan_from_world"
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-_DAMAGED = "it is damaged or cut short; get a whole copy of it."
+_DAMAGED_REMEDY = "it is damaged or cut short; get a whole copy of it."
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,44 +47,47 @@ class Gltf:
     path : file, for messages.
     tree : the JSON description.
     buffers : bytes of each buffer; empty for a fallback buffer of compressed views.
-    unpacked : decompressed buffer views by index.
+    decompressed_views : decompressed buffer views by index.
     """
 
     path: Path
-    tree: Tree
+    tree: JsonObject
     buffers: list[bytes] = field(default_factory=list)
-    unpacked: dict[int, bytes] = field(default_factory=dict)
+    decompressed_views: dict[int, bytes] = field(default_factory=dict)
 
-    def items(self, name: str) -> list[Any]:
+    def get_list(self, name: str) -> list[Any]:
         """Return a top-level list of the description, such as "nodes"; empty if absent."""
         items = self.tree.get(name, [])
         if not isinstance(items, list):
             raise TypeError(name)
         return items
 
-    def item(self, name: str, index: Any) -> Tree:
+    def get_item(self, name: str, index: Any) -> JsonObject:
         """Return one entry of a top-level list."""
         if not isinstance(index, int) or index < 0:
             raise ValueError(name)
-        entry = self.items(name)[index]
+        entry = self.get_list(name)[index]
         if not isinstance(entry, dict):
             raise TypeError(name)
         return entry
 
-    def view_bytes(self, index: Any) -> memoryview:
+    def read_view(self, index: Any) -> memoryview:
         """Return the bytes of a buffer view, decompressed."""
-        view = self.item("bufferViews", index)
-        packed = packing_of(view)
+        view = self.get_item("bufferViews", index)
+        packed = get_meshopt_properties(view)
         if packed is not None:
-            if index not in self.unpacked:
-                self.unpacked[index] = self._unpack(packed)
-            return memoryview(self.unpacked[index])
-        return self._span(view)
+            if index not in self.decompressed_views:
+                self.decompressed_views[index] = self._unpack(packed)
+            return memoryview(self.decompressed_views[index])
+        return self._slice_buffer(view)
 
-    def _unpack(self, packed: Tree) -> bytes:
+    def _unpack(self, packed: JsonObject) -> bytes:
         """Decompress a buffer view from its EXT_meshopt_compression properties."""
-        data = bytes(self._span(packed))
-        count, size = natural(packed["count"]), natural(packed["byteStride"])
+        data = bytes(self._slice_buffer(packed))
+        count, size = (
+            require_non_negative_int(packed["count"]),
+            require_non_negative_int(packed["byteStride"]),
+        )
         try:
             if packed["mode"] == "ATTRIBUTES":
                 return _kernels.decode_rows(data, count, size, str(packed.get("filter", "NONE")))
@@ -95,13 +98,16 @@ class Gltf:
                 "has a buffer view that cannot be decompressed ({error}); {damaged}",
                 self.path,
                 error=error,
-                damaged=_DAMAGED,
+                damaged=_DAMAGED_REMEDY,
             ) from error
 
-    def _span(self, view: Tree) -> memoryview:
+    def _slice_buffer(self, view: JsonObject) -> memoryview:
         """Return the stored bytes of a buffer view or of a compression extension."""
-        buffer = self.buffers[natural(view["buffer"])]
-        start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
+        buffer = self.buffers[require_non_negative_int(view["buffer"])]
+        start, length = (
+            require_non_negative_int(view.get("byteOffset", 0)),
+            require_non_negative_int(view["byteLength"]),
+        )
         if start + length > len(buffer):
             raise InputError(
                 MESH_FILE_DAMAGED,
@@ -109,44 +115,44 @@ class Gltf:
                 self.path,
                 start=start + length,
                 buffer_count=len(buffer),
-                damaged=_DAMAGED,
+                damaged=_DAMAGED_REMEDY,
             )
         return memoryview(buffer)[start : start + length]
 
-    def array(self, index: Any) -> NDArray[Any]:
+    def read_accessor(self, index: Any) -> NDArray[Any]:
         """Return an accessor as (count, columns) in its type; normalized integers as float64."""
-        accessor = self.item("accessors", index)
+        accessor = self.get_item("accessors", index)
         dtype, columns = np.dtype(_TYPES[accessor["componentType"]]), _COLUMNS[accessor["type"]]
-        count = natural(accessor["count"])
+        count = require_non_negative_int(accessor["count"])
         if "bufferView" in accessor:
-            elements = self._elements(accessor["bufferView"], accessor, dtype, columns, count)
+            elements = self._read_elements(accessor["bufferView"], accessor, dtype, columns, count)
         else:
             # An accessor without a view means zeros. The count is limited, because a short file can request
             # any amount.
-            held = sum(map(len, self.buffers))
-            if count > held:
+            byte_count = sum(map(len, self.buffers))
+            if count > byte_count:
                 raise InputError(
                     MESH_FILE_DAMAGED,
                     "has an accessor of {count:,} elements for {held:,} bytes of data; {damaged}",
                     self.path,
                     count=count,
-                    held=held,
-                    damaged=_DAMAGED,
+                    held=byte_count,
+                    damaged=_DAMAGED_REMEDY,
                 )
             elements = np.zeros((count, columns), dtype)
         if "sparse" in accessor:
-            elements = self._with_sparse(elements, accessor["sparse"])
+            elements = self._apply_sparse(elements, accessor["sparse"])
         if accessor.get("normalized") and dtype.kind in "iu":
             return np.asarray(np.maximum(elements / np.iinfo(dtype).max, -1.0))
         return elements
 
-    def _elements(
-        self, view: Any, accessor: Tree, dtype: np.dtype[Any], columns: int, count: int
+    def _read_elements(
+        self, view: Any, accessor: JsonObject, dtype: np.dtype[Any], columns: int, count: int
     ) -> NDArray[Any]:
-        data = self.view_bytes(view)
+        data = self.read_view(view)
         size = dtype.itemsize * columns
-        stride = natural(self.item("bufferViews", view).get("byteStride", size))
-        start = natural(accessor.get("byteOffset", 0))
+        stride = require_non_negative_int(self.get_item("bufferViews", view).get("byteStride", size))
+        start = require_non_negative_int(accessor.get("byteOffset", 0))
         if count and (stride < size or start + (count - 1) * stride + size > len(data)):
             raise InputError(
                 MESH_FILE_DAMAGED,
@@ -154,29 +160,35 @@ class Gltf:
                 self.path,
                 count=count,
                 data_count=len(data),
-                damaged=_DAMAGED,
+                damaged=_DAMAGED_REMEDY,
             )
         if count == 0:
             return np.zeros((0, columns), dtype)
         shape, strides = (count, columns), (stride, dtype.itemsize)
         return np.array(np.ndarray(shape, dtype, data, start, strides))
 
-    def _with_sparse(self, elements: NDArray[Any], sparse: Tree) -> NDArray[Any]:
-        count, where, what = natural(sparse["count"]), sparse["indices"], sparse["values"]
-        dtype = np.dtype(_TYPES[where["componentType"]])
-        rows = self._elements(where["bufferView"], where, dtype, 1, count)[:, 0]
+    def _apply_sparse(self, elements: NDArray[Any], sparse: JsonObject) -> NDArray[Any]:
+        count, sparse_indices, sparse_values = (
+            require_non_negative_int(sparse["count"]),
+            sparse["indices"],
+            sparse["values"],
+        )
+        dtype = np.dtype(_TYPES[sparse_indices["componentType"]])
+        rows = self._read_elements(sparse_indices["bufferView"], sparse_indices, dtype, 1, count)[:, 0]
         columns = elements.shape[1]
-        elements[rows] = self._elements(what["bufferView"], what, elements.dtype, columns, count)
+        elements[rows] = self._read_elements(
+            sparse_values["bufferView"], sparse_values, elements.dtype, columns, count
+        )
         return elements
 
 
-def packing_of(view: Tree) -> Tree | None:
+def get_meshopt_properties(view: JsonObject) -> JsonObject | None:
     """Return the meshopt compression properties of a buffer view; None if uncompressed."""
     extensions = view.get("extensions", {})
-    return next((extensions[name] for name in PACKED if name in extensions), None)
+    return next((extensions[name] for name in MESHOPT_EXTENSIONS if name in extensions), None)
 
 
-def natural(value: Any) -> int:
+def require_non_negative_int(value: Any) -> int:
     """Return the value if it is a non-negative integer.
 
     Raises
@@ -198,12 +210,12 @@ def read_container(path: Path) -> Gltf:
         If the file is not glTF 2.0, is compressed with Draco, or a buffer is missing or too short.
     """
     try:
-        data = content_of(path)
+        data = read_input_bytes(path)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
-    text, binary = _chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
+    text, binary = _split_glb_chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
     try:
         tree = json.loads(text)
         version = str(tree["asset"]["version"])
@@ -222,14 +234,14 @@ def read_container(path: Path) -> Gltf:
     gltf = Gltf(path, tree)
     # Must come before the buffers are read: a fallback buffer without data is no damage.
     _require_uncompressed(gltf)
-    for number, buffer in enumerate(gltf.items("buffers")):
-        if any(buffer.get("extensions", {}).get(name, {}).get("fallback") for name in PACKED) and (
-            "uri" not in buffer
-        ):
+    for number, buffer in enumerate(gltf.get_list("buffers")):
+        if any(
+            buffer.get("extensions", {}).get(name, {}).get("fallback") for name in MESHOPT_EXTENSIONS
+        ) and ("uri" not in buffer):
             gltf.buffers.append(b"")
             continue
-        content = _buffer(path, buffer, binary if number == 0 else b"")
-        promised = natural(buffer["byteLength"])
+        content = _read_buffer(path, buffer, binary if number == 0 else b"")
+        promised = require_non_negative_int(buffer["byteLength"])
         if len(content) < promised:
             raise InputError(
                 MESH_FILE_DAMAGED,
@@ -237,15 +249,15 @@ def read_container(path: Path) -> Gltf:
                 path,
                 promised=promised,
                 content_count=len(content),
-                damaged=_DAMAGED,
+                damaged=_DAMAGED_REMEDY,
             )
         gltf.buffers.append(content)
     return gltf
 
 
 def _require_uncompressed(gltf: Gltf) -> None:
-    for name in gltf.items("extensionsRequired"):
-        if name in COMPRESSED:
+    for name in gltf.get_list("extensionsRequired"):
+        if name in UNSUPPORTED_COMPRESSIONS:
             raise InputError(
                 MESH_COMPRESSION_UNKNOWN,
                 "is compressed with {name}, which is not supported",
@@ -255,7 +267,7 @@ def _require_uncompressed(gltf: Gltf) -> None:
             )
 
 
-def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
+def _split_glb_chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     """Return the JSON and the binary chunk of a GLB file."""
     if data[:4] != b"glTF":
         raise InputError(MESH_FILE_DAMAGED, "is not a valid glTF file: it does not start with `glTF`.", path)
@@ -271,28 +283,30 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     while at + 8 <= len(data):
         length, kind = np.frombuffer(data, "<u4", 2, at).tolist()
         if at + 8 + length > len(data):
-            raise InputError(MESH_FILE_DAMAGED, "is not a valid glTF file: {damaged}", path, damaged=_DAMAGED)
+            raise InputError(
+                MESH_FILE_DAMAGED, "is not a valid glTF file: {damaged}", path, damaged=_DAMAGED_REMEDY
+            )
         chunks.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length
     return chunks.get(_JSON, b""), chunks.get(_BIN, b"")
 
 
-def _buffer(path: Path, buffer: Tree, binary: bytes) -> bytes:
+def _read_buffer(path: Path, buffer: JsonObject, binary: bytes) -> bytes:
     uri = buffer.get("uri")
     if uri is None:
         return binary
-    if (embedded := data_of_uri(uri)) is not None:
+    if (embedded := decode_data_uri(uri)) is not None:
         return embedded
     name = unquote(uri)
     try:
-        return content_of(beside(path.parent, name))
+        return read_input_bytes(resolve_companion(path.parent, name))
     except (OSError, ValueError) as error:
         raise InputError(
             MESH_COMPANION_MISSING, "refers to the file {name}, which is missing.", path, name=name[:200]
         ) from error
 
 
-def data_of_uri(uri: str) -> bytes | None:
+def decode_data_uri(uri: str) -> bytes | None:
     """Decode a data URI; None if the URI is a file name."""
     if not uri.startswith("data:"):
         return None

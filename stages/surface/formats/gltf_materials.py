@@ -17,31 +17,36 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import encoded_png, kind_of
+from scanloom.stages.files.image_bytes import detect_image_type, encode_png
 from scanloom.stages.surface.codes import MESH_LEFT_OUT, MESH_TEXTURE_DAMAGED
-from scanloom.stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
-from scanloom.stages.surface.formats.gltf_container import Gltf, Tree, data_of_uri, natural
-from scanloom.stages.surface.formats.textures import read_texture
+from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb, convert_srgb_to_linear
+from scanloom.stages.surface.formats.gltf_container import (
+    Gltf,
+    JsonObject,
+    decode_data_uri,
+    require_non_negative_int,
+)
+from scanloom.stages.surface.formats.texture_files import read_texture
 from scanloom.stages.surface.texture import Image, Material
 
-_WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
-_TRANSFORM = "KHR_texture_transform"
+_WRAP_MODES = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+_TEXTURE_TRANSFORM = "KHR_texture_transform"
 # Core glTF allows PNG and JPEG; most programs support the WebP extension.
-_EMBEDDABLE = ("image/png", "image/jpeg", "image/webp")
+_SUPPORTED_MEDIA_TYPES = ("image/png", "image/jpeg", "image/webp")
 _WEBP = "EXT_texture_webp"
 UNLIT = "KHR_materials_unlit"
 # Material properties of glTF 2.0; others are non-standard and are dropped.
-_KNOWN = (
+_KNOWN_PROPERTIES = (
     *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
     *("emissiveFactor", "alphaMode", "alphaCutoff", "doubleSided", "extensions", "extras"),
 )
 # Written for faces without a material, because glTF's default material is metallic. Read back as no material.
-_PLAIN: Tree = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
-_PLAIN_UNLIT: Tree = {**_PLAIN, "extensions": {UNLIT: {}}}
+_DEFAULT_MATERIAL: JsonObject = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+_DEFAULT_UNLIT_MATERIAL: JsonObject = {**_DEFAULT_MATERIAL, "extensions": {UNLIT: {}}}
 
 
 @dataclass(frozen=True, eq=False)
-class GltfStatements:
+class GltfMaterialSource:
     """The original glTF properties of a material, for writing them back.
 
     Attributes
@@ -49,25 +54,25 @@ class GltfStatements:
     tree : JSON of the material; its texture indices are keys of `textures`.
     textures : image and sampler by texture index.
     color, image, wrap : the `Material` fields derived from `tree`, to detect later changes.
-    multiplies : True if the file has vertex colours on this material; they multiply the base colour.
+    multiplies_vertex_colors : True if the file has vertex colours on this material; they multiply the base colour.
     """
 
-    tree: Tree
-    textures: dict[int, tuple[Image, Tree]] = field(default_factory=dict)
+    tree: JsonObject
+    textures: dict[int, tuple[Image, JsonObject]] = field(default_factory=dict)
     color: tuple[float, float, float, float] | None = None
     image: Image | None = None
     wrap: tuple[str, str] = ("repeat", "repeat")
-    multiplies: bool = False
+    multiplies_vertex_colors: bool = False
 
 
 @dataclass(frozen=True)
-class Placement:
+class UvPlacement:
     """UV set and texture transform of a material's base colour."""
 
     uv_set: int = 0
-    transform: Tree = field(default_factory=dict)
+    transform: JsonObject = field(default_factory=dict)
 
-    def moved(self, uvs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, uvs: NDArray[np.float64]) -> NDArray[np.float64]:
         """Apply KHR_texture_transform to coordinates (n, 2), with v pointing down."""
         if not self.transform:
             return uvs
@@ -89,42 +94,42 @@ class MaterialReader:
 
     def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
-        self._images: dict[int, Image | None] = {}
-        self._found: dict[int, tuple[int, Placement]] = {}
+        self._images_by_index: dict[int, Image | None] = {}
+        self._materials_by_index: dict[int, tuple[int, UvPlacement]] = {}
         self.materials: list[Material] = []
 
-    def number(self, index: Any, *, with_colors: bool) -> tuple[int, Placement]:
+    def read_material(self, index: Any, *, with_colors: bool) -> tuple[int, UvPlacement]:
         """Return the index in `materials` of a glTF material, and its UV placement.
 
         The index is -1 for a missing material and for the default material that scanloom writes.
         """
         if index is None:
-            return -1, Placement()
-        if index not in self._found:
-            tree = self._gltf.item("materials", index)
-            if tree in (_PLAIN, _PLAIN_UNLIT):
-                return -1, Placement()
-            material, placement = self._material(copy.deepcopy(tree), with_colors)
-            self._found[index] = len(self.materials), placement
+            return -1, UvPlacement()
+        if index not in self._materials_by_index:
+            tree = self._gltf.get_item("materials", index)
+            if tree in (_DEFAULT_MATERIAL, _DEFAULT_UNLIT_MATERIAL):
+                return -1, UvPlacement()
+            material, placement = self._convert_material(copy.deepcopy(tree), with_colors)
+            self._materials_by_index[index] = len(self.materials), placement
             self.materials.append(material)
-        return self._found[index]
+        return self._materials_by_index[index]
 
-    def _material(self, tree: Tree, with_colors: bool) -> tuple[Material, Placement]:
-        tree = {key: value for key, value in tree.items() if key in _KNOWN}
+    def _convert_material(self, tree: JsonObject, with_colors: bool) -> tuple[Material, UvPlacement]:
+        tree = {key: value for key, value in tree.items() if key in _KNOWN_PROPERTIES}
         name = str(tree.get("name", ""))
         surface = tree.get("pbrMetallicRoughness", {})
         base = surface.get("baseColorTexture")
-        holders = list(_texture_holders(tree))
-        placement = Placement()
-        if base is not None or holders:
-            placement = _placement(base if base is not None else holders[0][0][holders[0][1]])
-        textures: dict[int, tuple[Image, Tree]] = {}
+        references = list(_find_texture_references(tree))
+        placement = UvPlacement()
+        if base is not None or references:
+            placement = _read_placement(base if base is not None else references[0][0][references[0][1]])
+        textures: dict[int, tuple[Image, JsonObject]] = {}
         image: Image | None = None
-        sampler: Tree = {}
-        for holder, key in holders:
+        sampler: JsonObject = {}
+        for holder, key in references:
             info = holder[key]
-            is_there = "index" in info and _placement(info) == placement
-            found = self._texture(info["index"]) if is_there else None
+            is_usable = "index" in info and _read_placement(info) == placement
+            found = self._read_texture(info["index"]) if is_usable else None
             if found is None:
                 emit(
                     MESH_LEFT_OUT.warning(
@@ -140,44 +145,44 @@ class MaterialReader:
             textures[info["index"]] = found
             if info is base:
                 image, sampler = found
-            _forget_placement(info)
+            _remove_placement(info)
         u, v = sampler.get("wrapS", 0), sampler.get("wrapT", 0)
-        wrap = _WRAPS.get(u, "repeat"), _WRAPS.get(v, "repeat")
+        wrap = _WRAP_MODES.get(u, "repeat"), _WRAP_MODES.get(v, "repeat")
         color = None
         if "baseColorFactor" in surface:
             factor = np.clip(np.array(surface["baseColorFactor"], float).reshape(4), 0, 1)
-            red, green, blue = srgb_from_linear(factor[:3]).tolist()
+            red, green, blue = convert_linear_to_srgb(factor[:3]).tolist()
             color = (red, green, blue, float(factor[3]))
-        kept = GltfStatements(tree, textures, color, image, wrap, with_colors)
+        kept = GltfMaterialSource(tree, textures, color, image, wrap, with_colors)
         return Material(name, image, color, wrap, kept), placement
 
-    def _texture(self, number: int) -> tuple[Image, Tree] | None:
-        texture = self._gltf.item("textures", number)
+    def _read_texture(self, number: int) -> tuple[Image, JsonObject] | None:
+        texture = self._gltf.get_item("textures", number)
         source = texture.get("source")
         if source is None:
             sources = (extension.get("source") for extension in texture.get("extensions", {}).values())
             source = next((s for s in sources if s is not None), None)
         if source is None:
             return None
-        if source not in self._images:
-            self._images[source] = self._image(self._gltf.item("images", source), source)
-        image = self._images[source]
+        if source not in self._images_by_index:
+            self._images_by_index[source] = self._read_image(self._gltf.get_item("images", source), source)
+        image = self._images_by_index[source]
         sampler = texture.get("sampler")
         if image is None:
             return None
-        return image, {} if sampler is None else self._gltf.item("samplers", sampler)
+        return image, {} if sampler is None else self._gltf.get_item("samplers", sampler)
 
-    def _image(self, tree: Tree, number: int) -> Image | None:
+    def _read_image(self, tree: JsonObject, number: int) -> Image | None:
         name = str(tree.get("name", ""))
         uri = tree.get("uri")
         if uri is None:
-            data = bytes(self._gltf.view_bytes(tree["bufferView"]))
+            data = bytes(self._gltf.read_view(tree["bufferView"]))
         else:
-            embedded = data_of_uri(uri)
+            embedded = decode_data_uri(uri)
             if embedded is None:
                 return read_texture(self._gltf.path, unquote(uri))
             data = embedded
-        if not kind_of(data, name)[0]:
+        if not detect_image_type(data, name)[0]:
             emit(
                 MESH_TEXTURE_DAMAGED.warning(
                     "the texture image {name} has an unknown format or is damaged",
@@ -189,50 +194,52 @@ class MaterialReader:
         return Image(name, data)
 
 
-def _texture_holders(tree: Any) -> Iterator[tuple[Tree, str]]:
+def _find_texture_references(tree: Any) -> Iterator[tuple[JsonObject, str]]:
     """Yield the parent object and key of each texture reference, extensions included."""
     for key, value in tree.items():
         if isinstance(value, dict):
             if key.endswith("Texture"):
                 yield tree, key
             else:
-                yield from _texture_holders(value)
+                yield from _find_texture_references(value)
 
 
-def _placement(info: Tree) -> Placement:
-    transform = dict(info.get("extensions", {}).get(_TRANSFORM, {}))
-    return Placement(natural(transform.pop("texCoord", info.get("texCoord", 0))), transform)
+def _read_placement(info: JsonObject) -> UvPlacement:
+    transform = dict(info.get("extensions", {}).get(_TEXTURE_TRANSFORM, {}))
+    return UvPlacement(
+        require_non_negative_int(transform.pop("texCoord", info.get("texCoord", 0))), transform
+    )
 
 
-def _forget_placement(info: Tree) -> None:
+def _remove_placement(info: JsonObject) -> None:
     """Remove the UV set and transform, which the corner coordinates already include."""
     info.pop("texCoord", None)
-    _forget(info, _TRANSFORM)
+    _remove_extension(info, _TEXTURE_TRANSFORM)
 
 
-def _forget(tree: Tree, name: str) -> None:
+def _remove_extension(tree: JsonObject, name: str) -> None:
     extensions = tree.get("extensions", {})
     extensions.pop(name, None)
     if not extensions:
         tree.pop("extensions", None)
 
 
-def shown_as_it_is() -> GltfStatements:
+def make_unlit_source() -> GltfMaterialSource:
     """Return the properties of an unlit material.
 
     It suits images with baked-in lighting, such as photos.
     """
-    return GltfStatements(copy.deepcopy(_PLAIN_UNLIT))
+    return GltfMaterialSource(copy.deepcopy(_DEFAULT_UNLIT_MATERIAL))
 
 
-def is_shown_as_it_is(material: Material) -> bool:
+def is_unlit(material: Material) -> bool:
     """Return True if the material is unlit (KHR_materials_unlit)."""
-    return isinstance(material.kept, GltfStatements) and UNLIT in material.kept.tree.get("extensions", {})
+    return isinstance(material.kept, GltfMaterialSource) and UNLIT in material.kept.tree.get("extensions", {})
 
 
 def multiplies_colors(material: Material) -> bool:
     """Return True if vertex colours multiply the material's image, as in its source file."""
-    return isinstance(material.kept, GltfStatements) and material.kept.multiplies
+    return isinstance(material.kept, GltfMaterialSource) and material.kept.multiplies_vertex_colors
 
 
 def has_images(material: Material | None) -> bool:
@@ -240,7 +247,7 @@ def has_images(material: Material | None) -> bool:
     if material is None:
         return False
     return material.image is not None or bool(
-        isinstance(material.kept, GltfStatements) and material.kept.textures
+        isinstance(material.kept, GltfMaterialSource) and material.kept.textures
     )
 
 
@@ -255,14 +262,14 @@ class MaterialWriter:
     images : (bytes, media type, name) of each image; textures refer to their index.
     """
 
-    def __init__(self, tree: Tree, shading: str, *, bare_colors: bool) -> None:
+    def __init__(self, tree: JsonObject, shading: str, *, bare_colors: bool) -> None:
         self.tree = tree
         self._shading = shading
         self._bare_colors = bare_colors
         self.images: list[tuple[bytes, str, str]] = []
-        self._image_numbers: dict[int, int | None] = {}
+        self._image_indices: dict[int, int | None] = {}
 
-    def number(
+    def add_material(
         self, material: Material | None, *, with_colors: bool, steps: tuple[int, int] | None = None
     ) -> int | None:
         """Add a material and return its index; None for bare vertex colours.
@@ -280,18 +287,22 @@ class MaterialWriter:
             if with_colors and self._bare_colors:
                 return None
             if self._shading == "unlit":
-                self._number("extensionsUsed", UNLIT)
-                return self._number("materials", _PLAIN_UNLIT)
-            return self._number("materials", _PLAIN)
-        kept = material.kept if isinstance(material.kept, GltfStatements) else GltfStatements(_PLAIN)
+                self._add_entry("extensionsUsed", UNLIT)
+                return self._add_entry("materials", _DEFAULT_UNLIT_MATERIAL)
+            return self._add_entry("materials", _DEFAULT_MATERIAL)
+        kept = (
+            material.kept
+            if isinstance(material.kept, GltfMaterialSource)
+            else GltfMaterialSource(_DEFAULT_MATERIAL)
+        )
         tree = copy.deepcopy(kept.tree)
         surface = tree.setdefault("pbrMetallicRoughness", {})
         has_other_image = material.image is not kept.image or material.wrap != kept.wrap
         if has_other_image:
             # Must come before images are stored: the file no longer uses this image.
             surface.pop("baseColorTexture", None)
-        for holder, key in list(_texture_holders(tree)):
-            number = self._texture(*kept.textures[holder[key]["index"]])
+        for holder, key in list(_find_texture_references(tree)):
+            number = self._add_texture(*kept.textures[holder[key]["index"]])
             if number is None:
                 del holder[key]
             else:
@@ -299,57 +310,57 @@ class MaterialWriter:
         tree.pop("name", None)
         if material.name:
             tree["name"] = material.name
-        hidden = with_colors and not kept.multiplies
+        hidden = with_colors and not kept.multiplies_vertex_colors
         if material.base_color != kept.color or hidden:
             surface.pop("baseColorFactor", None)
             if material.base_color is not None and not hidden:
-                light = linear_from_srgb(np.array(material.base_color[:3])).tolist()
+                light = convert_srgb_to_linear(np.array(material.base_color[:3])).tolist()
                 surface["baseColorFactor"] = [*light, float(material.base_color[3])]
         if has_other_image and material.image is not None:
-            number = self._texture(material.image, _sampler(material.wrap))
+            number = self._add_texture(material.image, _make_sampler(material.wrap))
             if number is not None:
                 surface["baseColorTexture"] = {"index": number}
         if steps is not None:
-            for holder, key in _texture_holders(tree):
+            for holder, key in _find_texture_references(tree):
                 moved = {"scale": [1 / count for count in steps]}
-                holder[key].setdefault("extensions", {})[_TRANSFORM] = moved
-            self._number("extensionsRequired", _TRANSFORM)
+                holder[key].setdefault("extensions", {})[_TEXTURE_TRANSFORM] = moved
+            self._add_entry("extensionsRequired", _TEXTURE_TRANSFORM)
         if self._shading == "unlit":
             tree.setdefault("extensions", {})[UNLIT] = {}
         elif self._shading == "lit":
-            _forget(tree, UNLIT)
-        for name in sorted(_extensions(tree)):
-            self._number("extensionsUsed", name)
-        return self._number("materials", tree)
+            _remove_extension(tree, UNLIT)
+        for name in sorted(_collect_extensions(tree)):
+            self._add_entry("extensionsUsed", name)
+        return self._add_entry("materials", tree)
 
-    def _texture(self, image: Image, sampler: Tree) -> int | None:
+    def _add_texture(self, image: Image, sampler: JsonObject) -> int | None:
         """Add a texture and return its index; None if its image cannot be stored."""
-        if id(image) not in self._image_numbers:
-            self._image_numbers[id(image)] = self._stored(image)
-        source = self._image_numbers[id(image)]
+        if id(image) not in self._image_indices:
+            self._image_indices[id(image)] = self._store_image(image)
+        source = self._image_indices[id(image)]
         if source is None:
             return None
-        texture: Tree = {"source": source}
+        texture: JsonObject = {"source": source}
         if self.images[source][1] == "image/webp":
             texture = {"extensions": {_WEBP: texture}}
-            self._number("extensionsUsed", _WEBP)
-            self._number("extensionsRequired", _WEBP)
+            self._add_entry("extensionsUsed", _WEBP)
+            self._add_entry("extensionsRequired", _WEBP)
         if sampler:
-            texture["sampler"] = self._number("samplers", sampler)
-        return self._number("textures", texture)
+            texture["sampler"] = self._add_entry("samplers", sampler)
+        return self._add_entry("textures", texture)
 
-    def _stored(self, image: Image) -> int | None:
+    def _store_image(self, image: Image) -> int | None:
         data, mime = image.file_bytes, image.mime
-        if mime not in _EMBEDDABLE:
+        if mime not in _SUPPORTED_MEDIA_TYPES:
             try:
-                data, mime = encoded_png(image.pixels), "image/png"
+                data, mime = encode_png(image.pixels), "image/png"
             except MeshError as error:
                 emit(MESH_TEXTURE_DAMAGED.warning("{reason} It is left out.", reason=str(error)))
                 return None
         self.images.append((data, mime, image.name))
         return len(self.images) - 1
 
-    def _number(self, name: str, entry: Any) -> int:
+    def _add_entry(self, name: str, entry: Any) -> int:
         """Return an entry's index in a top-level list, appending new entries."""
         entries: list[Any] = self.tree.setdefault(name, [])
         if entry not in entries:
@@ -357,16 +368,16 @@ class MaterialWriter:
         return entries.index(entry)
 
 
-def _sampler(wrap: tuple[str, str]) -> Tree:
+def _make_sampler(wrap: tuple[str, str]) -> JsonObject:
     if wrap == ("repeat", "repeat"):
         return {}
-    codes = {way: code for code, way in _WRAPS.items()}
+    codes = {way: code for code, way in _WRAP_MODES.items()}
     return {"wrapS": codes[wrap[0]], "wrapT": codes[wrap[1]]}
 
 
-def _extensions(tree: Any) -> set[str]:
+def _collect_extensions(tree: Any) -> set[str]:
     found: set[str] = set()
     for key, value in tree.items():
         if isinstance(value, dict):
-            found |= _extensions(value) | (set(value) if key == "extensions" else set())
+            found |= _collect_extensions(value) | (set(value) if key == "extensions" else set())
     return found

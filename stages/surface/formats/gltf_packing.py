@@ -19,42 +19,42 @@ COMPRESSIONS = ("none", "quantize", "meshopt")
 # same, but uncompressed vertex colours get no material. "unlit" and "lit" override the materials.
 SHADINGS = ("bare", "keep", "unlit", "lit")
 
-PACKED, QUANTIZED = "EXT_meshopt_compression", "KHR_mesh_quantization"
-VERTICES, INDICES = 34962, 34963  # bufferView.target
+MESHOPT_COMPRESSION, MESH_QUANTIZATION = "EXT_meshopt_compression", "KHR_mesh_quantization"
+VERTEX_TARGET, INDEX_TARGET = 34962, 34963  # bufferView.target
 
 # Maximum bits of a position component, and default bits of a texture coordinate.
-_BITS = 16
-MAX_STEPS: int = 2**_BITS - 1
-_UNIT = 127
+_MAX_BITS = 16
+MAX_STEPS: int = 2**_MAX_BITS - 1
+_NORMAL_SCALE = 127
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class QuantizationGrid:
     """Uniform quantization grid for positions.
 
     Attributes
     ----------
-    low : (3,) origin, metres.
+    origin : (3,) origin, metres.
     step : grid spacing in metres; 1 if all positions are equal.
     """
 
-    low: Floats
+    origin: Floats
     step: float
 
-    def steps(self, vertices: Floats) -> NDArray[np.uint16]:
+    def quantize(self, vertices: Floats) -> NDArray[np.uint16]:
         """Quantize positions (n, 3) to grid steps (n, 4); the last column is padding."""
-        found = np.rint((vertices - self.low) / self.step).clip(0, MAX_STEPS)
+        found = np.rint((vertices - self.origin) / self.step).clip(0, MAX_STEPS)
         return np.pad(found.astype(np.uint16), ((0, 0), (0, 1)))
 
     @property
-    def farthest(self) -> float:
+    def max_error(self) -> float:
         """Maximum distance in metres by which quantization moves a vertex."""
         return float(0.5 * np.sqrt(3) * self.step)
 
 
-def lattice_of(vertices: Floats, bits: int = _BITS) -> Lattice:
+def make_quantization_grid(vertices: Floats, bits: int = _MAX_BITS) -> QuantizationGrid:
     """Return the quantization grid of a mesh.
 
     All parts share one grid, so shared boundaries stay closed.
@@ -68,15 +68,15 @@ def lattice_of(vertices: Floats, bits: int = _BITS) -> Lattice:
     size = float((high - low).max())
     # With a power of two as step, viewers dequantize in floats without rounding, if the coordinates are
     # small.
-    return Lattice(low, float(2.0 ** np.ceil(np.log2(size / (2**bits - 1)))) if size > 0 else 1.0)
+    return QuantizationGrid(low, float(2.0 ** np.ceil(np.log2(size / (2**bits - 1)))) if size > 0 else 1.0)
 
 
-def quantized_unit(normals: NDArray[np.float32]) -> NDArray[np.int8]:
+def quantize_normals(normals: NDArray[np.float32]) -> NDArray[np.int8]:
     """Quantize unit vectors (n, 3) to 8-bit components (n, 4); the last column is padding."""
-    return np.pad(np.rint(normals * _UNIT).astype(np.int8), ((0, 0), (0, 1)))
+    return np.pad(np.rint(normals * _NORMAL_SCALE).astype(np.int8), ((0, 0), (0, 1)))
 
 
-def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)) -> NDArray[np.uint16] | None:
+def quantize_uvs(uvs: Floats, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)) -> NDArray[np.uint16] | None:
     """Quantize texture coordinates (n, 2); None if some are outside the image.
 
     Parameters
@@ -89,27 +89,29 @@ def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)) 
     return np.asarray(places, np.uint16)
 
 
-def strips(triangles: NDArray[np.int32], vertices: int) -> tuple[NDArray[np.int32], NDArray[Any]]:
+def reorder_for_compression(
+    triangles: NDArray[np.int32], vertex_count: int
+) -> tuple[NDArray[np.int32], NDArray[Any]]:
     """Reorder triangles for compression, and vertices by first use.
 
     Parameters
     ----------
     triangles : (m, 3) vertex indices.
-    vertices : number of vertices.
+    vertex_count : number of vertices.
 
     Returns
     -------
     The reordered triangles (m, 3) with new vertex indices, and the old index of each new vertex.
     """
-    ordered = _kernels.strip_order(np.ascontiguousarray(triangles, np.int32), vertices)
+    ordered = _kernels.strip_order(np.ascontiguousarray(triangles, np.int32), vertex_count)
     named, first = np.unique(ordered, return_index=True)
     order = named[np.argsort(first)]
-    place = np.zeros(vertices, np.int32)
+    place = np.zeros(vertex_count, np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)
     return place[ordered], order
 
 
-def packed(values: NDArray[Any], target: int) -> tuple[bytes, str]:
+def compress_buffer(values: NDArray[Any], target: int) -> tuple[bytes, str]:
     """Compress a buffer with meshoptimizer; return the bytes and the extension's mode.
 
     Parameters
@@ -118,7 +120,7 @@ def packed(values: NDArray[Any], target: int) -> tuple[bytes, str]:
     target : VERTICES or INDICES.
     """
     values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
-    if target == VERTICES:
+    if target == VERTEX_TARGET:
         return _kernels.encode_rows(values.view(np.uint8)), "ATTRIBUTES"
     triangles = values.reshape(-1, 3).astype(np.int32)
     return _kernels.encode_triangles(triangles, int(triangles.max()) + 1), "TRIANGLES"

@@ -18,37 +18,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import MeshError, StageError
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.surface.codes import MESH_FILE_TOO_LARGE
-from scanloom.stages.surface.finite import LARGEST_SINGLE
-from scanloom.stages.surface.formats.colors import linear_from_srgb
-from scanloom.stages.surface.formats.gltf_buffer import Buffer
-from scanloom.stages.surface.formats.gltf_container import SCAN_FROM_WORLD, Tree
+from scanloom.stages.surface.finite_check import FLOAT32_MAX
+from scanloom.stages.surface.formats.color_conversion import convert_srgb_to_linear
+from scanloom.stages.surface.formats.gltf_buffer import GltfBuffer
+from scanloom.stages.surface.formats.gltf_container import SCAN_FROM_WORLD, JsonObject
 from scanloom.stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
 from scanloom.stages.surface.formats.gltf_packing import (
-    INDICES,
-    PACKED,
-    QUANTIZED,
-    VERTICES,
-    lattice_of,
-    quantized_unit,
-    quantized_uvs,
-    strips,
+    INDEX_TARGET,
+    MESH_QUANTIZATION,
+    MESHOPT_COMPRESSION,
+    VERTEX_TARGET,
+    make_quantization_grid,
+    quantize_normals,
+    quantize_uvs,
+    reorder_for_compression,
 )
-from scanloom.stages.surface.formats.textures import write_images
+from scanloom.stages.surface.formats.texture_files import write_images
 from scanloom.stages.surface.mesh import Mesh, require_writable
 from scanloom.stages.surface.texture import Image, Material
-from scanloom.stages.surface.upright import turn_along_y
-from scanloom.stages.surface.welding import same_rows
+from scanloom.stages.surface.up_direction import rotate_to_y
+from scanloom.stages.surface.welding import find_first_equal_rows
 
 _FLOAT, _SHORT, _INT, _BYTE, _SIGNED_BYTE = 5126, 5123, 5125, 5121, 5120
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-_LARGEST = 1 << 32
+_MAX_GLB_BYTES = 1 << 32
 # Ratio of the distance from the origin to the mesh size above which the mesh is centred to keep float32
 # precision.
-_FAR = 4.0
+_MAX_RELATIVE_OFFSET = 4.0
 # Tolerance of unit length; normals within it are written unchanged.
-_UNIT = 1e-4
+_UNIT_LENGTH_TOLERANCE = 1e-4
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -100,47 +100,55 @@ def write_gltf(
     """
     path = Path(path)
     require_writable(mesh, path, single_precision=True)
-    tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
+    tree: JsonObject = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
     if shading == "unlit":
         is_colored = mesh.colors is not None or mesh.texture is not None
         shading = "unlit" if is_colored else "keep"
         mesh = mesh.with_(normals=None, corner_normals=None) if is_colored else mesh
-    small = compress != "none" and len(mesh.triangles) > 0
+    is_compressed = compress != "none" and len(mesh.triangles) > 0
     # Unreferenced vertices are not written, so they must not enlarge the grid.
-    lattice = lattice_of(mesh.vertices[np.unique(mesh.triangles)], position_bits) if small else None
-    buffer = Buffer(tree, lattice, texel_steps, pack=small and compress == "meshopt")
-    if small:
-        needed = [QUANTIZED, PACKED] if buffer.pack else [QUANTIZED]
+    lattice = (
+        make_quantization_grid(mesh.vertices[np.unique(mesh.triangles)], position_bits)
+        if is_compressed
+        else None
+    )
+    buffer = GltfBuffer(tree, lattice, texel_steps, use_meshopt=is_compressed and compress == "meshopt")
+    if is_compressed:
+        needed = [MESH_QUANTIZATION, MESHOPT_COMPRESSION] if buffer.uses_meshopt else [MESH_QUANTIZATION]
         tree |= {"extensionsUsed": [*needed], "extensionsRequired": [*needed]}
-    materials = MaterialWriter(tree, shading, bare_colors=shading == "bare" and not small)
+    materials = MaterialWriter(tree, shading, bare_colors=shading == "bare" and not is_compressed)
     _add_nodes(tree, buffer, materials, mesh, values)
     if path.suffix.lower() == ".gltf":
-        _write_apart(path, tree, buffer, materials)
+        _write_gltf_with_files(path, tree, buffer, materials)
     else:
-        _write_one(path, tree, buffer, materials)
+        _write_glb(path, tree, buffer, materials)
 
 
 def _add_nodes(
-    tree: Tree, buffer: Buffer, materials: MaterialWriter, mesh: Mesh, values: NDArray[np.uint8] | None
+    tree: JsonObject,
+    buffer: GltfBuffer,
+    materials: MaterialWriter,
+    mesh: Mesh,
+    values: NDArray[np.uint8] | None,
 ) -> None:
     if len(mesh.triangles) == 0:
         return
     lattice = buffer.lattice
-    place: Tree = {}
+    transform: JsonObject = {}
     if lattice is not None:
-        place = {"translation": lattice.low.tolist(), "scale": [lattice.step] * 3}
-    elif (move := _move(mesh.vertices)).any():
-        mesh = mesh.with_(vertices=mesh.vertices - move)
-        place = {"translation": move.tolist()}
+        transform = {"translation": lattice.origin.tolist(), "scale": [lattice.step] * 3}
+    elif (offset := _compute_centering_offset(mesh.vertices)).any():
+        mesh = mesh.with_(vertices=mesh.vertices - offset)
+        transform = {"translation": offset.tolist()}
     parts = np.full(len(mesh.triangles), -1, np.int32) if mesh.part_ids is None else mesh.part_ids
     one_node = _share_vertices(mesh, parts)
-    nodes: dict[int, tuple[str, list[Tree]]] = {}
-    for part, material, chosen in _groups(mesh, parts):
+    nodes: dict[int, tuple[str, list[JsonObject]]] = {}
+    for part, material, chosen in _group_triangles(mesh, parts):
         name = mesh.part_names[part] if part >= 0 else ""
         of_group = mesh.texture.materials[material] if mesh.texture is not None and material >= 0 else None
-        primitive, steps = _primitive(buffer, mesh, chosen, of_group, values)
+        primitive, steps = _add_primitive(buffer, mesh, chosen, of_group, values)
         colored = "COLOR_0" in primitive["attributes"]
-        if (number := materials.number(of_group, with_colors=colored, steps=steps)) is not None:
+        if (number := materials.add_material(of_group, with_colors=colored, steps=steps)) is not None:
             primitive["material"] = number
         if (one_node and name) or (mesh.part_names and not name):
             primitive["extras"] = {"part": name}
@@ -148,34 +156,37 @@ def _add_nodes(
     tree["nodes"], tree["meshes"] = [], []
     for name, primitives in nodes.values():
         label = {"name": name} if name else {}
-        tree["nodes"].append({"mesh": len(tree["meshes"]), **label, **place})
+        tree["nodes"].append({"mesh": len(tree["meshes"]), **label, **transform})
         tree["meshes"].append({"primitives": primitives, **label})
     tree["scenes"] = [{"nodes": list(range(len(tree["nodes"])))}]
     if mesh.up is not None:
         up = np.array(mesh.up)
-        _set_upright(tree, turn_along_y(up / np.linalg.norm(up)))
+        _set_upright(tree, rotate_to_y(up / np.linalg.norm(up)))
 
 
-def _set_upright(tree: Tree, turn: Floats) -> None:
+def _set_upright(tree: JsonObject, turn: Floats) -> None:
     """Add a root node that rotates the mesh upright, and store the inverse rotation."""
-    tree["asset"]["extras"] = {SCAN_FROM_WORLD: _matrix_numbers(turn.T)}
+    tree["asset"]["extras"] = {SCAN_FROM_WORLD: _flatten_matrix(turn.T)}
     if not np.array_equal(turn, np.eye(3)):
-        tree["nodes"].append({"matrix": _matrix_numbers(turn), "children": tree["scenes"][0]["nodes"]})
+        tree["nodes"].append({"matrix": _flatten_matrix(turn), "children": tree["scenes"][0]["nodes"]})
         tree["scenes"] = [{"nodes": [len(tree["nodes"]) - 1]}]
 
 
-def _matrix_numbers(turn: Floats) -> list[float]:
+def _flatten_matrix(turn: Floats) -> list[float]:
     """Return a rotation (3, 3) as glTF matrix: 16 numbers in column-major order."""
     matrix = np.eye(4)
     matrix[:3, :3] = turn
     return [float(value) for value in matrix.T.reshape(-1)]
 
 
-def _move(vertices: Floats) -> Floats:
+def _compute_centering_offset(vertices: Floats) -> Floats:
     """Return the offset (3,) of positions that keeps float32 precision; 0 if none is needed."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre = np.rint(low / 2 + high / 2)
-    if np.array_equal(vertices.astype(np.float32), vertices) or abs(centre).max() < _FAR * (high - low).max():
+    if (
+        np.array_equal(vertices.astype(np.float32), vertices)
+        or abs(centre).max() < _MAX_RELATIVE_OFFSET * (high - low).max()
+    ):
         return np.zeros(3)
     return np.asarray(centre)
 
@@ -191,7 +202,7 @@ def _share_vertices(mesh: Mesh, parts: NDArray[np.int32]) -> bool:
     return bool((part_of[mesh.triangles.reshape(-1)] != corner_parts).any())
 
 
-def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Rows | None]]:
+def _group_triangles(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Rows | None]]:
     """Yield part, material and triangle indices of each primitive; None for all triangles.
 
     Triangles with and without texture coordinates or corner normals go to different primitives.
@@ -215,13 +226,13 @@ def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Ro
         yield int(keys[0, chosen[0]]), int(keys[1, chosen[0]]), chosen
 
 
-def _primitive(
-    buffer: Buffer,
+def _add_primitive(
+    buffer: GltfBuffer,
     mesh: Mesh,
     chosen: Rows | None,
     material: Material | None,
     values: NDArray[np.uint8] | None,
-) -> tuple[Tree, tuple[int, int] | None]:
+) -> tuple[JsonObject, tuple[int, int] | None]:
     """Add the chosen triangles, which must all have the same attributes.
 
     Returns
@@ -244,7 +255,7 @@ def _primitive(
         columns += [] if normals is None else list(normals.T)
     corners = triangles.reshape(-1)
     if columns:
-        first = same_rows([*columns, corners])
+        first = find_first_equal_rows([*columns, corners])
         wedges = np.flatnonzero(first == np.arange(len(first)))
         # Sorted by source vertex, so that reading the file restores the vertex order.
         order = np.argsort(corners[wedges], kind="stable")
@@ -256,108 +267,117 @@ def _primitive(
     else:
         source, index = np.unique(corners, return_inverse=True)
         wedges = np.zeros(0, np.int64)
-    if buffer.pack:
-        ordered, order = strips(index.reshape(-1, 3).astype(np.int32), len(source))
+    if buffer.uses_meshopt:
+        ordered, order = reorder_for_compression(index.reshape(-1, 3).astype(np.int32), len(source))
         index, source = ordered.reshape(-1).astype(np.int64), source[order]
         wedges = wedges[order] if len(wedges) else wedges
     if normals is not None:
         normals = normals[wedges]
     elif mesh.corner_normals is None and mesh.normals is not None:
         normals = mesh.normals[source]
-    attributes = {"POSITION": _positions(buffer, mesh.vertices[source])}
-    if normals is not None and (unit := _unit(normals)) is not None:
-        attributes["NORMAL"] = _normals(buffer, unit)
+    attributes = {"POSITION": _add_positions(buffer, mesh.vertices[source])}
+    if normals is not None and (unit := _normalize_normals(normals)) is not None:
+        attributes["NORMAL"] = _add_normals(buffer, unit)
     steps = None
     if uvs is not None:
-        attributes["TEXCOORD_0"], steps = _coordinates(buffer, uvs[wedges] * (1, -1) + (0, 1), material)
+        attributes["TEXCOORD_0"], steps = _add_uvs(buffer, uvs[wedges] * (1, -1) + (0, 1), material)
     if mesh.colors is not None:
         shown = material is None or material.image is None or multiplies_colors(material)
-        attributes |= _colors(buffer, mesh.colors[source], shown=shown)
+        attributes |= _add_colors(buffer, mesh.colors[source], is_displayed=shown)
     if values is not None:
-        attributes["_VALUES"] = buffer.accessor(values[source], "VEC4", _BYTE, VERTICES, normalized=True)
+        attributes["_VALUES"] = buffer.add_accessor(
+            values[source], "VEC4", _BYTE, VERTEX_TARGET, normalized=True
+        )
     narrow = len(source) < np.iinfo(np.uint16).max  # 65535 is the primitive-restart index
     indices = index.astype(np.uint16 if narrow else np.uint32).reshape(-1)
     code = _SHORT if narrow else _INT
-    return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, INDICES)}, steps
+    return {
+        "attributes": attributes,
+        "indices": buffer.add_accessor(indices, "SCALAR", code, INDEX_TARGET),
+    }, steps
 
 
-def _positions(buffer: Buffer, vertices: Floats) -> int:
+def _add_positions(buffer: GltfBuffer, vertices: Floats) -> int:
     positions: NDArray[Any]
     if buffer.lattice is None:
         positions, code = vertices.astype(np.float32), _FLOAT
     else:
-        positions, code = buffer.lattice.steps(vertices), _SHORT
+        positions, code = buffer.lattice.quantize(vertices), _SHORT
     bounds = {"min": positions[:, :3].min(axis=0).tolist(), "max": positions[:, :3].max(axis=0).tolist()}
-    return buffer.accessor(positions, "VEC3", code, VERTICES, **bounds)
+    return buffer.add_accessor(positions, "VEC3", code, VERTEX_TARGET, **bounds)
 
 
-def _normals(buffer: Buffer, unit: NDArray[np.float32]) -> int:
+def _add_normals(buffer: GltfBuffer, unit: NDArray[np.float32]) -> int:
     if buffer.lattice is None:
-        return buffer.accessor(unit, "VEC3", _FLOAT, VERTICES)
-    return buffer.accessor(quantized_unit(unit), "VEC3", _SIGNED_BYTE, VERTICES, normalized=True)
+        return buffer.add_accessor(unit, "VEC3", _FLOAT, VERTEX_TARGET)
+    return buffer.add_accessor(quantize_normals(unit), "VEC3", _SIGNED_BYTE, VERTEX_TARGET, normalized=True)
 
 
-def _coordinates(
-    buffer: Buffer, uvs: Floats, material: Material | None
+def _add_uvs(
+    buffer: GltfBuffer, uvs: Floats, material: Material | None
 ) -> tuple[int, tuple[int, int] | None]:
     if buffer.lattice is not None:
-        steps = _steps(buffer.texel_steps, material)
-        if steps is not None and (places := quantized_uvs(uvs, steps)) is not None:
-            return buffer.accessor(places, "VEC2", _SHORT, VERTICES), steps
-        if (places := quantized_uvs(uvs)) is not None:
-            return buffer.accessor(places, "VEC2", _SHORT, VERTICES, normalized=True), None
-    held = uvs.clip(-LARGEST_SINGLE, LARGEST_SINGLE).astype(np.float32)
-    return buffer.accessor(held, "VEC2", _FLOAT, VERTICES), None
+        steps = _compute_uv_steps(buffer.texel_steps, material)
+        if steps is not None and (places := quantize_uvs(uvs, steps)) is not None:
+            return buffer.add_accessor(places, "VEC2", _SHORT, VERTEX_TARGET), steps
+        if (places := quantize_uvs(uvs)) is not None:
+            return buffer.add_accessor(places, "VEC2", _SHORT, VERTEX_TARGET, normalized=True), None
+    held = uvs.clip(-FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
+    return buffer.add_accessor(held, "VEC2", _FLOAT, VERTEX_TARGET), None
 
 
-def _steps(of_texel: int, material: Material | None) -> tuple[int, int] | None:
+def _compute_uv_steps(steps_per_texel: int, material: Material | None) -> tuple[int, int] | None:
     """Return the quantization steps along u and v; None without a readable image."""
-    if of_texel == 0 or material is None or material.image is None:
+    if steps_per_texel == 0 or material is None or material.image is None:
         return None
     try:
         height, width = material.image.pixels.shape[:2]
     except MeshError:
         return None
-    return of_texel * width, of_texel * height
+    return steps_per_texel * width, steps_per_texel * height
 
 
-def _unit(normals: Floats) -> NDArray[np.float32] | None:
+def _normalize_normals(normals: Floats) -> NDArray[np.float32] | None:
     """Normalize normals to float32; None if some have no finite, positive length."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not (length > 0).all() or not np.isfinite(length).all():
         return None
-    return np.where(abs(length - 1) > _UNIT, normals / length, normals).astype(np.float32)
+    return np.where(abs(length - 1) > _UNIT_LENGTH_TOLERANCE, normals / length, normals).astype(np.float32)
 
 
-def _colors(buffer: Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[str, int]:
+def _add_colors(buffer: GltfBuffer, colors: NDArray[np.uint8], *, is_displayed: bool) -> dict[str, int]:
     """Add vertex colours as COLOR_0 or as a private attribute.
 
     COLOR_0 would darken a material's image.
     """
-    if not shown:
+    if not is_displayed:
         padded = np.pad(colors, ((0, 0), (0, 1)), constant_values=255)
-        return {"_COLOR_DISPLAYED": buffer.accessor(padded, "VEC4", _BYTE, VERTICES, normalized=True)}
-    light = linear_from_srgb(np.arange(256) / 255)
+        return {
+            "_COLOR_DISPLAYED": buffer.add_accessor(padded, "VEC4", _BYTE, VERTEX_TARGET, normalized=True)
+        }
+    light = convert_srgb_to_linear(np.arange(256) / 255)
     if buffer.lattice is None:
         # Floats, because some programs misread 16-bit integer colours.
-        return {"COLOR_0": buffer.accessor(light.astype(np.float32)[colors], "VEC3", _FLOAT, VERTICES)}
+        return {
+            "COLOR_0": buffer.add_accessor(light.astype(np.float32)[colors], "VEC3", _FLOAT, VERTEX_TARGET)
+        }
     light = np.rint(light * 65535).astype(np.uint16)
     padded = np.pad(light[colors], ((0, 0), (0, 1)), constant_values=65535)
-    return {"COLOR_0": buffer.accessor(padded, "VEC4", _SHORT, VERTICES, normalized=True)}
+    return {"COLOR_0": buffer.add_accessor(padded, "VEC4", _SHORT, VERTEX_TARGET, normalized=True)}
 
 
-def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter) -> None:
+def _write_glb(path: Path, tree: JsonObject, buffer: GltfBuffer, materials: MaterialWriter) -> None:
     for data, mime, name in materials.images:
         label = {"name": name} if name else {}
-        image = {"bufferView": buffer.view(data), "mimeType": mime, **label}
+        image = {"bufferView": buffer.add_view(data), "mimeType": mime, **label}
         tree.setdefault("images", []).append(image)
     if buffer.size:
-        tree["buffers"] = buffer.described()
+        tree["buffers"] = buffer.describe()
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + (8 + buffer.size if buffer.size else 0)
-    if size >= _LARGEST:
+    if size >= _MAX_GLB_BYTES:
         raise StageError(
             MESH_FILE_TOO_LARGE,
             "needs {size:,} bytes, more than the 4 GiB limit of GLB",
@@ -365,22 +385,24 @@ def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter
             where=path,
             size=size,
         )
-    with replacing(path) as part, part.open("wb") as file:
+    with write_file_atomically(path) as part, part.open("wb") as file:
         file.write(b"glTF" + np.array([2, size, len(text), _JSON], "<u4").tobytes())
         file.write(text)
         if buffer.size:
             file.write(np.array([buffer.size, _BIN], "<u4").tobytes())
-            file.writelines(buffer.pieces)
+            file.writelines(buffer.blocks)
 
 
-def _write_apart(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter) -> None:
+def _write_gltf_with_files(
+    path: Path, tree: JsonObject, buffer: GltfBuffer, materials: MaterialWriter
+) -> None:
     names = write_images(path, [Image(name, data) for data, _, name in materials.images])
     for name in names.values():
         tree.setdefault("images", []).append({"uri": quote(name)})
     if buffer.size:
         binary = path.with_name(f"{path.stem}.bin")
-        tree["buffers"] = buffer.described(uri=quote(binary.name))
-        with replacing(binary) as part, part.open("wb") as file:
-            file.writelines(buffer.pieces)
-    with replacing(path) as part:
+        tree["buffers"] = buffer.describe(uri=quote(binary.name))
+        with write_file_atomically(binary) as part, part.open("wb") as file:
+            file.writelines(buffer.blocks)
+    with write_file_atomically(path) as part:
         part.write_text(json.dumps(tree, indent=1), encoding="utf-8", newline="\n")

@@ -11,23 +11,29 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.formats.mtl import text_of
+from scanloom.stages.surface.formats.mtl import decode_text
 
 # Group name that programs write for faces without a group.
-NO_PART = "default"
+NO_PART_NAME = "default"
 
 # Keywords of geometry other than triangles, with their names in messages.
-OTHERS = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "free-form surfaces"}
+UNSUPPORTED_KEYWORDS = {
+    b"l": "lines",
+    b"p": "points",
+    b"curv": "curves",
+    b"curv2": "curves",
+    b"surf": "free-form surfaces",
+}
 
-_KEYS = (b"v", b"vt", b"vn", b"f")
-_FACE = _KEYS.index(b"f")
+_KEYWORDS = (b"v", b"vt", b"vn", b"f")
+_FACE_KIND = _KEYWORDS.index(b"f")
 # White space within a line, normalized to spaces.
 _BLANKS = bytes.maketrans(b"\t\v\f", b"   ")
 _IS_BLANK = np.isin(np.arange(256), list(b" \t\v\f"))
 
 
 @dataclass
-class Statements:
+class ObjStatements:
     """The lines of an OBJ file, sorted by keyword.
 
     Attributes
@@ -35,56 +41,56 @@ class Statements:
     positions, uvs, normals, faces : lines of v, vt, vn and f without the keyword, separated by line feeds;
     all
         other white space is spaces.
-    seen : (faces, 3) number of v, vt and vn statements before each face.
+    counts_before_face : (faces, 3) number of v, vt and vn statements before each face.
     materials, parts : (index of the first face, name) of each change of material or part.
     libraries : arguments of the mtllib statements.
-    others : names from OTHERS of unsupported geometry in the file.
+    unsupported : names from OTHERS of unsupported geometry in the file.
     """
 
     positions: bytes = b""
     uvs: bytes = b""
     normals: bytes = b""
     faces: bytes = b""
-    seen: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    counts_before_face: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     materials: list[tuple[int, str]] = field(default_factory=list)
     parts: list[tuple[int, str]] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
-    others: set[str] = field(default_factory=set)
-    _names: dict[bytes, str] = field(default_factory=lambda: {b"o": "", b"g": ""})
+    unsupported: set[str] = field(default_factory=set)
+    _current_names: dict[bytes, str] = field(default_factory=lambda: {b"o": "", b"g": ""})
 
-    def add(self, line: bytes, faces: int) -> None:
+    def add(self, line: bytes, face_count: int) -> None:
         """Record a statement other than v, vt, vn or f.
 
         Parameters
         ----------
         line : the statement.
-        faces : number of faces before the line.
+        face_count : number of faces before the line.
         """
         words = line.split(None, 1)
         if len(words) < 2:
-            if not words or words[0] not in self._names:
+            if not words or words[0] not in self._current_names:
                 return
             words.append(b"")
         key, rest = words
         if key == b"usemtl":
-            self.materials.append((faces, _name(rest)))
+            self.materials.append((face_count, _decode_name(rest)))
         elif key == b"mtllib":
-            self.libraries.append(_name(rest))
-        elif key in OTHERS:
-            self.others.add(OTHERS[key])
-        elif key in self._names:
+            self.libraries.append(_decode_name(rest))
+        elif key in UNSUPPORTED_KEYWORDS:
+            self.unsupported.add(UNSUPPORTED_KEYWORDS[key])
+        elif key in self._current_names:
             if key == b"o":
-                self._names[b"g"] = ""
-            self._names[key] = _name(rest)
-            part = "/".join(dict.fromkeys(name for name in self._names.values() if name))
-            self.parts.append((faces, part or NO_PART))
+                self._current_names[b"g"] = ""
+            self._current_names[key] = _decode_name(rest)
+            part = "/".join(dict.fromkeys(name for name in self._current_names.values() if name))
+            self.parts.append((face_count, part or NO_PART_NAME))
 
 
-def _name(rest: bytes) -> str:
-    return text_of(rest).strip()
+def _decode_name(rest: bytes) -> str:
+    return decode_text(rest).strip()
 
 
-def sorted_statements(data: bytes) -> Statements:
+def sort_statements(data: bytes) -> ObjStatements:
     """Sort the lines of an OBJ file by keyword."""
     if b"\\" in data:
         data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
@@ -92,10 +98,10 @@ def sorted_statements(data: bytes) -> Statements:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if not data.endswith(b"\n"):
         data += b"\n"
-    return _in_bulk(data) or _line_by_line(data)
+    return _sort_in_bulk(data) or _sort_line_by_line(data)
 
 
-def words_of_lines(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_words(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the offset of each word in a text, and the word count of each line."""
     if not text:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -109,7 +115,7 @@ def words_of_lines(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return begins, np.diff(np.searchsorted(begins, ends), prepend=0)
 
 
-def _in_bulk(data: bytes) -> Statements | None:
+def _sort_in_bulk(data: bytes) -> ObjStatements | None:
     """Sort a file's lines with array operations; None if its layout is unusual."""
     characters = np.frombuffer(data, np.uint8)
     ends = np.flatnonzero(characters == ord("\n")) + 1
@@ -122,29 +128,35 @@ def _in_bulk(data: bytes) -> Statements | None:
     kinds[is_v & _IS_BLANK[second]] = 0
     kinds[is_v & (second == ord("t")) & then_blank] = 1
     kinds[is_v & (second == ord("n")) & then_blank] = 2
-    kinds[(first == ord("f")) & _IS_BLANK[second]] = _FACE
-    if _IS_BLANK[first].any() or (b"#" in data and (kinds[_lines_of(characters, ends, "#")] >= 0).any()):
+    kinds[(first == ord("f")) & _IS_BLANK[second]] = _FACE_KIND
+    if _IS_BLANK[first].any() or (
+        b"#" in data and (kinds[_find_lines_with(characters, ends, "#")] >= 0).any()
+    ):
         return None
-    found = Statements()
+    found = ObjStatements()
     texts = []
-    for kind, key in enumerate(_KEYS):
+    for kind, key in enumerate(_KEYWORDS):
         chosen = kinds == kind
-        text = _without_key(_cut_out(data, starts, ends, chosen), key)
-        words = words_of_lines(text)[1]
+        text = _remove_keyword(_cut_out(data, starts, ends, chosen), key)
+        words = find_words(text)[1]
         # A keyword without values has no effect and would break the count.
         if len(words) != np.count_nonzero(chosen) or not words.all():
             return None
         texts.append(text)
     found.positions, found.uvs, found.normals, found.faces = texts
-    is_face = kinds == _FACE
-    found.seen = np.stack([np.cumsum(kinds == kind)[is_face] for kind in range(_FACE)], axis=1)
+    is_face = kinds == _FACE_KIND
+    found.counts_before_face = np.stack(
+        [np.cumsum(kinds == kind)[is_face] for kind in range(_FACE_KIND)], axis=1
+    )
     faces = np.cumsum(is_face)
     for line in np.flatnonzero((kinds < 0) & (ends - starts > 1) & (first != ord("#"))).tolist():
         found.add(data[starts[line] : ends[line]].partition(b"#")[0], int(faces[line]))
     return found
 
 
-def _lines_of(characters: NDArray[np.uint8], ends: NDArray[np.int64], character: str) -> NDArray[np.int64]:
+def _find_lines_with(
+    characters: NDArray[np.uint8], ends: NDArray[np.int64], character: str
+) -> NDArray[np.int64]:
     """Return the indices of the lines that contain a character, once per occurrence."""
     return np.searchsorted(ends, np.flatnonzero(characters == ord(character)), side="right")
 
@@ -158,24 +170,24 @@ def _cut_out(
     return b"".join([data[start:end] for start, end in runs])
 
 
-def _without_key(lines: bytes, key: bytes) -> bytes:
+def _remove_keyword(lines: bytes, key: bytes) -> bytes:
     text = b"\n" + lines.translate(_BLANKS)
     return text.replace(b"\n" + key + b" ", b"\n")[1:-1]
 
 
-def _line_by_line(data: bytes) -> Statements:
-    found = Statements()
-    rows: dict[bytes, list[bytes]] = {key: [] for key in _KEYS}
-    seen: list[tuple[int, ...]] = []
+def _sort_line_by_line(data: bytes) -> ObjStatements:
+    found = ObjStatements()
+    rows: dict[bytes, list[bytes]] = {key: [] for key in _KEYWORDS}
+    counts_before_face: list[tuple[int, ...]] = []
     for raw in data.splitlines():
         line = raw.partition(b"#")[0]
         words = line.split(None, 1)
         if len(words) == 2 and words[0] in rows:
             if words[0] == b"f":
-                seen.append(tuple(len(rows[key]) for key in _KEYS[:_FACE]))
+                counts_before_face.append(tuple(len(rows[key]) for key in _KEYWORDS[:_FACE_KIND]))
             rows[words[0]].append(words[1].translate(_BLANKS))
         else:
-            found.add(line, len(seen))
-    found.positions, found.uvs, found.normals, found.faces = (b"\n".join(rows[key]) for key in _KEYS)
-    found.seen = np.array(seen, np.int64).reshape(-1, 3)
+            found.add(line, len(counts_before_face))
+    found.positions, found.uvs, found.normals, found.faces = (b"\n".join(rows[key]) for key in _KEYWORDS)
+    found.counts_before_face = np.array(counts_before_face, np.int64).reshape(-1, 3)
     return found

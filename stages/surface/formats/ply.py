@@ -14,41 +14,59 @@ from numpy.typing import ArrayLike, NDArray
 
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.surface.codes import (
     MESH_CONFIDENCE_LEFT_OUT,
     MESH_FILE_DAMAGED,
     MESH_LEFT_OUT,
     MESH_VALUES_REPLACED,
 )
-from scanloom.stages.surface.formats.colors import to_uint8
-from scanloom.stages.surface.formats.ply_format import Header, Lists, Table, read_tables
+from scanloom.stages.surface.formats.color_conversion import to_uint8
+from scanloom.stages.surface.formats.ply_format import ListColumn, PlyHeader, PlyTable, read_tables
 from scanloom.stages.surface.formats.ply_texture import (
-    part_comments,
+    make_part_comments,
     read_corner_normals,
     read_parts,
-    read_texture_of_ply,
-    texture_comments,
+    read_ply_texture,
+    write_texture_images,
 )
-from scanloom.stages.surface.formats.polygons import split_polygons
-from scanloom.stages.surface.mesh import Mesh, require_writable, validated
+from scanloom.stages.surface.formats.polygon_triangulation import triangulate_polygons
+from scanloom.stages.surface.mesh import Mesh, require_writable, validate_mesh
 
-_COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 # Properties that are used or reported elsewhere, by element, with the name of the element in messages.
-_OF_VERTICES = ("x", "y", "z", "nx", "ny", "nz", "alpha", "a", "s", "t", "u", "v", "texture_u", "texture_v")
-_OF_FACES = ("vertex_indices", "vertex_index", "texcoord", "texnumber", "alpha", "a")
-_OWN = ("material_index", "part_index", "corner_normals")
-_ALL_COLORS = tuple(name for names in _COLORS for name in names)
+_VERTEX_PROPERTIES = (
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "alpha",
+    "a",
+    "s",
+    "t",
+    "u",
+    "v",
+    "texture_u",
+    "texture_v",
+)
+_FACE_PROPERTIES = ("vertex_indices", "vertex_index", "texcoord", "texnumber", "alpha", "a")
+_SCANLOOM_FACE_PROPERTIES = ("material_index", "part_index", "corner_normals")
+_COLOR_PROPERTIES = tuple(name for names in _COLOR_NAMES for name in names)
 # Measurements that scanloom writes. They are not read, because they need not be true for an edited mesh.
-_MEASURED_THERE = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation")
-_FOUND_OF_FACES = ("shape_bound", "color_bound", "patch")
-_READ = {
-    "vertex": ("vertices", (*_OF_VERTICES, *_ALL_COLORS, *_MEASURED_THERE)),
-    "face": ("faces", (*_OF_FACES, *_OWN, *_ALL_COLORS, *_FOUND_OF_FACES)),
+_MEASURED_VERTEX_PROPERTIES = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation")
+_COMPUTED_FACE_PROPERTIES = ("shape_bound", "color_bound", "patch")
+_KNOWN_PROPERTIES = {
+    "vertex": ("vertices", (*_VERTEX_PROPERTIES, *_COLOR_PROPERTIES, *_MEASURED_VERTEX_PROPERTIES)),
+    "face": (
+        "faces",
+        (*_FACE_PROPERTIES, *_SCANLOOM_FACE_PROPERTIES, *_COLOR_PROPERTIES, *_COMPUTED_FACE_PROPERTIES),
+    ),
 }
-_STRIPS = "tristrips"
+_STRIPS_ELEMENT = "tristrips"
 # Maximum number of dropped properties listed by name in the warning.
-_NAMED = 5
+_MAX_LISTED_NAMES = 5
 
 
 def read_ply(path: Path | str) -> Mesh:
@@ -67,34 +85,34 @@ def read_ply(path: Path | str) -> Mesh:
         If a vertex is not finite or an index is out of range.
     """
     with collecting() as diagnostics:
-        mesh = _read(Path(path))
+        mesh = _read_file(Path(path))
     return mesh.with_(diagnostics=tuple(diagnostics))
 
 
-def _read(path: Path) -> Mesh:
+def _read_file(path: Path) -> Mesh:
     header, tables = read_tables(path)
     vertex = tables.get("vertex", {})
-    vertices = _columns(vertex, ("x", "y", "z"))
+    vertices = _stack_columns(vertex, ("x", "y", "z"))
     if vertices is None:
         raise InputError(MESH_FILE_DAMAGED, "has no element `vertex` with x, y and z.", path)
     face = tables.get("face", {})
     vertices = vertices.astype(np.float64)
-    corners, source, used = _polygons(face, vertices, path)
+    corners, source, used = _triangulate_faces(face, vertices, path)
     triangles = used[corners] if len(used) else np.zeros((0, 3), np.int32)
-    if _STRIPS in tables and len(triangles) == 0:
-        triangles = _unrolled_strips(tables[_STRIPS])
+    if _STRIPS_ELEMENT in tables and len(triangles) == 0:
+        triangles = _unroll_strips(tables[_STRIPS_ELEMENT])
     mesh = Mesh(
         vertices=vertices,
         triangles=triangles,
-        colors=_vertex_colors(vertex, path),
-        normals=_normals(vertex, path),
+        colors=_read_vertex_colors(vertex, path),
+        normals=_read_normals(vertex, path),
     )
     if any(name in face for name in ("red", "diffuse_red", "r")):
         emit(MESH_LEFT_OUT.warning("face colours are left out; only vertex colours are used", path))
     _report_transparency(vertex, path)
-    _report_others(header, path)
-    mesh = validated(mesh, str(path))
-    texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path)
+    _report_unused_data(header, path)
+    mesh = validate_mesh(mesh, str(path))
+    texture = read_ply_texture(header, vertex, face, mesh.triangles, corners, source, path)
     part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
     return mesh.with_(
         texture=texture,
@@ -104,16 +122,16 @@ def _read(path: Path) -> Mesh:
     )
 
 
-def _columns(table: Table, names: tuple[str, ...]) -> NDArray[Any] | None:
+def _stack_columns(table: PlyTable, names: tuple[str, ...]) -> NDArray[Any] | None:
     columns = [table.get(name) for name in names]
     if not all(isinstance(column, np.ndarray) for column in columns):
         return None
     return np.stack(columns, axis=1)  # type: ignore[arg-type]
 
 
-def _vertex_colors(vertex: Table, path: Path) -> NDArray[np.uint8] | None:
-    for names in _COLORS:
-        values = _columns(vertex, names)
+def _read_vertex_colors(vertex: PlyTable, path: Path) -> NDArray[np.uint8] | None:
+    for names in _COLOR_NAMES:
+        values = _stack_columns(vertex, names)
         if values is not None:
             if not np.isfinite(values).all():
                 emit(MESH_VALUES_REPLACED.warning("colours that are not finite become black", path))
@@ -121,72 +139,76 @@ def _vertex_colors(vertex: Table, path: Path) -> NDArray[np.uint8] | None:
     return None
 
 
-def _report_transparency(vertex: Table, path: Path) -> None:
+def _report_transparency(vertex: PlyTable, path: Path) -> None:
     for name in ("alpha", "a"):
-        alpha = _columns(vertex, (name,))
+        alpha = _stack_columns(vertex, (name,))
         if alpha is None or not alpha.size:
             continue
         if alpha.min() < (255 if alpha.dtype.kind in "iu" else 1):
             emit(MESH_LEFT_OUT.warning("the transparency of vertices is left out", path))
 
 
-def _report_others(header: Header, path: Path) -> None:
+def _report_unused_data(header: PlyHeader, path: Path) -> None:
     """Warn about dropped elements, and dropped properties of vertices and faces."""
     for element in header.elements:
-        if element.count == 0 or element.name == _STRIPS:
+        if element.count == 0 or element.name == _STRIPS_ELEMENT:
             continue
-        if element.name not in _READ:
+        if element.name not in _KNOWN_PROPERTIES:
             emit(MESH_LEFT_OUT.warning("the element {name!r} is left out", path, name=element.name))
             continue
-        called, read = _READ[element.name]
-        others = [one.name for one in element.properties if one.name not in read]
-        if called == "vertices" and "confidence" in others:
-            others.remove("confidence")
+        called, known_names = _KNOWN_PROPERTIES[element.name]
+        unused_names = [one.name for one in element.properties if one.name not in known_names]
+        if called == "vertices" and "confidence" in unused_names:
+            unused_names.remove("confidence")
             emit(
                 MESH_CONFIDENCE_LEFT_OUT.warning(
                     "the vertex confidence is left out: only remesh uses it", path
                 )
             )
-        if others:
-            more = f" and {len(others) - _NAMED:,} more" if len(others) > _NAMED else ""
+        if unused_names:
+            more = (
+                f" and {len(unused_names) - _MAX_LISTED_NAMES:,} more"
+                if len(unused_names) > _MAX_LISTED_NAMES
+                else ""
+            )
             emit(
                 MESH_LEFT_OUT.warning(
                     "properties of its {called} are left out: {names}",
                     path,
                     called=called,
-                    names=", ".join(others[:_NAMED]) + more,
+                    names=", ".join(unused_names[:_MAX_LISTED_NAMES]) + more,
                 )
             )
 
 
-def _normals(vertex: Table, path: Path) -> NDArray[np.float64] | None:
-    normals = _columns(vertex, ("nx", "ny", "nz"))
+def _read_normals(vertex: PlyTable, path: Path) -> NDArray[np.float64] | None:
+    normals = _stack_columns(vertex, ("nx", "ny", "nz"))
     if normals is not None and not np.isfinite(normals).all():
         emit(MESH_LEFT_OUT.warning("normals are left out: some are not finite", path))
         return None
     return normals
 
 
-def _polygons(
-    face: Table, vertices: NDArray[np.float64], path: Path
+def _triangulate_faces(
+    face: PlyTable, vertices: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
     """Triangulate the faces; return the result of split_polygons and all corners' vertex indices."""
     lists = face.get("vertex_indices", face.get("vertex_index"))
-    if not isinstance(lists, Lists):
+    if not isinstance(lists, ListColumn):
         nothing = np.zeros(0, np.int64)
         return nothing.reshape(0, 3), nothing, nothing
     indices = lists.values.astype(np.int64)
-    return (*split_polygons(lists.lengths, indices, vertices, path), indices)
+    return (*triangulate_polygons(lists.lengths, indices, vertices, path), indices)
 
 
-def _unrolled_strips(strips: Table) -> NDArray[np.int64]:
+def _unroll_strips(strips: PlyTable) -> NDArray[np.int64]:
     """Unroll triangle strips to triangles (m, 3) with consistent orientation.
 
     An index of -1 ends a strip.
     """
     nothing = np.zeros((0, 3), np.int64)
     lists = strips.get("vertex_indices", strips.get("vertex_index"))
-    if not isinstance(lists, Lists):
+    if not isinstance(lists, ListColumn):
         return nothing
     chain = np.insert(lists.values.astype(np.int64), np.cumsum(lists.lengths), -1)
     if len(chain) < 3:
@@ -246,20 +268,20 @@ def write_ply(
     comments: list[str] = []
     face: list[tuple[str, NDArray[Any]]] = [("vertex_indices", mesh.triangles.astype("<i4"))]
     if mesh.texture is not None:
-        comments, texnumber, has_materials = texture_comments(path, mesh.texture)
-        face.append(("texcoord", _narrowed(mesh.texture.uvs.reshape(-1, 6))))
+        comments, texnumber, has_materials = write_texture_images(path, mesh.texture)
+        face.append(("texcoord", _narrow_floats(mesh.texture.uvs.reshape(-1, 6))))
         face.append(("texnumber", texnumber.astype("<i4")))
         if has_materials:
             face.append(("material_index", mesh.texture.material_ids.astype("<i4")))
     if mesh.corner_normals is not None:
-        face.append(("corner_normals", _narrowed(mesh.corner_normals.reshape(-1, 9))))
+        face.append(("corner_normals", _narrow_floats(mesh.corner_normals.reshape(-1, 9))))
     if mesh.part_ids is not None:
-        comments += part_comments(mesh.part_names)
+        comments += make_part_comments(mesh.part_names)
         face.append(("part_index", mesh.part_ids.astype("<i4")))
-    face += [(name, _narrowed(values)) for name, values in (face_values or {}).items()]
-    vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
-    vertex += [(name, _narrowed(values)) for name, values in (vertex_values or {}).items()]
-    _write(path, comments, {"vertex": vertex, "face": face})
+    face += [(name, _narrow_floats(values)) for name, values in (face_values or {}).items()]
+    vertex = _make_vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
+    vertex += [(name, _narrow_floats(values)) for name, values in (vertex_values or {}).items()]
+    _write_tables(path, comments, {"vertex": vertex, "face": face})
 
 
 def write_ply_cloud(path: Path | str, points: ArrayLike, colors: ArrayLike | None = None) -> None:
@@ -277,36 +299,38 @@ def write_ply_cloud(path: Path | str, points: ArrayLike, colors: ArrayLike | Non
     StageError
         If the file cannot be written.
     """
-    cloud = validated(Mesh(np.asarray(points), np.zeros((0, 3), np.int32), _optional(colors)), "points")
-    _write(Path(path), [], {"vertex": _vertex_columns(cloud.vertices, cloud.colors, None)})
+    cloud = validate_mesh(
+        Mesh(np.asarray(points), np.zeros((0, 3), np.int32), _convert_optional(colors)), "points"
+    )
+    _write_tables(Path(path), [], {"vertex": _make_vertex_columns(cloud.vertices, cloud.colors, None)})
 
 
-def _optional(values: ArrayLike | None) -> Any:
+def _convert_optional(values: ArrayLike | None) -> Any:
     return None if values is None else np.asarray(values)
 
 
-def _vertex_columns(
+def _make_vertex_columns(
     vertices: NDArray[np.float64], colors: NDArray[np.uint8] | None, normals: NDArray[np.float64] | None
 ) -> list[tuple[str, NDArray[Any]]]:
-    columns: list[tuple[str, NDArray[Any]]] = list(zip("xyz", _narrowed(vertices).T, strict=True))
+    columns: list[tuple[str, NDArray[Any]]] = list(zip("xyz", _narrow_floats(vertices).T, strict=True))
     if normals is not None:
-        columns += zip(("nx", "ny", "nz"), _narrowed(normals).T, strict=True)
+        columns += zip(("nx", "ny", "nz"), _narrow_floats(normals).T, strict=True)
     if colors is not None:
-        columns += zip(_COLORS[0], colors.T, strict=True)
+        columns += zip(_COLOR_NAMES[0], colors.T, strict=True)
     return columns
 
 
-def _narrowed(values: NDArray[np.float64]) -> NDArray[Any]:
+def _narrow_floats(values: NDArray[np.float64]) -> NDArray[Any]:
     """Convert to little-endian float32 if lossless, else to little-endian float64."""
     with np.errstate(over="ignore"):
         narrow = values.astype("<f4")
     return narrow if np.array_equal(narrow, values) else values.astype("<f8")
 
 
-_NAMES = {"u1": "uchar", "i4": "int", "f4": "float", "f8": "double"}
+_PLY_TYPES = {"u1": "uchar", "i4": "int", "f4": "float", "f8": "double"}
 
 
-def _write(path: Path, comments: list[str], tables: dict[str, list[tuple[str, NDArray[Any]]]]) -> None:
+def _write_tables(path: Path, comments: list[str], tables: dict[str, list[tuple[str, NDArray[Any]]]]) -> None:
     """Write elements given as columns; a 2-D column becomes a list property."""
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments)]
     blocks = []
@@ -314,7 +338,7 @@ def _write(path: Path, comments: list[str], tables: dict[str, list[tuple[str, ND
         lines.append(f"element {element} {len(columns[0][1])}")
         row: list[tuple[str, Any] | tuple[str, Any, tuple[int]]] = []
         for name, values in columns:
-            kind = _NAMES[values.dtype.str[1:]]
+            kind = _PLY_TYPES[values.dtype.str[1:]]
             if values.ndim == 2:
                 lines.append(f"property list uchar {kind} {name}")
                 row += [(f"{name} length", "u1"), (name, values.dtype, values.shape[1:])]
@@ -328,7 +352,7 @@ def _write(path: Path, comments: list[str], tables: dict[str, list[tuple[str, ND
             rows[name] = values
         blocks.append(rows)
     header = "\n".join([*lines, "end_header", ""]).encode()
-    with replacing(path) as part, part.open("wb") as file:
+    with write_file_atomically(path) as part, part.open("wb") as file:
         file.write(header)
         for rows in blocks:
             file.write(rows.data)

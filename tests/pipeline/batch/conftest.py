@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from small_scans import write_small_scan
 
-from scanloom.pipeline.batch.queue import Queue, Settings, jobs_of, new_queue
+from scanloom.pipeline.batch.job_queue import BatchQueue, BatchSettings, create_queue, make_jobs
 
 
 @pytest.fixture(scope="session")
@@ -21,14 +21,14 @@ def small_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def queue_of(tmp_path: Path) -> Callable[..., Queue]:
+def queue_of(tmp_path: Path) -> Callable[..., BatchQueue]:
     """Begin a batch of the scans in a folder; they go as far as `adjust`, for which little is imported."""
 
-    def begin(folder: Path, *, until: str = "adjust", take_over_after: float = 60.0) -> Queue:
-        settings = Settings("", until, take_over_after=take_over_after)
+    def begin(folder: Path, *, until: str = "adjust", take_over_after: float = 60.0) -> BatchQueue:
+        settings = BatchSettings("", until, take_over_after=take_over_after)
         out = tmp_path / "out"
-        jobs = jobs_of([(place, place.name) for place in sorted(folder.iterdir())], out)
-        queue = new_queue(out, 1, settings, jobs)
+        jobs = make_jobs([(place, place.name) for place in sorted(folder.iterdir())], out)
+        queue = create_queue(out, 1, settings, jobs)
         assert queue is not None
         return queue
 

@@ -33,21 +33,25 @@ def test_a_claim_says_whose_it_is_and_how_it_ended(tmp_path: Path):
     first = Claim(7, 0)
     assert claims.take(first)
     assert not claims.take(first)
-    claims.at(first, "fuse")
-    claims.at(first, "clean")
-    assert (claims.said(first).worker, claims.said(first).stage, claims.said(first).end) == (
+    claims.record_stage(first, "fuse")
+    claims.record_stage(first, "clean")
+    assert (
+        claims.read_claim(first).worker,
+        claims.read_claim(first).stage,
+        claims.read_claim(first).end,
+    ) == (
         "me",
         "clean",
         None,
     )
-    claims.end(first, KILLED)
-    assert claims.said(first).end == KILLED
-    assert claims.take(first.next)
-    claims.end(first.next, RELEASED)
-    assert claims.take(first.next.next)
-    claims.end(first.next.next, CRASHED)
+    claims.record_end(first, KILLED)
+    assert claims.read_claim(first).end == KILLED
+    assert claims.take(first.successor)
+    claims.record_end(first.successor, RELEASED)
+    assert claims.take(first.successor.successor)
+    claims.record_end(first.successor.successor, CRASHED)
     # What was given back was no try.
-    assert [one.end for one in claims.tries(Claim(7, 2))] == [KILLED, CRASHED]
+    assert [one.end for one in claims.read_attempts(Claim(7, 2))] == [KILLED, CRASHED]
 
 
 def test_the_latest_is_found_among_what_is_no_claim(tmp_path: Path):
@@ -56,7 +60,7 @@ def test_the_latest_is_found_among_what_is_no_claim(tmp_path: Path):
         assert claims.take(claim)
     for name in (".DS_Store", "000003", "000004.x", ".000001.0.part"):
         (tmp_path / name).write_text("")
-    assert claims.latest() == {1: Claim(1, 10), 2: Claim(2, 0)}
+    assert claims.list_latest() == {1: Claim(1, 10), 2: Claim(2, 0)}
 
 
 def test_a_claim_that_cannot_be_signed_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -68,10 +72,10 @@ def test_a_claim_that_cannot_be_signed_is_none(tmp_path: Path, monkeypatch: pyte
         patched.setattr("os.write", full)
         with pytest.raises(OSError, match="No space"):
             claims.take(Claim(1, 0))
-    assert claims.latest() == {}
+    assert claims.list_latest() == {}
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xff", b"\n\n"])
 def test_what_cannot_be_read_is_nobodys(tmp_path: Path, content: bytes):
     (tmp_path / "000001.0").write_bytes(content)
-    assert Claims(tmp_path, "me").said(Claim(1, 0)).worker == ""
+    assert Claims(tmp_path, "me").read_claim(Claim(1, 0)).worker == ""

@@ -16,21 +16,21 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
-from hanging import hang, hanging_environment
+from hanging_jobs import is_any_alive, make_hanging_environment
 
 from scanloom.pipeline.batch.claims import Claim, Claims
-from scanloom.pipeline.batch.process import Process
-from scanloom.pipeline.batch.queue import Job, Queue, new_queue
-from scanloom.pipeline.batch.records import DONE, FAILED, UNUSABLE, Records
-from scanloom.pipeline.batch.slot import Work
-from scanloom.pipeline.batch.summary import summary_of
-from scanloom.pipeline.batch.told import JobAt, JobEnded, Noted, Told
+from scanloom.pipeline.batch.job_queue import BatchQueue, Job, create_queue
+from scanloom.pipeline.batch.job_records import DONE, FAILED, UNUSABLE, JobRecords
+from scanloom.pipeline.batch.process_handle import JobProcess
+from scanloom.pipeline.batch.slot import RunningJob
+from scanloom.pipeline.batch.summary import summarize_batch
 from scanloom.pipeline.batch.worker import Worker
+from scanloom.pipeline.batch.worker_events import JobEnded, JobProgress, Notice, WorkerEvent
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import StageError
 
-Begin = Callable[..., Queue]
+Begin = Callable[..., BatchQueue]
 # Nothing that does not hang is silent for so long, however busy the machine is.
 LONG = 300.0
 
@@ -47,38 +47,38 @@ class Clock:
         return time.monotonic() + self._ahead
 
 
-def work() -> Work:
-    return Work(Job(0, "x", "x"), Claim(0, 0))
+def work() -> RunningJob:
+    return RunningJob(Job(0, "x", "x"), Claim(0, 0))
 
 
 def test_what_is_told_again_is_nothing_new():
     one = work()
     for share in (0.0, 0.1, 0.1):
-        one.passed(5.0)
-        one.at("fuse", share)
-    assert one.silent == 5.0
-    one.at("clean", 0.1)
-    assert one.silent == 0.0
+        one.add_idle_time(5.0)
+        one.record_progress("fuse", share)
+    assert one.idle_seconds == 5.0
+    one.record_progress("clean", 0.1)
+    assert one.idle_seconds == 0.0
 
 
 def test_a_job_that_waits_for_leave_does_not_hang():
     one = work()
-    one.passed(5.0)
-    one.is_queueing = True
-    one.passed(1e6)
-    assert one.silent == 0.0
-    one.is_queueing = False
-    one.passed(5.0)
-    assert one.silent == 5.0
+    one.add_idle_time(5.0)
+    one.is_awaiting_admission = True
+    one.add_idle_time(1e6)
+    assert one.idle_seconds == 0.0
+    one.is_awaiting_admission = False
+    one.add_idle_time(5.0)
+    assert one.idle_seconds == 5.0
 
 
 def test_what_goes_on_after_another_run_is_something_new():
     one = work()
-    one.at("fuse", 0.0)
-    one.is_waiting = True
-    one.passed(5.0)
-    one.at("fuse", 0.0)
-    assert (one.silent, one.is_waiting) == (0.0, False)
+    one.record_progress("fuse", 0.0)
+    one.is_blocked = True
+    one.add_idle_time(5.0)
+    one.record_progress("fuse", 0.0)
+    assert (one.idle_seconds, one.is_blocked) == (0.0, False)
 
 
 def results(out: Path) -> dict[str, bytes]:
@@ -87,11 +87,11 @@ def results(out: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    process = Process(SimpleQueue(), 1, tmp_path / "log")
+    process = JobProcess(SimpleQueue(), 1, tmp_path / "log")
     os.kill(process._process.pid, signal.SIGSTOP)
     with monkeypatch.context() as patched:
         # As where it waits for a drive: the signal is taken note of, and nothing follows.
-        patched.setattr("scanloom.pipeline.batch.process._PATIENCE", 0.05)
+        patched.setattr("scanloom.pipeline.batch.process_handle._EXIT_TIMEOUT", 0.05)
         patched.setattr("os.killpg", lambda *_: None)
         assert not process.kill()
         process.end()
@@ -100,7 +100,7 @@ def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monk
 
 @pytest.fixture
 def _long_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scanloom.pipeline.batch.worker._LONGEST_TURN", math.inf)
+    monkeypatch.setattr("scanloom.pipeline.batch.worker._MAX_TURN_SECONDS", math.inf)
 
 
 @pytest.mark.slow
@@ -109,27 +109,27 @@ def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
     small_scans: Path, queue_of: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     queue = queue_of(small_scans, until="clean")
-    for name, value in hanging_environment(
+    for name, value in make_hanging_environment(
         tmp_path / "hook", "scan-1/depth-2.png", "fuse", queue.cache
     ).items():
         monkeypatch.setenv(name, value)
     hung = tmp_path / "hook" / "hung"
-    Worker(queue, slots=1, threads=1, timeout=LONG, clock=Clock(partial(hang, hung))).work()
-    records = {one.name: one for one in summary_of(queue).records}
+    Worker(queue, slots=1, threads=1, timeout=LONG, clock=Clock(partial(is_any_alive, hung))).run()
+    records = {one.name: one for one in summarize_batch(queue).records}
     states = {name: one.state for name, one in records.items()}
     assert states == {"broken": UNUSABLE, "scan-0": DONE, "scan-1": FAILED, "scan-2": DONE, "scan-3": DONE}
     assert records["scan-1"].reason.startswith(f"ended after {LONG:g} s without progress in fuse; check")
     assert hung.exists()
-    assert not hang(hung)
+    assert not is_any_alive(hung)
     assert not list((queue.cache / "drafts").iterdir())
 
     # It goes on from what is in the cache, and comes to what a quiet run comes to.
     (tmp_path / "hook" / "sitecustomize.py").unlink()
     (scan,) = [one for one in queue.jobs if one.name == "scan-1"]
-    again = new_queue(queue.out, 2, queue.settings, [replace(scan, number=0)])
+    again = create_queue(queue.out, 2, queue.settings, [replace(scan, number=0)])
     assert again is not None
-    Worker(again, slots=1, threads=1).work()
-    (record,) = summary_of(again).records
+    Worker(again, slots=1, threads=1).run()
+    (record,) = summarize_batch(again).records
     assert (record.state, record.figures["stages_cached"]) == (DONE, 1)
     run(small_scans / "scan-1", tmp_path / "quiet", Config(), until="clean")
     assert results(queue.out / "scan-1") == results(tmp_path / "quiet") != {}
@@ -141,18 +141,18 @@ def test_a_job_that_is_stopped_is_ended(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
     stopped = False
 
-    def tell(told: Told) -> None:
+    def tell(told: WorkerEvent) -> None:
         nonlocal stopped
-        if isinstance(told, JobAt) and told.name == "scan-1":
+        if isinstance(told, JobProgress) and told.name == "scan-1":
             (slot,) = worker._slots
             assert slot.process is not None
             os.kill(slot.process._process.pid, signal.SIGSTOP)
             stopped = True
         stopped = stopped and not isinstance(told, JobEnded)
 
-    worker = Worker(queue, slots=1, threads=1, timeout=LONG, tell=tell, clock=Clock(lambda: stopped))
-    worker.work()
-    records = {one.name: one for one in summary_of(queue).records}
+    worker = Worker(queue, slots=1, threads=1, timeout=LONG, on_event=tell, clock=Clock(lambda: stopped))
+    worker.run()
+    records = {one.name: one for one in summarize_batch(queue).records}
     assert records["scan-1"].state == FAILED
     assert [records[f"scan-{k}"].state for k in (0, 2, 3)] == [DONE] * 3
 
@@ -176,24 +176,24 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
     claims = Claims(queue.folder / "claims", "")
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as first:
         # In the middle of a job, with all that the job has locked.
-        while not claims.said(Claim(1, 0)).stage:
+        while not claims.read_claim(Claim(1, 0)).stage:
             assert first.poll() is None
             time.sleep(0.01)
         jobs = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
         for number in (first.pid, *map(int, jobs)):
             os.kill(number, signal.SIGSTOP)
 
-        def tell(told: Told) -> None:
-            if isinstance(told, Noted) and "waiting for another run into" in told.text:
+        def tell(told: WorkerEvent) -> None:
+            if isinstance(told, Notice) and "waiting for another run into" in told.text:
                 os.kill(first.pid, signal.SIGCONT)
 
-        Worker(queue, slots=1, threads=1, tell=tell).work()
+        Worker(queue, slots=1, threads=1, on_event=tell).run()
         os.kill(first.pid, signal.SIGCONT)
         said = first.communicate(timeout=60)[1]
     assert "scan-0: another worker has taken it over while this worker was unresponsive" in said
-    ends = [one for one in Records(queue.folder / "done").all() if one.number == 1]
+    ends = [one for one in JobRecords(queue.folder / "done").list_finished() if one.number == 1]
     assert [one.attempt for one in ends] == [1]
-    states = {one.name: one.state for one in summary_of(queue).records}
+    states = {one.name: one.state for one in summarize_batch(queue).records}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     run(small_scans / "scan-0", tmp_path / "quiet", Config(), until="clean")
     assert results(queue.out / "scan-0") == results(tmp_path / "quiet") != {}
@@ -204,15 +204,15 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
 def test_a_worker_whose_batch_is_gone_says_so(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
 
-    def tell(told: Told) -> None:
-        if isinstance(told, JobAt):
+    def tell(told: WorkerEvent) -> None:
+        if isinstance(told, JobProgress):
             # As the next batch does, which was begun while no sign of this one came.
             shutil.rmtree(queue.folder)
 
     with pytest.raises(
         StageError, match=r"another batch was started in .*out while this worker was unresponsive"
     ):
-        Worker(queue, slots=1, threads=1, tell=tell).work()
+        Worker(queue, slots=1, threads=1, on_event=tell).run()
 
 
 @pytest.mark.slow
@@ -225,8 +225,8 @@ def test_a_worker_whose_batch_goes_between_two_looks_says_so(
         shutil.rmtree(queue.folder)
         (queue.folder / "claims" / "000001.0").write_text("")
 
-    monkeypatch.setattr(Worker, "_hear", hear)
+    monkeypatch.setattr(Worker, "_handle_messages", hear)
     with pytest.raises(
         StageError, match=r"another batch was started in .*out while this worker was unresponsive"
     ):
-        Worker(queue, slots=1, threads=1).work()
+        Worker(queue, slots=1, threads=1).run()

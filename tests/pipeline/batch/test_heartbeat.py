@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from scanloom.pipeline.batch.heartbeat import Heartbeat, Watch
+from scanloom.pipeline.batch.heartbeat import Heartbeat, HeartbeatObserver
 
 
 class Clock:
@@ -25,14 +25,14 @@ def beat(folder: Path, worker: str, count: int, every: float = 1.0) -> None:
 
 def test_silence_is_counted_from_the_last_change_that_was_seen(tmp_path: Path):
     clock = Clock()
-    watch = Watch(tmp_path, clock)
+    watch = HeartbeatObserver(tmp_path, clock)
     beat(tmp_path, "a", 1)
-    watch.look()
+    watch.refresh()
     clock.now += 50
-    assert watch.silence("a") == 50
+    assert watch.get_silence("a") == 50
     assert not watch.is_dead("a", 60)
     beat(tmp_path, "a", 2)
-    assert watch.silence("a") == 0
+    assert watch.get_silence("a") == 0
     clock.now += 61
     assert watch.is_dead("a", 60)
 
@@ -40,7 +40,7 @@ def test_silence_is_counted_from_the_last_change_that_was_seen(tmp_path: Path):
 @pytest.mark.parametrize("shift", [3600, -3600, 0])
 def test_clocks_an_hour_apart_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shift: int):
     clock = Clock()
-    watch = Watch(tmp_path, clock)
+    watch = HeartbeatObserver(tmp_path, clock)
     # As the other machine, and the server that keeps the files, say what time it is.
     monkeypatch.setattr(time, "time", lambda: 1.7e9 + shift)
     for count in range(5):
@@ -48,7 +48,7 @@ def test_clocks_an_hour_apart_change_nothing(tmp_path: Path, monkeypatch: pytest
         beat(tmp_path, "dead", 0)
         for worker in ("a", "dead"):
             os.utime(tmp_path / f"{worker}.alive", (1.7e9 + shift, 1.7e9 + shift))
-        watch.look()
+        watch.refresh()
         clock.now += 20
     assert not watch.is_dead("a", 60)
     assert watch.is_dead("dead", 60)
@@ -56,9 +56,9 @@ def test_clocks_an_hour_apart_change_nothing(tmp_path: Path, monkeypatch: pytest
 
 def test_a_worker_that_beats_slowly_is_not_taken_for_dead(tmp_path: Path):
     clock = Clock()
-    watch = Watch(tmp_path, clock)
+    watch = HeartbeatObserver(tmp_path, clock)
     beat(tmp_path, "a", 1, every=2.0)
-    watch.look()
+    watch.refresh()
     clock.now += 7
     assert not watch.is_dead("a", 1.0)
     clock.now += 2
@@ -67,41 +67,41 @@ def test_a_worker_that_beats_slowly_is_not_taken_for_dead(tmp_path: Path):
 
 def test_one_without_a_file_is_silent_from_when_it_is_asked_for(tmp_path: Path):
     clock = Clock()
-    watch = Watch(tmp_path, clock)
-    assert watch.silence("never") == 0
+    watch = HeartbeatObserver(tmp_path, clock)
+    assert watch.get_silence("never") == 0
     clock.now += 61
     assert watch.is_dead("never", 60)
 
 
 def test_a_heart_beats_and_says_when_it_ends(tmp_path: Path):
-    watch = Watch(tmp_path)
+    watch = HeartbeatObserver(tmp_path)
     with Heartbeat(tmp_path, "a", take_over_after=0.08) as heart:
-        assert heart.every == pytest.approx(0.01)
-        first = watch.said("a")
+        assert heart.interval == pytest.approx(0.01)
+        first = watch.read_heartbeat("a")
         end = time.monotonic() + 10
-        while watch.said("a") == first and time.monotonic() < end:
+        while watch.read_heartbeat("a") == first and time.monotonic() < end:
             time.sleep(0.005)
-        assert watch.said("a") != first
-        assert watch.living() == ["a"]
-    assert watch.silence("a") == math.inf
-    assert watch.living() == []
+        assert watch.read_heartbeat("a") != first
+        assert watch.list_living() == ["a"]
+    assert watch.get_silence("a") == math.inf
+    assert watch.list_living() == []
 
 
 def test_a_disk_that_is_full_for_a_while_does_not_stop_the_heart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    watch = Watch(tmp_path)
+    watch = HeartbeatObserver(tmp_path)
     with Heartbeat(tmp_path, "a", take_over_after=0.08):
         written = os.write
         monkeypatch.setattr("os.write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
         time.sleep(0.05)
         monkeypatch.setattr("os.write", written)
-        first, end = watch.said("a"), time.monotonic() + 10
-        while watch.said("a") == first and time.monotonic() < end:
+        first, end = watch.read_heartbeat("a"), time.monotonic() + 10
+        while watch.read_heartbeat("a") == first and time.monotonic() < end:
             time.sleep(0.005)
-        assert watch.said("a") != first
+        assert watch.read_heartbeat("a") != first
 
 
 def test_others_take_a_worker_for_dead_only_after_many_beats(tmp_path: Path):
-    assert Heartbeat(tmp_path, "a", take_over_after=60).every == 2.0
-    assert Heartbeat(tmp_path, "a", take_over_after=4).every == 0.5
+    assert Heartbeat(tmp_path, "a", take_over_after=60).interval == 2.0
+    assert Heartbeat(tmp_path, "a", take_over_after=4).interval == 0.5

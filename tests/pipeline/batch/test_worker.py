@@ -17,23 +17,29 @@ from typing import Any
 import pytest
 
 from scanloom.pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
-from scanloom.pipeline.batch.queue import Queue
-from scanloom.pipeline.batch.records import DONE, FAILED, UNUSABLE, Record, Records
-from scanloom.pipeline.batch.summary import summary_of
-from scanloom.pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Told
+from scanloom.pipeline.batch.job_queue import BatchQueue
+from scanloom.pipeline.batch.job_records import DONE, FAILED, UNUSABLE, JobRecord, JobRecords
+from scanloom.pipeline.batch.summary import summarize_batch
 from scanloom.pipeline.batch.worker import Worker
+from scanloom.pipeline.batch.worker_events import (
+    JobEnded,
+    JobProgress,
+    JobStarted,
+    QueueProgress,
+    WorkerEvent,
+)
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import StageError
 
 pytestmark = pytest.mark.slow
-Begin = Callable[..., Queue]
+Begin = Callable[..., BatchQueue]
 
 
-def worked(queue: Queue, **how: Any) -> dict[str, Record]:
+def worked(queue: BatchQueue, **how: Any) -> dict[str, JobRecord]:
     how = {"slots": 1, "threads": 1, **how}
-    Worker(queue, **how).work()
-    summary = summary_of(queue)
+    Worker(queue, **how).run()
+    summary = summarize_batch(queue)
     assert summary.is_finished
     return {one.name: one for one in summary.records}
 
@@ -49,14 +55,14 @@ def process_of(worker: Worker) -> int:
 
 
 def test_one_bad_scan_ends_none_of_the_others(small_scans: Path, queue_of: Begin, tmp_path: Path):
-    told: list[Told] = []
+    told: list[WorkerEvent] = []
     ended = worked(queue_of(small_scans, until="clean"), slots=2, tell=told.append)
     states = {name: one.state for name, one in ended.items()}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     assert "scan.json: the file is not valid JSON" in ended["broken"].reason
     assert ended["scan-1"].figures["frames"] == 4
     assert sum(isinstance(one, JobEnded) for one in told) == 5
-    assert [one for one in told if isinstance(one, Counted)][-1] == Counted(5, 5)
+    assert [one for one in told if isinstance(one, QueueProgress)][-1] == QueueProgress(5, 5)
 
     # As `run` has it, under the same names.
     run(small_scans / "scan-2", tmp_path / "alone", Config(), until="clean")
@@ -76,13 +82,13 @@ def test_a_scan_that_vanishes_meanwhile_is_told(small_scans: Path, queue_of: Beg
 
 
 def test_a_damaged_line_is_a_job_that_failed(small_scans: Path, queue_of: Begin):
-    from scanloom.pipeline.batch.queue import standing_queue
+    from scanloom.pipeline.batch.job_queue import read_current_queue
 
     queue = queue_of(small_scans)
     path = queue.folder / "jobs.jsonl"
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:2], lines[2].replace("scan-0", "scan-9"), *lines[3:]]) + "\n")
-    damaged = standing_queue(queue.out)
+    damaged = read_current_queue(queue.out)
     assert damaged is not None
     ended = worked(damaged)
     assert ended["job 1"].state == FAILED
@@ -95,52 +101,52 @@ def test_a_job_whose_process_ends_by_itself_is_begun_again(
     small_scans: Path, queue_of: Begin, sent: signal.Signals, noted: str
 ):
     queue = queue_of(small_scans)
-    begun: list[JobBegun] = []
+    begun: list[JobStarted] = []
 
-    def tell(told: Told) -> None:
-        if isinstance(told, JobBegun):
+    def tell(told: WorkerEvent) -> None:
+        if isinstance(told, JobStarted):
             begun.append(told)
-        if isinstance(told, JobAt) and len(begun) == 2:
+        if isinstance(told, JobProgress) and len(begun) == 2:
             os.kill(process_of(worker), sent)
 
-    worker = Worker(queue, slots=1, threads=1, tell=tell)
-    worker.work()
+    worker = Worker(queue, slots=1, threads=1, on_event=tell)
+    worker.run()
     # What ended is told apart from what was begun twice.
     assert [one.name for one in begun].count("scan-0") == 2
-    records = {one.name: one for one in summary_of(queue).records}
+    records = {one.name: one for one in summarize_batch(queue).records}
     assert (records["scan-0"].state, records["scan-0"].attempt) == (DONE, 1)
-    assert Claims(queue.folder / "claims", "").said(Claim(1, 0)).end == noted
+    assert Claims(queue.folder / "claims", "").read_claim(Claim(1, 0)).end == noted
 
 
 def test_a_job_that_crashes_its_process_is_given_up_and_no_other(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
     at = ""
 
-    def tell(told: Told) -> None:
+    def tell(told: WorkerEvent) -> None:
         nonlocal at
-        at = told.name if isinstance(told, JobBegun) else at
-        if isinstance(told, JobAt) and at == "scan-2":
+        at = told.name if isinstance(told, JobStarted) else at
+        if isinstance(told, JobProgress) and at == "scan-2":
             os.kill(process_of(worker), signal.SIGSEGV)
 
-    worker = Worker(queue, slots=1, threads=1, tell=tell)
-    worker.work()
-    states = {one.name: one.state for one in summary_of(queue).records}
+    worker = Worker(queue, slots=1, threads=1, on_event=tell)
+    worker.run()
+    states = {one.name: one.state for one in summarize_batch(queue).records}
     assert states == {"broken": UNUSABLE, "scan-0": DONE, "scan-1": DONE, "scan-2": FAILED, "scan-3": DONE}
-    reason = next(one.reason for one in summary_of(queue).records if one.name == "scan-2")
+    reason = next(one.reason for one in summarize_batch(queue).records if one.name == "scan-2")
     assert reason.startswith("the process of this scan crashed 2 times")
 
 
 def test_a_worker_that_is_interrupted_gives_its_job_back(small_scans: Path, queue_of: Begin, tmp_path: Path):
     queue = queue_of(small_scans, until="clean")
 
-    def interrupt(told: Told) -> None:
-        if isinstance(told, JobAt) and told.stage == "fuse":
+    def interrupt(told: WorkerEvent) -> None:
+        if isinstance(told, JobProgress) and told.stage == "fuse":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Worker(queue, slots=1, threads=1, tell=interrupt).work()
+        Worker(queue, slots=1, threads=1, on_event=interrupt).run()
     # `broken` was first.
-    assert Claims(queue.folder / "claims", "").said(Claim(1, 0)).end == RELEASED
+    assert Claims(queue.folder / "claims", "").read_claim(Claim(1, 0)).end == RELEASED
     started = time.monotonic()
     ended = worked(queue)
     assert time.monotonic() - started < 50, "nobody waits for one that said it ended"
@@ -154,11 +160,11 @@ def test_a_full_disk_ends_the_worker_in_one_sentence_and_loses_nothing(
 ):
     queue = queue_of(small_scans)
     with monkeypatch.context() as patched:
-        patched.setattr(Records, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
+        patched.setattr(JobRecords, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
         with pytest.raises(
             StageError, match=r"the queue .* cannot be worked on: the disk is full; free disk space"
         ):
-            Worker(queue, slots=1, threads=1).work()
+            Worker(queue, slots=1, threads=1).run()
     assert worked(queue)["scan-3"].state == DONE
 
 
@@ -175,7 +181,7 @@ def test_a_queue_that_may_only_be_read_is_told(
 
     monkeypatch.setattr("os.open", read_only)
     with pytest.raises(StageError, match=r"the queue .* cannot be worked on: Read-only file system"):
-        Worker(queue, slots=1, threads=1).work()
+        Worker(queue, slots=1, threads=1).run()
 
 
 def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin, tmp_path: Path):
@@ -214,7 +220,7 @@ def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin
                 workers[at] = started()
     assert kills >= 2
     assert all(one.returncode in (1, -9) for one in workers)  # `broken` is not done
-    ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
+    ends = Counter(claim.number for claim in JobRecords(queue.folder / "done").list_finished())
     assert sorted(ends) == [0, 1, 2, 3, 4]
     assert sum(count > 1 for count in ends.values()) <= kills
     for number in range(4):
@@ -226,7 +232,7 @@ def test_a_worker_that_does_not_stay_ends_when_nothing_is_left_to_take(small_sca
     queue = queue_of(small_scans)
     claims = Claims(queue.folder / "claims", "other")
     assert claims.take(Claim(4, 0))
-    Worker(queue, slots=1, threads=1, stay=False).work()
-    states = {one.name: one.state for one in summary_of(queue).records}
+    Worker(queue, slots=1, threads=1, wait_for_others=False).run()
+    states = {one.name: one.state for one in summarize_batch(queue).records}
     assert states["scan-3"] == "running"
     assert [states[f"scan-{k}"] for k in range(3)] == [DONE] * 3

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from browsers import browser
-from clouds import cloud
+from browsers import launch_browser
+from clouds import make_cloud
 
 from scanloom import Mesh, stages
-from scanloom.pipeline.report.comparison_page import page_of_comparison
+from scanloom.pipeline.report.comparison_page import make_comparison_page
 
 pytestmark = pytest.mark.slow
 UP = (0.0, 0.0, 1.0)
@@ -56,7 +56,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     before = of(ball((0, 0, 0), 1), ball((1.75, 0, 0), 0.3), color=(200, 120, 40))
     after = of(ball((0, 0, 0), 1.02), ball((3, 0, 0), 0.5), color=(40, 120, 200))
-    points = cloud(before.vertices * (1, 1, 1), before.colors).with_(up=UP)
+    points = make_cloud(before.vertices * (1, 1, 1), before.colors).with_(up=UP)
     written = {}
     for name, other in (("meshes", after), ("points", points)):
         found = stages.deviations(before, other, tolerance=0.01, color_range=0.05, signed_samples=3000)
@@ -66,7 +66,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             views = stages.compare_views(before, other, views=1, view_width=64)
         figures = figures_of(before, other, found, moved, views)
         names = ("before.ply", "<i>after</i>.ply")
-        page = page_of_comparison(names, (before, other), found, moved, figures, 5_000_000)
+        page = make_comparison_page(names, (before, other), found, moved, figures, 5_000_000)
         written[name] = folder / f"{name}.html"
         written[name].write_bytes(page)
     return written
@@ -74,7 +74,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    with browser() as started:
+    with launch_browser() as started:
         yield started
 
 

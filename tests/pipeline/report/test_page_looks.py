@@ -13,13 +13,19 @@ import cv2
 import numpy as np
 import pytest
 from coloured_meshes import sheet
-from page_content import shown
+from page_content import read_page_content
 
 import scanloom.pipeline.report.run_page
 from scanloom import Image, Material, Mesh, Texture, deviations
-from scanloom.pipeline.evaluation.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
-from scanloom.pipeline.evaluation.photos import write_photos
-from scanloom.pipeline.report.run_page import page_of_run
+from scanloom.pipeline.evaluation.camera_photos import write_photos
+from scanloom.pipeline.evaluation.stored_deviations import (
+    FIGURES,
+    MESH_FILE,
+    make_stored_deviations,
+    read_deviations,
+    write_deviations,
+)
+from scanloom.pipeline.report.run_page import make_run_page
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.scan import Camera, Frame
 from scanloom.stages.surface.formats.ply import write_ply
@@ -54,14 +60,14 @@ def out(tmp_path: Path) -> Path:
 
 
 def looks_of(page: bytes) -> dict[str, Any]:
-    return {one["name"]: one for one in shown(page)["models"]}
+    return {one["name"]: one for one in read_page_content(page)["models"]}
 
 
 def values_of(page: bytes, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and values of the first model, by the file itself."""
     from scanloom.stages._kernels import decode_rows
 
-    glb = base64.b64decode(shown(page)["files"][0])
+    glb = base64.b64decode(read_page_content(page)["files"][0])
     length = struct.unpack_from("<I", glb, 12)[0]
     tree = json.loads(glb[20 : 20 + length])
     binary = glb[20 + length + 8 :]
@@ -84,7 +90,7 @@ def silent(text: str) -> None:
 
 
 def test_without_a_report_the_page_measures_itself(out: Path) -> None:
-    page = page_of_run(out, 5_000_000)
+    page = make_run_page(out, 5_000_000)
     looks = looks_of(page)
     assert list(looks) == ["result", "clean mesh", "deviation", "confidence", "vertex colours"]
     scale = looks["deviation"]["scale"]
@@ -99,7 +105,7 @@ def test_without_a_report_the_page_measures_itself(out: Path) -> None:
 
 
 def test_confidence_is_how_many_photos_show_a_place(out: Path) -> None:
-    page = page_of_run(out, 5_000_000)
+    page = make_run_page(out, 5_000_000)
     look = looks_of(page)["confidence"]
     assert look["scale"]["marks"][-1] == 6
     assert (look["scale"]["low"], look["scale"]["high"]) == (-0.5, 6.5)
@@ -110,27 +116,27 @@ def test_confidence_is_how_many_photos_show_a_place(out: Path) -> None:
     # Half of the surface, by its area.
     assert look["scale"]["shares"][0] == pytest.approx(0.5, abs=0.05)
     (out / "texture_maps" / "count-1.png").unlink()
-    assert "confidence" not in looks_of(page_of_run(out, 5_000_000))
+    assert "confidence" not in looks_of(make_run_page(out, 5_000_000))
 
 
 def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = deviations(sheet(N), light(), signed_samples=2000)
     write_deviations(out / "pictures", found)
-    again = looks_of(page_of_run(out, 5_000_000))
+    again = looks_of(make_run_page(out, 5_000_000))
     monkeypatch.setattr(scanloom.pipeline.report.run_page.stages, "deviations", silent)
-    assert looks_of(page_of_run(out, 5_000_000))["deviation"] == again["deviation"]
-    kept, read = kept_of(found), read_deviations(out / "pictures")
+    assert looks_of(make_run_page(out, 5_000_000))["deviation"] == again["deviation"]
+    kept, read = make_stored_deviations(found), read_deviations(out / "pictures")
     assert read is not None
     np.testing.assert_array_equal(read.quantiles, kept.quantiles)
     np.testing.assert_allclose(read.at_vertices, kept.at_vertices, atol=1e-9)
     for low, high in ((-1, 1), (0.001, 0.003), (-0.0005, 0.0005)):
-        share = ((found.samples >= low) & (found.samples <= high)).mean()
-        assert read.share_within(low, high) == pytest.approx(share, abs=0.002)
+        share = ((found.sample_distances >= low) & (found.sample_distances <= high)).mean()
+        assert read.compute_ratio_within(low, high) == pytest.approx(share, abs=0.002)
 
 
 def test_what_is_kept_of_another_result_is_not_shown(out: Path) -> None:
     write_deviations(out / "pictures", deviations(sheet(4), sheet(4), signed_samples=100))
-    assert looks_of(page_of_run(out, 5_000_000))["deviation"]["scale"]["high"] > 1.5
+    assert looks_of(make_run_page(out, 5_000_000))["deviation"]["scale"]["high"] > 1.5
 
 
 @pytest.mark.parametrize(
@@ -140,7 +146,7 @@ def test_damaged_figures_are_one_sentence(out: Path, text: str) -> None:
     write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
     (out / "pictures" / FIGURES).write_text(text)
     with pytest.raises(InputError, match="pictures"):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 CHANGES: dict[str, Callable[[Any], Any]] = {
@@ -158,14 +164,14 @@ def test_changed_figures_are_one_sentence(out: Path, change: Any) -> None:
     change(told)
     path.write_text(json.dumps(told))
     with pytest.raises(InputError, match="pictures"):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 def test_a_mesh_without_its_deviations_is_one_sentence(out: Path) -> None:
     write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
-    write_ply(out / "pictures" / MESH, light().with_(texture=None))
+    write_ply(out / "pictures" / MESH_FILE, light().with_(texture=None))
     with pytest.raises(InputError, match="no property `deviation`"):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
@@ -177,12 +183,12 @@ def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
     report = {
         "scan": {"frames": 3, "frames_skipped": [{"frame": "lost", "reason": "no pose"}]},
         "held_out": {"photos": 1},
-        "stages": {"fuse": {"figures": {"frames_skipped": skipped}, "cached": True, "made_in_s": 1,
+        "stages": {"fuse": {"figures": {"frames_skipped": skipped}, "cached": True, "compute_seconds": 1,
                             "peak_memory_mb": 1, "reason": "", "seconds": 0}},
         "placed": {"fuse": {"fused.ply": "c0ffee"}}, "scanloom": "9.9", "libraries": {"numpy": "2"},
     }  # fmt: skip
     (out / "report.json").write_text(json.dumps(report))
-    content = shown(page_of_run(out, 5_000_000))
+    content = read_page_content(make_run_page(out, 5_000_000))
     marks = {one["frame"]: one["mark"] for one in content["cameras"]}
     assert marks == {"f0": "", "f1": "fuse: its depth is damaged", "f2": "", "f3": "held out"}
     assert content["frames"] == "3 frames were read; 1 were held out for evaluation; 2 were skipped."

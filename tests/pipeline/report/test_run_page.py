@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 from coloured_meshes import sheet
-from page_content import shown
+from page_content import read_page_content
 
-from scanloom.pipeline.evaluation.photos import write_photos
-from scanloom.pipeline.report.run_page import page_of_mesh, page_of_run
+from scanloom.pipeline.evaluation.camera_photos import write_photos
+from scanloom.pipeline.report.run_page import make_mesh_page, make_run_page
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.scan import Camera, Frame
@@ -47,7 +47,7 @@ def rewrite(path: Path, change: Any) -> None:
 
 
 def test_cameras_and_photos_are_those_of_the_run(out: Path) -> None:
-    cameras = shown(page_of_run(out, 5_000_000))["cameras"]
+    cameras = read_page_content(make_run_page(out, 5_000_000))["cameras"]
     assert [one["frame"] for one in cameras] == [f"f{k}" for k in range(8)]
     photos = [one["photo"] for one in cameras if one["photo"]]
     assert len(photos) == 4
@@ -58,11 +58,11 @@ def test_cameras_and_photos_are_those_of_the_run(out: Path) -> None:
 def test_photos_leave_room_for_the_model(out: Path) -> None:
     sizes = [path.stat().st_size for path in (out / "pictures" / "photos").iterdir()]
     with collecting() as diagnostics:
-        cameras = shown(page_of_run(out, 4 * (sum(sizes) - 1)))["cameras"]
+        cameras = read_page_content(make_run_page(out, 4 * (sum(sizes) - 1)))["cameras"]
     assert sum(one["photo"] is not None for one in cameras) == 2
     assert str(diagnostics[0]).startswith("2 photos are omitted to keep the page below")
     with collecting():
-        assert shown(page_of_run(out, 8))["cameras"][0]["photo"] is None
+        assert read_page_content(make_run_page(out, 8))["cameras"][0]["photo"] is None
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_nothing_else_gets_into_a_page_that_is_passed_on(out: Path, name: object
     (out / "pictures" / "photos" / "link.jpg").symlink_to(secret)
     rewrite(out / "pictures" / "cameras.json", lambda told: told["cameras"][0].update(photo=name))
     with pytest.raises(InputError, match=said):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 @pytest.mark.parametrize("key", ["frame", "world_from_camera", "size", "fy", "photo"])
@@ -97,10 +97,10 @@ def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) ->
 
     rewrite(out / "pictures" / "cameras.json", damaged)
     if key == "frame" and value is not ...:
-        assert shown(page_of_run(out, 5_000_000))["cameras"][1]["frame"] == str(value)
+        assert read_page_content(make_run_page(out, 5_000_000))["cameras"][1]["frame"] == str(value)
         return
     with pytest.raises(InputError, match=r"cameras\.json|pictures"):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "7", '{"cameras": 7}', '{"cameras": [7]}', "[[[[]]]]"])
@@ -108,10 +108,10 @@ def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) ->
 def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> None:
     (out / name).write_text(text)
     if name == "report.json" and text.startswith(('{"', "[]")):
-        page_of_run(out, 5_000_000)  # nothing of a run is told in it
+        make_run_page(out, 5_000_000)  # nothing of a run is told in it
         return
     with pytest.raises(InputError, match=name):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 @pytest.mark.parametrize(
@@ -120,10 +120,10 @@ def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> 
 def test_a_report_that_no_run_has_written_is_one_sentence(out: Path, report: object) -> None:
     (out / "report.json").write_text(json.dumps(report))
     with pytest.raises(InputError, match=r"report\.json"):
-        page_of_run(out, 5_000_000)
+        make_run_page(out, 5_000_000)
 
 
 def test_a_mesh_has_a_page_of_its_own() -> None:
-    content = shown(page_of_mesh("thing", sheet(4), 5_000_000))
+    content = read_page_content(make_mesh_page("thing", sheet(4), 5_000_000))
     assert (content["title"], [one["name"] for one in content["models"]]) == ("thing", ["thing"])
     assert content["cameras"] == []

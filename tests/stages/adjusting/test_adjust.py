@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from scanloom import Frame, adjust, read_scan
-from scanloom.stages.adjusting.cameras import motion, motion_apart, steps_of
+from scanloom.stages.adjusting.cameras import compute_motions, compute_pose_distance, decompose_motions
 from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
-from scanloom.stages.adjusting.key_frames import key_frames
+from scanloom.stages.adjusting.key_frames import select_key_frames
 from scanloom.stages.scans.model.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
@@ -38,7 +38,7 @@ def jittered(frames: Sequence[Frame], metres: float, degrees: float, zoom: float
     result = []
     for frame in frames:
         camera = replace(frame.camera, fx=zoom * frame.camera.fx, fy=zoom * frame.camera.fy)
-        pose = frame.world_from_camera @ motion(rng.normal(size=(1, 6)) * scale)[0]
+        pose = frame.world_from_camera @ compute_motions(rng.normal(size=(1, 6)) * scale)[0]
         result.append(replace(frame, world_from_camera=pose, color_camera=camera if zoom != 1 else None))
     return result
 
@@ -55,7 +55,7 @@ def rolling(frames: Sequence[Frame], degrees: float) -> tuple[list[Frame], np.nd
         steps = np.concatenate(
             [np.zeros((camera.height, 3)), ((v[:, :1] + 0.5) / camera.height - 0.5) * turn], axis=1
         )
-        x, y, z = np.einsum("rij,rcj->cri", motion(steps)[:, :3, :3], rays).transpose(2, 1, 0)
+        x, y, z = np.einsum("rij,rcj->cri", compute_motions(steps)[:, :3, :3], rays).transpose(2, 1, 0)
         where = [
             (f * one / z + c).astype(np.float32)
             for f, one, c in ((camera.fx, x, camera.cx), (camera.fy, y, camera.cy))
@@ -70,7 +70,7 @@ def apart(frames: Sequence[Frame], others: Sequence[Frame]) -> np.ndarray:
     """Return how far steps from frame to frame differ, (n, 2) metres and degrees: the world may move."""
     both = [[one.world_from_camera for one in some] for some in (frames, others)]
     steps = [[np.linalg.inv(a) @ b for a, b in itertools.pairwise(poses)] for poses in both]
-    return np.array([motion_apart(a, b) for a, b in zip(*steps, strict=True)])
+    return np.array([compute_pose_distance(a, b) for a, b in zip(*steps, strict=True)])
 
 
 def apart_in_all(frames: Sequence[Frame], others: Sequence[Frame]) -> float:
@@ -86,8 +86,8 @@ def apart_in_all(frames: Sequence[Frame], others: Sequence[Frame]) -> float:
 def test_exact_poses_are_left_as_they_are(frames):
     found = adjust(frames)
     assert not found.accepted
-    assert "agree to 0." in found.why
-    assert found.before.median < 0.5
+    assert "agree to 0." in found.reason
+    assert found.error_before.median < 0.5
     assert list(map(id, found.frames)) == list(map(id, frames))
 
 
@@ -97,10 +97,10 @@ def test_disturbed_poses_come_back(half):
     told: list[tuple[int, int]] = []
     found = adjust(disturbed, progress=lambda done, total: told.append((done, total)))
     assert found.accepted
-    assert not found.has_camera, "the given camera is right"
+    assert not found.is_camera_adjusted, "the given camera is right"
     assert [done for done, _ in told] == sorted(done for done, _ in told)
     assert {total for _, total in told} == {told[-1][0]}
-    assert found.after.median < 0.3 < 2 < found.before.median
+    assert found.error_after.median < 0.3 < 2 < found.error_before.median
     was, is_now = (np.median(apart(half, some), axis=0) for some in (disturbed, found.frames))
     assert is_now[0] < 0.2 * was[0]
     assert is_now[1] < 0.15 * was[1]
@@ -112,8 +112,8 @@ def test_a_wrong_focal_length_comes_back_with_the_poses(half):
     disturbed = jittered(half, 0.01, 0.5, zoom=1.05)
     found = adjust(disturbed)
     assert found.accepted
-    assert found.has_camera
-    assert found.after.median < 0.3
+    assert found.is_camera_adjusted
+    assert found.error_after.median < 0.3
     camera = found.frames[0].color_camera
     assert camera.fx == pytest.approx(half[0].camera.fx, rel=0.005)
     assert camera.distortion[1:] == (0, 0, 0) or camera.distortion == ()
@@ -128,18 +128,18 @@ def test_turns_while_rows_are_read_are_found_with_the_poses(half):
     made, turns = rolling(half, 1.0)
     disturbed = jittered(made, 0.006, 0.3)
     found = adjust(disturbed)
-    assert found.has_turns
-    assert "rolling shutter" in found.why
-    assert found.figures()["shutter_turn_median_deg"] == pytest.approx(
+    assert found.is_shutter_adjusted
+    assert "rolling shutter" in found.reason
+    assert found.figures()["shutter_rotation_median_deg"] == pytest.approx(
         np.median(np.degrees(np.linalg.norm(turns, axis=1))), rel=0.25
     )
     told = np.stack([frame.shutter_turn for frame in found.frames])
     assert np.linalg.norm(told - turns) < 0.3 * np.linalg.norm(turns)
     assert np.median(apart(half, found.frames), axis=0)[0] < 0.003
     at_once = adjust(disturbed, shutter=False)
-    assert not at_once.has_turns
+    assert not at_once.is_shutter_adjusted
     assert all(frame.shutter_turn is None for frame in at_once.frames)
-    assert found.after.median < 0.6 * at_once.after.median
+    assert found.error_after.median < 0.6 * at_once.error_after.median
     # Rows that are put right are adjusted from where they were read.
     again = adjust(list(found.frames))
     assert not again.accepted
@@ -148,24 +148,24 @@ def test_turns_while_rows_are_read_are_found_with_the_poses(half):
 @pytest.mark.slow
 def test_turns_that_are_asked_for_are_next_to_none_where_rows_were_read_at_once(half):
     found = adjust(jittered(half, 0.01, 0.5), shutter=True)
-    assert found.has_turns
-    assert found.turns_deg[0] < 0.1
-    assert found.after.median < 0.3
+    assert found.is_shutter_adjusted
+    assert found.readout_rotation_deg[0] < 0.1
+    assert found.error_after.median < 0.3
 
 
 @pytest.mark.slow
 def test_frames_between_key_frames_turn_too(frames, monkeypatch):
-    monkeypatch.setattr("scanloom.stages.adjusting.adjust._MOST_KEYS", 8)
+    monkeypatch.setattr("scanloom.stages.adjusting.adjust._MAX_KEY_FRAMES", 8)
     made, turns = rolling(frames[:14], 1.0)
     found = adjust(jittered(made, 0.004, 0.2))
-    assert found.key_frames == 8
-    assert found.has_turns
+    assert found.key_frame_count == 8
+    assert found.is_shutter_adjusted
     told = np.stack([frame.shutter_turn for frame in found.frames])
     assert np.linalg.norm(told - turns) < 0.5 * np.linalg.norm(turns)
     # Where turns are known, and none are looked for, frames between have theirs, too.
     known = [replace(frame, shutter_turn=turn) for frame, turn in zip(made, turns, strict=True)]
     placed = adjust(jittered(known, 0.006, 0.3), shutter=False)
-    assert placed.unplaced == 0
+    assert placed.unadjusted_count == 0
     assert all(a.shutter_turn is b.shutter_turn for a, b in zip(placed.frames, known, strict=True))
     assert np.median(apart(frames[:14], placed.frames), axis=0)[0] < 0.002
 
@@ -174,17 +174,17 @@ def test_frames_between_key_frames_turn_too(frames, monkeypatch):
 def test_a_camera_that_is_swung_about_is_nearer_to_its_true_way(shared_data):
     scan = read_scan(shared_data / "real" / "rgbd_dataset_freiburg1_rpy")
     found = adjust(scan)
-    assert found.has_turns
-    assert found.after.median < 1.5
+    assert found.is_shutter_adjusted
+    assert found.error_after.median < 1.5
     assert apart_in_all(scan.frames, found.frames) < 0.014
     at_once = adjust(scan, shutter=False)
     assert apart_in_all(scan.frames, at_once.frames) > 0.016
-    assert found.after.median < 0.8 * at_once.after.median
+    assert found.error_after.median < 0.8 * at_once.error_after.median
     # Times and poses, which nothing was told of, say how fast it turned: up and down, left and right.
     turns, speeds = [], []
     for before, one, after in zip(found.frames, found.frames[1:], found.frames[2:], strict=False):
         step = np.linalg.inv(before.world_from_camera) @ after.world_from_camera
-        speeds.append(steps_of(step[None])[0, 3:5] * 1e9 / (after.timestamp - before.timestamp))
+        speeds.append(decompose_motions(step[None])[0, 3:5] * 1e9 / (after.timestamp - before.timestamp))
         turns.append(one.shutter_turn[:2])
     turn, speed = np.ravel(turns), np.ravel(speeds)
     assert np.corrcoef(turn, speed)[0, 1] > 0.8
@@ -203,13 +203,13 @@ def test_it_finds_the_same_every_time(frames):
 
 @pytest.mark.slow
 def test_frames_between_key_frames_are_placed_too(frames, monkeypatch):
-    monkeypatch.setattr("scanloom.stages.adjusting.adjust._MOST_KEYS", 8)
+    monkeypatch.setattr("scanloom.stages.adjusting.adjust._MAX_KEY_FRAMES", 8)
     some = frames[:14]
     disturbed = jittered(some, 0.006, 0.3)
     found = adjust(disturbed)
-    assert found.key_frames == 8
-    assert found.unplaced == 0
-    assert len(found.places) == len(some)
+    assert found.key_frame_count == 8
+    assert found.unadjusted_count == 0
+    assert len(found.adjusted_indices) == len(some)
     was, is_now = (np.median(apart(some, those), axis=0) for those in (disturbed, found.frames))
     assert is_now[0] < 0.4 * was[0]
     assert is_now[1] < 0.3 * was[1]
@@ -226,26 +226,26 @@ def test_frames_that_cannot_be_used_keep_their_poses(half):
     assert [(one.name, one.reason) for one in found.skipped] == [("0010", "its colour image is black")]
     assert found.frames[5].world_from_camera is disturbed[5].world_from_camera
     assert found.frames[9].world_from_camera is None
-    assert found.unplaced == 2
-    assert not {5, 9} & set(found.places)
+    assert found.unadjusted_count == 2
+    assert not {5, 9} & set(found.adjusted_indices)
 
 
 def test_black_frames_are_told(frames):
     dark = [replace(frame, color=np.zeros((240, 320, 3), np.uint8)) for frame in frames[:4]]
     found = adjust(dark)
     assert not found.accepted
-    assert found.why.endswith("; 4 frames skipped: black colour image")
+    assert found.reason.endswith("; 4 frames skipped: black colour image")
     assert found.diagnostics == (), "there is nothing in them that could be wrong"
 
 
 def test_over_exposed_frames_are_told(frames):
     white = [replace(frame, color=np.full((240, 320, 3), 255, np.uint8)) for frame in frames[:4]]
-    assert "over-exposed" in adjust(white).why
+    assert "over-exposed" in adjust(white).reason
 
 
 def test_frames_without_depth_are_told(frames):
     bare = [replace(frame, depth=np.zeros((240, 320), np.float32)) for frame in frames[:4]]
-    assert "no matched keypoint has depth" in adjust(bare).why
+    assert "no matched keypoint has depth" in adjust(bare).reason
 
 
 @pytest.mark.slow
@@ -264,7 +264,7 @@ def test_colour_of_another_scene_is_told_with_numbers(frames):
     other = [replace(a, color=b.color) for a, b in zip(frames, reversed(frames), strict=True)]
     found = adjust(other)
     assert not found.accepted
-    assert "keypoint matches" in found.why
+    assert "keypoint matches" in found.reason
 
 
 @pytest.mark.slow
@@ -280,16 +280,16 @@ def test_poses_of_another_frame_are_told_with_numbers(half):
 
 def test_too_few_frames_are_left_alone(frames):
     found = adjust([replace(frame, world_from_camera=None) for frame in frames])
-    assert found.why == "left as given: fewer than two frames have colour, depth and a pose"
+    assert found.reason == "left as given: fewer than two frames have colour, depth and a pose"
     assert found.figures()["transfer_before"] is None
 
 
 def test_key_frames_are_spread_over_the_way():
     poses = np.tile(np.eye(4), (100, 1, 1))
     poses[:, 0, 3] = np.concatenate([np.linspace(0, 0.01, 50), np.linspace(0.02, 1, 50)])
-    chosen = key_frames(poses, 20)
+    chosen = select_key_frames(poses, 20)
     assert len(chosen) <= 20
     assert chosen[0] == 0
     assert chosen[-1] == 99
     assert (chosen >= 50).sum() > 3 * (chosen < 50).sum()
-    assert key_frames(poses, 100).tolist() == list(range(100))
+    assert select_key_frames(poses, 100).tolist() == list(range(100))

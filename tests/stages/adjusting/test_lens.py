@@ -4,7 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from scanloom.stages.adjusting.lens import derivatives, project, rays
+from scanloom.stages.adjusting.lens import (
+    compute_projection_derivatives,
+    compute_rays,
+    project_with_distortion,
+)
 
 LENSES = {
     "a pinhole": (500.0, 505.0, 318.0, 243.0, 0, 0, 0, 0, 0),
@@ -29,25 +33,30 @@ def lens(request: pytest.FixtureRequest) -> np.ndarray:
 def test_pixels_are_those_of_opencv(points, lens):
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, lens[4:])
-    np.testing.assert_allclose(project(points, lens), theirs[:, 0], atol=1e-9)
+    np.testing.assert_allclose(project_with_distortion(points, lens), theirs[:, 0], atol=1e-9)
 
 
 def test_rays_lead_back(points, lens):
-    found = rays(project(points, lens), lens)
+    found = compute_rays(project_with_distortion(points, lens), lens)
     np.testing.assert_allclose(found, points / points[:, 2:], atol=1e-5)
 
 
 def test_derivatives_are_those_of_small_steps(points, lens):
     lenses = np.tile(lens, (len(points), 1))
-    pixels, by_point, by_lens = derivatives(points, lenses)
-    np.testing.assert_allclose(pixels, project(points, lens), atol=1e-9)
+    pixels, by_point, by_lens = compute_projection_derivatives(points, lenses)
+    np.testing.assert_allclose(pixels, project_with_distortion(points, lens), atol=1e-9)
     step = 1e-6
     for axis in range(3):
         moved = step * np.eye(3)[axis]
-        slope = (project(points + moved, lenses) - project(points - moved, lenses)) / (2 * step)
+        slope = (
+            project_with_distortion(points + moved, lenses) - project_with_distortion(points - moved, lenses)
+        ) / (2 * step)
         np.testing.assert_allclose(by_point[:, :, axis], slope, rtol=1e-5, atol=1e-4)
     for column, change in enumerate(_changes(step)):
-        slope = (project(points, change(lenses, 1)) - project(points, change(lenses, -1))) / (2 * step)
+        slope = (
+            project_with_distortion(points, change(lenses, 1))
+            - project_with_distortion(points, change(lenses, -1))
+        ) / (2 * step)
         np.testing.assert_allclose(by_lens[:, :, column], slope, rtol=1e-5, atol=1e-4)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom import Mesh, UsageError, check, stages, to_open3d_legacy
-from scanloom.stages.cleaning.check import CLASSES, PAPERS_CORNER_ANGLE, REQUIREMENTS
+from scanloom.stages.cleaning.check import CLASSES, PAPER_CORNER_ANGLE, REQUIREMENTS
 from scanloom.stages.surface.mesh_files import read_mesh
 from tests.made.coloured_meshes import ball, sheet
 
@@ -23,9 +23,9 @@ def planted(mesh: Mesh, vertices: list[list[float]], triangles: list[list[int]])
     )
 
 
-def counts(found: stages.Checked) -> dict[str, int]:
+def counts(found: stages.CheckResult) -> dict[str, int]:
     """Return the classes that have any places, and how many."""
-    return {name: len(places) for name, places in found.places.items() if len(places)}
+    return {name: len(places) for name, places in found.defects.items() if len(places)}
 
 
 def soup(seed: int, count: int, size: float) -> Mesh:
@@ -42,7 +42,7 @@ def test_a_ball_is_watertight_and_nothing_is_found() -> None:
     found = check(ball(), min_thickness=0.1)
     assert counts(found) == {}
     assert found.is_watertight
-    assert found.unmet(REQUIREMENTS) == []
+    assert found.find_unmet(REQUIREMENTS) == []
     np.testing.assert_allclose(found.thickness, 2 * np.linalg.norm(ball().vertices, axis=1).max(), rtol=0.1)
 
 
@@ -51,7 +51,7 @@ def test_of_a_sheet_only_its_border_is_told() -> None:
     assert counts(found) == {"border_edges": 40}
     assert not found.is_watertight
     assert np.isnan(found.thickness).all()
-    (sentence,) = map(str, found.unmet(["watertight"]))
+    (sentence,) = map(str, found.find_unmet(["watertight"]))
     assert "edges with only one triangle: 40" in sentence
 
 
@@ -62,8 +62,10 @@ def test_an_edge_of_three_triangles() -> None:
     mesh = ball()
     a, b, _ = mesh.triangles[0]
     found = check(planted(mesh, [[3, 3, 3]], [[a, b, len(mesh.vertices)]]))
-    assert found.places["nonmanifold_edges"].tolist() == [sorted((int(a), int(b)))]
-    assert len(found.unmet(["manifold", "closed", "watertight", "outward", "one-piece", "oriented"])) == 4
+    assert found.defects["nonmanifold_edges"].tolist() == [sorted((int(a), int(b)))]
+    assert (
+        len(found.find_unmet(["manifold", "closed", "watertight", "outward", "one-piece", "oriented"])) == 4
+    )
 
 
 def test_a_triangle_that_is_turned() -> None:
@@ -71,8 +73,8 @@ def test_a_triangle_that_is_turned() -> None:
     turned = mesh.triangles.copy()
     turned[7] = turned[7, ::-1]
     found = check(mesh.with_(triangles=turned))
-    assert len(found.places["inconsistent_edges"]) == 3
-    assert str(found.unmet(["oriented"])[0]).startswith(
+    assert len(found.defects["inconsistent_edges"]) == 3
+    assert str(found.find_unmet(["oriented"])[0]).startswith(
         "it has edges between triangles of opposite orientation: 3"
     )
 
@@ -85,8 +87,8 @@ def test_two_balls_that_share_a_vertex() -> None:
     number[top] = top
     found = check(planted(mesh, other.tolist(), number[mesh.triangles[:, ::-1]].tolist()))
     assert counts(found) == {"singular_vertices": 1}
-    assert found.places["singular_vertices"].tolist() == [top]
-    np.testing.assert_array_equal(found.points["singular_vertices"], mesh.vertices[[top]])
+    assert found.defects["singular_vertices"].tolist() == [top]
+    np.testing.assert_array_equal(found.defect_points["singular_vertices"], mesh.vertices[[top]])
 
 
 def test_triangles_that_share_nothing_but_a_vertex() -> None:
@@ -104,9 +106,9 @@ def test_degenerate_and_duplicate_triangles() -> None:
     mesh, count = ball(), len(ball().triangles)
     first = mesh.triangles[0].tolist()
     found = check(planted(mesh, [], [[first[0], first[0], first[1]], first]))
-    assert found.places["degenerate_triangles"].tolist() == [count]
-    assert found.places["duplicate_triangles"].tolist() == [count + 1]
-    assert len(found.places["intersecting_triangles"]) == 0
+    assert found.defects["degenerate_triangles"].tolist() == [count]
+    assert found.defects["duplicate_triangles"].tolist() == [count + 1]
+    assert len(found.defects["intersecting_triangles"]) == 0
 
 
 def test_caps_and_needles_have_the_fields_names() -> None:
@@ -116,19 +118,19 @@ def test_caps_and_needles_have_the_fields_names() -> None:
     assert counts(check((cap, three))) == {"border_edges": 3, "caps": 1}
     assert counts(check((needle, three))) == {"border_edges": 3, "needles": 1}
     # The paper's angle finds neither.
-    assert counts(check((cap, three), corner_angle=PAPERS_CORNER_ANGLE)) == {"border_edges": 3}
+    assert counts(check((cap, three), corner_angle=PAPER_CORNER_ANGLE)) == {"border_edges": 3}
 
 
 def test_a_fold_and_what_lies_on_what_it_is_joined_to() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, 0.9, 0.0]])
     flat = np.array([[0, 1, 2], [1, 0, 3]])
     found = check((vertices, flat))
-    assert found.places["sharp_edges"].tolist() == [[0, 1]]
-    assert found.places["intersecting_triangles"].tolist() == [0, 1]
+    assert found.defects["sharp_edges"].tolist() == [[0, 1]]
+    assert found.defects["intersecting_triangles"].tolist() == [0, 1]
     vertices[3, 2] = 0.1
     opened = check((vertices, flat))
-    assert opened.places["sharp_edges"].tolist() == [[0, 1]]
-    assert len(opened.places["intersecting_triangles"]) == 0
+    assert opened.defects["sharp_edges"].tolist() == [[0, 1]]
+    assert len(opened.defects["intersecting_triangles"]) == 0
     assert counts(check((vertices, flat), fold_angle=5)) == {"border_edges": 4}
 
 
@@ -137,7 +139,7 @@ def test_a_vertex_pulled_out_is_a_spike() -> None:
     pulled = mesh.vertices.copy()
     pulled[5] *= 3
     found = check((pulled, mesh.triangles))
-    assert found.places["spikes"].tolist() == [5]
+    assert found.defects["spikes"].tolist() == [5]
     assert "spikes" not in counts(check((pulled, mesh.triangles), spike_angle=1))
 
 
@@ -148,8 +150,8 @@ def test_a_ball_that_looks_inwards() -> None:
     )
     found = check(both)
     assert found.is_watertight
-    assert found.inside_out == 1
-    assert [str(one) for one in found.unmet(["outward", "one-piece"])] == [
+    assert found.inside_out_count == 1
+    assert [str(one) for one in found.find_unmet(["outward", "one-piece"])] == [
         "1 of 2 connected components are oriented inwards.",
         "it has 2 connected components.",
     ]
@@ -159,9 +161,9 @@ def test_a_plate_is_as_thin_as_it_is() -> None:
     trimesh = pytest.importorskip("trimesh")
     found = check(trimesh.creation.box((1, 1, 0.01)), min_thickness=0.02)
     assert np.sort(found.thickness) == pytest.approx([0.01] * 4 + [1.0] * 8, rel=1e-3)
-    assert len(found.places["thin_triangles"]) == 4
-    assert found.figures()["thickness_least_m"] == pytest.approx(0.01, rel=1e-3)
-    assert "thinner than min_thickness: 4" in str(found.unmet(["no-thin-triangles"])[0])
+    assert len(found.defects["thin_triangles"]) == 4
+    assert found.figures()["thickness_min_m"] == pytest.approx(0.01, rel=1e-3)
+    assert "thinner than min_thickness: 4" in str(found.find_unmet(["no-thin-triangles"])[0])
 
 
 def test_copies_along_a_seam_are_one_vertex() -> None:
@@ -210,7 +212,7 @@ def test_what_is_apart_does_not_however_near(where: str, turn: int) -> None:
 def _two(other: tuple[list[float], ...], turn: int) -> list[int]:
     vertices = np.roll(np.array([*PLATE, *np.roll(other, turn, axis=0)], float), turn, axis=1)
     found = check((vertices, np.array([[0, 1, 2], [3, 4, 5]])))
-    return list(found.places["intersecting_triangles"])
+    return list(found.defects["intersecting_triangles"])
 
 
 @given(st.integers(0, 10**6), st.integers(2, 60), st.sampled_from([0.03, 0.1, 0.4]))
@@ -218,14 +220,14 @@ def _two(other: tuple[list[float], ...], turn: int) -> list[int]:
 def test_as_open3d_finds_them_in_soups(seed: int, count: int, size: float) -> None:
     mesh = soup(seed, count, size)
     pairs = np.asarray(to_open3d_legacy(mesh).get_self_intersecting_triangles())
-    assert check(mesh).places["intersecting_triangles"].tolist() == sorted(set(pairs.reshape(-1).tolist()))
+    assert check(mesh).defects["intersecting_triangles"].tolist() == sorted(set(pairs.reshape(-1).tolist()))
 
 
 def test_two_balls_that_cross_meet_along_a_ring() -> None:
     mesh, count = ball(), len(ball().triangles)
     moved = mesh.vertices + np.array([0.7, 0.01, 0.02])
     both = planted(mesh, moved.tolist(), (mesh.triangles + len(mesh.vertices)).tolist())
-    found = check(both).places["intersecting_triangles"]
+    found = check(both).defects["intersecting_triangles"]
     assert 0 < np.count_nonzero(found < count) < count / 4
     assert 0 < np.count_nonzero(found >= count) < count / 4
 
@@ -234,7 +236,7 @@ def test_any_number_of_threads_finds_the_same() -> None:
     mesh = soup(3, 3000, 0.05)
     one, three = (check(mesh, threads=threads) for threads in (1, 3))
     for name in CLASSES:
-        np.testing.assert_array_equal(one.places[name], three.places[name])
+        np.testing.assert_array_equal(one.defects[name], three.defects[name])
 
 
 # -- words, and bad input --------------------------------------------------------------------------------
@@ -252,7 +254,7 @@ def test_figures_name_all_classes_and_their_first_places() -> None:
 def test_an_empty_mesh_is_not_closed() -> None:
     found = check((np.empty((0, 3)), np.empty((0, 3), np.int32)))
     assert counts(found) == {}
-    assert [str(one) for one in found.unmet(["closed", "one-piece"])] == [
+    assert [str(one) for one in found.find_unmet(["closed", "one-piece"])] == [
         "it has no surface.",
         "it has 0 connected components.",
     ]
@@ -262,12 +264,12 @@ def test_an_unknown_requirement_is_refused() -> None:
     with pytest.raises(
         UsageError, match="unknown requirement 'waterproof'; valid requirements are watertight, closed"
     ):
-        check(ball()).unmet(["waterproof"])
+        check(ball()).find_unmet(["waterproof"])
 
 
 def test_nothing_is_promised_of_walls_without_a_limit() -> None:
     with pytest.raises(UsageError, match="no-thin-triangles needs min_thickness"):
-        check(ball()).unmet(["no-thin-triangles"])
+        check(ball()).find_unmet(["no-thin-triangles"])
 
 
 @pytest.mark.parametrize(
@@ -282,5 +284,5 @@ def test_real_meshes(shared_data: Path, name: str, wanted: dict[str, int]) -> No
     found = check(read_mesh(shared_data / "meshes" / name))
     topology = stages.topology(read_mesh(shared_data / "meshes" / name))
     assert counts(found).items() >= wanted.items()
-    assert len(found.places["border_edges"]) == topology.boundary_edges
-    assert len(found.places["singular_vertices"]) == topology.nonmanifold_vertices
+    assert len(found.defects["border_edges"]) == topology.boundary_edges
+    assert len(found.defects["singular_vertices"]) == topology.nonmanifold_vertices

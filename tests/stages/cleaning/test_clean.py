@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
-from scanloom.stages.surface.convert import to_open3d, to_trimesh
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import to_open3d, to_trimesh
 from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.texture import Image, Material, Texture
 from scanloom.stages.surface.topology import topology

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from scanloom import Mesh, MeshError, Repaired, UsageError, check, clean, repair
+from scanloom import Mesh, MeshError, RepairResult, UsageError, check, clean, repair
 from scanloom.stages.cleaning.check import CLASSES
-from scanloom.stages.cleaning.repairs.edited import GONE, Edited
+from scanloom.stages.cleaning.repairs.editable_mesh import GONE, EditableMesh
 from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.texture import Image, Material, Texture
 from tests.made.coloured_meshes import MESHES, ball, sheet
@@ -95,19 +95,23 @@ def inner_row(mesh: Mesh) -> int:
 
 def counts(mesh: Mesh, **params: float) -> dict[str, int]:
     found = check(mesh, **params)
-    return {name: len(places) for name, places in found.places.items() if len(places)}
+    return {name: len(places) for name, places in found.defects.items() if len(places)}
 
 
-def left(done: Repaired) -> dict[str, int]:
+def left(done: RepairResult) -> dict[str, int]:
     """Return the classes of which something is left, and how much; borders have to be."""
-    return {name: len(places) for name, places in done.left.items() if len(places) and name != "border_edges"}
+    return {
+        name: len(places)
+        for name, places in done.remaining_defects.items()
+        if len(places) and name != "border_edges"
+    }
 
 
-def assert_nothing_else_is_touched(mesh: Mesh, done: Repaired, around: NDArray[np.integer]) -> None:
+def assert_nothing_else_is_touched(mesh: Mesh, done: RepairResult, around: NDArray[np.integer]) -> None:
     """Every triangle that has none of these vertices, and all vertices but those moved, are as they were."""
     assert (np.diff(done.vertex_source) > 0).all()
     assert (np.diff(done.triangle_source) > 0).all()
-    spiked = done.repaired["spikes"]
+    spiked = done.repaired_defects["spikes"]
     still = ~np.isin(done.vertex_source, spiked)
     for name in ("vertices", "colors", "normals"):
         now, before = getattr(done.mesh, name), getattr(mesh, name)
@@ -120,12 +124,12 @@ def assert_nothing_else_is_touched(mesh: Mesh, done: Repaired, around: NDArray[n
     assert np.isin(mesh.triangles[gone], around).any(axis=1).all()
     np.testing.assert_array_equal(done.vertex_source[done.mesh.triangles][away], before[away])
     if mesh.texture is not None:
-        now, was = done.mesh.texture, mesh.texture.rows(done.triangle_source)
+        now, was = done.mesh.texture, mesh.texture.select_triangles(done.triangle_source)
         assert now.uvs[away].tobytes() == was.uvs[away].tobytes()
         np.testing.assert_array_equal(now.material_ids, was.material_ids)
 
 
-def assert_nothing_new(mesh: Mesh, done: Repaired, **params: float) -> None:
+def assert_nothing_new(mesh: Mesh, done: RepairResult, **params: float) -> None:
     """No class has a place that was not there; borders stay as they are."""
     before, now = check(mesh, **params), check(done.mesh, **params)
     # Of vertices in one place the first stands for all, which may have gone with a triangle of no area.
@@ -134,7 +138,7 @@ def assert_nothing_new(mesh: Mesh, done: Repaired, **params: float) -> None:
     for name, (kind, _, _) in CLASSES.items():
         if name == "thin_triangles":
             continue
-        places, was = now.places[name], before.places[name]
+        places, was = now.defects[name], before.defects[name]
         if kind == "triangle":
             places = done.triangle_source[places]
         else:
@@ -147,8 +151,8 @@ def assert_nothing_new(mesh: Mesh, done: Repaired, **params: float) -> None:
         assert keys[0] <= keys[1], name
         if name == "border_edges":
             assert keys[0] == keys[1]
-        if name in done.left:
-            left = done.left[name] if kind == "triangle" else named[done.left[name]]
+        if name in done.remaining_defects:
+            left = done.remaining_defects[name] if kind == "triangle" else named[done.remaining_defects[name]]
             left = (np.sort(left, axis=1) if kind == "edge" else left).tolist()
             assert keys[0] == (set(map(tuple, left)) if kind == "edge" else set(left)), name
 
@@ -200,10 +204,10 @@ def farthest(points: NDArray[np.float64], mesh: Mesh) -> float:
     return float(best.max(initial=0.0))
 
 
-def assert_bound_holds(mesh: Mesh, done: Repaired, each: int = 60) -> None:
+def assert_bound_holds(mesh: Mesh, done: RepairResult, each: int = 60) -> None:
     before = mesh.triangles[done.triangle_source]
     same = (done.vertex_source[done.mesh.triangles] == before).all(axis=1)
-    moved = np.isin(before, done.repaired["spikes"]).any(axis=1)
+    moved = np.isin(before, done.repaired_defects["spikes"]).any(axis=1)
     written = np.flatnonzero(~same | moved)
     old = np.setdiff1d(np.arange(len(mesh.triangles)), done.triangle_source[same & ~moved])
     off = max(
@@ -229,7 +233,7 @@ def test_what_is_planted_is_repaired_and_nothing_else_is_touched(
     assert CLASS_OF[plant] in counts(mesh)
     done = repair(mesh)
     name = CLASS_OF[plant]
-    assert len(done.found[name]) == len(done.repaired[name]) > 0
+    assert len(done.found_defects[name]) == len(done.repaired_defects[name]) > 0
     assert left(done) == {}
     assert done.diagnostics == ()
     assert counts(done.mesh) == counts(sound)
@@ -249,7 +253,7 @@ def test_a_spike_is_smoothed_where_the_surface_may_move_that_far() -> None:
     pulled[300] *= 1.5
     mesh = mesh.with_(vertices=pulled, normals=pulled / np.linalg.norm(pulled, axis=1, keepdims=True))
     done = repair(mesh, max_shape=0.6)
-    assert done.repaired["spikes"].tolist() == [300]
+    assert done.repaired_defects["spikes"].tolist() == [300]
     assert counts(done.mesh) == {}
     assert 0.4 < done.bound_m <= 0.6
     assert np.linalg.norm(done.mesh.vertices[300]) == pytest.approx(1, abs=0.02)
@@ -276,7 +280,8 @@ def test_many_at_once_on_every_kind_of_surface() -> None:
             mesh = planted(mesh, PLANTS[number % len(PLANTS)], row)
         done = repair(mesh)
         repaired, found = (
-            sum(len(some[name]) for name in CLASS_OF.values()) for some in (done.repaired, done.found)
+            sum(len(some[name]) for name in CLASS_OF.values())
+            for some in (done.repaired_defects, done.found_defects)
         )
         # On the curved ring a triangle that is folded over lies on nothing.
         assert repaired > 0.7 * found > 0
@@ -307,7 +312,7 @@ def test_what_has_no_operation_is_told_and_stays() -> None:
     )
     done = repair(fin)
     assert done.mesh.triangles.tobytes() == fin.triangles.tobytes()
-    assert len(done.found["nonmanifold_edges"]) == 1
+    assert len(done.found_defects["nonmanifold_edges"]) == 1
     assert "1 nonmanifold edges" in str(done.diagnostics[-1])
     figures = done.figures()["classes"]["nonmanifold_edges"]
     assert (figures["treatment"], figures["found"], figures["left"]) == ("warning", 1, 1)
@@ -365,8 +370,8 @@ def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) 
         fin = np.concatenate((mesh.triangles, [[a, b, len(mesh.vertices) - 1]])).astype(np.int32)
         mesh = mesh.with_triangles(fin, np.append(np.arange(len(mesh.triangles)), row))
     done = repair(mesh)
-    assert done.left["caps"].tolist() == [row]
-    assert reason in done.why["caps"][0]
+    assert done.remaining_defects["caps"].tolist() == [row]
+    assert reason in done.remaining_reasons["caps"][0]
     assert "1 of 1 caps not repaired" in str(done.diagnostics[0])
     assert done.mesh.triangles.tobytes() == mesh.triangles.tobytes()
     assert done.mesh.vertices.tobytes() == mesh.vertices.tobytes()
@@ -382,8 +387,8 @@ def test_a_needle_is_not_collapsed_along_a_seam_that_would_tear() -> None:
         uvs[mesh.triangles == vertex] += np.arange(np.count_nonzero(mesh.triangles == vertex))[:, None]
         mesh = mesh.with_(texture=replace(mesh.texture, uvs=uvs))
     done = repair(mesh)
-    assert len(done.left["needles"]) == 2
-    assert all("texture" in why for why in done.why["needles"])
+    assert len(done.remaining_defects["needles"]) == 2
+    assert all("texture" in why for why in done.remaining_reasons["needles"])
     assert done.mesh.texture.uvs.tobytes() == mesh.texture.uvs.tobytes()
 
 
@@ -405,9 +410,9 @@ def test_what_passes_the_bound_is_rolled_back_alone() -> None:
     gone = np.setdiff1d(np.arange(len(mesh.vertices)), done.vertex_source)
     assert len(gone) == 1
     assert gone[0] in (new, sound.triangles[near, 0])
-    assert done.rolled_back["needles"] >= 1
-    assert len(done.left["needles"]) == len(done.repaired["needles"]) == 2
-    assert all("not proven to be within max_shape" in why for why in done.why["needles"])
+    assert done.rollback_counts["needles"] >= 1
+    assert len(done.remaining_defects["needles"]) == len(done.repaired_defects["needles"]) == 2
+    assert all("not proven to be within max_shape" in why for why in done.remaining_reasons["needles"])
     assert done.bound_m <= 0.0004 < 0.0005 <= every.bound_m
     beside = (mesh.triangles == sound.triangles[near, 0]).any(axis=1)
     assert_nothing_else_is_touched(mesh, done, np.append(mesh.triangles[beside], new))
@@ -420,8 +425,8 @@ def test_a_spike_is_rolled_back_by_default() -> None:
     pulled[300] *= 1.5
     mesh = mesh.with_(vertices=pulled)
     done = repair(mesh)
-    assert done.rolled_back["spikes"] == 1
-    assert done.left["spikes"].tolist() == [300]
+    assert done.rollback_counts["spikes"] == 1
+    assert done.remaining_defects["spikes"].tolist() == [300]
     assert done.mesh.vertices.tobytes() == mesh.vertices.tobytes()
     assert "1 where the distance is not proven to be within max_shape" in str(done.diagnostics[0])
 
@@ -434,28 +439,30 @@ def test_no_distance_at_all_leaves_everything() -> None:
 
 
 def test_undoing_an_edit_undoes_what_rests_on_it_and_no_more() -> None:
-    edited = Edited.start(plain())
-    before = edited.corner.copy(), edited.triangles.copy(), edited.places.copy()
+    edited = EditableMesh.start(plain())
+    before = edited.input_corners.copy(), edited.triangles.copy(), edited.positions.copy()
     none = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3))
 
     def edit(seen: list[int], written: int, corner: int) -> int:
         corners = np.full((1, 3), corner) if corner == GONE else np.arange(corner, corner + 3)[None]
         seen_by = np.zeros(len(seen), np.int64), np.array(seen)
-        return int(edited.make(seen_by, (np.zeros(1, np.int64), np.array([written]), corners), none, 1)[0])
+        return int(
+            edited.apply_edits(seen_by, (np.zeros(1, np.int64), np.array([written]), corners), none, 1)[0]
+        )
 
     first = edit([4, 5], 5, 30)
-    after_first = edited.corner.copy()
+    after_first = edited.input_corners.copy()
     rests = edit([5, 9], 9, GONE)
     apart = edit([50, 51], 51, 60)
     rests_on_that = edit([9, 12], 12, 90)
     undone, rows = edited.undo(np.array([rests]))
     assert undone.tolist() == [rests, rests_on_that]
     assert rows.tolist() == [9, 12]
-    assert edited.corner[51].tolist() == [60, 61, 62]
+    assert edited.input_corners[51].tolist() == [60, 61, 62]
     edited.undo(np.array([apart]))
-    np.testing.assert_array_equal(edited.corner, after_first)
+    np.testing.assert_array_equal(edited.input_corners, after_first)
     edited.undo(np.array([first]))
-    for now, was in zip((edited.corner, edited.triangles, edited.places), before, strict=True):
+    for now, was in zip((edited.input_corners, edited.triangles, edited.positions), before, strict=True):
         np.testing.assert_array_equal(now, was)
 
 
@@ -494,7 +501,7 @@ def test_a_crumpled_sheet_gets_no_worse(
         tuple(xyz): uv
         for xyz, uv in zip(mesh.vertices[mesh.triangles].reshape(-1, 3).tolist(), was, strict=True)
     }
-    moved = np.isin(done.vertex_source, done.repaired["spikes"])
+    moved = np.isin(done.vertex_source, done.repaired_defects["spikes"])
     for xyz, uv, is_moved in zip(
         done.mesh.vertices[done.mesh.triangles].reshape(-1, 3).tolist(),
         done.mesh.texture.uvs.reshape(-1, 2),
@@ -523,7 +530,7 @@ def test_clean_repairs_on_request_and_keeps_where_all_came_from() -> None:
     sound = ball()
     mesh = planted(planted(sound, "needle", 700), "cap", 100)
     untouched = clean(mesh)
-    assert untouched.repaired is None
+    assert untouched.repair_result is None
     assert "repair" not in untouched.figures()
     done = clean(mesh, repair=True)
     assert counts(done.mesh) == {}
@@ -556,5 +563,5 @@ def test_real_meshes_get_no_worse(shared_data: Path, name: str) -> None:
     mesh = read_mesh(shared_data / "meshes" / name)
     done = repair(mesh)
     assert_nothing_new(mesh, done)
-    assert sum(map(len, done.repaired.values())) > 0
+    assert sum(map(len, done.repaired_defects.values())) > 0
     assert done.bound_m <= done.max_shape_m

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from real_parts import quarter
+from partial_meshes import select_quarter
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.certify import CertifyParams, certify
@@ -13,8 +13,14 @@ from scanloom.stages.diagnostics.errors import MeshError, UsageError
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Located, Surface, bounding_box, closest_weights, interpolated
-from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.raycasting import (
+    ClosestPoints,
+    RaycastingSurface,
+    compute_bounding_box,
+    compute_closest_weights,
+    interpolate_values,
+)
+from scanloom.stages.surface.topology import compute_areas
 
 pytestmark = pytest.mark.slow
 
@@ -138,23 +144,23 @@ def brute_force(points, target: Mesh):
     best = np.full(len(points), np.inf)
     where, weights = np.zeros(len(points), int), np.zeros((len(points), 3))
     for t, triangle in enumerate(corners):
-        w = closest_weights(points, np.broadcast_to(triangle, (len(points), 3, 3)))
+        w = compute_closest_weights(points, np.broadcast_to(triangle, (len(points), 3, 3)))
         d = np.linalg.norm(points - w @ triangle, axis=1)
         closer = d < best
         best[closer], where[closer], weights[closer] = d[closer], t, w[closer]
-    return Located(where, weights, best)
+    return ClosestPoints(where, weights, best)
 
 
 def embree(points, target: Mesh):
-    box = bounding_box(target)
+    box = compute_bounding_box(target)
     box = np.stack([np.minimum(box[0], points.min(axis=0)), np.maximum(box[1], points.max(axis=0))])
-    return Surface(target, box).closest(points)
+    return RaycastingSurface(target, box).find_closest_points(points)
 
 
-def attack_points(mesh: Mesh, other: Mesh, count: int, rng) -> Located:
+def attack_points(mesh: Mesh, other: Mesh, count: int, rng) -> ClosestPoints:
     """Points of `mesh`: all over it, on sides and corners, and where the other's vertices and sides fall."""
     m, k = len(mesh.triangles), len(other.triangles)
-    share = areas(mesh.vertices, mesh.triangles)
+    share = compute_areas(mesh.vertices, mesh.triangles)
     share = share / share.sum() if share.sum() > 0 else np.full(m, 1 / m)
     on_sides = np.zeros((2 * m, 3))
     side, along = rng.integers(0, 3, 2 * m), rng.random(2 * m)
@@ -172,7 +178,7 @@ def attack_points(mesh: Mesh, other: Mesh, count: int, rng) -> Located:
     for points in (corners.reshape(-1, 3), crossing):
         found = brute_force(points, mesh) if m < 200 else embree(points, mesh)
         at.append((found.triangles, found.weights))
-    return Located(np.concatenate([t for t, _ in at]), np.concatenate([w for _, w in at]), np.zeros(0))
+    return ClosestPoints(np.concatenate([t for t, _ in at]), np.concatenate([w for _, w in at]), np.zeros(0))
 
 
 def attacked(result, original, found, count, rng, nearest):
@@ -183,12 +189,14 @@ def attacked(result, original, found, count, rng, nearest):
         (original, result, found.original_shape_bound, found.original_color_bound),
     ):
         at = attack_points(mesh, other, count, rng)
-        points = interpolated(mesh.vertices, mesh, at)
+        points = interpolate_values(mesh.vertices, mesh, at)
         hit = nearest(points, other)
         assert (hit.distances <= shape[at.triangles]).all()
         most[0] = max(most[0], hit.distances.max())
         if color is not None:
-            difference = interpolated(mesh.colors, mesh, at) - interpolated(other.colors, other, hit)
+            difference = interpolate_values(mesh.colors, mesh, at) - interpolate_values(
+                other.colors, other, hit
+            )
             difference = np.linalg.norm(difference, axis=1)
             assert (difference <= color[at.triangles]).all()
             most[1] = max(most[1], difference.max())
@@ -263,7 +271,7 @@ def test_what_is_said_to_stay_within_a_limit_does(seed, max_shape, max_color):
 )
 def test_a_million_samples_of_a_real_mesh_do_not_pass_the_bounds(shared_data, name, ratio, excess):
     original = read_mesh(shared_data / "meshes" / name)
-    original = clean(original if name == "cow.obj" else quarter(original)).mesh
+    original = clean(original if name == "cow.obj" else select_quarter(original)).mesh
     result = simplify(original, ratio=ratio).mesh
     found = certify(result, original)
     rng = np.random.default_rng(7)
@@ -282,7 +290,7 @@ def test_beside_a_needle_the_bounds_hold_for_a_search_that_overlooks_it():
     without = original.with_(triangles=original.triangles[:2])
     found = certify(result, original)
     at = attack_points(result, without, 1000, np.random.default_rng(0))
-    hit = brute_force(interpolated(result.vertices, result, at), without)
+    hit = brute_force(interpolate_values(result.vertices, result, at), without)
     assert hit.distances.max() > 0.9 * height
     assert (hit.distances <= found.shape_bound[at.triangles]).all()
 
@@ -343,7 +351,7 @@ def test_the_single_triangle_bounds_are_close_to_what_is_there(bumps):
     result, original = bumps
     found = certify(result, original)
     at = attack_points(original, result, 400_000, np.random.default_rng(2))
-    hit = embree(interpolated(original.vertices, original, at), result)
+    hit = embree(interpolate_values(original.vertices, original, at), result)
     seen = np.zeros(len(original.triangles))
     np.maximum.at(seen, at.triangles, hit.distances)
     assert (found.original_shape_bound <= 1.3 * seen + 0.03 * found.shape_bound_m).all()
@@ -427,12 +435,12 @@ def test_a_limit_takes_nothing_from_the_bounds(bumps):
 def test_where_only_a_decision_is_asked_for_the_limits_are_the_bounds(bumps):
     full = certify(*bumps)
     limit = 4 * full.shape_bound_m
-    decided = certify(*bumps, max_shape=limit, only_decide=True)
+    decided = certify(*bumps, max_shape=limit, check_only=True)
     assert decided.within_limits
     assert (decided.shape_bound == limit).all()
     assert decided.pieces < full.pieces
-    with pytest.raises(UsageError, match="only_decide"):
-        certify(*bumps, only_decide=True)
+    with pytest.raises(UsageError, match="check_only"):
+        certify(*bumps, check_only=True)
 
 
 def test_a_limit_below_a_loose_bound_is_decided_with_more_pieces(bumps):

@@ -30,17 +30,17 @@ def test_what_came_is_new_and_what_went_is_gone():
     found = changes(place((1, 1, 0), (3, 3, 0)), place((1, 1, 0), (3, 1, 0)), change_distance=0.02)
     assert found.new_area == pytest.approx(6 * 0.4**2)
     assert found.gone_area == pytest.approx(6 * 0.4**2)
-    new, gone = sorted(found.places, key=lambda one: one["kind"], reverse=True)
+    new, gone = sorted(found.regions, key=lambda one: one["kind"], reverse=True)
     np.testing.assert_allclose(new["point_m"], (3, 1, 0.5), atol=1e-6)
     np.testing.assert_allclose(gone["point_m"], (3, 3, 0.5), atol=1e-6)
     told = found.figures()
-    assert (told["new_places"], told["gone_places"]) == (1, 1)
-    colors = found.painted.colors
+    assert (told["new_regions"], told["gone_regions"]) == (1, 1)
+    colors = found.painted_mesh.colors
     assert colors is not None
     for color, at in (((45, 160, 70), (3, 1)), ((200, 60, 40), (3, 3))):
-        there = found.painted.vertices[(colors == color).all(axis=1)]
+        there = found.painted_mesh.vertices[(colors == color).all(axis=1)]
         np.testing.assert_allclose(there[:, :2].mean(axis=0), at, atol=1e-6)
-    assert len(found.painted.triangles) == len(found.new) + found.gone.sum()
+    assert len(found.painted_mesh.triangles) == len(found.new_mask) + found.gone_mask.sum()
 
 
 def test_nothing_has_changed_within_the_noise():
@@ -48,17 +48,17 @@ def test_nothing_has_changed_within_the_noise():
     noisy = before.vertices + np.random.default_rng(1).normal(0, 0.003, before.vertices.shape)
     # The default, 1 % of the diagonal of 5.7 m.
     found = changes(before, before.with_(vertices=noisy))
-    assert found.distance == pytest.approx(0.01 * np.linalg.norm((4, 4, 0.7)))
-    assert (found.new_area, found.gone_area, found.places) == (0, 0, ())
-    assert not found.new.any()
+    assert found.change_distance == pytest.approx(0.01 * np.linalg.norm((4, 4, 0.7)))
+    assert (found.new_area, found.gone_area, found.regions) == (0, 0, ())
+    assert not found.new_mask.any()
 
 
 def test_small_patches_are_left_out():
     before, after = place(), place((1, 1, 0))
     assert changes(before, after, change_distance=0.02, change_area=0.9).new_area == pytest.approx(0.96)
     left = changes(before, after, change_distance=0.02, change_area=1.0)
-    assert (left.new_area, left.places) == (0, ())
-    assert not left.new.any()
+    assert (left.new_area, left.regions) == (0, ())
+    assert not left.new_mask.any()
 
 
 def test_what_moved_by_less_than_itself_is_both():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from clouds import cloud
-from coloured_sheet import bumpy
+from clouds import make_cloud
+from coloured_sheet import make_bumpy_body
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -38,7 +38,7 @@ def from_points(points: Floats, others: Floats) -> tuple[Floats, np.ndarray]:
 def sheet(count: int, height: float, rng: np.random.Generator, size: float = 1.0) -> Mesh:
     """Return points of a level square, normals up."""
     points = np.column_stack([rng.uniform(-size, size, (count, 2)), np.full(count, height)])
-    return cloud(points, normals=np.tile((0.0, 0.0, 1.0), (count, 1)))
+    return make_cloud(points, normals=np.tile((0.0, 0.0, 1.0), (count, 1)))
 
 
 FLOOR = Mesh(
@@ -53,12 +53,12 @@ def test_points_are_as_far_from_a_box_as_its_formula_says(seed: int) -> None:
     half, offset = rng.uniform(0.2, 2, 3), rng.normal(size=3) * 10.0 ** rng.integers(0, 7)
     points = rng.uniform(-3, 3, (200, 3))
     wanted = from_box(points, half)
-    found = deviations(box(half, offset), cloud(points + offset), tolerance=0.5)
+    found = deviations(box(half, offset), make_cloud(points + offset), tolerance=0.5)
     told = found.figures()
     # So exact as numbers far from the origin are.
     exact = 1e-6 + 4 * np.spacing(np.abs(offset).max())
-    np.testing.assert_allclose(found.samples, wanted, atol=exact)
-    np.testing.assert_array_equal(found.at_vertices, found.samples)
+    np.testing.assert_allclose(found.sample_distances, wanted, atol=exact)
+    np.testing.assert_array_equal(found.vertex_distances, found.sample_distances)
     assert told["is_signed"]
     assert told["is_cloud"]
     assert told["samples"] == 200
@@ -76,7 +76,7 @@ def test_two_clouds_are_compared_point_by_point(seed: int) -> None:
     clouds = []
     for count in rng.integers(2, 120, 2):
         colors = rng.integers(0, 256, (count, 3), np.uint8)
-        clouds.append(cloud(rng.normal(size=(count, 3)), colors))
+        clouds.append(make_cloud(rng.normal(size=(count, 3)), colors))
     a, b = clouds
     found = compare(a, b)
     squares = []
@@ -109,11 +109,11 @@ def test_a_sheet_of_points_over_a_floor_and_a_floor_under_it(seed: int, height: 
     told = back.figures()
     assert told["is_signed"]
     assert not told["is_cloud"]
-    assert np.abs(back.samples).min() >= abs(height) - 1e-9
+    assert np.abs(back.sample_distances).min() >= abs(height) - 1e-9
     assert np.sign(told["mean_m"]) == -np.sign(height) or abs(height) < 1e-6
     # To the side it is to the nearest point as far as these lie apart.
     spacing = told["reference_spacing_m"]
-    aside = np.sqrt(back.samples**2 - height**2 + 1e-12)
+    aside = np.sqrt(back.sample_distances**2 - height**2 + 1e-12)
     assert 0.5 * spacing < np.median(aside) < 2.5 * spacing
 
 
@@ -127,9 +127,9 @@ def test_without_normals_there_are_no_signs() -> None:
 
 def test_the_spacing_of_a_lattice_is_its_step_even_where_points_are_there_twice() -> None:
     lattice = np.stack(np.meshgrid(*[np.arange(12) * 0.25] * 3), axis=-1).reshape(-1, 3)
-    points = cloud(np.concatenate([lattice, lattice[:700]]))
+    points = make_cloud(np.concatenate([lattice, lattice[:700]]))
     found = compare(points, points)
-    assert found.clouds[0].spacing == pytest.approx(0.25)
+    assert found.clouds[0].spacing_m == pytest.approx(0.25)
     assert found.figures()["clouds"]["b"] == {
         "points": len(points.vertices),
         "spacing_m": pytest.approx(0.25),
@@ -145,19 +145,19 @@ def test_colours_of_a_cloud_and_a_surface() -> None:
     points = rng.uniform(-1, 1, (300, 3))
     red = np.tile(np.array((200, 30, 30), np.uint8), (300, 1))
     reference = box(half, np.zeros(3), (190, 30, 30))
-    found = compare(reference, cloud(points, red), samples=500)
+    found = compare(reference, make_cloud(points, red), samples=500)
     assert found.color_a_to_b.rmse == pytest.approx(10 / np.sqrt(3))
     assert found.color_b_to_a.rmse == pytest.approx(10 / np.sqrt(3))
-    told = deviations(reference, cloud(points, red))
+    told = deviations(reference, make_cloud(points, red))
     assert 1 < told.figures()["delta_e_2000"]["mean"] < 5
-    assert told.painted.colors.shape == (300, 3)
-    assert compare(reference, cloud(points), samples=10).color is None
+    assert told.painted_mesh.colors.shape == (300, 3)
+    assert compare(reference, make_cloud(points), samples=10).color is None
 
 
 def test_a_cloud_far_off_takes_no_longer() -> None:
     rng = np.random.default_rng(5)
     floor = sheet(40_000, 0.0, rng)
-    far = cloud(floor.vertices + np.array((4e5, 5.2e6, 310)))
+    far = make_cloud(floor.vertices + np.array((4e5, 5.2e6, 310)))
     found = compare(floor, far)
     assert found.a_to_b.mean == pytest.approx(np.linalg.norm((4e5, 5.2e6, 310)), rel=1e-6)
 
@@ -169,13 +169,13 @@ def test_a_moved_cloud_is_moved_back_onto_its_surface_and_the_other_way(
 ) -> None:
     rng = np.random.default_rng(seed)
     away = np.array((4e5, 5.2e6, 300.0))
-    body = bumpy()
+    body = make_bumpy_body()
     body = body.with_(vertices=body.vertices + away)
     points, of = trimesh.sample.sample_surface(
         trimesh.Trimesh(body.vertices, body.triangles, process=False), 20_000, seed=seed
     )
     normals = trimesh.Trimesh(body.vertices, body.triangles, process=False).face_normals[of]
-    sampled = cloud(np.asarray(points), normals=np.asarray(normals) if has_normals else None)
+    sampled = make_cloud(np.asarray(points), normals=np.asarray(normals) if has_normals else None)
     turn = trimesh.transformations.rotation_matrix(np.radians(4), rng.normal(size=3), away)
     shift = rng.uniform(-0.03, 0.03, 3)
 
@@ -185,21 +185,21 @@ def test_a_moved_cloud_is_moved_back_onto_its_surface_and_the_other_way(
     given, reference = (body, sampled) if onto_cloud else (sampled, body)
     back, how = align(moved(given), reference)
     np.testing.assert_allclose(back.vertices, given.vertices, atol=4e-3)
-    assert how.overlap > 0.99
-    assert how.rms < 3e-3
+    assert how.overlap_ratio > 0.99
+    assert how.rms_m < 3e-3
 
 
 def test_the_distance_that_an_alignment_tells_is_to_planes() -> None:
     """Points that are sampled twice lie beside each other, and on one surface."""
-    body = bumpy()
+    body = make_bumpy_body()
     _, how = align(body, body)
-    assert how.rms < 1e-3
+    assert how.rms_m < 1e-3
 
 
 def test_what_has_no_extent_or_no_area_is_refused() -> None:
     with pytest.raises(InputError, match="first mesh: it has no triangles, and all its points coincide"):
-        compare(cloud(np.ones((3, 3))), FLOOR)
+        compare(make_cloud(np.ones((3, 3))), FLOOR)
     with pytest.raises(InputError, match=r"mesh: .*too large"):
-        deviations(FLOOR, cloud(np.array([[1e200, 0, 0], [0, 0, 0]])))
+        deviations(FLOOR, make_cloud(np.array([[1e200, 0, 0], [0, 0, 0]])))
     with pytest.raises(MeshError, match="later: it has no triangles"):
-        changes(FLOOR, cloud(np.eye(3)))
+        changes(FLOOR, make_cloud(np.eye(3)))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scanloom.stages.comparing.compare import CompareParams, compare
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 
 def grid(n: int = 9, width: float = 1.0, height: float = 0.0, color=None) -> Mesh:
@@ -81,7 +81,7 @@ def test_closest_points_agree_with_brute_force(seed, count, flatness):
     corners[thin, 2] = corners[thin, :2].mean(axis=1) + flatness * rng.normal(size=(thin.sum(), 3))
     mesh = Mesh(corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
     points = rng.normal(size=(50, 3)) * 1.5
-    found = Surface(mesh, np.array([[-8.0] * 3, [8.0] * 3])).closest(points)
+    found = RaycastingSurface(mesh, np.array([[-8.0] * 3, [8.0] * 3])).find_closest_points(points)
     assert (found.weights >= 0).all()
     np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-12)
     nearest = np.min(

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from coloured_sheet import bumpy
+from coloured_sheet import make_bumpy_body
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom import Mesh, align, deviations
-from scanloom.stages._open3d import open3d
-from scanloom.stages.comparing.needles import WithNeedles
-from scanloom.stages.comparing.palette import PALETTES, colors_of
-from scanloom.stages.comparing.signed import Sides
+from scanloom.stages._open3d import import_open3d
+from scanloom.stages.comparing.deviation_palette import PALETTES, colorize_distances
+from scanloom.stages.comparing.needle_search import NeedleSafeSurface
+from scanloom.stages.comparing.signed_distance import Pseudonormals
 from scanloom.stages.diagnostics.errors import InputError, UsageError
-from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 
 
 def mesh_of(made: trimesh.Trimesh, color: tuple[int, int, int] | None = None) -> Mesh:
@@ -36,8 +36,8 @@ def test_a_larger_ball_is_outside_and_a_smaller_one_inside():
         # The facets of both lie a little inside of the balls.
         assert told["mean_m"] == pytest.approx(offset, abs=2e-3)
         assert told["absolute_percentiles_m"]["50"] == pytest.approx(abs(offset), abs=2e-3)
-        assert (np.sign(found.at_vertices) == np.sign(offset)).all()
-        shares = told["share_within"], told["share_over"], told["share_under"]
+        assert (np.sign(found.vertex_distances) == np.sign(offset)).all()
+        shares = told["within_ratio"], told["over_ratio"], told["under_ratio"]
         assert shares == pytest.approx((1, 0, 0) if offset > 0 else (0, 0, 1))
 
 
@@ -47,7 +47,7 @@ def test_without_an_orientation_there_are_no_signs():
     triangles[::7] = triangles[::7, ::-1]
     told = deviations(flipped.with_(triangles=triangles), ball(0.97), tolerance=0.01).figures()
     assert not told["is_signed"]
-    assert told["mean_m"] is told["share_over"] is None
+    assert told["mean_m"] is told["over_ratio"] is None
     assert told["absolute_percentiles_m"]["50"] == pytest.approx(0.03, abs=2e-3)
 
 
@@ -58,7 +58,7 @@ def test_two_parallel_squares():
     told = deviations(square, above).figures()
     assert (told["lowest_m"], told["highest_m"]) == pytest.approx((0.3, 0.3))
     assert told["standard_deviation_m"] == pytest.approx(0, abs=1e-9)
-    assert told["share_within"] is None
+    assert told["within_ratio"] is None
     below = above.with_(vertices=above.vertices - np.array((0, 0, 0.6)))
     assert deviations(square, below).figures()["mean_m"] == pytest.approx(-0.3)
 
@@ -71,12 +71,12 @@ def test_signs_are_those_of_an_independent_test_of_inside(seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1.2, 1.7, (300, 3))
     mesh = mesh_of(made)
-    low, high = bounding_box(mesh)
+    low, high = compute_bounding_box(mesh)
     box = np.array([np.minimum(points.min(axis=0), low), np.maximum(points.max(axis=0), high)])
-    nearest = WithNeedles(Surface(mesh, box), box).closest(points)
+    nearest = NeedleSafeSurface(RaycastingSurface(mesh, box), box).find_closest_points(points)
     clear = nearest.distances > 1e-4
-    signs = Sides(mesh).signs(points, nearest)
-    scene = open3d().t.geometry.RaycastingScene()
+    signs = Pseudonormals(mesh).compute_signs(points, nearest)
+    scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
     inside = scene.compute_occupancy(points.astype(np.float32), nsamples=5).numpy() > 0
     np.testing.assert_array_equal(signs[clear] < 0, inside[clear])
@@ -107,7 +107,7 @@ def test_the_worst_places_are_apart_and_worst_first():
 @pytest.mark.parametrize("palette", PALETTES)
 def test_colours_tell_sides_and_tolerance(palette):
     values = np.array((-2, -1, -0.5, -0.1, 0, 0.1, 0.5, 1, 2.0))
-    colors = colors_of(values, 0.2, 1, palette).astype(int)
+    colors = colorize_distances(values, 0.2, 1, palette).astype(int)
     assert len({tuple(c) for c in colors[3:6]}) == 1
     assert (colors[0] == colors[1]).all()
     assert (colors[7] == colors[8]).all()
@@ -120,7 +120,7 @@ def test_colours_tell_sides_and_tolerance(palette):
 @given(st.integers(0, 1000))
 def test_a_moved_copy_is_moved_back(seed):
     rng = np.random.default_rng(seed)
-    body = bumpy()
+    body = make_bumpy_body()
     axis = rng.normal(size=3)
     turn = trimesh.transformations.rotation_matrix(np.radians(rng.uniform(1, 8)), axis)[:3, :3]
     shift = rng.uniform(-0.05, 0.05, 3)
@@ -128,20 +128,20 @@ def test_a_moved_copy_is_moved_back(seed):
     back, how = align(moved, body)
     np.testing.assert_allclose(back.vertices, body.vertices, atol=2e-3)
     np.testing.assert_allclose(how.reference_from_mesh[:3, :3] @ turn, np.eye(3), atol=3e-3)
-    assert how.overlap > 0.99
+    assert how.overlap_ratio > 0.99
     np.testing.assert_allclose(back.up, turn.T[:, 2], atol=3e-3)
     again, still = align(back, body)
-    assert still.moved_rms < 1e-3
+    assert still.displacement_rms_m < 1e-3
     assert len(again.vertices) == len(body.vertices)
 
 
 def test_far_from_the_origin_too():
-    body = bumpy()
+    body = make_bumpy_body()
     away = np.array((4e5, -2e5, 30.0))
     far = body.with_(vertices=body.vertices + away)
     back, how = align(far.with_(vertices=far.vertices + np.array((0.02, 0, 0))), far)
     np.testing.assert_allclose(back.vertices, far.vertices, atol=2e-3)
-    assert how.moved_rms == pytest.approx(0.02, abs=2e-3)
+    assert how.displacement_rms_m == pytest.approx(0.02, abs=2e-3)
 
 
 def test_what_does_not_overlap_is_refused():

@@ -7,13 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browsers import PAGE, node
+from browsers import PAGE, run_node
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
 from scanloom import Image, Material, export, preset, read_mesh
 from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.exporting.export import AXES, GLTF, SUFFIXES, Exported, require_fitting
+from scanloom.stages.exporting.export import (
+    AXES,
+    EXPORT_SUFFIXES,
+    GLTF_SUFFIXES,
+    ExportResult,
+    require_supported_params,
+)
 from scanloom.stages.exporting.presets import PRESETS
 from scanloom.stages.surface.formats.gltf_container import read_container
 from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS
@@ -21,7 +27,7 @@ from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS
 VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 
 
-@pytest.mark.parametrize("suffix", [s for s in SUFFIXES if not s.startswith(".usd")])
+@pytest.mark.parametrize("suffix", [s for s in EXPORT_SUFFIXES if not s.startswith(".usd")])
 @pytest.mark.parametrize("made", [sheet, textured_sheet, ball])
 def test_every_format_holds_the_shape_where_it_was(tmp_path, suffix, made):
     mesh = made().with_(up=UP)
@@ -57,7 +63,7 @@ def test_where_nothing_tells_what_is_up_it_is_said(tmp_path):
     np.testing.assert_allclose(np.sort(back.vertices[:, 1]), np.sort(sheet().vertices[:, 2]), atol=1e-6)
 
 
-def unmet_of(written: Exported) -> list[str]:
+def unmet_of(written: ExportResult) -> list[str]:
     return [str(one) for one in written.diagnostics if one.severity is Severity.UNMET]
 
 
@@ -113,7 +119,7 @@ def test_the_validator_of_gltf_finds_nothing(tmp_path):
                     path = folder / f"{name}-{way}-{shading}-{up[1]}.glb"
                     export(made().with_(up=up), path, compress=way, shading=shading)
     export(textured_sheet(), folder / "web.glb", preset("web"))
-    said = node(VALIDATE, PAGE, folder)
+    said = run_node(VALIDATE, PAGE, folder)
     assert len(said) == 73
     worse = {name: [m for m in found if m["severity"] < 2] for name, found in said.items()}
     assert not any(worse.values()), worse
@@ -126,9 +132,9 @@ def test_a_file_for_the_web_is_small(tmp_path):
     assert written.position_error == pytest.approx(0.5 * 3**0.5 * 2.0**-13)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", EXPORT_SUFFIXES)
 def test_images_for_the_web_are_webp_where_programs_read_it(suffix):
-    assert preset("web", suffix).images == ("webp" if suffix in GLTF else "jpeg")
+    assert preset("web", suffix).images == ("webp" if suffix in GLTF_SUFFIXES else "jpeg")
 
 
 def test_blender_turns_obj_files_and_no_others(tmp_path):
@@ -162,7 +168,7 @@ def test_what_cannot_be_asked_is_refused_and_nothing_is_written(tmp_path, name, 
 
 def test_presets_fit_every_format_that_they_are_used_with():
     for name in PRESETS:
-        for suffix in SUFFIXES:
-            require_fitting(Path(f"a{suffix}"), preset(name, suffix))
+        for suffix in EXPORT_SUFFIXES:
+            require_supported_params(Path(f"a{suffix}"), preset(name, suffix))
     with pytest.raises(UsageError, match="the presets are web, unity, blender, print"):
         preset("paper")

@@ -10,7 +10,7 @@ import pytest
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
 from scanloom import export
-from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.formats.color_conversion import convert_srgb_to_linear
 
 pxr = pytest.importorskip("pxr")
 
@@ -42,7 +42,7 @@ def test_it_stands_in_metres_and_shows_its_colours(tmp_path, suffix, made):
     primvars = UsdGeom.PrimvarsAPI(shape)
     if mesh.colors is not None:
         light = np.array(primvars.GetPrimvar("displayColor").Get())
-        np.testing.assert_allclose(light, linear_from_srgb(mesh.colors / 255), atol=1e-6)
+        np.testing.assert_allclose(light, convert_srgb_to_linear(mesh.colors / 255), atol=1e-6)
         assert UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial()[0]
     if mesh.texture is not None:
         uvs = np.array(primvars.GetPrimvar("st").Get()).reshape(-1, 3, 2)

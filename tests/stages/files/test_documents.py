@@ -10,8 +10,8 @@ from scanloom.pipeline.config import Config
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files import documents
 from scanloom.stages.files.documents import read_document, read_json
-from scanloom.stages.files.row_numbers import numbers_on
-from scanloom.stages.scans.image_folders.image_files import numbers
+from scanloom.stages.files.number_rows import parse_number_row
+from scanloom.stages.scans.image_folders.image_files import extract_numbers
 
 MANY = 100_000
 DEEP = {
@@ -99,8 +99,8 @@ def test_a_configuration_of_megabytes_is_refused_unread(tmp_path: Path) -> None:
 
 
 def test_names_of_thousands_of_digits_have_numbers() -> None:
-    assert numbers("9" * 10_000) == (int("9" * 255),)
-    assert numbers("cam0_0012") == (0, 12)
+    assert extract_numbers("9" * 10_000) == (int("9" * 255),)
+    assert extract_numbers("cam0_0012") == (0, 12)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
@@ -109,7 +109,7 @@ def test_texts_of_other_systems_are_read(tmp_path, encoding, end):
     mark = {"utf-16-le": b"\xff\xfe", "utf-16-be": b"\xfe\xff"}.get(encoding, b"")
     text = f"# Gr\u00f6\u00dfe{end}1 2{end}3 4{end}"
     (tmp_path / "a.txt").write_bytes(mark + text.encode(encoding))
-    assert list(documents.lines(tmp_path / "a.txt")) == [(2, "1 2"), (3, "3 4")]
+    assert list(documents.iterate_lines(tmp_path / "a.txt")) == [(2, "1 2"), (3, "3 4")]
 
 
 @pytest.mark.parametrize("data", [b"\x00\x01\x02\xff", b"\xff\xfe\x00\xd8", b"1 2\x00\xe9"])
@@ -133,13 +133,13 @@ def test_what_is_no_text_is_told(tmp_path, data):
     ],
 )
 def test_numbers_on_a_line(line, numbers):
-    assert numbers_on(line) == numbers
+    assert parse_number_row(line) == numbers
 
 
 @pytest.mark.parametrize("line", ["1 a", "1,,2", "0,5 a", "1.5,5 0.3x"])
 def test_what_is_no_number_ends_the_line(line):
     with pytest.raises(ValueError, match="could not convert"):
-        numbers_on(line)
+        parse_number_row(line)
 
 
 def test_names_of_lists_written_on_windows(tmp_path):

@@ -6,8 +6,8 @@ import OpenEXR
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.exr import exr_size, read_exr
-from scanloom.stages.files.images import image_size
+from scanloom.stages.files.exr import read_exr, read_exr_size
+from scanloom.stages.files.images import read_image_size
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame
 
@@ -26,7 +26,7 @@ def write(path, channels, method="ZIP"):
 def test_one_channel_is_depth_whatever_its_name(tmp_path, method, name):
     path = write(tmp_path / "a.exr", {name: DEPTH}, method)
     np.testing.assert_array_equal(read_exr(path), DEPTH)
-    assert exr_size(path) == image_size(path) == (32, 24)
+    assert read_exr_size(path) == read_image_size(path) == (32, 24)
 
 
 def test_it_is_a_depth_map_as_others_are(tmp_path):
@@ -93,7 +93,7 @@ def test_a_header_that_promises_a_giant_is_refused_before_decoding(tmp_path, box
     path = write(tmp_path / "a.exr", {"Z": DEPTH})
     data = path.read_bytes()
     path.write_bytes(data.replace(struct.pack("<4i", 0, 0, 31, 23), struct.pack("<4i", *box)))
-    for read in (read_exr, exr_size):
+    for read in (read_exr, read_exr_size):
         with pytest.raises(InputError, match="header is damaged"):
             read(path)
 
@@ -108,6 +108,6 @@ def test_tiles_are_refused_by_name(tmp_path):
 
 
 def test_a_missing_file_is_told(tmp_path):
-    for read in (read_exr, exr_size):
+    for read in (read_exr, read_exr_size):
         with pytest.raises(InputError, match=r"gone\.exr: the image cannot be opened"):
             read(tmp_path / "gone.exr")

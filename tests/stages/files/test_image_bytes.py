@@ -12,15 +12,15 @@ import pytest
 from PIL import Image
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.image_bytes import decoded_image, encoded_png, promised_size
-from scanloom.stages.files.images import image_size, read_stored
+from scanloom.stages.files.image_bytes import decode_image, encode_png, read_header_size
+from scanloom.stages.files.images import read_image_size, read_stored_image
 
 SMALL = np.full((3, 5, 3), 7, np.uint8)
 
 
 def png(width: int, height: int) -> bytes:
     """A PNG that states this size and holds the pixels of another."""
-    data = bytearray(encoded_png(SMALL))
+    data = bytearray(encode_png(SMALL))
     data[16:24] = struct.pack(">2I", width, height)
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     return bytes(data)
@@ -41,8 +41,8 @@ def tiff(width: int, height: int) -> bytes:
 
 @pytest.mark.parametrize("make", [png, tiff])
 def test_sizes_are_told_from_the_header(make) -> None:
-    assert promised_size(make(5, 3)) == (5, 3)
-    assert promised_size(make(50_000, 40_000)) == (50_000, 40_000)
+    assert read_header_size(make(5, 3)) == (5, 3)
+    assert read_header_size(make(50_000, 40_000)) == (50_000, 40_000)
 
 
 @pytest.mark.parametrize("make", [png, tiff])
@@ -51,14 +51,14 @@ def test_images_that_cannot_be_are_refused(tmp_path: Path, make, size: tuple[int
     """A height of 0 was divided by."""
     path = tmp_path / "a.png"
     path.write_bytes(make(*size))
-    for read in (image_size, read_stored):
+    for read in (read_image_size, read_stored_image):
         with pytest.raises(InputError, match=r"a\.png: (its header is damaged|the image does not decode)"):
             read(path)
-    assert decoded_image(make(*size)) is None
+    assert decode_image(make(*size)) is None
 
 
 def test_a_part_of_a_png_that_claims_gigabytes_is_not_reserved() -> None:
-    data = bytearray(encoded_png(SMALL))
+    data = bytearray(encode_png(SMALL))
     at = data.index(b"IDAT") - 4
     data[at : at + 4] = (0x7FFFFFF0).to_bytes(4, "big")
-    assert decoded_image(bytes(data)) is None
+    assert decode_image(bytes(data)) is None

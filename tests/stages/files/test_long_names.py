@@ -9,10 +9,10 @@ import pytest
 from coloured_meshes import ball
 from seamed_meshes import wrapped_ball
 
-from scanloom.pipeline.cache.files import copy_whole, remove_abandoned, write_whole
-from scanloom.stages.files.replacing import draft_of, replacing
+from scanloom.pipeline.cache.atomic_files import copy_atomically, remove_abandoned_drafts, write_atomically
+from scanloom.stages.files.atomic_files import create_draft_path, write_file_atomically
 from scanloom.stages.normal_meshes.remesh import remesh
-from scanloom.stages.picturing.render import write_png
+from scanloom.stages.rendering.render import write_png
 from scanloom.stages.simplification.records.archive import write_arrays
 from scanloom.stages.surface.formats.ply import write_ply_cloud
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
@@ -28,11 +28,11 @@ def longest(extension: str, length: int = 255) -> str:
 def test_a_file_of_any_name_is_written_whole(tmp_path: Path, length: int) -> None:
     path = tmp_path / longest(".bin", length)
     assert len(path.name.encode()) == length
-    with replacing(path) as part:
+    with write_file_atomically(path) as part:
         assert part.parent == tmp_path
         part.write_bytes(b"content")
-    write_whole(path, b"other content")
-    copy_whole(path, tmp_path / longest(".too", length))
+    write_atomically(path, b"other content")
+    copy_atomically(path, tmp_path / longest(".too", length))
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {
         path.name: b"other content",
         longest(".too", length): b"other content",
@@ -42,10 +42,10 @@ def test_a_file_of_any_name_is_written_whole(tmp_path: Path, length: int) -> Non
 def test_drafts_of_long_names_are_found_again(tmp_path: Path) -> None:
     path, other = (tmp_path / longest(extension) for extension in (".bin", ".too"))
     for each in (path, path, other):
-        draft_of(each).write_bytes(b"half")
-    remove_abandoned(path)
+        create_draft_path(each).write_bytes(b"half")
+    remove_abandoned_drafts(path)
     assert len(list(tmp_path.iterdir())) == 1
-    remove_abandoned(other)
+    remove_abandoned_drafts(other)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.lzfse_blocks import decompress, raw_size
+from scanloom.stages.files.lzfse_blocks import decompress_lzfse, sum_block_sizes
 
 RNG = np.random.default_rng(0)
 
@@ -23,21 +23,21 @@ RNG = np.random.default_rng(0)
 )
 def test_what_was_compressed_comes_out(raw):
     data = lzfse.compress(raw)
-    assert raw_size(data) == len(raw)
-    assert decompress(data, len(raw), "a") == raw
+    assert sum_block_sizes(data) == len(raw)
+    assert decompress_lzfse(data, len(raw), "a") == raw
 
 
 def test_another_size_is_refused_before_anything_is_decompressed(monkeypatch):
     data = lzfse.compress(bytes(1 << 20))
     monkeypatch.setattr(lzfse, "decompress", lambda _: pytest.fail("it was decompressed"))
     with pytest.raises(InputError, match="a: it decompresses to 1048576 bytes, but 100 are expected"):
-        decompress(data, 100, "a")
+        decompress_lzfse(data, 100, "a")
 
 
 def test_thousands_of_tiny_blocks_are_refused():
     block = b"bvx-" + (1).to_bytes(4, "little") + b"x"
-    assert raw_size(block * 2 + b"bvx$") == 2
-    assert raw_size(block * 5000 + b"bvx$") is None
+    assert sum_block_sizes(block * 2 + b"bvx$") == 2
+    assert sum_block_sizes(block * 5000 + b"bvx$") is None
 
 
 def test_cut_short_or_damaged_it_is_an_error_or_other_bytes():
@@ -45,10 +45,10 @@ def test_cut_short_or_damaged_it_is_an_error_or_other_bytes():
     data = lzfse.compress(raw)
     for length in range(0, len(data), 101):
         with pytest.raises(InputError, match="damaged or cut short"):
-            decompress(data[:length], len(raw), "a")
+            decompress_lzfse(data[:length], len(raw), "a")
     for _ in range(300):
         broken = bytearray(data)
         for at in RNG.integers(0, len(data), 4):
             broken[at] = RNG.integers(256)
         with contextlib.suppress(InputError):
-            assert len(decompress(bytes(broken), len(raw), "a")) == len(raw)
+            assert len(decompress_lzfse(bytes(broken), len(raw), "a")) == len(raw)

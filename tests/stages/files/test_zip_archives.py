@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.zip_archives import entry_content, opened_archive
+from scanloom.stages.files.zip_archives import open_archive, read_entry
 
 BIG = 50_000_000
 
@@ -32,14 +32,14 @@ def understated(path: Path, size: int) -> None:
 @pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
 def test_what_is_stored_or_deflated_is_read(tmp_path: Path, method: int) -> None:
     path = packed(tmp_path, b"abc" * 100, method)
-    assert entry_content(opened_archive(path), "x", path, 300) == b"abc" * 100
+    assert read_entry(open_archive(path), "x", path, 300) == b"abc" * 100
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
 def test_an_entry_of_more_than_it_may_hold_is_refused(tmp_path: Path, method: int) -> None:
     path = packed(tmp_path, b"abc" * 100, method)
     with pytest.raises(InputError, match=r"a\.zip: x is too large: it has 300 bytes, and at most 299"):
-        entry_content(opened_archive(path), "x", path, 299)
+        read_entry(open_archive(path), "x", path, 299)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -51,7 +51,7 @@ def test_methods_without_bounds_are_refused_unread(tmp_path: Path, method: int, 
         understated(path, 100)
     tracemalloc.start()
     with pytest.raises(InputError, match=r"a\.zip: x has an unsupported compression method; .* deflate"):
-        entry_content(opened_archive(path), "x", path, 2 * BIG)
+        read_entry(open_archive(path), "x", path, 2 * BIG)
     assert tracemalloc.get_traced_memory()[1] < BIG / 10
     tracemalloc.stop()
 
@@ -61,7 +61,7 @@ def test_a_deflated_entry_that_holds_more_than_it_says(tmp_path: Path) -> None:
     understated(path, 100)
     tracemalloc.start()
     with pytest.raises(InputError, match=r"a\.zip: x cannot be read from the archive; it is damaged"):
-        entry_content(opened_archive(path), "x", path, BIG)
+        read_entry(open_archive(path), "x", path, BIG)
     assert tracemalloc.get_traced_memory()[1] < BIG / 10
     tracemalloc.stop()
 
@@ -69,9 +69,9 @@ def test_a_deflated_entry_that_holds_more_than_it_says(tmp_path: Path) -> None:
 def test_no_archive_and_no_such_entry(tmp_path: Path) -> None:
     path = packed(tmp_path, b"abc", zipfile.ZIP_STORED)
     with pytest.raises(InputError, match=r"a\.zip: y cannot be read from the archive"):
-        entry_content(opened_archive(path), "y", path, 3)
+        read_entry(open_archive(path), "y", path, 3)
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(InputError, match=r"a\.zip: the archive does not open"):
-        opened_archive(path)
+        open_archive(path)
     with pytest.raises(InputError, match=r"the archive does not open"):
-        opened_archive(tmp_path)
+        open_archive(tmp_path)

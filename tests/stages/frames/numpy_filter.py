@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.frames.depth_filter import OrientedDepth, bridge_gaps, inverse_depth_differences
+from scanloom.stages.frames.depth_filter import OrientedDepth, compute_inverse_depth_differences, fill_gaps
 from scanloom.stages.scans.model.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
@@ -39,9 +39,9 @@ def orient_depth(depth: DepthImage, camera: Camera, *, max_jump: float, max_angl
     max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
     max_angle : degrees between the line of sight and the surface's normal.
     """
-    depth, inverse = bridge_gaps(depth, max_jump)
+    depth, inverse = fill_gaps(depth, max_jump)
     torn = np.zeros(depth.shape, bool)
-    across, down = (inverse_depth_differences(inverse, axis, max_jump, torn) for axis in (1, 0))
+    across, down = (compute_inverse_depth_differences(inverse, axis, max_jump, torn) for axis in (1, 0))
     rays = _rays(camera)
     normal = _normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
     obliqueness = _length(normal)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scanloom.stages import _kernels
 from scanloom.stages.frames import depth_filter
 from scanloom.stages.scans.model.images import read_depth
-from scanloom.stages.scans.model.scan import Camera, pinhole
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.model.scan import Camera, to_pinhole
+from scanloom.stages.scans.reader import read_scan
 from tests.stages.frames import numpy_filter
 
 LIMITS = {"max_jump": 0.05, "max_angle": 87.0}
@@ -65,7 +65,7 @@ def test_and_on_frames_of_a_sensor(shared_data: Path) -> None:
     frame = read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[40]
     depth = read_depth(frame)
     assert depth is not None
-    assert_alike(depth, pinhole(frame.camera))
+    assert_alike(depth, to_pinhole(frame.camera))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 2), (3, 60)])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
-from scanloom.stages.frames.features import match_descriptors, root_descriptors
+from scanloom.stages.frames.features import compute_root_sift, match_descriptors
 
 
 def some(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
@@ -30,7 +30,7 @@ def test_matches_are_those_of_all_products(seed: int, there: int, more: int, off
     if there == 0 or len(target) < 2:
         assert not found
         return
-    likeness = root_descriptors(source).astype(np.float64) @ root_descriptors(target).T
+    likeness = compute_root_sift(source).astype(np.float64) @ compute_root_sift(target).T
     first, second = np.sort(2 - 2 * likeness, axis=1)[:, :2].T
     nearest, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
     margin = np.sqrt(first.clip(0)) - 0.8 * np.sqrt(second)

@@ -9,27 +9,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chunked_sample import use_small_chunks
 from numpy.typing import NDArray
-from sample_in_pieces import small_pieces
 
 from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
-from scanloom.stages.fusion.adding import begun
+from scanloom.stages.fusion.brick_fusion import FusedInBricks, fuse_in_bricks
 from scanloom.stages.fusion.bricks import (
-    Cube,
-    Seen,
-    coordinates,
-    level_of,
-    numbers_of,
-    passes,
-    touched_bricks,
+    BlockCube,
+    TouchedBlockCounter,
+    compute_level,
+    decode_z_order,
+    encode_z_order,
+    find_affected_bricks,
+    split_into_passes,
 )
 from scanloom.stages.fusion.fuse import fuse, fuse_to_file
-from scanloom.stages.fusion.in_bricks import FusedInBricks, fuse_in_bricks
+from scanloom.stages.fusion.integration import prepare_fusion
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.scans.model.scan import Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.surface.chunked_ply import ChunkedPly
 from scanloom.stages.surface.formats.ply import read_ply, write_ply
-from scanloom.stages.surface.pieces import Pieces
 from scanloom.stages.surface.topology import topology
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
@@ -54,37 +54,37 @@ def random_blocks(seed: int, reach: int, count: int) -> NDArray[np.int64]:
 
 
 def test_a_brick_is_as_large_as_asked_for_to_the_nearest_power_of_two() -> None:
-    assert [level_of(size, 0.01) for size in (4.0, 2.0, 0.2, 0.001)] == [6, 5, 1, 1]
+    assert [compute_level(size, 0.01) for size in (4.0, 2.0, 0.2, 0.001)] == [6, 5, 1, 1]
 
 
 def test_places_and_keys_tell_each_other() -> None:
     blocks = random_blocks(0, 1 << 19, 1000)
-    assert (coordinates(numbers_of(blocks, 0)) == blocks).all()
-    for block, number in zip(blocks >> 3, numbers_of(blocks >> 3, 3), strict=True):
-        low = np.array(Cube(3, int(number)).low)
+    assert (decode_z_order(encode_z_order(blocks, 0)) == blocks).all()
+    for block, number in zip(blocks >> 3, encode_z_order(blocks >> 3, 3), strict=True):
+        low = np.array(BlockCube(3, int(number)).low)
         assert (low == block * 8).all()
 
 
 @pytest.mark.parametrize("level", [1, 2, 4])
 def test_a_frame_is_for_the_bricks_it_touches_and_those_beside(level: int) -> None:
     blocks = random_blocks(1, 40, 30)
-    found = touched_bricks(numbers_of(blocks, 0), level)
+    found = find_affected_bricks(encode_z_order(blocks, 0), level)
     around = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     beside = (blocks[:, None] + around).reshape(-1, 3)
-    assert found == sorted({int(number) for number in numbers_of(beside >> level, level)})
+    assert found == sorted({int(number) for number in encode_z_order(beside >> level, level)})
 
 
 def test_each_block_is_in_one_cube_that_fits() -> None:
     blocks = np.unique(random_blocks(2, 30, 400), axis=0)
-    keys = np.sort(numbers_of(blocks, 0))
-    cubes = passes(keys, 1, 40)
+    keys = np.sort(encode_z_order(blocks, 0))
+    cubes = split_into_passes(keys, 1, 40)
     assert len(cubes) > 20
-    numbers = [np.unique(keys[(keys >> np.uint64(3 * cube.level)) == cube.number]) for cube in cubes]
+    numbers = [np.unique(keys[(keys >> np.uint64(3 * cube.level)) == cube.index]) for cube in cubes]
     assert (np.concatenate(numbers) == keys).all()
     for cube in cubes:
         near = (blocks >= np.array(cube.low) - 1) & (blocks <= np.array(cube.high))
         assert cube.level == 1 or near.all(axis=1).sum() <= 40
-    assert len(passes(keys, 1, 10_000)) == 1
+    assert len(split_into_passes(keys, 1, 10_000)) == 1
 
 
 @pytest.mark.parametrize(("size", "memory"), [(0.16, 4000), (0.3, 2), (0.7, 1.2)])
@@ -94,7 +94,7 @@ def test_bricks_give_the_bytes_of_one_piece(
     params = FuseParams(voxel_size=0.01, brick_size=size, memory=memory)
     found = fuse_to_file(scan, params, tmp_path / "fused.ply")
     assert isinstance(found, FusedInBricks)
-    assert found.bricks == found.fused_bricks > 1
+    assert found.brick_count == found.fused_brick_count > 1
     assert found.volume_bytes <= memory * 1e6
     assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
     assert [path.name for path in tmp_path.iterdir()] == ["fused.ply"]
@@ -106,18 +106,18 @@ def test_pieces_of_a_large_mesh_follow_from_the_mesh_alone(
     scan: Scan, crop: dict[str, Any], tmp_path: Path
 ) -> None:
     ways: dict[str, dict[str, Any]] = {"one": {}, "small": {"brick_size": 0.08}, "tight": {"memory": 1.5}}
-    with small_pieces():
+    with use_small_chunks():
         for way, params in ways.items():
             fuse_to_file(scan, FuseParams(voxel_size=0.01, **crop, **params), tmp_path / f"{way}.ply")
     tables = {way: (tmp_path / f"{way}.pieces.json").read_bytes() for way in ways}
     assert tables["one"] == tables["small"] == tables["tight"]
-    pieces = Pieces(tmp_path / "one.ply")
+    pieces = ChunkedPly(tmp_path / "one.ply")
     assert len(pieces) > 8
     whole = read_ply(tmp_path / "one.ply")
     assert pieces.triangle_count == len(whole.triangles)
     for number, extent in enumerate(pieces.extents):
-        part = pieces.part(number)
-        places = part.mesh.vertices[: part.own]
+        part = pieces.read_chunk(number)
+        places = part.mesh.vertices[: part.own_count]
         # Each owned vertex is in the box, or on an edge that leads out of it.
         assert ((places >= np.array(extent.low) - 1e-9) & (places < np.array(extent.high))).all()
 
@@ -163,7 +163,7 @@ def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path
     assert (whole.mesh.vertices == joined.mesh.vertices).all()
     assert whole.frames == joined.frames
     with pytest.raises(InputError, match="max_bad_share allows 0%"):
-        fuse(broken, voxel_size=0.02, brick_size=0.3, max_bad_share=0)
+        fuse(broken, voxel_size=0.02, brick_size=0.3, max_skipped_ratio=0)
 
 
 def test_a_wrong_guess_of_how_often_voxels_were_seen_is_put_right(
@@ -171,7 +171,11 @@ def test_a_wrong_guess_of_how_often_voxels_were_seen_is_put_right(
 ) -> None:
     whole = fuse(scan, voxel_size=0.02)
     assert whole.min_weight > 1
-    monkeypatch.setattr(Seen, "all", lambda seen, look=Seen.all: (look(seen)[0], look(seen)[1] * 0 + 1))
+    monkeypatch.setattr(
+        TouchedBlockCounter,
+        "get_counts",
+        lambda seen, look=TouchedBlockCounter.get_counts: (look(seen)[0], look(seen)[1] * 0 + 1),
+    )
     joined = fuse(scan, voxel_size=0.02, brick_size=0.6)
     assert joined.min_weight == whole.min_weight
     assert (whole.mesh.vertices == joined.mesh.vertices).all()
@@ -185,11 +189,15 @@ class Shelf:
         self.count = 0
         self.places: dict[str, Path] = {}
 
-    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
+    def get(self, brick: BlockCube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
         return self.places.get(repr((brick, list(frames), decided)))
 
     def store(
-        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+        self,
+        brick: BlockCube,
+        frames: Sequence[int],
+        decided: Mapping[str, Any],
+        make: Callable[[Path], None],
     ) -> Path:
         self.count += 1
         folder = self.folder / f"{self.count}"
@@ -205,15 +213,15 @@ def test_bricks_that_are_kept_are_not_fused_again(scan: Scan, in_one_piece: byte
     params = FuseParams(voxel_size=0.01, brick_size=0.3, memory=2)
 
     def again() -> FusedInBricks:
-        return fuse_in_bricks(begun(scan, params), tmp_path / "fused.ply", kept=kept)
+        return fuse_in_bricks(prepare_fusion(scan, params), tmp_path / "fused.ply", brick_store=kept)
 
     first = again()
-    assert again().fused_bricks == 0
+    assert again().fused_brick_count == 0
     assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
     # As after a run that was killed: what there was is taken, the rest is made.
     for name in list(kept.places)[::3]:
         del kept.places[name]
-    assert 0 < again().fused_bricks < first.fused_bricks
+    assert 0 < again().fused_brick_count < first.fused_brick_count
     assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
 
 
@@ -223,13 +231,13 @@ def test_a_frame_skipped_for_its_colours_is_told_from_bricks_that_are_kept(
     (tmp_path / "bad.jpg").write_bytes(b"no picture")
     frames = [*scan.frames]
     frames[3] = replace(frames[3], color=tmp_path / "bad.jpg")
-    work = begun(replace(scan, frames=frames), FuseParams(voxel_size=0.02, brick_size=0.3))
+    work = prepare_fusion(replace(scan, frames=frames), FuseParams(voxel_size=0.02, brick_size=0.3))
     kept = Shelf(tmp_path)
-    first, again = (fuse_in_bricks(work, tmp_path / "fused.ply", kept=kept) for _ in range(2))
-    assert again.fused_bricks == 0
+    first, again = (fuse_in_bricks(work, tmp_path / "fused.ply", brick_store=kept) for _ in range(2))
+    assert again.fused_brick_count == 0
     assert [one.name for one in first.skipped] == [one.name for one in again.skipped] == [frames[3].name]
     assert first.figures() == again.figures() | {
-        "bricks_fused": first.fused_bricks,
+        "bricks_fused": first.fused_brick_count,
         "volume_mb": first.volume_bytes / 1e6,
     }
 

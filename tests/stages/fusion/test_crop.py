@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from object_on_table import BALL, BOX_HALF_SIZE, CAMERA, OBJECT_POSITION, frames, pose, render_depth
 from scipy.spatial import cKDTree
-from thing_on_table import AT, BALL, CAMERA, HALF, frames, pose, seen
 
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from scanloom.stages.fusion.crop import Crop, cropped, cut, shown
-from scanloom.stages.fusion.fuse import Fused, fuse
+from scanloom.stages.fusion.crop import Crop, crop_depth, crop_mesh, mask_pixels_inside
+from scanloom.stages.fusion.fuse import FusionResult, fuse
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ def is_inside(crop: Crop, place: Floats) -> bool:
 @given(crops(), st.lists(points, min_size=1, max_size=5))
 @settings(max_examples=50)
 def test_points_are_outside_by_a_distance_that_is_none_inside(crop: Crop, places: list[Any]) -> None:
-    outside = crop.outside(np.array(places))
+    outside = crop.compute_distance(np.array(places))
     for place, far in zip(np.array(places), outside, strict=True):
         assert abs(far) < 1e-9 or (far < 0) == is_inside(crop, place)
 
@@ -70,7 +70,7 @@ def test_points_are_outside_by_a_distance_that_is_none_inside(crop: Crop, places
 @given(crops(), points, points)
 @settings(max_examples=50)
 def test_a_step_is_no_shorter_than_what_it_brings_further_outside(crop: Crop, a: Any, b: Any) -> None:
-    one, other = crop.outside(np.array([a, b]))
+    one, other = crop.compute_distance(np.array([a, b]))
     assert not crop or abs(one - other) <= np.linalg.norm(np.subtract(a, b)) + 1e-9
 
 
@@ -85,14 +85,14 @@ def test_depth_that_is_left_is_inside_and_what_is_not_left_was_not(
     view: PosedDepth, crop: Crop, by: float
 ) -> None:
     was = view.surface.depth
-    inside = shown(view, crop, by)
-    left = cropped(view, crop).surface.depth
-    assert (left == np.where(shown(view, crop), was, 0)).all()
+    inside = mask_pixels_inside(view, crop, by)
+    left = crop_depth(view, crop).surface.depth
+    assert (left == np.where(mask_pixels_inside(view, crop), was, 0)).all()
     # In the world by another way: as the camera's matrix has it, row and column swapped into x and y.
     rows, columns = np.nonzero(was)
     rays = np.linalg.solve(CAMERA.matrix, np.stack([columns, rows, np.ones(len(rows))])).T
     places = (rays * was[rows, columns, None]) @ view.pose[:3, :3].T + view.pose[:3, 3]
-    outside = crop.outside(places)
+    outside = crop.compute_distance(places)
     clear = np.abs(outside - by) > 1e-5
     assert (inside[rows, columns] == (outside <= by))[clear].all()
     assert np.count_nonzero(inside) == np.count_nonzero(inside[rows, columns]), "and none without depth"
@@ -100,15 +100,15 @@ def test_depth_that_is_left_is_inside_and_what_is_not_left_was_not(
 
 def test_no_crop_changes_nothing(view: PosedDepth) -> None:
     assert not Crop()
-    assert (cropped(view, Crop()).surface.depth == view.surface.depth).all()
-    assert (Crop().outside(np.zeros((2, 3))) < 0).all()
+    assert (crop_depth(view, Crop()).surface.depth == view.surface.depth).all()
+    assert (Crop().compute_distance(np.zeros((2, 3))) < 0).all()
 
 
 def test_a_mesh_keeps_the_triangles_that_are_inside_with_their_colours_and_order() -> None:
     vertices = np.array([[x, y, 0.0] for y in (0, 1) for x in range(5)])
     triangles = np.array([[x, x + 1, x + 5] for x in range(4)], np.int32)
     colors = np.arange(30, dtype=np.uint8).reshape(10, 3)
-    left = cut(Mesh(vertices, triangles, colors), Crop(box=(0.5, -1, -1, 9, 9, 9)))
+    left = crop_mesh(Mesh(vertices, triangles, colors), Crop(box=(0.5, -1, -1, 9, 9, 9)))
     assert left.vertices[left.triangles].tolist() == vertices[triangles[1:]].tolist()
     assert left.colors is not None
     assert left.colors[left.triangles].tolist() == colors[triangles[1:]].tolist()
@@ -116,7 +116,7 @@ def test_a_mesh_keeps_the_triangles_that_are_inside_with_their_colours_and_order
 
 
 @pytest.fixture(scope="module")
-def whole() -> Fused:
+def whole() -> FusionResult:
     return fuse(frames("ball"), **SAME)
 
 
@@ -124,20 +124,22 @@ def whole() -> Fused:
     "crop",
     [
         Crop(box=(-0.1, -0.3, -0.05, 0.4, 0.05, 0.2)),
-        Crop(center=(*AT.tolist(), 0.1), radius=0.2),
+        Crop(center=(*OBJECT_POSITION.tolist(), 0.1), radius=0.2),
         Crop(box=(-0.3, -0.3, 0.04, 0.3, 0.3, 0.5), center=(0.0, 0.0, 0.1), radius=0.16),
     ],
     ids=str,
 )
-def test_what_is_fused_of_a_crop_is_the_whole_mesh_cut_within_a_voxel(whole: Fused, crop: Crop) -> None:
+def test_what_is_fused_of_a_crop_is_the_whole_mesh_cut_within_a_voxel(
+    whole: FusionResult, crop: Crop
+) -> None:
     part = fuse(frames("ball"), **SAME, box=crop.box, center=crop.center, radius=crop.radius)
     assert part.crop == crop
-    assert (crop.outside(part.mesh.vertices) <= 0).all()
+    assert (crop.compute_distance(part.mesh.vertices) <= 0).all()
     # All that is there is of the whole mesh, and all of the whole mesh that is inside is there.
     off, _ = cKDTree(whole.mesh.vertices).query(part.mesh.vertices)
     assert np.percentile(off, 99) < 1e-6
     assert off.max() < VOXEL
-    within = whole.mesh.vertices[crop.outside(whole.mesh.vertices) < -VOXEL]
+    within = whole.mesh.vertices[crop.compute_distance(whole.mesh.vertices) < -VOXEL]
     off, _ = cKDTree(part.mesh.vertices).query(within)
     assert np.percentile(off, 99) < 1e-6
     assert off.max() < VOXEL
@@ -157,7 +159,9 @@ def test_voxels_are_as_large_as_what_is_left_asks_for() -> None:
     assert thing.voxel_size < 0.7 * floor.voxel_size
     assert thing.figures()["crop"]["radius_m"] == 0.25
     assert thing.crop.center is not None
-    assert np.abs(thing.crop.center - np.array([*AT, 0.08])).max() < 0.01, "where the cameras look"
+    assert np.abs(thing.crop.center - np.array([*OBJECT_POSITION, 0.08])).max() < 0.01, (
+        "where the cameras look"
+    )
 
 
 @pytest.mark.parametrize("roll", [0.0, 90.0, -90.0], ids=["level", "upright", "the other way"])
@@ -171,7 +175,7 @@ def test_a_ball_is_left_of_a_ball_on_a_table(roll: float, table: float) -> None:
     assert 0.0003 < fused.support.spread_m < 0.0012
     told = fused.figures()["crop"]["plane"]
     assert fused.mesh.vertices[:, 2].min() >= told["margin_m"] - 1e-3 > fused.voxel_size
-    error = np.linalg.norm(fused.mesh.vertices - [*AT, BALL], axis=1) - BALL
+    error = np.linalg.norm(fused.mesh.vertices - [*OBJECT_POSITION, BALL], axis=1) - BALL
     assert np.abs(error).max() < fused.voxel_size
     assert fused.mesh.colors is not None
     red = fused.mesh.colors[fused.mesh.vertices[:, 2] > 1.2 * BALL, 0]
@@ -183,9 +187,9 @@ def test_the_lid_of_a_box_is_no_table() -> None:
     fused = fuse(frames("box", table=0.3), remove_plane=True)
     assert fused.support is not None
     assert abs(fused.support.offset_m) < 0.001
-    assert abs(fused.mesh.vertices[:, 2].max() - 2 * HALF[2]) < 0.005
-    reach = np.abs(fused.mesh.vertices[:, :2] - AT).max(axis=0)
-    assert reach == pytest.approx(HALF[:2], abs=2 * fused.voxel_size)
+    assert abs(fused.mesh.vertices[:, 2].max() - 2 * BOX_HALF_SIZE[2]) < 0.005
+    reach = np.abs(fused.mesh.vertices[:, :2] - OBJECT_POSITION).max(axis=0)
+    assert reach == pytest.approx(BOX_HALF_SIZE[:2], abs=2 * fused.voxel_size)
 
 
 def test_a_table_is_left_where_the_center_says_that_it_is_the_thing() -> None:
@@ -216,7 +220,7 @@ def test_a_wall_is_no_table() -> None:
     for number, there in enumerate(level):
         looking = np.eye(4)
         looking[:3, :3], looking[:3, 3] = turn.T @ there[:3, :3], turn.T @ there[:3, 3]
-        depth = seen(looking, "ball").astype(np.float32)
+        depth = render_depth(looking, "ball").astype(np.float32)
         wall.append(Frame(f"{number}", CAMERA, depth=depth, world_from_camera=there))
     fused = fuse(wall, remove_plane=True)
     assert fused.support is None
@@ -250,7 +254,9 @@ def test_a_crop_in_which_no_surface_comes_out_says_from_how_many_points() -> Non
     with pytest.raises(
         InputError, match=r"inside 0\.04 m around \(.*\) \([\d,]+ depth points there\)\. Check"
     ):
-        fuse(frames("ball"), radius=0.04, center=(*AT.tolist(), 2 * BALL + 0.03), voxel_size=0.05)
+        fuse(
+            frames("ball"), radius=0.04, center=(*OBJECT_POSITION.tolist(), 2 * BALL + 0.03), voxel_size=0.05
+        )
 
 
 def test_parameters_that_have_no_effect_are_told() -> None:
@@ -273,7 +279,7 @@ def test_frames_that_show_nothing_of_it_are_no_bad_ones() -> None:
     fused = fuse(scan, box=(-0.3, -0.3, -0.1, 0.3, 0.3, 0.4))
     assert (fused.frames, fused.outside, fused.skipped) == (2, 32, ())
     assert fused.figures()["crop"]["frames_outside"] == 32
-    assert fused.figures()["frames_used_share"] == 1
+    assert fused.figures()["frames_used_ratio"] == 1
     assert len(fused.mesh.triangles) > 500
 
 

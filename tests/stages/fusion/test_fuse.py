@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
-from scanloom.stages.fusion.fuse import Fused, fuse
+from scanloom.stages.fusion.fuse import FusionResult, fuse
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.surface.mesh import Mesh
 
 CAMERA = Camera(160, 120, 140.0, 140.0, 80.0, 59.0)
@@ -77,7 +77,7 @@ def plane_frame(height: float, tilt: float, k: int = 0) -> Frame:
 
 
 @pytest.fixture(scope="module")
-def sphere() -> Fused:
+def sphere() -> FusionResult:
     return fuse(sphere_frames(), voxel_size=VOXEL)
 
 
@@ -90,13 +90,13 @@ def same(a: Mesh, b: Mesh) -> bool:
     )
 
 
-def test_vertices_lie_on_the_sphere(sphere: Fused) -> None:
+def test_vertices_lie_on_the_sphere(sphere: FusionResult) -> None:
     error = np.linalg.norm(sphere.mesh.vertices, axis=1) - RADIUS
     assert abs(error.mean()) < 0.1 * VOXEL
     assert np.sqrt((error**2).mean()) < 0.15 * VOXEL
 
 
-def test_all_that_was_seen_of_the_sphere_is_there(sphere: Fused) -> None:
+def test_all_that_was_seen_of_the_sphere_is_there(sphere: FusionResult) -> None:
     corners = sphere.mesh.vertices[sphere.mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1).sum() / 2
@@ -105,14 +105,14 @@ def test_all_that_was_seen_of_the_sphere_is_there(sphere: Fused) -> None:
     assert ((normals * corners.mean(axis=1)).sum(axis=1) > 0).mean() > 0.999
 
 
-def test_no_triangle_is_without_area(sphere: Fused) -> None:
+def test_no_triangle_is_without_area(sphere: FusionResult) -> None:
     corners = sphere.mesh.vertices[sphere.mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (np.linalg.norm(normals, axis=1) > 0).all()
     assert len(np.unique(sphere.mesh.vertices, axis=0)) == len(sphere.mesh.vertices)
 
 
-def test_colours_are_where_they_belong(sphere: Fused) -> None:
+def test_colours_are_where_they_belong(sphere: FusionResult) -> None:
     assert sphere.mesh.colors is not None
     x = sphere.mesh.vertices[:, 0]
     red, blue = sphere.mesh.colors[x > 2 * VOXEL], sphere.mesh.colors[x < -2 * VOXEL]
@@ -129,7 +129,7 @@ def test_the_world_origin_may_be_far_away() -> None:
 
 def closed_share(mesh: Mesh, x: tuple[float, float], y: tuple[float, float]) -> float:
     """Share of downward rays over a rectangle of the plane z = 0 that hit the mesh."""
-    o3d = open3d()
+    o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
@@ -177,7 +177,7 @@ def test_gaps_of_one_pixel_are_bridged() -> None:
 
 
 def test_equal_input_gives_equal_bits_whatever_the_threads(
-    sphere: Fused, monkeypatch: pytest.MonkeyPatch
+    sphere: FusionResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
     monkeypatch.setattr("os.cpu_count", lambda: 7)
@@ -185,9 +185,9 @@ def test_equal_input_gives_equal_bits_whatever_the_threads(
 
 
 def test_the_volume_grows_when_the_estimate_was_too_small(
-    sphere: Fused, monkeypatch: pytest.MonkeyPatch
+    sphere: FusionResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scanloom.stages.fusion.plan._expected_blocks", lambda *_: 1)
+    monkeypatch.setattr("scanloom.stages.fusion.fusion_plan._estimate_block_count", lambda *_: 1)
     assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
 
 
@@ -196,7 +196,7 @@ def test_memory_is_bounded() -> None:
         fuse(sphere_frames(), voxel_size=0.001, memory=20.0)
 
 
-def test_derived_scale_follows_the_depth(sphere: Fused) -> None:
+def test_derived_scale_follows_the_depth(sphere: FusionResult) -> None:
     fused = fuse(sphere_frames())
     # Twice the spacing of pixels on the near side, about 1.3 m away.
     assert fused.voxel_size == pytest.approx(2 * 1.3 / CAMERA.fx, rel=0.15)
@@ -224,8 +224,8 @@ def test_noise_is_measured_and_sets_the_scale() -> None:
         noise = rng.normal(0, 0.02, (CAMERA.height, CAMERA.width))
         frames.append(replace(frame, depth=(frame.depth + noise * (frame.depth > 0)).astype(np.float32)))
     fused = fuse(frames, max_jump=0.2)
-    assert fused.noise.at(1.5) == pytest.approx(0.02, rel=0.25)
-    assert fused.voxel_size == pytest.approx(2 * fused.noise.at(1.5), rel=0.15)
+    assert fused.noise.compute_deviation(1.5) == pytest.approx(0.02, rel=0.25)
+    assert fused.voxel_size == pytest.approx(2 * fused.noise.compute_deviation(1.5), rel=0.15)
 
 
 def before_a_wall(noise: float) -> list[Frame]:
@@ -323,7 +323,7 @@ def test_too_many_bad_frames_end_it() -> None:
     frames = [replace(f, world_from_camera=None) if k < 4 else f for k, f in enumerate(sphere_frames())]
     with pytest.raises(InputError, match=r"3 of 12 frames cannot be used; .* allows 20%.*frame, 00.*pose"):
         fuse(frames, voxel_size=VOXEL)
-    assert fuse(frames, voxel_size=VOXEL, max_bad_share=0.4).frames == 8
+    assert fuse(frames, voxel_size=VOXEL, max_skipped_ratio=0.4).frames == 8
 
 
 def _nothing(frame: Frame) -> Frame:
@@ -370,7 +370,7 @@ def test_wrong_parameters(wrong: dict[str, object]) -> None:
 
 
 def test_cuda_is_not_replaced_in_silence() -> None:
-    if open3d().core.cuda.is_available():
+    if import_open3d().core.cuda.is_available():
         pytest.skip("there is a CUDA device")
     with pytest.raises(UsageError, match="no CUDA device"):
         fuse(sphere_frames(), device="cuda")
@@ -389,11 +389,11 @@ def test_progress_counts_frames_and_may_stop_the_work() -> None:
         fuse(sphere_frames(), voxel_size=VOXEL, progress=stop)
 
 
-def test_figures_are_json_with_units(sphere: Fused) -> None:
+def test_figures_are_json_with_units(sphere: FusionResult) -> None:
     figures = json.loads(json.dumps(sphere.figures()))
     assert figures["voxel_size_m"] == VOXEL
-    assert figures["frames_used_share"] == 1
-    assert 0 < figures["pixels_used_share"] <= figures["pixels_valid_share"] < 1
+    assert figures["frames_used_ratio"] == 1
+    assert 0 < figures["pixels_used_ratio"] <= figures["pixels_valid_ratio"] < 1
     assert figures["triangles"] == len(sphere.mesh.triangles)
 
 
@@ -404,7 +404,7 @@ def test_a_real_kitchen(shared_data: Path) -> None:
     assert same(fused.mesh, again.mesh)
     assert fused.pixels_used > 0.8
     # The sensor's noise at 2 m, as published for the first Kinect: half a centimetre.
-    assert 0.002 < fused.noise.at(2.0) < 0.008
+    assert 0.002 < fused.noise.compute_deviation(2.0) < 0.008
     assert len(fused.mesh.triangles) > 20_000
     assert fused.mesh.colors is not None
     assert fused.mesh.colors.std() > 20

@@ -12,14 +12,14 @@ from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.fusion.fuse import fuse
 from scanloom.stages.inspecting.codes import POSE_INEXACT
+from scanloom.stages.inspecting.consistency_checks import check_poses, require_poses, warn_inexact_poses
 from scanloom.stages.inspecting.inspect import inspect
 from scanloom.stages.inspecting.inspection import Inspection
-from scanloom.stages.inspecting.sanity import check_poses, pose_doubts, require_poses
 from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
 from scanloom.stages.scans.model.images import read_color
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 CAMERA = Camera(160, 120, 150, 150, 80, 60)
@@ -114,10 +114,10 @@ def test_inexact_poses_are_told_from_noise():
         replace(frame, depth=(frame.depth * numbers.normal(1, 0.01, frame.depth.shape)).astype(np.float32))
         for frame in room_scan().frames
     ]
-    pose_doubts(noisy)
+    warn_inexact_poses(noisy)
     shaken = room_scan(lambda pose: pose @ pose_at(*numbers.normal(0, 0.03, 2), numbers.normal(0, 1)))
     with collecting() as diagnostics:
-        pose_doubts(shaken.frames)
+        warn_inexact_poses(shaken.frames)
     (doubt,) = diagnostics
     assert doubt.code == POSE_INEXACT.name
     assert "register.refine=true" in str(doubt)
@@ -150,11 +150,11 @@ def test_the_path_is_measured():
         Frame(str(i), CAMERA, depth=room_depth(np.eye(4)), world_from_camera=pose_at(x, 0, turn))
         for i, (x, turn) in enumerate([(0, 0), (0.1, 0), (0.3, 10), (1.3, 10), (1.3, 60)])
     ]
-    path = inspect(Scan("plain-rgbd", frames)).path
+    path = inspect(Scan("plain-rgbd", frames)).trajectory
     assert path.length_m == pytest.approx(1.3)
     assert path.box_m == pytest.approx((1.3, 0, 0))
-    assert path.largest_step_m == pytest.approx(1)
-    assert path.largest_turn_deg == pytest.approx(50)
+    assert path.max_step_m == pytest.approx(1)
+    assert path.max_rotation_deg == pytest.approx(50)
     assert path.outliers == ("3", "4")
 
 
@@ -164,7 +164,7 @@ def test_depth_is_summed_up():
     scan = Scan("plain-rgbd", [Frame("a", CAMERA, depth=depth, world_from_camera=np.eye(4))])
     found = inspect(scan)
     assert (found.depth.near_m, found.depth.median_m, found.depth.far_m) == (1.5, 1.5, 1.5)
-    assert found.depth.missing_share == pytest.approx(0.25)
+    assert found.depth.missing_ratio == pytest.approx(0.25)
 
 
 def test_depth_all_zero_is_told():
@@ -230,7 +230,7 @@ def stereo_inspection(left, right):
     camera = Camera(320, 240, 300, 300, 160, 120)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.1
-    rig = StereoRig(camera, camera, right_from_left, rectified=True, disparities=30)
+    rig = StereoRig(camera, camera, right_from_left, is_rectified=True, disparity_count=30)
     return inspect(Scan("x", [Frame("a", camera, color=left, right=right, world_from_camera=np.eye(4))], rig))
 
 
@@ -311,7 +311,7 @@ def test_real_folders_agree_with_themselves(shared_data, folder, options):
     if not found.scan.is_stereo:
         assert found.pose_errors_m["as given"] < 0.015
         assert min(found.pose_errors_m, key=found.pose_errors_m.get) == "as given"
-    assert any(line.startswith("layout") for line in found.lines())
+    assert any(line.startswith("layout") for line in found.format_lines())
 
 
 def test_shifted_colour_is_noticed_on_real_frames(shared_data):
@@ -343,7 +343,7 @@ def test_what_a_real_folder_lacks_is_said_with_what_it_has(shared_data, folder, 
     assert figures["frames"] == frames
     assert tuple(figures["color_size_px"]) == size
     assert [one["message"] for one in figures["missing"]] == [f"no {text}" for text in missing]
-    assert [line for line in found.lines() if line.startswith(f"missing   no {missing[0]}")]
+    assert [line for line in found.format_lines() if line.startswith(f"missing   no {missing[0]}")]
 
 
 def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
@@ -377,22 +377,22 @@ def test_the_least_sharp_twentieth_is_listed():
     frames = [replace(f, name=str(i), color=striped(blurs.get(i, 0))) for i, f in enumerate(frames)]
     found = inspect(Scan("plain-rgbd", frames))
     # Two of forty; a filter as long as the period takes all contrast away.
-    assert [name for name, _ in found.least_sharp] == ["7", "20"]
-    assert found.least_sharp[0][1] < 0.05 < found.least_sharp[1][1] < 0.25
+    assert [name for name, _ in found.blurriest_frames] == ["7", "20"]
+    assert found.blurriest_frames[0][1] < 0.05 < found.blurriest_frames[1][1] < 0.25
     assert any("blurred" in text and "7, 20" in text for text in map(str, found.diagnostics))
-    assert found.figures()["least_sharp"][0]["frame"] == "7"
+    assert found.figures()["blurriest_frames"][0]["frame"] == "7"
 
 
 def test_frames_equally_sharp_are_no_warning():
     frames = [replace(frame, color=striped(0)) for frame in room_scan().frames]
     found = inspect(Scan("plain-rgbd", frames))
-    assert [value for _, value in found.least_sharp] == [1.0]
+    assert [value for _, value in found.blurriest_frames] == [1.0]
     assert not any("blurred" in text for text in map(str, found.diagnostics))
 
 
 def test_fusion_takes_what_was_estimated():
     scan = room_scan()
-    expected = inspect(scan).outlook
+    expected = inspect(scan).fusion_estimate
     fused = fuse(scan)
     assert expected.voxel_size_m == fused.voxel_size
     assert 0.5 < fused.volume_bytes / 1e6 / expected.volume_mb <= 1.05
@@ -402,13 +402,13 @@ def test_fusion_takes_what_was_estimated():
 def test_without_poses_nothing_is_estimated():
     frames = [replace(frame, world_from_camera=None) for frame in room_scan().frames]
     found = inspect(Scan("plain-rgbd", frames, missing=(POSE_MISSING.warning("no poses: none"),)))
-    assert found.outlook is None
-    assert "missing   no poses: none; `scanloom run` estimates them" in found.lines()
+    assert found.fusion_estimate is None
+    assert "missing   no poses: none; `scanloom run` estimates them" in found.format_lines()
 
 
 def test_a_single_frame_is_compared_with_nothing():
     (frame, *_) = room_scan().frames
-    assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).least_sharp == ()
+    assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).blurriest_frames == ()
 
 
 def test_many_sizes_are_one_warning(depth_files):

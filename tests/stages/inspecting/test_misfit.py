@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scanloom import inspect, read_scan
-from scanloom.stages.adjusting.cameras import motion
+from scanloom.stages.adjusting.cameras import compute_motions
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 
@@ -15,7 +15,7 @@ SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 @pytest.mark.slow
 def test_frames_that_agree_raise_no_warning():
     found = inspect(read_scan(SAMPLE))
-    assert found.misfit_px < 0.5
+    assert found.reprojection_error_px < 0.5
     assert not any("px (median" in text for text in map(str, found.diagnostics))
 
 
@@ -24,11 +24,13 @@ def test_poses_that_are_off_are_told_with_the_way():
     scan = read_scan(SAMPLE)
     steps = np.random.default_rng(3).normal(size=(len(scan.frames), 1, 6)) * 0.006
     frames = [
-        replace(frame, world_from_camera=frame.world_from_camera @ motion(step)[0])
+        replace(frame, world_from_camera=frame.world_from_camera @ compute_motions(step)[0])
         for frame, step in zip(scan.frames, steps, strict=True)
     ]
     found = inspect(replace(scan, frames=frames))
-    assert found.misfit_px > 2
+    assert found.reprojection_error_px > 2
     (said,) = (text for text in map(str, found.diagnostics) if "scanloom adjust" in text)
-    assert f"off by {found.misfit_px:.1f} px" in said
-    assert f"points seen in two frames are {found.misfit_px:.2g} px apart" in "\n".join(found.lines())
+    assert f"off by {found.reprojection_error_px:.1f} px" in said
+    assert f"points seen in two frames are {found.reprojection_error_px:.2g} px apart" in "\n".join(
+        found.format_lines()
+    )

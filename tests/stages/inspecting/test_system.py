@@ -10,7 +10,7 @@ from scanloom.stages.inspecting import system
 
 
 def test_memory_is_told() -> None:
-    total, available = system.memory_bytes()
+    total, available = system.query_memory_bytes()
     assert total is not None
     assert total > 1 << 28
     assert available is None or 0 < available <= total
@@ -18,36 +18,36 @@ def test_memory_is_told() -> None:
 
 def test_memory_where_there_is_no_proc(monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 16384}
-    monkeypatch.setattr(system, "_first", lambda path, key: None)  # noqa: ARG005
+    monkeypatch.setattr(system, "_read_first_value", lambda path, key: None)  # noqa: ARG005
     monkeypatch.setattr(os, "sysconf", told.__getitem__)
-    assert system.memory_bytes() == (16_384_000, None)
+    assert system.query_memory_bytes() == (16_384_000, None)
 
     def refuse(name: str) -> int:
         raise ValueError(name)
 
     monkeypatch.setattr(os, "sysconf", refuse)
-    assert system.memory_bytes() == (None, None)
+    assert system.query_memory_bytes() == (None, None)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
 def test_nothing_is_odd_about_a_usual_machine(tmp_path: Path) -> None:
-    assert system.oddities(tmp_path) == []
+    assert system.list_platform_notes(tmp_path) == []
 
 
 def test_letter_case_that_does_not_count_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "Scan 1" / "0123"
     folder.mkdir(parents=True)
-    assert not system.ignores_case(folder)
+    assert not system.is_case_insensitive(folder)
     # As on a file system that finds one by the other's name.
     (tmp_path / "sCAN 1").symlink_to(tmp_path / "Scan 1")
-    assert system.ignores_case(folder)
-    assert any("upper and lower case" in sentence for sentence in system.oddities(folder))
+    assert system.is_case_insensitive(folder)
+    assert any("upper and lower case" in sentence for sentence in system.list_platform_notes(folder))
     monkeypatch.chdir("/")
-    assert not system.ignores_case(Path("/"))
+    assert not system.is_case_insensitive(Path("/"))
 
 
 def test_another_system_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert [text.partition(",")[0] for text in system.oddities(tmp_path)] == [
+    assert [text.partition(",")[0] for text in system.list_platform_notes(tmp_path)] == [
         "scanloom is tested on Linux; on macOS it is expected to work"
     ]

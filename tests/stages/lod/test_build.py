@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from scanloom.stages import Image, InputError, Material, Mesh, Texture, UsageError, lod, read_mesh, topology
-from scanloom.stages._open3d import open3d
+from scanloom.stages._open3d import import_open3d
 from scanloom.stages.lod import Hierarchy
 from tests.made.coloured_meshes import assert_same_topology, ball, sheet
 
@@ -51,7 +51,7 @@ def sampled(mesh: Mesh, count: int, seed: int) -> NDArray[np.float64]:
 
 def distance(points: NDArray[np.float64], mesh: Mesh) -> float:
     """Return how far points are from a surface at most, by another implementation, less its rounding."""
-    scene = open3d().t.geometry.RaycastingScene()
+    scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
     found = scene.compute_distance(points.astype(np.float32)).numpy()
     return max(float(found.max()) - 1e-6 * float(np.abs(mesh.vertices).max()), 0.0)
@@ -73,7 +73,7 @@ def painted(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDA
 def difference(points: NDArray[np.float64], colors: NDArray[np.float64], mesh: Mesh) -> float:
     """Return how far colours are at most from those of the nearest points of a surface, in levels."""
     assert mesh.colors is not None
-    scene = open3d().t.geometry.RaycastingScene()
+    scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
     found = scene.compute_closest_points(points.astype(np.float32))
     of_corners = mesh.triangles[found["primitive_ids"].numpy().astype(np.int64)]
@@ -294,7 +294,7 @@ def test_islands_that_are_dropped_are_not_in_the_model() -> None:
     assert mesh.texture is not None
     speck = np.array([(0, 0, 1), (0.001, 0, 1), (0, 0.001, 1)])
     triangles = np.concatenate([mesh.triangles, np.arange(3)[None] + len(mesh.vertices)]).astype(np.int32)
-    texture = mesh.texture.rows(np.append(np.arange(len(mesh.triangles)), 0))
+    texture = mesh.texture.select_triangles(np.append(np.arange(len(mesh.triangles)), 0))
     more = Mesh(np.concatenate([mesh.vertices, speck]), triangles, texture=texture)
     model = lod.build(more, cell_triangles=64, root_triangles=10, drop_islands=0.01).model
     assert model is not None

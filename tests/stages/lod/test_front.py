@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom.stages import Mesh, Sphere, UsageError, lod
-from scanloom.stages.lod import Front, Hierarchy, View, measures
+from scanloom.stages.lod import Front, Hierarchy, View, refinement_measures
 from tests.made.coloured_meshes import assert_same_topology
 from tests.stages.lod.conftest import built_of
 
@@ -119,7 +119,7 @@ def test_errors_in_pixels_hold_where_something_is_seen(hierarchy: Hierarchy) -> 
     found = hierarchy.cut(view, error_px=0.5)
     middle, radius = hierarchy.spheres
     for node, bound in zip(found.nodes, found.shape_bound, strict=True):
-        if view.sees(middle[[node]], radius[[node]])[0]:
+        if view.intersects(middle[[node]], radius[[node]])[0]:
             nearest = max(np.linalg.norm(middle[node] - view.eye) - radius[node], view.near)
             assert bound * view.focal_px / nearest <= 0.5
 
@@ -133,7 +133,7 @@ def test_a_region_is_refined_alone(hierarchy: Hierarchy) -> None:
     place = Sphere((1.4, 0.0, 0.0), 0.2, lock=True)
     found = hierarchy.cut(region=place)
     exact = {tuple(v) for v in hierarchy.cut(max_shape=0.0).mesh.vertices}
-    inside = place.holds(found.mesh.vertices)
+    inside = place.contains(found.mesh.vertices)
     assert inside.any()
     assert all(tuple(v) in exact for v in found.mesh.vertices[inside])
     assert len(found.mesh.triangles) < 0.6 * hierarchy.figures()["base_triangles"]
@@ -166,10 +166,10 @@ def test_what_makes_no_sense_is_refused(hierarchy: Hierarchy) -> None:
 
 def test_a_view_straight_down_is_one() -> None:
     view = View((0, 0, 5), (0, 0, 0), (0, 0, 1))
-    normals, _ = view.planes()
+    normals, _ = view.compute_planes()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
-    assert view.sees(np.zeros((1, 3)), np.zeros(1))[0]
-    assert not view.sees(np.array([[0.0, 0.0, 9.0]]), np.ones(1))[0]
+    assert view.intersects(np.zeros((1, 3)), np.zeros(1))[0]
+    assert not view.intersects(np.array([[0.0, 0.0, 9.0]]), np.ones(1))[0]
 
 
 # -- the paper's rule ------------------------------------------------------------------------------------
@@ -179,7 +179,9 @@ def test_the_nearer_the_eye_the_more_triangles_up_to_the_global_limit(hierarchy:
     mesh = hierarchy.cut(max_shape=0.0).mesh
     counts = []
     for distance in (2.0, 5.0, 8.0, 11.0):
-        limit = measures.global_limit(len(mesh.triangles), 200, distance, near=2.0, far=11.0)
+        limit = refinement_measures.compute_global_limit(
+            len(mesh.triangles), 200, distance, near=2.0, far=11.0
+        )
         front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, view_of(distance)), limit)
         assert front.triangles <= limit
         assert_same_topology(front.cut().mesh, mesh)

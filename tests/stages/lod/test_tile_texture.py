@@ -12,16 +12,16 @@ import pytest
 from coloured_meshes import assert_same_topology, sheet
 from numpy.typing import NDArray
 from seamed_meshes import wrapped_ball
-from tiles_read import Tile, read_tiles
+from tile_reader import Tile, read_tiles
 
 from scanloom.stages import Mesh, clean, lod, simplify
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import decoded_image
+from scanloom.stages.files.image_bytes import decode_image
 from scanloom.stages.lod.hierarchy import Hierarchy
-from scanloom.stages.lod.tile_texture import Piece, model_of, with_images
-from scanloom.stages.surface.color import color_at, sampled
+from scanloom.stages.lod.tile_texture import TileMesh, paint_tile_images, prepare_color_source
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.surface_color import compute_surface_colors, sample_bilinear
 from scanloom.stages.surface.texture import Image, Material, Texture
 from tests.stages.lod.test_tiles import base_of, contents, random_cut, welded
 
@@ -123,20 +123,20 @@ def shown(tile: Tile, count: int, seed: int = 0) -> tuple[NDArray[np.float64], N
     """Return points of a tile and the colours that its image has there, levels."""
     assert tile.image is not None
     assert tile.uvs is not None
-    pixels = decoded_image(tile.image)
+    pixels = decode_image(tile.image)
     assert pixels is not None
     rng = np.random.default_rng(seed)
     corners = tile.vertices[tile.triangles].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     chosen, weights = rng.choice(len(area), count, p=area / area.sum()), rng.dirichlet((1, 1, 1), count)
     u, v = np.einsum("kc,kcx->xk", weights, tile.uvs[tile.triangles[chosen]] / 65535)
-    colors = sampled(pixels, np.stack([u, 1 - v], axis=1), ("clamp", "clamp"))
+    colors = sample_bilinear(pixels, np.stack([u, 1 - v], axis=1), ("clamp", "clamp"))
     return np.einsum("kc,kcx->kx", weights, corners[chosen]), np.asarray(colors, np.float64)
 
 
 def of_model(model: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    at = Surface(model).closest(points)
-    return np.asarray(color_at(model, at.triangles, at.weights), np.float64)
+    at = RaycastingSurface(model).find_closest_points(points)
+    return np.asarray(compute_surface_colors(model, at.triangles, at.weights), np.float64)
 
 
 def rms(levels: NDArray[np.float64]) -> float:
@@ -178,10 +178,10 @@ def test_both_sides_of_a_border_show_the_same(folders: dict[str, Path], name: st
         meets = (np.abs(tile.vertices[:, :1] - (1 / 3, 2 / 3)) < 0.08).any(axis=1) & (name == "patchwork")
         assert tile.image is not None
         assert tile.uvs is not None
-        pixels = decoded_image(tile.image)
+        pixels = decode_image(tile.image)
         assert pixels is not None
         uvs = tile.uvs / 65535
-        colors = sampled(pixels, np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1), ("clamp", "clamp"))
+        colors = sample_bilinear(pixels, np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1), ("clamp", "clamp"))
         for place, color in zip(tile.vertices[~meets], colors[~meets], strict=True):
             found.setdefault(place.tobytes(), []).append(np.asarray(color, np.float64))
     several = [np.ptp(np.array(colors), axis=0) for colors in found.values() if len(colors) > 1]
@@ -213,8 +213,8 @@ def test_texels_are_as_large_as_errors_ask_for_and_the_model_allows(
         assert found["texel_size_m"] == pytest.approx(wanted, rel=0.1)
     # The image has fewer texels a metre around the ball's middle than at its poles.
     assert max(image.texel_size for image in fine) < 1.5 * min(image.texel_size for image in fine)
-    assert not any(image.is_full for image in (*coarse, *fine))
-    assert any(image.is_full for image in narrow)
+    assert not any(image.is_coarser_than_requested for image in (*coarse, *fine))
+    assert any(image.is_coarser_than_requested for image in narrow)
     assert max(max(image.size) for image in narrow) <= 128
     assert max(image.texel_size for image in narrow) > 1.5 * max(image.texel_size for image in fine)
 
@@ -398,14 +398,14 @@ def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> No
         )
     assert list(tmp_path.iterdir()) == []
     written = lod.write_tiles(hierarchy, tmp_path / "out", texture=crumbs)
-    assert all(image.color_most <= 2 for image in written.images)
+    assert all(image.color_max <= 2 for image in written.images)
 
 
 def test_a_tile_without_area_is_told(models: dict[str, Mesh]) -> None:
     line = Mesh(np.array([[0.0, 0, 1], [0, 0, 1], [0, 0, 1]]), np.array([[0, 1, 2]], np.int32))
-    model = model_of(models["ball"], models["ball"], np.zeros(3))
+    model = prepare_color_source(models["ball"], models["ball"], np.zeros(3))
     with pytest.raises(MeshError, match="tile"):
-        list(with_images([Piece(line, 0.1, ())], model, lod.TileImageParams()))
+        list(paint_tile_images([TileMesh(line, 0.1, ())], model, lod.TileImageParams()))
 
 
 def test_a_model_without_triangles_is_told(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
@@ -434,7 +434,7 @@ def test_tiles_of_real_models(shared_data: Path, tmp_path: Path, name: str) -> N
     model = clean(read_mesh(shared_data / name)).mesh.with_(normals=None, corner_normals=None)
     assert model.texture is not None
     if not model.texture.images:
-        pixels = decoded_image((shared_data / "meshes" / "spot" / "spot_texture.png").read_bytes())
+        pixels = decode_image((shared_data / "meshes" / "spot" / "spot_texture.png").read_bytes())
         texture = replace(
             model.texture, materials=(Material(image=Image(given=pixels)),), material_ids=zeros(model)
         )

@@ -11,21 +11,21 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from browsers import PAGE, node
-from coloured_meshes import assert_same_topology, of_trimesh, sheet
+from browsers import PAGE, run_node
+from coloured_meshes import assert_same_topology, color_trimesh, sheet
 from numpy.typing import NDArray
-from tiles_read import Tile, chunks, read_tiles
+from tile_reader import Tile, read_glb_chunks, read_tiles
 
 from scanloom.stages import __version__, _kernels, bake, clean, lod, simplify
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
-from scanloom.stages.lod.grid import on_grid
 from scanloom.stages.lod.hierarchy import Hierarchy
-from scanloom.stages.lod.tile_glb import tile_glb
-from scanloom.stages.surface.formats.colors import srgb_from_linear
+from scanloom.stages.lod.position_grid import snap_to_grid
+from scanloom.stages.lod.tile_glb import encode_tile_glb
+from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 CUTS = 1000
 NAMES = ("closed", "open")
@@ -36,7 +36,7 @@ VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 def closed() -> Mesh:
     import trimesh
 
-    return of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=30, minor_sections=15))
+    return color_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=30, minor_sections=15))
 
 
 def open_sheet() -> Mesh:
@@ -151,7 +151,8 @@ def test_no_attack_passes_a_tiles_geometric_error(
         part = base_of(hierarchy, int(stem.removesuffix("-base")))
         mesh = Mesh(tile.vertices.astype(np.float64), tile.triangles.astype(np.int32))
         away = max(
-            Surface(a).closest(samples(b, 3000, rng)).distances.max() for a, b in ((mesh, part), (part, mesh))
+            RaycastingSurface(a).find_closest_points(samples(b, 3000, rng)).distances.max()
+            for a, b in ((mesh, part), (part, mesh))
         )
         bound = tile.tree["content"]["extras"]["shape_bound_m"]
         assert away <= bound <= tile.tree["geometricError"]
@@ -173,7 +174,7 @@ def test_tiles_say_what_is_proven_and_how_far_the_grid_moves_them(
     hierarchies: dict[str, Hierarchy], folders: dict[str, Path], name: str
 ) -> None:
     hierarchy, root = hierarchies[name], read_tiles(folders[name])
-    share = on_grid(hierarchy)[1].share_m
+    share = snap_to_grid(hierarchy)[1].max_displacement_m
     for tile in root.all():
         stem = Path(tile.tree["content"]["uri"]).stem
         node, is_base = int(stem.removesuffix("-base")), stem.endswith("-base")
@@ -210,13 +211,13 @@ def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folder
         return keys[np.lexsort(np.rint(keys * 1e3).T)]
 
     for name, mesh in {"closed": closed(), "open": open_sheet()}.items():
-        grid = on_grid(hierarchies[name])[1]
+        grid = snap_to_grid(hierarchies[name])[1]
         tiles = list(read_tiles(folders[name]).leaves())
         corners, colors = [], []
         for tile in tiles:
             assert tile.colors is not None
             corners.append(tile.vertices[tile.triangles])
-            displayed = np.rint(255 * srgb_from_linear(tile.colors[:, :3] / 65535)).astype(np.uint8)
+            displayed = np.rint(255 * convert_linear_to_srgb(tile.colors[:, :3] / 65535)).astype(np.uint8)
             colors.append(displayed[tile.triangles])
             assert (tile.colors[:, 3] == 65535).all()
         back, shown = np.vstack(corners).astype(np.float64), np.vstack(colors)
@@ -228,7 +229,7 @@ def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folder
         _, of = cKDTree(was.mean(axis=1)).query(back.mean(axis=1))
         assert sorted(of.tolist()) == list(range(len(was)))
         same = [np.linalg.norm(np.roll(was[of], k, axis=1) - back, axis=2).max(axis=1) for k in range(3)]
-        assert np.min(same, axis=0).max() <= grid.share_m
+        assert np.min(same, axis=0).max() <= grid.max_displacement_m
         turned = np.argmin(same, axis=0)
         before = mesh.colors[mesh.triangles][of]
         for k in range(3):
@@ -371,10 +372,10 @@ def test_many_vertices_have_wide_indices(hierarchies: dict[str, Hierarchy]) -> N
     count = 65_536
     vertices = np.stack([np.arange(count), np.arange(count) % 7, np.zeros(count)], axis=1)
     triangles = np.stack([np.arange(count - 2) + k for k in range(3)], axis=1).astype(np.int32)
-    grid = replace(on_grid(hierarchies["open"])[1], step=1.0)
+    grid = replace(snap_to_grid(hierarchies["open"])[1], step=1.0)
     for number, kind in ((count, 5125), (count - 2, 5123)):
         mesh = Mesh(vertices[:number], triangles[: number - 2])
-        gltf, binary = chunks(tile_glb(mesh, grid))
+        gltf, binary = read_glb_chunks(encode_tile_glb(mesh, grid))
         index = gltf["accessors"][gltf["meshes"][0]["primitives"][0]["indices"]]
         view = gltf["bufferViews"][index["bufferView"]]
         assert index["componentType"] == kind
@@ -388,19 +389,19 @@ def test_many_vertices_have_wide_indices(hierarchies: dict[str, Hierarchy]) -> N
 @pytest.mark.parametrize("seed", range(5))
 def test_places_of_the_grid_are_taken_once(hierarchies: dict[str, Hierarchy], seed: int) -> None:
     rng, hierarchy = np.random.default_rng(seed), hierarchies["open"]
-    step = on_grid(hierarchy)[1].step
+    step = snap_to_grid(hierarchy)[1].step
     vertices = hierarchy.vertices.copy()
     # A crowd about some vertices, closer than a step, and copies that have to stay together.
     crowd, copies = rng.choice(np.arange(10, len(vertices)), (2, 60), replace=False)
     vertices[crowd] = vertices[:6].repeat(10, axis=0) + rng.uniform(-0.3, 0.3, (60, 3)) * step
     vertices[copies] = vertices[crowd]
-    placed, grid = on_grid(replace(hierarchy, vertices=vertices))
+    placed, grid = snap_to_grid(replace(hierarchy, vertices=vertices))
     _, before = np.unique(vertices, axis=0, return_inverse=True)
     _, after = np.unique(placed.vertices, axis=0, return_inverse=True)
     pairs = np.unique(np.stack([before.reshape(-1), after.reshape(-1)]), axis=1)
     assert pairs.shape[1] == before.max() + 1 == after.max() + 1
     away = np.linalg.norm(placed.vertices - vertices, axis=1).max()
-    assert 0.9 * step < away <= grid.share_m < 4 * step
+    assert 0.9 * step < away <= grid.max_displacement_m < 4 * step
 
 
 def test_too_many_vertices_in_one_place_are_told(hierarchies: dict[str, Hierarchy]) -> None:
@@ -409,12 +410,12 @@ def test_too_many_vertices_in_one_place_are_told(hierarchies: dict[str, Hierarch
     count = 9**3 + 1
     vertices = np.vstack([hierarchy.vertices, 0.5 + 1e-9 * rng.random((count, 3))])
     with pytest.raises(InputError, match="too close to each other"):
-        on_grid(replace(hierarchy, vertices=vertices))
+        snap_to_grid(replace(hierarchy, vertices=vertices))
 
 
 def test_steps_are_as_fine_as_16_bits_allow(hierarchies: dict[str, Hierarchy]) -> None:
     for hierarchy in hierarchies.values():
-        _, grid = on_grid(hierarchy)
+        _, grid = snap_to_grid(hierarchy)
         size = np.ptp(hierarchy.vertices, axis=0).max()
         assert 2**15 - 20 < size / grid.step <= 2**16 - 1
         assert grid.step <= 0.25 * hierarchy.shape_bound.min()
@@ -438,8 +439,8 @@ def test_far_models_are_moved_by_the_tileset(
     back, was = np.stack([x, -z, y], axis=1), base_of(far).vertices
     from scipy.spatial import cKDTree
 
-    assert cKDTree(was).query(back)[0].max() <= written.grid.share_m
-    assert cKDTree(back).query(was)[0].max() <= written.grid.share_m
+    assert cKDTree(was).query(back)[0].max() <= written.grid.max_displacement_m
+    assert cKDTree(back).query(was)[0].max() <= written.grid.max_displacement_m
 
 
 @pytest.mark.parametrize("up", ["+x", "-x", "+y", "-y", "+z", "-z"])
@@ -600,7 +601,7 @@ def test_the_validator_of_gltf_finds_nothing(
     if single:
         hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
     lod.write_tiles(hierarchy, tmp_path / "out")
-    said = node(VALIDATE, PAGE, tmp_path / "out" / "tiles")
+    said = run_node(VALIDATE, PAGE, tmp_path / "out" / "tiles")
     assert len(said) > 5
     assert not any(said.values()), said
 
@@ -633,13 +634,13 @@ def test_packed_tiles_hold_the_same(hierarchies: dict[str, Hierarchy], tmp_path:
         assert len(packed) <= file.stat().st_size
     tileset = "tileset.json"
     assert (tmp_path / "packed" / tileset).read_bytes() == (tmp_path / "plain" / tileset).read_bytes()
-    node(UNPACK, PAGE, tmp_path / "packed" / "tiles")
+    run_node(UNPACK, PAGE, tmp_path / "packed" / "tiles")
     pairs = zip(read_tiles(tmp_path / "plain").all(), read_tiles(tmp_path / "packed").all(), strict=True)
     for plain, packed_tile in pairs:
         assert corners(packed_tile) == corners(plain)
         assert packed_tile.image == plain.image
         assert packed_tile.gltf["nodes"] == plain.gltf["nodes"]
-    assert not any(node(VALIDATE, PAGE, tmp_path / "packed" / "tiles").values())
+    assert not any(run_node(VALIDATE, PAGE, tmp_path / "packed" / "tiles").values())
 
 
 def test_packed_tiles_are_smaller(tmp_path: Path) -> None:

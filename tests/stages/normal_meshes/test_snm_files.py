@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from real_parts import quarter
+from partial_meshes import select_quarter
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
@@ -68,13 +68,13 @@ def assert_equal(found: NormalMesh, expected: NormalMesh, levels: int) -> None:
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
     assert found.data == expected.data[: expected.level_ends[levels - 1]]
     assert found.level_ends == expected.level_ends[:levels]
-    assert found.promised == expected.promised
+    assert found.encoded_levels == expected.encoded_levels
 
 
 @functools.cache
 def small() -> NormalMesh:
     """A coloured sheet with two holes, confidence, and three levels, in a file of a few kilobytes."""
-    mesh = coloured_meshes.holed()
+    mesh = coloured_meshes.make_holed_sheet()
     return remesh(
         mesh, confidence=mesh.vertices[:, 0], levels=2, base_triangles=60, tolerance=1e-4, color_tolerance=4.0
     )
@@ -192,7 +192,7 @@ def test_shared_meshes_come_back_to_the_bit_in_another_process(
         path = next(one for one in sorted(path.iterdir()) if one.suffix in (".obj", ".ply"))
     mesh = read_mesh(path)
     if "kitchen" in name:
-        mesh = quarter(mesh)
+        mesh = select_quarter(mesh)
     if topology(mesh).inconsistent_edges or topology(mesh).nonmanifold_edges:
         mesh = clean(mesh).mesh
     if len(mesh.triangles) > MANY:
@@ -221,7 +221,7 @@ def test_the_beginning_of_a_file_is_a_coarser_mesh(tmp_path: Path) -> None:
         found = decode(path)
         assert_equal(found, made, level + 1)
         assert found.damage is None
-        assert found.promised == 2
+        assert found.encoded_levels == 2
     assert path.read_bytes() == made.data
 
 

@@ -13,17 +13,22 @@ import pytest
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.registration.features import recognise
-from scanloom.stages.registration.graph import Edge, pieces
-from scanloom.stages.registration.motion import Motion, NoMotion, angle, motion_between
+from scanloom.stages.registration.features import estimate_motions
+from scanloom.stages.registration.motion import (
+    AlignmentFailure,
+    Motion,
+    compute_rotation_angle,
+    estimate_motion,
+)
+from scanloom.stages.registration.pose_graph import PoseGraphEdge, find_components
 from scanloom.stages.registration.register import register
-from scanloom.stages.registration.registered import Registration
-from scanloom.stages.registration.view import read_view
+from scanloom.stages.registration.registration_result import Registration
+from scanloom.stages.registration.view import read_registration_view
 from scanloom.stages.scans.model.images import read_color, read_depth
-from scanloom.stages.scans.model.poses import inverted
-from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.trajectory.files import read_tum, write_tum
+from scanloom.stages.scans.model.poses import invert_pose
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scale_camera
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.scans.trajectory.trajectory_formats import read_tum, write_tum
 from scanloom.stages.stereo.depth import DepthMap, depth_scan
 
 pytestmark = pytest.mark.slow
@@ -43,7 +48,7 @@ def hidden(frames: Sequence[Frame]) -> list[Frame]:
 def trajectory_error(found: Registration, truth: Sequence[Frame]) -> float:
     """Root mean square distance of camera centres after the best rigid motion (Umeyama 1991)."""
     a = np.array([frame.world_from_camera[:3, 3] for frame in found.frames])
-    b = np.array([truth[place].world_from_camera[:3, 3] for place in found.places])
+    b = np.array([truth[place].world_from_camera[:3, 3] for place in found.frame_indices])
     centred = a - a.mean(axis=0), b - b.mean(axis=0)
     u, _, vt = np.linalg.svd(centred[0].T @ centred[1])
     turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -70,7 +75,7 @@ def half() -> Registration:
 
 def test_poses_of_the_sample_are_within_half_a_percent_of_the_path(whole: Registration) -> None:
     truth = sample()
-    assert whole.places == tuple(range(len(truth)))
+    assert whole.frame_indices == tuple(range(len(truth)))
     assert trajectory_error(whole, truth) < 0.005 * path_length(truth)
     assert len(whole.pieces) == 1
     assert whole.breaks == ()
@@ -80,7 +85,7 @@ def test_orientations_are_those_of_the_truth(whole: Registration) -> None:
     truth = sample()
     first = truth[0].world_from_camera
     for frame, true in zip(whole.frames, truth, strict=True):
-        off = inverted(inverted(first) @ true.world_from_camera) @ frame.world_from_camera
+        off = invert_pose(invert_pose(first) @ true.world_from_camera) @ frame.world_from_camera
         assert np.trace(off[:3, :3]) > 1 + 2 * np.cos(np.radians(1.0))
 
 
@@ -150,11 +155,11 @@ def test_frames_of_another_place_are_a_piece_of_their_own_and_named() -> None:
 def test_another_piece_can_be_used() -> None:
     here, there = hidden(sample(3)), [made_room(i) for i in range(3)]
     found = register([*here, *there], piece=2)
-    assert found.places == (8, 9, 10)
+    assert found.frame_indices == (8, 9, 10)
     np.testing.assert_allclose(found.frames[0].world_from_camera, np.eye(4), atol=1e-12)
-    assert list(found.apart) == [1]
-    assert [frame.name for frame in found.apart[1].values()] == [frame.name for frame in here]
-    assert list(found.apart[1]) == list(range(8))
+    assert list(found.other_pieces) == [1]
+    assert [frame.name for frame in found.other_pieces[1].values()] == [frame.name for frame in here]
+    assert list(found.other_pieces[1]) == list(range(8))
     assert trajectory_error(found, [*here, *there]) < 0.002
     with pytest.raises(
         InputError, match=r"register\.piece=3 does not exist; pieces of two or more frames: 2"
@@ -168,7 +173,7 @@ def test_another_piece_can_be_used() -> None:
 def test_poses_a_scan_has_are_refined_and_its_world_stays() -> None:
     truth = sample()
     found = register(shaken(truth), refine=True)
-    assert found.places == tuple(range(len(truth)))
+    assert found.frame_indices == tuple(range(len(truth)))
     off = [
         np.linalg.norm((frame.world_from_camera - true.world_from_camera)[:3, 3])
         for frame, true in zip(found.frames, truth, strict=True)
@@ -220,29 +225,29 @@ def test_there_must_be_poses_to_refine() -> None:
 
 def test_a_motion_takes_points_of_the_source_to_the_target() -> None:
     truth = sample(3)
-    source, target = (read_view(frame, 5.0) for frame in truth[:2])
-    motion = motion_between(source, target, 5.0)
+    source, target = (read_registration_view(frame, 5.0) for frame in truth[:2])
+    motion = estimate_motion(source, target, 5.0)
     assert isinstance(motion, Motion)
-    expected = inverted(truth[1].world_from_camera) @ truth[0].world_from_camera
+    expected = invert_pose(truth[1].world_from_camera) @ truth[0].world_from_camera
     moved = np.linalg.norm(expected[:3, 3])
     assert moved > 0.02
     assert np.linalg.norm((motion.target_from_source - expected)[:3, 3]) < 0.05 * moved
-    seen = recognise(source.features, target.features)
+    seen = estimate_motions(source.features, target.features)
     assert len(seen) == 1
     assert np.linalg.norm((seen[0].target_from_source - expected)[:3, 3]) < 0.1 * moved
 
 
 def test_a_flat_wall_holds_nothing() -> None:
     wall = Frame("wall", CAMERA, depth=np.full((120, 160), 2.0, np.float32))
-    view = read_view(wall, 10)
+    view = read_registration_view(wall, 10)
     assert view.firmness < 1e-6
-    found = motion_between(view, view, 10)
-    assert isinstance(found, NoMotion)
+    found = estimate_motion(view, view, 10)
+    assert isinstance(found, AlignmentFailure)
     assert "flat" in str(found.diagnostic)
 
 
 def test_a_corner_holds_a_view_in_all_directions() -> None:
-    assert read_view(made_room(0), 10).firmness > 0.01
+    assert read_registration_view(made_room(0), 10).firmness > 0.01
 
 
 # -- what cannot be used ---------------------------------------------------------------------------------
@@ -282,19 +287,19 @@ def test_dark_images_are_recognised_too() -> None:
     frames = hidden(sample(6))
     dark = [replace(frame, color=(read_color(frame) * 0.12).astype(np.uint8)) for frame in frames]
     for frame, other in zip(dark, frames, strict=True):
-        seen, bright = (read_view(one, 5.0).features for one in (frame, other))
+        seen, bright = (read_registration_view(one, 5.0).features for one in (frame, other))
         assert len(seen.points) > 0.7 * len(bright.points)
 
 
 def test_colour_finer_than_depth_tells_more() -> None:
     frame = hidden(sample())[0]
     depth = read_depth(frame)[::2, ::2]
-    coarse = replace(frame, depth=depth, camera=scaled(frame.camera, 160, 120), depth_scale=1.0)
+    coarse = replace(frame, depth=depth, camera=scale_camera(frame.camera, 160, 120), depth_scale=1.0)
     small = replace(coarse, color=np.ascontiguousarray(read_color(frame)[::2, ::2]))
-    fine, few = (read_view(one, 5.0).features for one in (coarse, small))
+    fine, few = (read_registration_view(one, 5.0).features for one in (coarse, small))
     assert len(fine.points) > 1.5 * len(few.points)
     # In metres they are where those of full depth are.
-    full = read_view(frame, 5.0).features
+    full = read_registration_view(frame, 5.0).features
     apart = np.linalg.norm(fine.points[:, None] - full.points[None], axis=2).min(axis=1)
     assert np.median(apart) < 0.01
 
@@ -327,8 +332,8 @@ def test_a_trajectory_is_read_back_as_written(tmp_path: Path) -> None:
 
 def test_pieces_are_what_edges_join() -> None:
     motion = Motion(np.eye(4), np.eye(6), 1.0, 0.0, 0)
-    edges = [Edge(a, b, motion, is_certain=True) for a, b in ((3, 1), (4, 3), (0, 2))]
-    assert pieces(6, edges) == [[1, 3, 4], [0, 2], [5]]
+    edges = [PoseGraphEdge(a, b, motion, is_certain=True) for a, b in ((3, 1), (4, 3), (0, 2))]
+    assert find_components(6, edges) == [[1, 3, 4], [0, 2], [5]]
 
 
 # -- real scans ------------------------------------------------------------------------------------------
@@ -341,10 +346,10 @@ def test_a_real_street_of_stereo_pairs(shared_data: Path) -> None:
         if isinstance(result, DepthMap)
     ]
     found = register(hidden(frames))
-    assert found.places == tuple(range(len(frames)))
+    assert found.frame_indices == tuple(range(len(frames)))
     steps = steps_off(found.frames, frames)
     # The given poses themselves turn by more than they should in the first dozen frames, which are left out.
-    assert rms([angle(step) for step in steps]) < np.radians(0.05)
+    assert rms([compute_rotation_angle(step) for step in steps]) < np.radians(0.05)
     assert rms([float(np.linalg.norm(step[:3, 3])) for step in steps]) < 0.03
     # True poses are not made worse.
     kept = register(frames, refine=True)
@@ -387,8 +392,8 @@ def steps_off(found: Sequence[Frame], truth: Sequence[Frame]) -> list[Pose]:
     """Return how the motion from each frame to the next differs from the true one."""
     pairs = itertools.pairwise(zip(found, truth, strict=True))
     return [
-        inverted(inverted(a.world_from_camera) @ b.world_from_camera)
-        @ inverted(one.world_from_camera)
+        invert_pose(invert_pose(a.world_from_camera) @ b.world_from_camera)
+        @ invert_pose(one.world_from_camera)
         @ other.world_from_camera
         for (one, a), (other, b) in pairs
     ]

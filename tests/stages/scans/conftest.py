@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tiny_recordings import INTERVAL, START
 
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_depth, read_pinhole
 from scanloom.stages.scans.params import ScanParams
 
@@ -76,7 +76,7 @@ class TinyWorld:
     def green_is_at_the_pixel(self, frame) -> bool:
         """Whether the colour that goes with the known pixel is the dot's, and that of others is not."""
         u, v = PIXEL
-        color = read_matching_color(frame, read_depth(frame)).astype(int)
+        color = read_color_aligned_to_depth(frame, read_depth(frame)).astype(int)
         green = color[:, :, 1] - color[:, :, 0]
         return green[v, u] > 200 and np.count_nonzero(green > 100) == 1
 

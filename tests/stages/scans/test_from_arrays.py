@@ -152,7 +152,7 @@ def test_pairs_are_a_stereo_scan() -> None:
     camera = make().camera
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.1
-    rig = StereoRig(camera, camera, right_from_left, rectified=True)
+    rig = StereoRig(camera, camera, right_from_left, is_rectified=True)
     scan = Scan.from_frames([make(depth=None, right=COLOR, mask=np.ones(SIZE, bool))], rig=rig)
     assert scan.is_stereo
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.inspecting.unused import unused
+from scanloom.stages.inspecting.unused_files import find_unused_files
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_masks_are_found_by_name_or_number(scan_folder, names):
     for frame, column in zip(scan.frames, (5, 6), strict=True):
         depth = read_depth(frame)
         assert (depth[8, column], depth[8, 11 - column] > 0) == (0, True)
-    assert unused(scan) == ()
+    assert find_unused_files(scan) == ()
     # Nobody takes them without being told to, and inspect says how.
     assert read_scan(scan_folder).frames[0].mask is None
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from scanloom.stages.scans.layout_table import LAYOUTS
 from scanloom.stages.scans.model.images import read_color, read_depth, read_pinhole
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.table import LAYOUTS
+from scanloom.stages.scans.reader import read_scan
 
 # Folder, frames, focal length in pixels, baseline in metres.
 EXCERPTS = [
@@ -69,7 +69,7 @@ def test_a_real_excerpt(shared_data, layout, folder, count, focal, baseline):
     # Of KITTI's pairs one is chosen.
     chosen = ScanParams(first=0, last=0) if layout == "kitti-stereo" else ScanParams()
     scan = read_scan(shared_data / folder, chosen, complete=False)
-    assert (scan.layout, len(scan.frames), scan.skipped) == (layout, count, ())
+    assert (scan.layout, len(scan.frames), scan.skipped_frames) == (layout, count, ())
     frame = scan.frames[-1] if layout != "colmap" else scan.frames[0]
     if focal is not None:
         assert scan.frames[0].camera.fx == pytest.approx(focal, abs=1e-3)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.layout_table import LAYOUTS
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan, recognise
-from scanloom.stages.scans.table import LAYOUTS
+from scanloom.stages.scans.reader import detect_layout, read_scan
 
 
 def touch(folder, *names):
@@ -75,7 +75,7 @@ def touch(folder, *names):
 )
 def test_signatures(tmp_path, names, layout):
     touch(tmp_path, *names)
-    found, reason = recognise(tmp_path)
+    found, reason = detect_layout(tmp_path)
     assert found.name == layout
     assert reason
 

@@ -10,7 +10,7 @@ from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CAMERA = Camera(32, 24, 100.0, 100.0, 16.0, 12.0)
 COUNT = 24

@@ -5,7 +5,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_the_baseline_of_no_pair(scan_folder):
 
 def test_a_unit_and_a_confidence_of_depth_that_is_not_there(scan_folder, pair_folder):
     with pytest.raises(UsageError, match="these frames have none; remove the option"):
-        read_scan(scan_folder, ScanParams(least_confidence=1))
+        read_scan(scan_folder, ScanParams(min_confidence=1))
     for path in scan_folder.glob("frame-*"):
         path.unlink()
     with pytest.raises(UsageError, match="stereo pairs have none"):

@@ -162,7 +162,7 @@ def test_ctrl_c_while_progress_is_told() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         simplify(mesh, ratio=0.05, progress=ctrl_c)
-    assert simplify(mesh, ratio=0.05, progress=ctrl_c, partial=True).stopped_by == "request"
+    assert simplify(mesh, ratio=0.05, progress=ctrl_c, keep_on_interrupt=True).stopped_by == "request"
 
 
 def test_other_answers_of_progress_mean_nothing() -> None:
@@ -190,7 +190,7 @@ def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.
     monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fitted", ctrl_c)
     with pytest.raises(KeyboardInterrupt):
         simplify(mesh, ratio=0.1)
-    results = [simplify(mesh, ratio=0.1, partial=True)]
+    results = [simplify(mesh, ratio=0.1, keep_on_interrupt=True)]
     monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fitted", asks)
     results.append(simplify(mesh, ratio=0.1, progress=stop))
     assert told[-1] == (2880, 2880)

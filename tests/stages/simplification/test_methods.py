@@ -15,8 +15,8 @@ import pytest
 from coloured_meshes import sheet
 
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.params import describe_all, described, find_nested, resolve
-from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.params import describe_all, describe_own, find_nested, resolve
+from scanloom.stages.simplification.method_selection import select_method
 from scanloom.stages.simplification.methods import METHODS, Method
 from scanloom.stages.simplification.params import SimplifyParams
 from scanloom.stages.simplification.seams.params import SeamsParams
@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[3]
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 def test_parameters_of_a_method_are_in_the_field_of_its_name(method: Method[Any, Any]) -> None:
     assert find_nested(SimplifyParams).get(method.name) is method.params
-    assert set(method.shared) <= set(described(SimplifyParams))
+    assert set(method.shared) <= set(describe_own(SimplifyParams))
 
 
 def test_no_parameter_of_a_method_has_the_name_of_another() -> None:
@@ -41,16 +41,16 @@ def test_no_parameter_of_a_method_has_the_name_of_another() -> None:
 
 def test_a_method_gets_its_own_parameters() -> None:
     seams = next(method for method in METHODS if method.name == "seams")
-    assert seams.own(SimplifyParams()) == SeamsParams()
+    assert seams.get_own_params(SimplifyParams()) == SeamsParams()
     own = SeamsParams(texture_weight=2.0)
-    assert seams.own(SimplifyParams(seams=own, max_shape=1.0)) is own
+    assert seams.get_own_params(SimplifyParams(seams=own, max_shape=1.0)) is own
 
 
 def test_parameters_of_a_method_can_be_given_as_an_object_or_a_dict() -> None:
-    given = SimplifyParams(ratio=0.5, seams=SeamsParams(set_penalty=0.0, across_parts=2.0))
+    given = SimplifyParams(ratio=0.5, seams=SeamsParams(duplicate_penalty=0.0, part_border_penalty=2.0))
     assert resolve(SimplifyParams, None, {"ratio": 0.5, "seams": given.seams}) == given
-    assert resolve(SimplifyParams, given, {"seams": {"set_penalty": 0.2}}).seams == SeamsParams(
-        set_penalty=0.2, across_parts=2.0
+    assert resolve(SimplifyParams, given, {"seams": {"duplicate_penalty": 0.2}}).seams == SeamsParams(
+        duplicate_penalty=0.2, part_border_penalty=2.0
     )
     mesh = sheet(12)
     one, other = (simplify(mesh, ratio=0.5, seams=own) for own in (given.seams, dict(vars(given.seams))))
@@ -91,10 +91,10 @@ def test_mistakes_in_parameters_of_a_method_are_named(given: dict[str, Any], sen
         ({"ratio": 0.5}, "quadric", "seams"),
         ({"triangles": 5, "fit": False}, "quadric", "seams"),
         ({"ratio": 0.5, "attribute_scale": 0.0}, "quadric", "seams"),
-        ({"ratio": 0.5, "seams": {"set_penalty": 0.0}}, "seams", "seams"),
+        ({"ratio": 0.5, "seams": {"duplicate_penalty": 0.0}}, "seams", "seams"),
         ({"ratio": 0.5, "max_shape": 0.1}, "certified", "certified"),
         ({"max_color": 0.0}, "certified", "certified"),
-        ({"max_color": 9.0, "certified": {"close_bounds": True}}, "certified", "certified"),
+        ({"max_color": 9.0, "certified": {"tight_bounds": True}}, "certified", "certified"),
         ({"max_shape": 0.1, "jia01": {"paper_rule": False}}, "certified", "certified"),
         ({"ratio": 0.5, "jia01": {"resolution": 0.1}}, "jia01", "jia01"),
         ({"jia01": {"paper_rule": True}}, "jia01", "jia01"),
@@ -104,16 +104,16 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
     given: dict[str, Any], plain: str, in_pieces: str
 ) -> None:
     params = resolve(SimplifyParams, None, given)
-    assert chosen(params).name == plain
-    assert chosen(params, in_pieces=True).name == in_pieces
+    assert select_method(params).name == plain
+    assert select_method(params, has_corner_attributes=True).name == in_pieces
 
 
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
         (
-            {"certified": {"close_bounds": True}},
-            "certified.close_bounds belongs to method certified, which needs max_shape or max_color.",
+            {"certified": {"tight_bounds": True}},
+            "certified.tight_bounds belongs to method certified, which needs max_shape or max_color.",
         ),
         (
             {"seams": {"texture_weight": 0.0}},
@@ -124,8 +124,8 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
             "planar.patch_angle belongs to method planar, which auto never selects; give method planar, too.",
         ),
         (
-            {"max_shape": 0.1, "certified": {"close_bounds": True}, "jia01": {"resolution": 1.0}},
-            "certified.close_bounds belongs to method certified, which does not support jia01.resolution",
+            {"max_shape": 0.1, "certified": {"tight_bounds": True}, "jia01": {"resolution": 1.0}},
+            "certified.tight_bounds belongs to method certified, which does not support jia01.resolution",
         ),
         (
             {"method": "jia01", "fit": True, "planar": {"patch_angle": 9.0}},
@@ -145,7 +145,7 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
 )
 def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(UsageError) as refused:
-        chosen(resolve(SimplifyParams, None, given))
+        select_method(resolve(SimplifyParams, None, given))
     assert sentence in str(refused.value)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.simplification.regions import Box, Region, Sphere, parse_region, resolve_control
+from scanloom.stages.simplification.regions import Box, Region, Sphere, parse_region, resolve_vertex_control
 from scanloom.stages.surface.mesh import Mesh
 
 LINE = Mesh(np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], 1), np.zeros((0, 3), np.int32))
@@ -18,12 +18,12 @@ LINE = Mesh(np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], 1), np.zeros((0
 
 def test_a_sphere_holds_what_is_within_its_radius() -> None:
     sphere = Sphere((1.0, 0.0, 0.0), 1.0, lock=True)
-    assert sphere.holds(LINE.vertices).tolist() == [True, True, True, False, False]
+    assert sphere.contains(LINE.vertices).tolist() == [True, True, True, False, False]
 
 
 def test_a_box_holds_what_is_between_its_corners() -> None:
     box = Box((0.5, -1.0, 0.0), (3.0, 1.0, 0.0), lock=True)
-    assert box.holds(LINE.vertices).tolist() == [False, True, True, True, False]
+    assert box.contains(LINE.vertices).tolist() == [False, True, True, True, False]
 
 
 @pytest.mark.parametrize(
@@ -71,15 +71,15 @@ def test_the_largest_importance_counts_and_locks_add_up() -> None:
         Sphere((0.0, 0.0, 0.0), 1.5, importance=0.5),
         Sphere((1.0, 0.0, 0.0), 1.5, importance=4.0, lock=True),
     )
-    lock, importance = resolve_control(LINE, [4], None, regions)
+    lock, importance = resolve_vertex_control(LINE, [4], None, regions)
     assert lock.tolist() == [True, True, True, False, True]
     assert importance.tolist() == [4, 4, 4, 1, 1]
-    _, importance = resolve_control(LINE, None, [0.1, 9, 1, 2, 3], regions)
+    _, importance = resolve_vertex_control(LINE, None, [0.1, 9, 1, 2, 3], regions)
     assert importance.tolist() == [4, 9, 4, 2, 3]
 
 
 def test_a_region_may_care_less() -> None:
-    _, importance = resolve_control(LINE, None, None, [Sphere((0.0, 0.0, 0.0), 1.5, importance=0.5)])
+    _, importance = resolve_vertex_control(LINE, None, None, [Sphere((0.0, 0.0, 0.0), 1.5, importance=0.5)])
     assert importance.tolist() == [0.5, 0.5, 1, 1, 1]
 
 

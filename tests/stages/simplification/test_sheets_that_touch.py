@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from seamed_meshes import edge_counts, overlapping, welded
+from seamed_meshes import count_duplicates, count_edges, weld_corners
 
 from scanloom import Mesh, simplify
 
@@ -56,15 +56,15 @@ def _balls(touching: int) -> Mesh:
 @pytest.mark.parametrize("is_soup", [False, True])
 def test_no_edge_and_no_triangle_comes_to_be_twice(touching: int, how: dict[str, Any], is_soup: bool) -> None:
     mesh = _balls(touching)
-    before = welded(mesh)
+    before = weld_corners(mesh)
     if is_soup:
         corners = np.arange(3 * len(mesh.triangles), dtype=np.int32).reshape(-1, 3)
         mesh = Mesh(mesh.vertices[mesh.triangles.reshape(-1)], corners)
-    assert edge_counts(before) == (0, 0)
-    assert overlapping(before) == 0
+    assert count_edges(before) == (0, 0)
+    assert count_duplicates(before) == 0
 
     light = simplify(mesh, **how).mesh
 
     assert len(light.triangles) < len(mesh.triangles)
-    assert edge_counts(welded(light)) == (0, 0)
-    assert overlapping(welded(light)) == 0
+    assert count_edges(weld_corners(light)) == (0, 0)
+    assert count_duplicates(weld_corners(light)) == 0

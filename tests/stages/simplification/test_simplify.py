@@ -20,7 +20,7 @@ from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
 from scanloom.stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
-from scanloom.stages.simplification.simplify import Simplified, SimplifyParams, simplify
+from scanloom.stages.simplification.simplify import SimplificationResult, SimplifyParams, simplify
 from scanloom.stages.surface.codes import MESH_LEFT_OUT
 from scanloom.stages.surface.mesh import Mesh, Texture
 from scanloom.stages.surface.mesh_files import read_mesh
@@ -58,7 +58,7 @@ def edge_lengths(mesh: Mesh) -> NDArray[np.float64]:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel()
 
 
-def assert_same_topology(result: Simplified, before: Mesh) -> None:
+def assert_same_topology(result: SimplificationResult, before: Mesh) -> None:
     was, now = topology(before), topology(result.mesh)
     assert now.is_manifold
     assert now.is_oriented
@@ -296,7 +296,7 @@ def test_the_input_is_not_changed() -> None:
 @pytest.mark.parametrize("method", ["certified", "jia01"])
 def test_same_bytes_every_time_and_in_every_thread(method: str) -> None:
     mesh = sheet(60, hills, 0.001)
-    results: list[Simplified] = []
+    results: list[SimplificationResult] = []
     workers = [
         threading.Thread(target=lambda: results.append(simplify(mesh, method=method, max_shape=0.01)))
         for _ in range(3)

@@ -9,9 +9,9 @@ import pytest
 from coloured_meshes import MESHES
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_meshes import varied_meshes
 from seamed_meshes import folded_strips, wrapped_ball
-from simplified_checks import assert_sound, parameters_for
-from varied_meshes import varied_meshes
+from simplification_checks import assert_within_bounds, make_parameters
 
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
 from scanloom.stages.simplification.methods import METHODS, Method
@@ -51,14 +51,14 @@ def soups(draw: st.DrawFn) -> Mesh:
 
 def require_sound(mesh: Mesh, method: Method[Any, Any], ratio: float, free_share: float) -> None:
     """Simplify and check; a mesh that the method refuses with a message counts as good."""
-    parameters = parameters_for(method, mesh, ratio=ratio)
+    parameters = make_parameters(method, mesh, ratio=ratio)
     if parameters.get("max_shape") == 0:
         return
     try:
         simplified = simplify(mesh, **parameters).mesh
     except (MeshError, UsageError):
         return
-    assert_sound(simplified, mesh, parameters.get("max_shape"), free_share)
+    assert_within_bounds(simplified, mesh, parameters.get("max_shape"), free_share)
 
 
 @each_method
@@ -96,7 +96,7 @@ def test_the_check_notices_what_is_not_finite(field: str) -> None:
     array = getattr(mesh, field).copy()
     array[5, 1] = np.nan
     with pytest.raises(AssertionError, match="not finite"):
-        assert_sound(mesh.with_(**{field: array}), mesh)
+        assert_within_bounds(mesh.with_(**{field: array}), mesh)
 
 
 def test_the_check_notices_a_vertex_outside() -> None:
@@ -105,5 +105,5 @@ def test_the_check_notices_a_vertex_outside() -> None:
     farthest = int(moved[:, 0].argmax())
     moved[farthest] *= 1.2
     with pytest.raises(AssertionError, match=f"vertex {farthest} lies"):
-        assert_sound(mesh.with_(vertices=moved), mesh)
-    assert_sound(mesh.with_(vertices=moved), mesh, max_shape=0.3)
+        assert_within_bounds(mesh.with_(vertices=moved), mesh)
+    assert_within_bounds(mesh.with_(vertices=moved), mesh, max_shape=0.3)

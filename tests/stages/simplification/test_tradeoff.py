@@ -27,7 +27,7 @@ def test_points_go_from_all_to_few_and_errors_grow(found: Tradeoff) -> None:
         assert values == sorted(values), name
         assert values[0] < 1e-9 < values[1]
     assert all(point.rms_m <= point.percentile_95_m <= point.maximum_m for point in found.points[1:])
-    assert [point.share for point in found.points] == [count / 3200 for count in counts]
+    assert [point.ratio for point in found.points] == [count / 3200 for count in counts]
 
 
 def test_errors_are_those_of_simplify_as_compare_measures_them(found: Tradeoff) -> None:
@@ -47,14 +47,14 @@ def test_errors_are_those_of_simplify_as_compare_measures_them(found: Tradeoff) 
 def test_the_record_leads_to_the_mesh_of_every_point(found: Tradeoff) -> None:
     for point in found.points:
         assert len(found.record.replay(triangles=point.triangles).mesh.triangles) == point.triangles
-    assert len(found.mesh.triangles) == found.suggested
+    assert len(found.mesh.triangles) == found.suggested_triangles
 
 
 def test_the_bend_is_suggested() -> None:
     # A ball: the error goes with one over the number, and bends most at 1 / 4.6 of the way in logarithms.
     found = tradeoff(ball().with_(colors=None), steps=9, least=0.01, samples=2000)
-    assert found.suggested is not None
-    assert 0.02 < found.suggested / len(ball().triangles) < 0.1
+    assert found.suggested_triangles is not None
+    assert 0.02 < found.suggested_triangles / len(ball().triangles) < 0.1
     assert found.points[0].color_rmse_levels is None
 
 
@@ -63,9 +63,9 @@ def test_the_smallest_number_within_a_distance_is_suggested(found: Tradeoff) -> 
     counts = [point.triangles for point in found.points]
     again = tradeoff(sheet(40), counts=counts, samples=20_000, within=within)
     assert again.points == found.points
-    assert again.suggested == found.points[3].triangles
+    assert again.suggested_triangles == found.points[3].triangles
     none = tradeoff(sheet(40), counts=[100], samples=1000, within=1e-9)
-    assert none.suggested is None
+    assert none.suggested_triangles is None
     assert len(none.mesh.triangles) == 100
 
 
@@ -84,7 +84,7 @@ def test_where_nothing_may_collapse_any_more_the_curve_ends_and_says_so() -> Non
     )
     found = tradeoff(tetrahedron, samples=100)
     assert [point.triangles for point in found.points] == [4]
-    assert found.suggested is None
+    assert found.suggested_triangles is None
     assert [str(one) for one in found.diagnostics] == [
         "no edge can collapse below 4 triangles, which holes, handles and components need"
     ]
@@ -103,7 +103,7 @@ def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_figures()
 def test_it_prints_as_a_table(found: Tradeoff) -> None:
     told = json.loads(json.dumps(found.figures()))
     assert [point["triangles"] for point in told["points"]] == [point.triangles for point in found.points]
-    head, first, *_ = found.rows()
+    head, first, *_ = found.to_rows()
     assert head == ["triangles", "share", "RMS m", "95 % m", "maximum m", "colour levels"]
     assert first[:2] == ["3,200", "100 %"]
     html = found._repr_html_()

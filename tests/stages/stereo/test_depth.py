@@ -28,7 +28,7 @@ def baseline(metres: float) -> np.ndarray:
     return right_from_left
 
 
-RIG = StereoRig(CAMERA, CAMERA, baseline(0.1), rectified=True)
+RIG = StereoRig(CAMERA, CAMERA, baseline(0.1), is_rectified=True)
 
 
 @cache
@@ -195,9 +195,9 @@ def test_one_pair_or_two_are_matched_by_our_own_matcher() -> None:
         assert same(given(pairs, sgbm={"p1": 100}), given(pairs, matcher="3way", sgbm={"p1": 100}))
     assert same(given(3), given(3, matcher="3way"))
     # 8,000 × 6,000 px and 100 disparities take 28 GB.
-    assert stages.DepthParams().is_own(1, 4 << 30)
-    assert not stages.DepthParams().is_own(1, 28 << 30)
-    assert stages.DepthParams(matcher="census").is_own(9, 28 << 30)
+    assert stages.DepthParams().uses_census(1, 4 << 30)
+    assert not stages.DepthParams().uses_census(1, 28 << 30)
+    assert stages.DepthParams(matcher="census").uses_census(9, 28 << 30)
 
 
 def test_range_ends_where_the_expected_error_reaches_its_share() -> None:
@@ -230,7 +230,7 @@ def test_range_is_found_from_the_pair_when_nothing_states_it() -> None:
 
     assert truth.max() < result.search.end < 60
     assert np.mean(errors(result, truth) > 1) < 0.002
-    stated = depth(left, right, replace(RIG, disparities=70))
+    stated = depth(left, right, replace(RIG, disparity_count=70))
     assert (stated.search.lowest, stated.search.count) == (0, 80)
 
 
@@ -326,7 +326,7 @@ def unrectified() -> Scan:
                 world_from_camera=world_from_left,
             )
         )
-    return Scan("made", frames, StereoRig(left, right, right_from_left, rectified=False))
+    return Scan("made", frames, StereoRig(left, right, right_from_left, is_rectified=False))
 
 
 def test_rectified_depth_and_pose_put_the_points_on_the_plane(unrectified: Scan) -> None:
@@ -389,7 +389,7 @@ def test_swapped_images_are_refused() -> None:
         (replace(RIG, right=replace(CAMERA, cy=130.0)), "marked as rectified, but cy"),
         (replace(RIG, right=replace(CAMERA, width=640)), "both must have the same size"),
         (
-            replace(RIG, left=replace(CAMERA, distortion=(0.1,) * 3), rectified=False),
+            replace(RIG, left=replace(CAMERA, distortion=(0.1,) * 3), is_rectified=False),
             "3 distortion coefficients",
         ),
     ],
@@ -407,7 +407,7 @@ def test_cameras_one_above_the_other_are_refused() -> None:
     above[1, 3] = -0.1
 
     with pytest.raises(InputError, match="one above the other"):
-        depth(left, right, StereoRig(CAMERA, CAMERA, above, rectified=False))
+        depth(left, right, StereoRig(CAMERA, CAMERA, above, is_rectified=False))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 from scanloom.stages.scans.model.images import read_color, read_right
 from scanloom.stages.scans.model.scan import Camera, Frame, StereoRig
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.stereo.depth import DepthMap, depth, depth_scan
 
 
@@ -81,7 +81,7 @@ def cones(shared_data: Path, **changes: Any) -> tuple[DepthMap, np.ndarray]:
     first, second = read_color(frame), read_right(frame)
     assert first is not None
     assert second is not None
-    result = depth(first, second, StereoRig(camera, camera, right_from_left, rectified=True), **changes)
+    result = depth(first, second, StereoRig(camera, camera, right_from_left, is_rectified=True), **changes)
     truth = cv2.imread(str(folder / "disp2.pgm"), cv2.IMREAD_UNCHANGED) / 4.0
     truth[truth == 0] = np.inf
     return result, truth
@@ -151,7 +151,7 @@ def test_street_agrees_with_itself_from_frame_to_frame(shared_data: Path) -> Non
 def test_unrectified_room_has_common_rows_once_turned(shared_data: Path) -> None:
     scan = read_scan(shared_data / "stereo/euroc_V1_01_easy_static")
     assert scan.rig is not None
-    assert not scan.rig.rectified
+    assert not scan.rig.is_rectified
     (frame, result), *_ = depth_scan(type(scan)(scan.layout, scan.frames[:1], scan.rig))
 
     assert isinstance(result, DepthMap)

@@ -291,7 +291,7 @@ def rig_of(width: int, height: int) -> StereoRig:
     camera = Camera(width, height, 100.0, 100.0, width / 2, height / 2)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.1
-    return StereoRig(camera, camera, right_from_left, rectified=True)
+    return StereoRig(camera, camera, right_from_left, is_rectified=True)
 
 
 def test_the_stage_takes_it() -> None:

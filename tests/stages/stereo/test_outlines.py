@@ -5,29 +5,29 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pale_thing
+import pale_object
 import pytest
 
 from scanloom import views_depth
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.scans.model.scan import Frame, Scan
-from scanloom.stages.stereo.background import before_backdrop, common_backdrop
+from scanloom.stages.stereo.background import detect_backdrop, segment_foreground
 from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE
-from scanloom.stages.stereo.coverage import Counts, report_coverage
+from scanloom.stages.stereo.coverage import CoverageCounts, report_coverage
 from scanloom.stages.stereo.depth import DepthMap, DepthParams
-from scanloom.stages.stereo.hull_fill import on_hull, unmeasured
-from scanloom.stages.stereo.posed_views import posed_views
-from scanloom.stages.stereo.shown import hull_front, in_hull, outline_of
+from scanloom.stages.stereo.foreground_masks import compute_hull_entry, crop_to_hull, detect_outline
+from scanloom.stages.stereo.posed_views import create_posed_views
+from scanloom.stages.stereo.visual_hull_filling import compute_hull_depth, remove_contradicted_depth
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def pale() -> tuple[Scan, list[np.ndarray]]:
-    return pale_thing.scan(views=9)
+    return pale_object.make_pale_scan(views=9)
 
 
-def coverage_reported(counts: Counts, **changes: str) -> list[str]:
+def coverage_reported(counts: CoverageCounts, **changes: str) -> list[str]:
     with collecting() as diagnostics:
         report_coverage(counts, DepthParams(**changes))
     return list(map(str, diagnostics))
@@ -57,18 +57,18 @@ def test_a_backdrop_is_told_from_a_room_and_from_what_stands_before_it(
     scan, truths = pale
     images = [frame.color for frame in scan.frames]
     whole = [np.ones((240, 320), bool)] * len(images)
-    found = common_backdrop(images, whole)
+    found = detect_backdrop(images, whole)
     assert found is not None
     for image, true in zip(images, truths, strict=True):
         # Where the thing ends a pixel is of both.
-        assert np.mean(before_backdrop(image, found, 3.0) != (true > 0)) < 0.002
+        assert np.mean(segment_foreground(image, found, 3.0) != (true > 0)) < 0.002
     draw = np.random.default_rng(3)
     whole = [np.ones((90, 120), bool)] * 4
     rooms = [draw.integers(0, 255, (90, 120, 3), np.uint8) for _ in range(4)]
-    assert common_backdrop(rooms, whole) is None
+    assert detect_backdrop(rooms, whole) is None
     # Walls of another colour in each view.
-    assert common_backdrop([np.full((90, 120, 3), 60 * at, np.uint8) for at in range(4)], whole) is None
-    assert common_backdrop([], []) is None
+    assert detect_backdrop([np.full((90, 120, 3), 60 * at, np.uint8) for at in range(4)], whole) is None
+    assert detect_backdrop([], []) is None
 
 
 def test_black_around_an_image_without_distortion_is_no_backdrop() -> None:
@@ -77,8 +77,8 @@ def test_black_around_an_image_without_distortion_is_no_backdrop() -> None:
     seen = np.zeros((90, 120), bool)
     seen[8:-8, 8:-8] = True
     rooms = [draw.integers(40, 255, (90, 120, 3), np.uint8) * seen[..., None] for _ in range(4)]
-    assert common_backdrop(rooms, [seen] * 4) is None
-    assert common_backdrop(rooms, [np.ones_like(seen)] * 4) is not None
+    assert detect_backdrop(rooms, [seen] * 4) is None
+    assert detect_backdrop(rooms, [np.ones_like(seen)] * 4) is not None
 
 
 def masked(scan: Scan, truths: list[np.ndarray]) -> Scan:
@@ -88,11 +88,11 @@ def masked(scan: Scan, truths: list[np.ndarray]) -> Scan:
 
 
 def test_the_front_of_the_hull_is_never_behind_the_thing() -> None:
-    scan, truths = pale_thing.scan(views=36)
+    scan, truths = pale_object.make_pale_scan(views=36)
     scan = masked(scan, truths)
-    views = [replace(view, near=0.5, far=1.5) for view in posed_views(scan)]
+    views = [replace(view, near=0.5, far=1.5) for view in create_posed_views(scan)]
     true = truths[5].astype(np.float32)
-    front = hull_front(views[5], true > 0, outline_of(scan, views, 3.0).silhouettes)
+    front = compute_hull_entry(views[5], true > 0, detect_outline(scan, views, 3.0).silhouettes)
     assert not front[true == 0].any()
     ahead = (true - front)[true > 0] / true[true > 0]
     assert np.mean(front[true > 0] > 0) == 1
@@ -102,30 +102,30 @@ def test_the_front_of_the_hull_is_never_behind_the_thing() -> None:
 
 
 def test_what_no_view_measured_lies_on_the_hull() -> None:
-    scan, truths = pale_thing.scan(views=36)
+    scan, truths = pale_object.make_pale_scan(views=36)
     scan = masked(scan, truths)
-    views = [replace(view, near=0.5, far=1.5) for view in posed_views(scan)]
-    outlines = outline_of(scan, views, 3.0).silhouettes
+    views = [replace(view, near=0.5, far=1.5) for view in create_posed_views(scan)]
+    outlines = detect_outline(scan, views, 3.0).silhouettes
     true = truths[5].astype(np.float32)
     hole = np.zeros(true.shape, bool)
     hole[100:150, 140:180] = True
     depth = np.where(hole, np.float32(0), true)
-    told = on_hull(views[5], depth, true > 0, outlines)
+    told = compute_hull_depth(views[5], depth, true > 0, outlines)
     np.testing.assert_array_equal(told > 0, hole & (true > 0))
     off = np.abs(told - true)[told > 0] / true[told > 0]
-    front = hull_front(views[5], told > 0, outlines)
+    front = compute_hull_entry(views[5], told > 0, outlines)
     assert np.median(off) < 0.01
     # Nearer to the thing than the hull, whose distance from it is told by what is measured around.
     assert np.median(off) < 0.6 * np.median((true - front)[told > 0] / true[told > 0])
     # What others measured, there or behind, is no hole.
     others = [(views[at], truths[at].astype(np.float32)) for at in (4, 6)]
-    assert np.mean(unmeasured(views[5], told, others, 2)[told > 0] > 0) < 0.1
-    np.testing.assert_array_equal(unmeasured(views[5], told, others, 3), told)
+    assert np.mean(remove_contradicted_depth(views[5], told, others, 2)[told > 0] > 0) < 0.1
+    np.testing.assert_array_equal(remove_contradicted_depth(views[5], told, others, 3), told)
 
 
 def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
     """Less texture than noise: what looks alike everywhere lay anywhere, 4 % off in the median."""
-    scan, truths = pale_thing.scan(views=18, step=20.0, texture=0.5)
+    scan, truths = pale_object.make_pale_scan(views=18, step=20.0, texture=0.5)
     off = []
     with collecting() as diagnostics:
         results = measured(masked(scan, truths))
@@ -137,24 +137,24 @@ def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
 
 
 def test_much_that_was_not_measured_is_told() -> None:
-    assert not coverage_reported(Counts(all=100, shown=50, kept=40, filled=4))
-    (said,) = coverage_reported(Counts(all=100, shown=50, kept=30, filled=10))
+    assert not coverage_reported(CoverageCounts(total=100, foreground=50, consistent=40, hull_filled=4))
+    (said,) = coverage_reported(CoverageCounts(total=100, foreground=50, consistent=30, hull_filled=10))
     assert said.startswith("25% of the object's depth is not measured")
-    (said,) = coverage_reported(Counts(all=100, shown=50, kept=30, planar=10))
+    (said,) = coverage_reported(CoverageCounts(total=100, foreground=50, consistent=30, plane_filled=10))
     assert said.startswith("25% of the depth is not measured, but filled from planes")
 
 
 def test_masks_that_cut_a_thing_out_bound_it(pale: tuple[Scan, list[np.ndarray]]) -> None:
     scan, truths = pale
     cut = masked(scan, truths)
-    views = posed_views(cut)
-    outline = outline_of(cut, views, 3.0)
+    views = create_posed_views(cut)
+    outline = detect_outline(cut, views, 3.0)
     assert len(outline.silhouettes) == 9
     true = truths[4].astype(np.float32)
-    np.testing.assert_array_equal(in_hull(true, views[4], outline.silhouettes), true)
+    np.testing.assert_array_equal(crop_to_hull(true, views[4], outline.silhouettes), true)
     # Nearer by half of the thing's depth, most of it projects beside it in the views aside.
     wrong = true - np.float32(0.15) * (true > 0)
-    assert np.mean(in_hull(wrong, views[4], outline.silhouettes)[true > 0] > 0) < 0.7
+    assert np.mean(crop_to_hull(wrong, views[4], outline.silhouettes)[true > 0] > 0) < 0.7
     for (_, result), true in list(zip(measured(cut), truths, strict=True))[2:-2]:
         assert np.mean(result.depth[true > 0] > 0) > 0.8
 
@@ -167,22 +167,33 @@ def test_masks_of_what_moves_and_of_lenses_are_no_silhouettes(pale: tuple[Scan, 
     lens = (np.hypot(u - width / 2, v - height / 2) < height / 2).astype(np.uint8)
     for masks in (moving, [lens] * len(truths)):
         frames = [replace(frame, mask=mask) for frame, mask in zip(scan.frames, masks, strict=True)]
-        found = outline_of(replace(scan, frames=frames), posed_views(scan), 3.0)
+        found = detect_outline(replace(scan, frames=frames), create_posed_views(scan), 3.0)
         assert not found.silhouettes
         assert found.backdrop is not None
-        assert not outline_of(replace(scan, frames=frames), posed_views(scan), 0.0).is_known
+        assert not detect_outline(replace(scan, frames=frames), create_posed_views(scan), 0.0).is_known
 
 
 def test_little_depth_is_told_with_what_took_it() -> None:
     pairs = {"views": "pairs"}
-    assert not coverage_reported(Counts(all=100, shown=50, matched=40, kept=30, outlined=100), **pairs)
-    (said,) = coverage_reported(Counts(all=100, shown=50, matched=40, kept=10, outlined=100), **pairs)
+    assert not coverage_reported(
+        CoverageCounts(total=100, foreground=50, matched=40, consistent=30, outlined=100), **pairs
+    )
+    (said,) = coverage_reported(
+        CoverageCounts(total=100, foreground=50, matched=40, consistent=10, outlined=100), **pairs
+    )
     assert "only 20% of the pixels inside masks or in front of the backdrop" in said
     assert "60% are not confirmed by 2 other views" in said
     assert said.index("60%") < said.index("20% have no reliable match")
-    (said,) = coverage_reported(Counts(all=100, shown=100, plain=80, matched=15, kept=10), **pairs)
-    assert "10% of the views' pixels: 80% have too little texture (depth.backdrop=0 keeps them)" in said
-    assert not coverage_reported(Counts(all=100, shown=100, plain=20, matched=70, kept=16), **pairs)
+    (said,) = coverage_reported(
+        CoverageCounts(total=100, foreground=100, textureless=80, matched=15, consistent=10), **pairs
+    )
+    assert (
+        "10% of the views' pixels: 80% have too little texture (depth.max_backdrop_contrast=0 keeps them)"
+        in said
+    )
+    assert not coverage_reported(
+        CoverageCounts(total=100, foreground=100, textureless=20, matched=70, consistent=16), **pairs
+    )
 
 
 def test_little_depth_is_told_once_for_the_scan(pale: tuple[Scan, list[np.ndarray]]) -> None:

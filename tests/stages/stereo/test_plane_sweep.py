@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom.stages import _kernels
-from scanloom.stages.stereo.agreement import Said
-from scanloom.stages.stereo.plane_sweep import plane_sweep
+from scanloom.stages.stereo.plane_sweep import sweep_view
 from scanloom.stages.stereo.posed_views import PosedView
-from scanloom.stages.stereo.view_images import Seen
-from scanloom.stages.stereo.views_confidence import views_confidence
+from scanloom.stages.stereo.sweep_confidence import compute_sweep_confidence
+from scanloom.stages.stereo.view_consistency import ViewSupport
+from scanloom.stages.stereo.view_images import ViewImage
 from tests.made import posed_scene
 
 SMALL, LARGE, EDGE = 24, 300.0, 30.0
@@ -137,13 +137,13 @@ def test_ranges_beyond_the_planes_are_refused() -> None:
             )
 
 
-def posed(count: int) -> tuple[list[Seen], list[np.ndarray]]:
+def posed(count: int) -> tuple[list[ViewImage], list[np.ndarray]]:
     views, truths = [], []
     for number in range(count):
         where = posed_scene.pose(7.0 * number, 0)
-        image, true = posed_scene.seen(where)
+        image, true = posed_scene.render_view(where)
         views.append(
-            Seen(PosedView(posed_scene.CAMERA, where, 0.5, 4.0), image.mean(axis=-1).astype(np.uint8))
+            ViewImage(PosedView(posed_scene.CAMERA, where, 0.5, 4.0), image.mean(axis=-1).astype(np.uint8))
         )
         truths.append(true)
     return views, truths
@@ -151,7 +151,7 @@ def posed(count: int) -> tuple[list[Seen], list[np.ndarray]]:
 
 def test_a_known_scene_is_measured_to_a_fraction_of_a_pixel() -> None:
     views, truths = posed(5)
-    found = plane_sweep(views[2], [views[at] for at in (1, 3, 0, 4)])
+    found = sweep_view(views[2], [views[at] for at in (1, 3, 0, 4)])
     shown = truths[2] > 0
     off = np.abs(found.depth - truths[2])[shown] / truths[2][shown]
     # A pixel of disparity is two per cent.
@@ -163,23 +163,23 @@ def test_only_what_a_thing_is_about_is_searched() -> None:
     views, truths = posed(3)
     thing = np.zeros(truths[1].shape, bool)
     thing[60:90, 100:140] = True
-    part = plane_sweep(replace(views[1], thing=thing), [views[0], views[2]])
+    part = sweep_view(replace(views[1], object_mask=thing), [views[0], views[2]])
     assert part.depth[60:90, 100:140].all()
     assert not part.depth[:20].any()
-    assert not part.distinct[:20].any()
+    assert not part.distinctness[:20].any()
 
 
 def test_a_partner_that_shows_nothing_there_forbids_it() -> None:
     """Seen from the partner, the thing is where it truly is alone; so it is found there, however plain."""
     views, _ = posed(2)
     flat = [replace(one, grey=np.full_like(one.grey, 90)) for one in views]
-    matrix = views[0].view.pixels_to(views[1].view)
+    matrix = views[0].view.compute_projection_to(views[1].view)
     v, u = np.mgrid[60:100, 90:130]
     places = np.stack([u, v, np.ones_like(u)], -1) @ matrix[:, :3].T + matrix[:, 3] / 1.5
     at = np.rint(places[..., :2] / places[..., 2:]).astype(int)
     thing = np.zeros(views[1].grey.shape, bool)
     thing[at[..., 1], at[..., 0]] = True
-    found = plane_sweep(flat[0], [replace(flat[1], thing=thing)])
+    found = sweep_view(flat[0], [replace(flat[1], object_mask=thing)])
     assert np.median(found.depth[75:85, 105:115]) == pytest.approx(1.5, rel=0.15)
 
 
@@ -191,7 +191,7 @@ def test_confidence_rises_with_what_speaks_for_it() -> None:
 
     def at(distinct: int, agreeing: int, image: np.ndarray = grey, is_outlined: bool = False) -> np.ndarray:
         sure, same, all_ = (np.full((40, 60), n, np.uint8) for n in (distinct, agreeing, 8))
-        return views_confidence(depth, sure, image, Said(same, same, all_, all_), is_outlined)
+        return compute_sweep_confidence(depth, sure, image, ViewSupport(same, same, all_, all_), is_outlined)
 
     assert not at(128, 4)[:, :5].any()
     inner = np.s_[10:30, 20:40]
@@ -214,7 +214,7 @@ def test_what_others_say_is_what_they_see(seed: int) -> None:
     ]
     maps = [rng.choice([0, 1.0, 1.4, 1.5, 1.6, 2], (9, 12)).astype(np.float32) for _ in views]
     masks = [rng.random((9, 12)) < 0.7 for _ in views]
-    matrices = [views[0].pixels_to(other) for other in views[1:]]
+    matrices = [views[0].compute_projection_to(other) for other in views[1:]]
 
     near, wide = _kernels.agreeing(
         maps[0], list(zip(matrices, maps[1:], strict=True)), tolerances=(0.05, 0.2), wanted_threads=1
@@ -226,11 +226,11 @@ def test_what_others_say_is_what_they_see(seed: int) -> None:
 
     for v, u in np.ndindex(maps[0].shape):
         z = float(maps[0][v, u])
-        point = views[0].to_world(views[0].rays(np.array(float(u)), np.array(float(v))) * z)
+        point = views[0].to_world(views[0].compute_rays(np.array(float(u)), np.array(float(v))) * z)
         counts, is_inside, behind = [0, 0], True, 0
         for other, depth, mask in zip(views[1:], maps[1:], masks[1:], strict=True):
             x, y, ahead = (float(n) for n in other.project(point))
-            if not other.holds(np.array(x), np.array(y)):
+            if not other.contains(np.array(x), np.array(y)):
                 continue
             column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
             is_inside &= bool(mask[row, column])

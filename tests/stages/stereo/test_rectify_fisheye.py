@@ -4,7 +4,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color
 from scanloom.stages.scans.model.scan import Camera, Frame, StereoRig
-from scanloom.stages.stereo.rectify import rectified_rig
+from scanloom.stages.stereo.rectify import rectify_rig
 
 SIZE = (160, 120)
 FOCAL, CENTRE = 60.0, (82.0, 57.0)
@@ -45,8 +45,8 @@ def test_a_fisheye_pair_meets_on_a_row_and_at_its_depth(point):
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
     right_from_left[:3, 3] = right_from_left[:3, :3] @ (-0.1, 0, 0)
-    rig = StereoRig(CAMERA, CAMERA, right_from_left, rectified=False)
-    rectified = rectified_rig(rig)
+    rig = StereoRig(CAMERA, CAMERA, right_from_left, is_rectified=False)
+    rectified = rectify_rig(rig)
     there = (right_from_left @ (*point, 1))[:3]
     left, right = (centroid(image) for image in rectified.apply(dotted(seen(point)), dotted(seen(there))))
     assert abs(left[1] - right[1]) < 0.3
@@ -72,4 +72,4 @@ def test_a_fisheye_beside_another_camera_is_refused():
     beside = np.eye(4)
     beside[0, 3] = -0.1
     with pytest.raises(InputError, match="both must have the same model"):
-        rectified_rig(StereoRig(CAMERA, straight, beside, rectified=False))
+        rectify_rig(StereoRig(CAMERA, straight, beside, is_rectified=False))

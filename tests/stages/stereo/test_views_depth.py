@@ -21,15 +21,15 @@ from scanloom.stages.frames.features import detect_keypoints, match_descriptors
 from scanloom.stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
-from scanloom.stages.stereo.agreement import agreeing_views, merged
-from scanloom.stages.stereo.background import measurable
+from scanloom.stages.stereo.background import mask_textured_surroundings
 from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_IMAGES_TURNED, DEPTH_POSES_MOVED
 from scanloom.stages.stereo.depth import DepthMap, DepthParams
-from scanloom.stages.stereo.partners import affinity, partners
-from scanloom.stages.stereo.posed_views import PosedView, posed_views
-from scanloom.stages.stereo.recognised import neighbours, recognised
-from scanloom.stages.stereo.scene_depth import estimated_box, ranged_views
-from scanloom.stages.stereo.view_pair import depth_in_view, rectified_views
+from scanloom.stages.stereo.depth_ranges import assign_depth_ranges, estimate_scene_box
+from scanloom.stages.stereo.partner_selection import score_partner, select_partners
+from scanloom.stages.stereo.posed_views import PosedView, create_posed_views
+from scanloom.stages.stereo.triangulation import find_overlapping_pairs, match_views
+from scanloom.stages.stereo.view_consistency import count_supporting_views, merge_depth_maps
+from scanloom.stages.stereo.view_rectification import rectify_views, transfer_depth
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +46,9 @@ def ring(*angles: float) -> list[PosedView]:
 def with_frames() -> tuple[list[tuple[Frame, DepthMap | SkippedFrame]], list[tuple[int, int]]]:
     """Return what is found of the made scene as it is, and the progress told; several tests look at it."""
     told: list[tuple[int, int]] = []
-    found = views_depth(posed_scene.scan()[0], DepthParams(), lambda done, total: told.append((done, total)))
+    found = views_depth(
+        posed_scene.make_posed_scan()[0], DepthParams(), lambda done, total: told.append((done, total))
+    )
     return list(found), told
 
 
@@ -71,7 +73,7 @@ def centre_of(image: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("angle", [9, -9])
 def test_a_point_lies_on_one_row_of_both_rectified_images(rolls: tuple[float, float], angle: float) -> None:
     first, second = view(posed_scene.pose(2, rolls[0])), view(posed_scene.pose(2 + angle, rolls[1]))
-    pair = rectified_views(first, second)
+    pair = rectify_views(first, second)
     assert pair is not None
     rig, near, far = pair
     assert rig.baseline == pytest.approx(np.linalg.norm(second.centre - first.centre))
@@ -79,7 +81,7 @@ def test_a_point_lies_on_one_row_of_both_rectified_images(rolls: tuple[float, fl
         images = []
         for one in (first, second):
             u, v, _ = one.project(point)
-            assert one.holds(u, v)
+            assert one.contains(u, v)
             images.append(dot((float(u), float(v)), one.camera))
         left, right = (centre_of(image) for image in rig.apply(*images))
         assert abs(left[1] - right[1]) < 0.1
@@ -94,13 +96,13 @@ def test_a_point_lies_on_one_row_of_both_rectified_images(rolls: tuple[float, fl
 
 def test_views_one_behind_the_other_or_in_one_place_make_no_pair() -> None:
     first = view(posed_scene.pose(0, 0))
-    assert rectified_views(first, view(posed_scene.pose(0, 90))) is None
-    assert rectified_views(first, view(posed_scene.pose(0, 0, distance=1.4))) is None
+    assert rectify_views(first, view(posed_scene.pose(0, 90))) is None
+    assert rectify_views(first, view(posed_scene.pose(0, 0, distance=1.4))) is None
 
 
 def test_depth_comes_back_along_the_views_own_axis() -> None:
     first, second = view(posed_scene.pose(-4, 30)), view(posed_scene.pose(4, 30))
-    pair = rectified_views(first, second)
+    pair = rectify_views(first, second)
     assert pair is not None
     rig = pair[0]
     # The board, z = 0.25 in the world, as the rectified camera measures it.
@@ -112,13 +114,13 @@ def test_depth_comes_back_along_the_views_own_axis() -> None:
     rectified = ((0.25 - first.centre[2]) / way[..., 2]).astype(np.float32)
     trust = np.full(rectified.shape, 200, np.uint8)
 
-    depth, confidence = depth_in_view(rectified, trust, rig, first, second)
+    depth, confidence = transfer_depth(rectified, trust, rig, first, second)
 
     camera = posed_scene.CAMERA
     u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
-    way = first.rays(u, v) @ first.world_from_camera[:3, :3].T
+    way = first.compute_rays(u, v) @ first.world_from_camera[:3, :3].T
     truth = (0.25 - first.centre[2]) / way[..., 2]
-    inside = second.holds(*second.project(first.to_world(first.rays(u, v) * truth[..., None]))[:2])
+    inside = second.contains(*second.project(first.to_world(first.compute_rays(u, v) * truth[..., None]))[:2])
     assert inside.mean() > 0.7
     np.testing.assert_allclose(depth[inside], truth[inside], rtol=1e-5)
     assert not depth[~inside].any()
@@ -126,7 +128,7 @@ def test_depth_comes_back_along_the_views_own_axis() -> None:
 
 
 def test_depth_of_a_made_scene() -> None:
-    scan, truth = posed_scene.scan()
+    scan, truth = posed_scene.make_posed_scan()
 
     results, told = with_frames()
 
@@ -150,7 +152,7 @@ def test_depth_of_a_made_scene() -> None:
 
 
 def test_results_do_not_depend_on_threads() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     scan = replace(scan, frames=scan.frames[:4])
     one, two = (list(views_depth(scan, DepthParams(threads=n))) for n in (1, 2))
     for (_, first), (_, second) in zip(one, two, strict=True):
@@ -158,7 +160,7 @@ def test_results_do_not_depend_on_threads() -> None:
 
 
 def test_nothing_is_kept_outside_a_stated_box() -> None:
-    scan, truth = posed_scene.scan()
+    scan, truth = posed_scene.make_posed_scan()
     ball = np.array([[-0.23, -0.23, -0.23], [0.23, 0.23, 0.0]])
     with collecting() as diagnostics:
         (_, result) = list(views_depth(replace(scan, box=ball)))[3]
@@ -169,7 +171,7 @@ def test_nothing_is_kept_outside_a_stated_box() -> None:
     rows, columns = np.nonzero(result.depth)
     one = view(at)
     points = one.to_world(
-        one.rays(columns.astype(float), rows.astype(float)) * result.depth[rows, columns, None]
+        one.compute_rays(columns.astype(float), rows.astype(float)) * result.depth[rows, columns, None]
     )
     margin = 0.02 * np.linalg.norm(ball[1] - ball[0])
     assert (points >= ball[0] - margin - 1e-6).all()
@@ -177,13 +179,13 @@ def test_nothing_is_kept_outside_a_stated_box() -> None:
 
 
 def test_a_planted_wrong_depth_is_agreed_with_by_none() -> None:
-    scan, truth = posed_scene.scan()
+    scan, truth = posed_scene.make_posed_scan()
     views = [view(np.array(frame.world_from_camera)) for frame in scan.frames]
     depth = truth[3].astype(np.float32)
     depth[80:100, 110:130] *= 0.95
     others = [(views[at], truth[at].astype(np.float32)) for at in (1, 2, 4, 5)]
 
-    count = agreeing_views(views[3], depth, others, 0.01, 0.02).agreeing
+    count = count_supporting_views(views[3], depth, others, 0.01, 0.02).consistent
 
     assert not count[80:100, 110:130].any()
     sound = truth[3] > 0
@@ -199,7 +201,7 @@ def test_merging_takes_what_most_partners_say() -> None:
     depths[2][0, 3] = 1.008
     confidences = [np.full((1, 4), c, np.uint8) for c in (10, 20, 30)]
 
-    depth, confidence = merged(depths, confidences, 0.01)
+    depth, confidence = merge_depth_maps(depths, confidences, 0.01)
 
     np.testing.assert_allclose(depth, [[1.002, 2.0, 0, 1.004]], rtol=1e-6)
     np.testing.assert_array_equal(confidence, [[20, 30, 0, 30]])
@@ -207,33 +209,33 @@ def test_merging_takes_what_most_partners_say() -> None:
 
 def test_partners_are_a_little_aside() -> None:
     views = ring(0, 0.3, 8, 20, 60, 180, -6)
-    assert partners(views, 0, 2) == [2, 6]
+    assert select_partners(views, 0, 2) == [2, 6]
     # Not the view in the same place, nor those that look from too far aside or from behind.
-    assert partners(views, 0, 9) == [2, 6, 3]
-    assert affinity(views[0], views[1]) == 0
+    assert select_partners(views, 0, 9) == [2, 6, 3]
+    assert score_partner(views[0], views[1]) == 0
     away = posed_scene.pose(8, 0)
     away[:3, :3] = away[:3, :3] @ np.diag((-1.0, 1.0, -1.0))
-    assert affinity(views[0], view(away)) == 0
+    assert score_partner(views[0], view(away)) == 0
 
 
 def test_texture_is_told_from_a_backdrop_and_its_rim() -> None:
     image = np.random.default_rng(1).normal(10, 1, (60, 80)).round().clip(0, 255).astype(np.uint8)
     image[:, :40] = np.random.default_rng(2).integers(50, 200, (60, 40))
-    found = measurable(image, 3.0)
+    found = mask_textured_surroundings(image, 3.0)
     assert found[:, :38].all()
     assert not found[:, 42:].any()
 
 
 def test_the_scene_is_where_the_axes_meet() -> None:
     views = [replace(v, near=0.0, far=np.inf) for v in ring(-20, 0, 30)]
-    box = estimated_box(views)
+    box = estimate_scene_box(views)
     assert box is not None
     # 1.2 m away, half of 240 px at 300 px focal length: 0.48 m around the origin.
     np.testing.assert_allclose(box, [[-0.48] * 3, [0.48] * 3], atol=1e-9)
 
 
 def test_views_that_look_past_each_other_need_a_depth_range() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     shifted = []
     for number, frame in enumerate(scan.frames):
         pose = posed_scene.pose(0, 0)
@@ -243,12 +245,12 @@ def test_views_that_look_past_each_other_need_a_depth_range() -> None:
     scan = replace(scan, frames=shifted)
     with pytest.raises(InputError, match=r"min_depth.*max_depth"):
         list(views_depth(scan))
-    views = ranged_views(scan, posed_views(scan), [None] * 7, 0.5, 2.0)
+    views = assign_depth_ranges(scan, create_posed_views(scan), [None] * 7, 0.5, 2.0)
     assert {(one.near, one.far) for one in views} == {(0.5, 2.0)}
 
 
 def test_nothing_is_kept_where_a_mask_says_so() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     mask = np.full((180, 240), 255, np.uint8)
     mask[:, 130:] = 0
     frames = list(scan.frames)
@@ -268,14 +270,14 @@ def test_nothing_is_kept_where_a_mask_says_so() -> None:
 
 def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
     """Of two views 7 degrees apart: the ball about 1 m, and the board about 1.45 m before them."""
-    scan, truth = posed_scene.scan()
-    views = posed_views(scan)
-    assert (0, 1) in neighbours(views)
+    scan, truth = posed_scene.make_posed_scan()
+    views = create_posed_views(scan)
+    assert (0, 1) in find_overlapping_pairs(views)
     points = [detect_keypoints(frame.color[:, :, 0], 1000) for frame in scan.frames[:2]]
 
-    found = recognised(views[0], views[1], *points)
+    found = match_views(views[0], views[1], *points)
 
-    assert found.off < 0.5
+    assert found.epipolar_error < 0.5
     same = match_descriptors(points[0].descriptors, points[1].descriptors)
     for side, depth in enumerate(found.depths):
         columns, rows = np.rint(points[side].pixels[same[:, side]]).astype(int).T
@@ -287,11 +289,11 @@ def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
     # From 30 cm below, the same points would be elsewhere.
     away = np.array(scan.frames[1].world_from_camera)
     away[1, 3] += 0.3
-    assert recognised(views[0], replace(views[1], world_from_camera=away), *points) is None
+    assert match_views(views[0], replace(views[1], world_from_camera=away), *points) is None
 
 
 def test_poses_that_do_not_fit_the_images_are_brought_nearer() -> None:
-    scan, truths = posed_scene.scan()
+    scan, truths = posed_scene.make_posed_scan()
     # With the right poses nothing is emitted; a diagnostic that nobody collects would be an error.
     assert measured()
     random = np.random.default_rng(6)
@@ -323,7 +325,7 @@ def rippled(image: np.ndarray, phase: float) -> np.ndarray:
 
 
 def test_poses_that_do_not_fit_the_images_are_told() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     frames = [replace(frame, color=rippled(frame.color, k)) for k, frame in enumerate(scan.frames)]
     wrong = replace(scan, frames=frames)
     with pytest.raises(
@@ -331,7 +333,7 @@ def test_poses_that_do_not_fit_the_images_are_told() -> None:
     ):
         list(views_depth(wrong, DepthParams(max_pose_error=1.1)))
     with collecting() as diagnostics:
-        list(views_depth(wrong, DepthParams(max_skipped=1, max_pose_error=10)))
+        list(views_depth(wrong, DepthParams(max_skipped_ratio=1, max_pose_error=10)))
     # And that depth covers little then.
     assert [one.code for one in diagnostics] == [POSE_INCONSISTENT_WITH_IMAGES.name, DEPTH_COVERAGE_LOW.name]
     assert "poses or calibration are inaccurate" in str(diagnostics[0])
@@ -342,7 +344,7 @@ def test_a_camera_that_moves_ahead_measures_what_lies_aside() -> None:
     frames, truths = [], []
     for number in range(4):
         where = posed_scene.pose(0, 0, distance=1.6 - 0.15 * number)
-        image, true = posed_scene.seen(where)
+        image, true = posed_scene.render_view(where)
         frames.append(Frame(f"{number:04d}", posed_scene.CAMERA, color=image, world_from_camera=where))
         truths.append(true)
     for (_, result), true in zip(views_depth(Scan("made", frames)), truths, strict=True):
@@ -361,7 +363,7 @@ def test_views_that_face_one_way_need_no_range() -> None:
     for number in range(5):
         where = posed_scene.pose(0, 0)
         where[0, 3] += 0.08 * (number - 2)
-        image, true = posed_scene.seen(where)
+        image, true = posed_scene.render_view(where)
         frames.append(Frame(str(number), posed_scene.CAMERA, color=image, world_from_camera=where))
         truths.append(true)
     for (_, result), true in zip(views_depth(Scan("made", frames)), truths, strict=True):
@@ -377,10 +379,10 @@ def test_large_images_are_made_smaller(tmp_path) -> None:
     frames, truths = [], []
     for number in range(4):
         where = posed_scene.pose(7.0 * number, 0)
-        image, _ = posed_scene.seen(where, large)
+        image, _ = posed_scene.render_view(where, large)
         cv2.imwrite(str(tmp_path / f"{number}.png"), image)
         frames.append(Frame(str(number), large, color=tmp_path / f"{number}.png", world_from_camera=where))
-        truths.append(posed_scene.seen(where)[1])
+        truths.append(posed_scene.render_view(where)[1])
     with collecting() as diagnostics:
         results = list(views_depth(Scan("made", frames), DepthParams(max_side=240)))
     assert any("4 images were downscaled to 240 px" in str(one) for one in diagnostics)
@@ -392,7 +394,7 @@ def test_large_images_are_made_smaller(tmp_path) -> None:
 
 
 def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"\x89PNG")
     frames = list(scan.frames)
@@ -402,25 +404,27 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
     assert [isinstance(result, SkippedFrame) for result in results] == [True, True] + [False] * 5
     assert "broken.png" in results[0].reason
     assert "120×90" in results[1].reason
-    with pytest.raises(InputError, match="max_skipped"):
-        list(views_depth(replace(scan, frames=frames), DepthParams(max_skipped=0.1)))
+    with pytest.raises(InputError, match="max_skipped_ratio"):
+        list(views_depth(replace(scan, frames=frames), DepthParams(max_skipped_ratio=0.1)))
 
 
 def test_a_view_alone_cannot_be_measured() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     with pytest.raises(InputError, match=r"a single view has no depth: .* in 3 views"):
         list(views_depth(replace(scan, frames=scan.frames[:1])))
-    with pytest.raises(InputError, match=r"2 views are too few: .*depth\.agreeing_views"):
+    with pytest.raises(InputError, match=r"2 views are too few: .*depth\.min_consistent_views"):
         list(views_depth(replace(scan, frames=scan.frames[:2])))
     two = [
         result
-        for _, result in views_depth(replace(scan, frames=scan.frames[:2]), DepthParams(agreeing_views=1))
+        for _, result in views_depth(
+            replace(scan, frames=scan.frames[:2]), DepthParams(min_consistent_views=1)
+        )
     ]
     assert all(isinstance(result, DepthMap) for result in two)
 
 
 def test_views_without_poses_or_images_are_told() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     frames = [replace(scan.frames[0], world_from_camera=None), *scan.frames[1:]]
     with pytest.raises(InputError, match="0000 has no pose"):
         list(views_depth(replace(scan, frames=frames)))
@@ -438,7 +442,7 @@ def upside_down(frame: Frame) -> Frame:
 def test_images_turned_against_their_poses_are_turned_back(
     places: list[int],
 ) -> None:
-    (scan, _), expected = posed_scene.scan(), measured()
+    (scan, _), expected = posed_scene.make_posed_scan(), measured()
     frames = [upside_down(frame) if at in places else frame for at, frame in enumerate(scan.frames)]
 
     # The scene as it is is what is expected of the others: all there is to see of it is that nothing is told.
@@ -455,10 +459,10 @@ def test_images_turned_against_their_poses_are_turned_back(
 
 
 def test_turned_images_are_left_alone_when_told_so() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     frames = [*scan.frames[:6], upside_down(scan.frames[6])]
     with collecting() as diagnostics:
-        *_, (_, result) = views_depth(replace(scan, frames=frames), DepthParams(turn_back=False))
+        *_, (_, result) = views_depth(replace(scan, frames=frames), DepthParams(fix_upside_down=False))
     assert isinstance(result, SkippedFrame) or np.mean(result.depth > 0) < 0.05
     assert not diagnostics
 
@@ -478,7 +482,7 @@ def test_a_part_of_temple_ring(shared_data) -> None:
         assert np.mean(result.depth > 0) > 0.15
         rows, columns = np.nonzero(result.depth)
         one = PosedView(frame.camera, frame.world_from_camera, 0.4, 0.7)
-        rays = one.rays(columns.astype(float), rows.astype(float))
+        rays = one.compute_rays(columns.astype(float), rows.astype(float))
         clouds[name] = one.to_world(rays * result.depth[rows, columns, None])
         # The backdrop is black, the temple is not.
         assert np.mean(result.color[result.depth > 0].max(axis=1) > 40) > 0.97
@@ -490,7 +494,7 @@ def test_a_part_of_temple_ring(shared_data) -> None:
 
 @pytest.mark.parametrize("size", [(1, 1), (4, 3), (16, 16)])
 def test_tiny_images_are_refused_in_words(size: tuple[int, int]) -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     width, height = size
     camera = Camera(width, height, 1.2 * max(size), 1.2 * max(size), width / 2, height / 2)
     frames = [
@@ -502,7 +506,7 @@ def test_tiny_images_are_refused_in_words(size: tuple[int, int]) -> None:
 
 
 def test_a_pose_beyond_all_bounds_is_told() -> None:
-    scan, _ = posed_scene.scan()
+    scan, _ = posed_scene.make_posed_scan()
     far = scan.frames[2].world_from_camera.copy()
     far[0, 3] = 1e200
     frames = [*scan.frames[:2], replace(scan.frames[2], world_from_camera=far)]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scanloom.stages.surface.mesh_files import EXTENSIONS
+from scanloom.stages.surface.mesh_files import MESH_EXTENSIONS
 
 # Forks a process for each file named on its command line; each prints one JSON object.
 PARENT = """
@@ -108,5 +108,5 @@ def test_what_is_merely_odd_is_read_cleaned_and_simplified(results, name):
 
 
 def test_no_file_is_forgotten(shared_data):
-    files = {p.name for p in (shared_data / "broken").iterdir() if p.suffix.lower() in EXTENSIONS}
+    files = {p.name for p in (shared_data / "broken").iterdir() if p.suffix.lower() in MESH_EXTENSIONS}
     assert files == {*REFUSED, *READ}

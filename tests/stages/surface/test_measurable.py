@@ -15,8 +15,8 @@ from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.normal_meshes.remesh import remesh
-from scanloom.stages.picturing.render import render
-from scanloom.stages.picturing.viewpoints import viewpoints
+from scanloom.stages.rendering.render import render
+from scanloom.stages.rendering.viewpoints import viewpoints
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.texturing.bake import bake

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scanloom.stages.diagnostics.errors import InputError, MeshError, UsageError
 from scanloom.stages.surface.formats.obj import read_obj
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.mesh_files import EXTENSIONS, lost_with, read_mesh, write_mesh
+from scanloom.stages.surface.mesh_files import MESH_EXTENSIONS, list_unsupported_data, read_mesh, write_mesh
 from scanloom.stages.surface.texture import Image, Material, Texture
 from scanloom.stages.surface.topology import topology
 
@@ -137,7 +137,7 @@ def test_real_seams_stay_closed(shared_data):
 
 
 def test_all_real_meshes_can_be_read(shared_data):
-    files = [p for p in sorted((shared_data / "meshes").rglob("*")) if p.suffix in EXTENSIONS]
+    files = [p for p in sorted((shared_data / "meshes").rglob("*")) if p.suffix in MESH_EXTENSIONS]
     assert len(files) > 15
     for path in files:
         mesh = read_mesh(path)
@@ -323,8 +323,11 @@ def test_what_a_format_of_the_shape_alone_loses():
     mesh = cube()
     rest = mesh.with_(part_ids=np.zeros(12, np.int32), part_names=("cube",))
     normals = np.broadcast_to((0.0, 0.0, 1.0), (12, 3, 3))
-    assert lost_with(".ply", rest) == ""
-    assert lost_with(".stl", mesh.with_(colors=None)) == ""
-    assert lost_with(".stl", mesh) == "colours"
-    assert lost_with(".off", rest) == "colours and parts"
-    assert lost_with(".off", rest.with_(corner_normals=normals)) == "colours and parts and corner normals"
+    assert list_unsupported_data(".ply", rest) == ""
+    assert list_unsupported_data(".stl", mesh.with_(colors=None)) == ""
+    assert list_unsupported_data(".stl", mesh) == "colours"
+    assert list_unsupported_data(".off", rest) == "colours and parts"
+    assert (
+        list_unsupported_data(".off", rest.with_(corner_normals=normals))
+        == "colours and parts and corner normals"
+    )

@@ -7,7 +7,7 @@ import pytest
 
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.spatial_order import is_scattered, ordered, with_rows
+from scanloom.stages.surface.spatial_order import is_scattered, permute_rows, reorder_spatially
 
 N = 330
 
@@ -26,7 +26,9 @@ def sheet() -> Mesh:
 @pytest.fixture(scope="module")
 def scattered(sheet) -> Mesh:
     random = np.random.default_rng(0)
-    return with_rows(sheet, random.permutation(len(sheet.vertices)), random.permutation(len(sheet.triangles)))
+    return permute_rows(
+        sheet, random.permutation(len(sheet.vertices)), random.permutation(len(sheet.triangles))
+    )
 
 
 def places(mesh: Mesh) -> np.ndarray:
@@ -36,16 +38,16 @@ def places(mesh: Mesh) -> np.ndarray:
 def test_rows_are_told_from_random_order(sheet, scattered):
     assert not is_scattered(sheet)
     assert is_scattered(scattered)
-    assert not is_scattered(ordered(scattered).mesh)
+    assert not is_scattered(reorder_spatially(scattered).mesh)
     assert not is_scattered(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
 
 
 def test_an_order_names_every_row_once(scattered):
-    order = ordered(scattered)
-    assert np.array_equal(order.mesh.vertices, scattered.vertices[order.vertices])
-    assert np.array_equal(order.mesh.colors, scattered.colors[order.vertices])
-    assert np.array_equal(places(order.mesh), places(scattered)[order.triangles])
-    back = with_rows(order.mesh, np.argsort(order.vertices), np.argsort(order.triangles))
+    order = reorder_spatially(scattered)
+    assert np.array_equal(order.mesh.vertices, scattered.vertices[order.vertex_source])
+    assert np.array_equal(order.mesh.colors, scattered.colors[order.vertex_source])
+    assert np.array_equal(places(order.mesh), places(scattered)[order.triangle_source])
+    back = permute_rows(order.mesh, np.argsort(order.vertex_source), np.argsort(order.triangle_source))
     assert np.array_equal(back.vertices, scattered.vertices)
     assert np.array_equal(back.triangles, scattered.triangles)
 

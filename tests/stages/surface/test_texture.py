@@ -5,9 +5,9 @@ import pytest
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.surface.convert import as_mesh, with_vertex_colors
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.spatial_order import with_rows
+from scanloom.stages.surface.mesh_conversion import as_mesh, bake_vertex_colors
+from scanloom.stages.surface.spatial_order import permute_rows
 from scanloom.stages.surface.texture import Image, Material, Texture
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -52,7 +52,7 @@ def test_triangles_keep_what_they_carry():
     assert not other.corner_normals[1].any()
     masked = mesh.with_triangles(TRIANGLES[1:], np.array([False, True]))
     assert (masked.texture.material_ids.tolist(), masked.part_ids.tolist()) == ([1], [1])
-    turned = with_rows(mesh, np.array([3, 1, 2, 0], np.uint32), np.array([1, 0], np.uint32))
+    turned = permute_rows(mesh, np.array([3, 1, 2, 0], np.uint32), np.array([1, 0], np.uint32))
     assert as_mesh(turned).part_ids.tolist() == [1, 0]
 
 
@@ -79,7 +79,7 @@ def test_cleaning_keeps_parts_and_normals_of_corners():
 def colors_at(uv, image, **material) -> list[int]:
     uvs = np.broadcast_to(np.array(uv, float), (1, 3, 2))
     texture = Texture(uvs, np.zeros(1, np.int32), (Material(image=Image(given=image), **material),))
-    return with_vertex_colors(Mesh(np.eye(3), np.array([[0, 1, 2]]), texture=texture)).colors[0].tolist()
+    return bake_vertex_colors(Mesh(np.eye(3), np.array([[0, 1, 2]]), texture=texture)).colors[0].tolist()
 
 
 @pytest.mark.parametrize(

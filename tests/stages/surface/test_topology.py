@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom.stages.diagnostics.errors import InputError, MeshError
-from scanloom.stages.surface.edges import components, edges_of
+from scanloom.stages.surface.edges import build_edges, label_components
 from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.topology import Topology, is_degenerate, require_manifold, topology
 
@@ -134,7 +134,7 @@ def test_require_manifold_returns_the_mesh():
 
 def test_component_labels_come_in_order_of_first_node():
     # Splitting vertices relies on it: the fan of the first corner keeps the old vertex.
-    _, labels = components(6, np.array([5, 1]), np.array([0, 3]))
+    _, labels = label_components(6, np.array([5, 1]), np.array([0, 3]))
     assert labels.tolist() == [0, 1, 2, 1, 3, 0]
 
 
@@ -148,10 +148,10 @@ def test_edges_agree_with_a_dictionary(rows):
     for a, b, c in rows:
         for tail, head in ((a, b), (b, c), (c, a)):
             expected.setdefault((min(tail, head), max(tail, head)), []).append(tail < head)
-    edges = edges_of(triangles, 7)
+    edges = build_edges(triangles, 7)
     assert [tuple(e) for e in edges.ends.tolist()] == sorted(expected)
-    assert edges.count.tolist() == [len(expected[e]) for e in sorted(expected)]
-    assert edges.forward.tolist() == [sum(expected[e]) for e in sorted(expected)]
+    assert edges.triangle_count.tolist() == [len(expected[e]) for e in sorted(expected)]
+    assert edges.forward_count.tolist() == [sum(expected[e]) for e in sorted(expected)]
 
 
 def agrees_with_trimesh(vertices, triangles) -> None:

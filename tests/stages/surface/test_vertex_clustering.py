@@ -14,7 +14,7 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.surface import vertex_clustering
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.vertex_clustering import clustered
+from scanloom.stages.surface.vertex_clustering import read_clustered_mesh
 
 
 def random_mesh(seed: int, vertices: int, triangles: int, *, colored: bool) -> Mesh:
@@ -59,10 +59,10 @@ def test_it_is_what_the_words_say(
     path = tmp_path_factory.mktemp("clusters") / "mesh.ply"
     mesh = random_mesh(seed, vertices, triangles, colored=colored)
     write_ply(path, mesh)
-    found = clustered(path, most)
+    found = read_clustered_mesh(path, most)
     assert len(found.mesh.vertices) <= most
     assert found.triangle_count == triangles
-    means, turned = cell_by_cell(mesh, found.cell)
+    means, turned = cell_by_cell(mesh, found.cell_size)
     assert len(found.mesh.vertices) == len(means)
     if means:
         made = np.array(means)
@@ -77,9 +77,9 @@ def test_it_is_what_the_words_say(
 
 def test_rows_are_read_some_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_ply(tmp_path / "mesh.ply", random_mesh(1, 500, 900, colored=True))
-    at_once = clustered(tmp_path / "mesh.ply", 60)
-    monkeypatch.setattr(vertex_clustering, "_AT_ONCE", 7)
-    by_rows = clustered(tmp_path / "mesh.ply", 60)
+    at_once = read_clustered_mesh(tmp_path / "mesh.ply", 60)
+    monkeypatch.setattr(vertex_clustering, "_ROWS_PER_CHUNK", 7)
+    by_rows = read_clustered_mesh(tmp_path / "mesh.ply", 60)
     np.testing.assert_allclose(by_rows.mesh.vertices, at_once.mesh.vertices, rtol=1e-12)
     np.testing.assert_array_equal(by_rows.mesh.triangles, at_once.mesh.triangles)
 
@@ -90,7 +90,7 @@ def test_a_mesh_coarser_than_the_cells_stays(tmp_path: Path) -> None:
     halves = [np.stack([first, first + 20, first + 1]), np.stack([first + 20, first + 21, first + 1])]
     mesh = Mesh(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), np.hstack(halves).T.astype(np.int32))
     write_ply(tmp_path / "grid.ply", mesh)
-    found = clustered(tmp_path / "grid.ply", 1000).mesh
+    found = read_clustered_mesh(tmp_path / "grid.ply", 1000).mesh
     np.testing.assert_allclose(found.vertices, mesh.vertices)
     assert {tuple(t) for t in found.triangles.tolist()} == {
         min((a, b, c), (b, c, a), (c, a, b)) for a, b, c in mesh.triangles.tolist()
@@ -141,10 +141,10 @@ def test_bad_files_are_told(damage: object, words: str, tmp_path: Path) -> None:
     write_ply(path, random_mesh(2, 30, 40, colored=True))
     damage(path)  # type: ignore[operator]
     with pytest.raises(InputError, match=words):
-        clustered(path, 100)
+        read_clustered_mesh(path, 100)
 
 
 @pytest.mark.parametrize("vertices", [0, 4])
 def test_a_file_without_a_triangle_is_an_empty_mesh(vertices: int, tmp_path: Path) -> None:
     write_ply(tmp_path / "mesh.ply", Mesh(np.zeros((vertices, 3)), np.zeros((0, 3), np.int32)))
-    assert len(clustered(tmp_path / "mesh.ply", 100).mesh.triangles) == 0
+    assert len(read_clustered_mesh(tmp_path / "mesh.ply", 100).mesh.triangles) == 0

@@ -5,13 +5,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from photographed import CAMERA, photos, wall
+from wall_photos import CAMERA, photos, wall
 
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.surface.color import color_at
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.texturing import painting
-from scanloom.stages.texturing.back_projection import with_lacking
+from scanloom.stages.surface.surface_color import compute_surface_colors
+from scanloom.stages.texturing import photo_painting
+from scanloom.stages.texturing.back_projection import add_residual
 from scanloom.stages.texturing.texture import texture
 
 ALL = np.ones((CAMERA.height, CAMERA.width), bool)
@@ -52,7 +52,7 @@ def off(mesh: Mesh) -> np.ndarray:
     weights = rng.dirichlet((1, 1, 1), len(chosen))
     x, y, _ = np.einsum("kc,kcx->xk", weights, mesh.vertices[mesh.triangles[chosen]])
     middle = (np.abs(np.stack([x, y]) - 0.5) < 0.25).all(axis=0)
-    return np.abs(color_at(mesh, chosen, weights) - checks(x, y)).mean(axis=1)[middle]
+    return np.abs(compute_surface_colors(mesh, chosen, weights) - checks(x, y)).mean(axis=1)[middle]
 
 
 @pytest.mark.slow
@@ -67,13 +67,13 @@ def test_photos_that_are_off_bring_none(monkeypatch: pytest.MonkeyPatch):
     def never(*_: object, **__: object) -> None:
         raise AssertionError("asked for details")
 
-    monkeypatch.setattr(painting, "see_details", never)
+    monkeypatch.setattr(photo_painting, "resample_with_details", never)
     frames, move = photos(8), np.float32([[1, 0, 1.2], [0, 1, 0.5]])
     moved = [
         replace(one, color=cv2.warpAffine(np.asarray(one.color), move, (CAMERA.width, CAMERA.height)))
         for one in frames[::2]
     ]
-    assert texture(wall(), [*moved, *frames[1::2]]).shift > 0.3 / 640
+    assert texture(wall(), [*moved, *frames[1::2]]).shift_ratio > 0.3 / 640
     with pytest.raises(AssertionError, match="asked for details"):
         texture(wall(), frames)
 
@@ -82,12 +82,12 @@ def test_what_a_photo_shows_in_little_is_added():
     drawn = np.full((*ALL.shape, 3), 100, np.uint8)
     seen = drawn.copy()
     seen[60, 70:72] = (130, 100, 80), (70, 100, 120)
-    once = with_lacking(seen, seen, drawn, ALL)
+    once = add_residual(seen, seen, drawn, ALL)
     assert np.abs(once[60, 70:72] - [(160.0, 100.0, 60.0), (40.0, 100.0, 140.0)]).max() <= 1
     once[60, 70:72] = 100
     assert (once == 100).all()
     # A second texture that has it lacks nothing more.
-    assert np.array_equal(with_lacking(seen, seen, seen, ALL), seen)
+    assert np.array_equal(add_residual(seen, seen, seen, ALL), seen)
 
 
 def test_what_is_something_else_is_not_added():
@@ -95,7 +95,7 @@ def test_what_is_something_else_is_not_added():
     seen = drawn.copy()
     seen[30:90, 50:110] = (130, 90, 100)
     inner = np.s_[36:84, 56:104]
-    assert np.array_equal(with_lacking(seen, seen, drawn, ALL)[inner], seen[inner])
+    assert np.array_equal(add_residual(seen, seen, drawn, ALL)[inner], seen[inner])
 
 
 def test_where_the_mesh_ends_nothing_is_added():
@@ -104,14 +104,14 @@ def test_where_the_mesh_ends_nothing_is_added():
     seen[:, 78], seen[:, 79] = 80, 120
     shown = ALL.copy()
     shown[:, 80:] = False
-    assert np.array_equal(with_lacking(seen, seen, drawn, shown), seen)
-    assert with_lacking(seen, seen, drawn, ALL)[60, 79].min() > 138
+    assert np.array_equal(add_residual(seen, seen, drawn, shown), seen)
+    assert add_residual(seen, seen, drawn, ALL)[60, 79].min() > 138
 
 
 def test_levels_are_cut_off():
     drawn = np.full((*ALL.shape, 3), 128, np.uint8)
     seen = drawn.copy()
     seen[60, 70], seen[60, 90] = 250, 3
-    found = with_lacking(seen, seen, drawn, ALL)
+    found = add_residual(seen, seen, drawn, ALL)
     assert (found[60, 70] == 255).all()
     assert (found[60, 90] == 0).all()

@@ -2,16 +2,16 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from coloured_meshes import ball, of_trimesh, sheet
+from coloured_meshes import ball, color_trimesh, sheet
 
-import scanloom.stages.texturing.painted_pages as pages_module
+import scanloom.stages.texturing.atlas_painting as pages_module
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
 from scanloom.stages.simplification.simplify import simplify
-from scanloom.stages.surface.color import color_at
 from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.surface_color import compute_surface_colors
 from scanloom.stages.texturing.bake import bake
 from scanloom.stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
-from scanloom.stages.texturing.filling import filled_up
+from scanloom.stages.texturing.gap_filling import fill_gaps_smoothly
 
 
 def square(depth: float = 0.0, turned: bool = False) -> Mesh:
@@ -45,7 +45,7 @@ def test_a_light_mesh_shows_what_its_original_shows():
     original = sheet(height=0.0, noise=0.0)
     baked = bake(square(), original, texel_size=0.004)
     triangles, weights, places = inside(baked.mesh)
-    seen = color_at(baked.mesh, triangles, weights)
+    seen = compute_surface_colors(baked.mesh, triangles, weights)
     assert seen[:, 0] == pytest.approx(255 * places[:, 0], abs=2.5)
     assert seen[:, 1] == pytest.approx(255 * places[:, 1], abs=2.5)
     # The stripes, two triangles of six colours of vertices could not show them.
@@ -79,8 +79,8 @@ def test_a_texture_is_baked_into_a_texture():
     assert baked.texel_size <= 0.5 / 64
     triangles, weights, places = inside(mesh)
     in_check = (np.abs((places[:, :2] * 8) % 1 - 0.5) < 0.3).all(axis=1)
-    expected = color_at(original, triangles, weights)
-    seen = color_at(baked.mesh, triangles, weights)
+    expected = compute_surface_colors(original, triangles, weights)
+    seen = compute_surface_colors(baked.mesh, triangles, weights)
     assert np.abs(seen - expected)[in_check].max() < 3
 
 
@@ -98,10 +98,10 @@ def test_each_side_of_a_thin_sheet_keeps_its_colour():
         texel_size=0.02,
     )
     triangles, weights, _ = inside(baked.mesh)
-    seen = color_at(baked.mesh, triangles, weights)
+    seen = compute_surface_colors(baked.mesh, triangles, weights)
     assert (seen[triangles < 2, 0] > 220).all()
     assert (seen[(triangles >= 2) & (triangles < 4), 2] > 220).all()
-    assert baked.turned > 0.5
+    assert baked.turned_ratio > 0.5
 
 
 def test_halved_images_keep_each_charts_colour():
@@ -112,14 +112,14 @@ def test_halved_images_keep_each_charts_colour():
     baked = bake(light, original, padding=8, texel_size=0.05)
     assert baked.sizes == ((128, 128),)
     assert baked.charts == 6
-    assert baked.halvings == 2
+    assert baked.mip_levels == 2
     pixels = baked.mesh.texture.materials[0].image.pixels
     triangles, weights, _ = inside(baked.mesh)
     texture = baked.mesh.texture
-    for _ in range(baked.halvings + 1):
+    for _ in range(baked.mip_levels + 1):
         halved = Material(image=Image(given=pixels), wrap=("clamp", "clamp"))
         shown = baked.mesh.with_(texture=Texture(texture.uvs, texture.material_ids, (halved,)))
-        assert np.abs(color_at(shown, triangles, weights) - palette[triangles // 2]).max() < 4
+        assert np.abs(compute_surface_colors(shown, triangles, weights) - palette[triangles // 2]).max() < 4
         pixels = cv2.resize(pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
@@ -127,7 +127,7 @@ def test_gaps_are_filled_from_what_is_there():
     image, filled = np.zeros((32, 32, 3), np.float32), np.zeros((32, 32), bool)
     filled[4:10, 4:10], filled[20:26, 20:26] = True, True
     image[4:10, 4:10], image[20:26, 20:26] = (200, 100, 0), (0, 100, 200)
-    full = filled_up(image, filled, 3)
+    full = fill_gaps_smoothly(image, filled, 3)
     assert (full[1:13, 5:9] == (200, 100, 0)).all()
     assert (full[..., 1] == 100).all()
     assert (full.astype(int).sum(axis=2) == 300).all()
@@ -147,8 +147,8 @@ def test_threads_change_nothing(monkeypatch, threads):
     original = sheet(n=12)
     light = simplify(original, ratio=0.2).mesh
     expected = bake(light, original, samples=2).mesh.texture
-    monkeypatch.setattr(pages_module, "workers", lambda: threads)
-    monkeypatch.setattr(pages_module, "_SAMPLES_AT_ONCE", 500)
+    monkeypatch.setattr(pages_module, "get_worker_count", lambda: threads)
+    monkeypatch.setattr(pages_module, "_BATCH_SAMPLES", 500)
     found = bake(light, original, samples=2).mesh.texture
     np.testing.assert_array_equal(found.images[0].pixels, expected.images[0].pixels)
 
@@ -196,8 +196,8 @@ def test_a_triangle_of_any_size_is_baked(size):
 
 def test_what_lies_beyond_a_border_is_found_at_it():
     """Colours that run on over the edges of a box are right up to each edge, whichever chart shows it."""
-    box = of_trimesh(trimesh.creation.box()).with_(colors=None)
-    fine = of_trimesh(trimesh.creation.box().subdivide().subdivide().subdivide())
+    box = color_trimesh(trimesh.creation.box()).with_(colors=None)
+    fine = color_trimesh(trimesh.creation.box().subdivide().subdivide().subdivide())
     original = fine.with_(colors=np.uint8(127 + 120 * np.sin(3 * fine.vertices)))
     baked = bake(box, original, texel_size=0.05)
     share = np.linspace(0, 1, 50)
@@ -206,7 +206,7 @@ def test_what_lies_beyond_a_border_is_found_at_it():
         np.tile(np.stack([share, 1 - share, 0 * share], 1), (12, 1)),
     )
     places = np.einsum("kc,kcx->kx", weights, box.vertices[box.triangles[triangles]])
-    seen = color_at(baked.mesh, triangles, weights)
+    seen = compute_surface_colors(baked.mesh, triangles, weights)
     assert np.abs(seen - (127 + 120 * np.sin(3 * places))).mean() < 3
 
 
@@ -246,7 +246,7 @@ def test_an_image_that_is_repeated_without_end_becomes_its_mean(repeats):
     baked = bake(square(), original)
     assert max(max(baked.sizes)) < 512
     triangles, weights, _ = inside(baked.mesh)
-    assert np.abs(color_at(baked.mesh, triangles, weights) - image.mean(axis=(0, 1))).max() < 1
+    assert np.abs(compute_surface_colors(baked.mesh, triangles, weights) - image.mean(axis=(0, 1))).max() < 1
     (diagnostic,) = baked.diagnostics
     ((width, height),) = baked.sizes
     assert f"images of {width} × {height} texels cannot show all detail" in str(diagnostic)
@@ -258,7 +258,7 @@ def test_details_that_are_too_fine_are_averaged():
     image[:, ::2] = 200
     baked = bake(square(), textured(square(), image, 1.0), max_texels=0.01)
     triangles, weights, _ = inside(baked.mesh)
-    assert color_at(baked.mesh, triangles, weights) == pytest.approx(100, abs=20)
+    assert compute_surface_colors(baked.mesh, triangles, weights) == pytest.approx(100, abs=20)
     assert [one.code for one in baked.diagnostics] == [TEXTURE_BAKE_LEFT_OUT.name]
 
 

@@ -5,29 +5,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 from textured_models import (
-    as_jpeg,
-    as_png,
     bumpy_plane,
+    encode_jpeg,
+    encode_png,
     gltf_material,
-    points_of,
+    replace_materials,
+    sample_points,
     textured_ball,
     waves,
-    with_materials,
 )
 
 from scanloom.stages.simplification.simplify import simplify
-from scanloom.stages.surface.color import color_at, sampled
-from scanloom.stages.surface.formats.gltf_materials import GltfStatements
+from scanloom.stages.surface.formats.gltf_materials import GltfMaterialSource
 from scanloom.stages.surface.mesh import Image, Material, Mesh
 from scanloom.stages.surface.mesh_files import write_mesh
-from scanloom.stages.texturing.image_format import jpeg_quality
+from scanloom.stages.surface.surface_color import compute_surface_colors, sample_bilinear
+from scanloom.stages.texturing.image_format import estimate_jpeg_quality
 
 
 def kept_image(mesh: Mesh, name: str, material: int = 0) -> Image:
     """The image of another texture of a material."""
     assert mesh.texture is not None
     kept = mesh.texture.materials[material].kept
-    assert isinstance(kept, GltfStatements)
+    assert isinstance(kept, GltfMaterialSource)
     return kept.textures[kept.tree[name]["index"]][0]
 
 
@@ -40,13 +40,13 @@ def color_difference(mesh: Mesh, original: Mesh) -> float:
 
 @pytest.mark.parametrize("quality", [60, 92])
 def test_jpeg_stays_jpeg_of_its_quality_and_gets_no_larger(tmp_path: Path, quality: int) -> None:
-    mesh = textured_ball(as_jpeg(waves(), quality))
+    mesh = textured_ball(encode_jpeg(waves(), quality))
     found = simplify(mesh, ratio=0.2, bake=True)
     assert found.baked is not None
     assert found.mesh.texture is not None
     (image,) = found.mesh.texture.images
     assert image.mime == "image/jpeg"
-    estimated, is_subsampled = jpeg_quality(image.file_bytes)
+    estimated, is_subsampled = estimate_jpeg_quality(image.file_bytes)
     assert abs(estimated - quality) <= 1
     assert is_subsampled
     for path, one in ((tmp_path / "in.glb", mesh), (tmp_path / "out.glb", found.mesh)):
@@ -59,7 +59,7 @@ def test_jpeg_stays_jpeg_of_its_quality_and_gets_no_larger(tmp_path: Path, quali
 
 
 def test_png_stays_png() -> None:
-    found = simplify(textured_ball(as_png(waves())), ratio=0.2)
+    found = simplify(textured_ball(encode_png(waves())), ratio=0.2)
     assert [image.mime for image in found.mesh.texture.images] == ["image/png"]
     assert found.baked.quality is None
     assert found.baked.color.rmse < 3
@@ -72,7 +72,7 @@ def test_an_image_of_noise_gets_no_more_bytes() -> None:
     # Source bytes are few, since most of it is flat; what the surface shows is noise.
     rng = np.random.default_rng(0)
     flat[64:192] = rng.integers(0, 255, flat[64:192].shape)
-    source = as_jpeg(flat, 90)
+    source = encode_jpeg(flat, 90)
     mesh = textured_ball(source, rings=10, sectors=12)
     found = simplify(mesh, ratio=1.0, bake=True)
     assert found.baked.image_bytes <= len(source.file_bytes)
@@ -80,18 +80,18 @@ def test_an_image_of_noise_gets_no_more_bytes() -> None:
 
 def test_alpha_is_baked_where_the_material_uses_it() -> None:
     pixels = np.dstack([waves(), np.tile(np.linspace(0, 255, 256)[:, None], (1, 512)).astype(np.uint8)])
-    mesh = textured_ball(as_png(pixels))
+    mesh = textured_ball(encode_png(pixels))
     for mode, channels in (("BLEND", 4), ("OPAQUE", 3)):
-        material = gltf_material("glass", as_png(pixels), alphaMode=mode)
-        original = with_materials(mesh, (material,), mesh.texture.material_ids)
+        material = gltf_material("glass", encode_png(pixels), alphaMode=mode)
+        original = replace_materials(mesh, (material,), mesh.texture.material_ids)
         found = simplify(original, ratio=0.3)
         (image,) = found.mesh.texture.images
         assert image.pixels.shape[2] == channels
         assert found.mesh.texture.materials[0].kept.tree["alphaMode"] == mode
         if channels == 4:
-            at, weights, places = points_of(found.mesh)
+            at, weights, places = sample_points(found.mesh)
             uvs = np.einsum("kc,kcx->kx", weights, found.mesh.texture.uvs[at])
-            alpha = sampled(image.pixels[..., [3, 3, 3]], uvs, ("clamp", "clamp"))[:, 0]
+            alpha = sample_bilinear(image.pixels[..., [3, 3, 3]], uvs, ("clamp", "clamp"))[:, 0]
             polar = np.arccos(places[:, 2] / np.linalg.norm(places, axis=1))
             # The image runs from pole to pole.
             assert np.abs(alpha - 255 * polar / np.pi).mean() < 4
@@ -102,13 +102,16 @@ def test_classes_of_materials_have_atlases_of_their_own() -> None:
     red[..., 2], blue[..., 0] = 0, 0
     mesh = textured_ball(Image(given=red))
     south = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] < 0).astype(np.int32)
-    materials = (gltf_material("north", as_png(red)), gltf_material("south", as_png(blue), doubleSided=True))
-    found = simplify(with_materials(mesh, materials, south), ratio=0.3)
+    materials = (
+        gltf_material("north", encode_png(red)),
+        gltf_material("south", encode_png(blue), doubleSided=True),
+    )
+    found = simplify(replace_materials(mesh, materials, south), ratio=0.3)
     texture = found.mesh.texture
     assert [material.name for material in texture.materials] == ["north", "south"]
     assert [material.kept.tree.get("doubleSided") for material in texture.materials] == [None, True]
-    at, weights, places = points_of(found.mesh)
-    colors = color_at(found.mesh, at, weights)
+    at, weights, places = sample_points(found.mesh)
+    colors = compute_surface_colors(found.mesh, at, weights)
     ids = texture.material_ids[at]
     # The border stays where it was, and neither shows the colours of the other.
     assert (ids[places[:, 2] < -0.1] == 1).all()
@@ -118,15 +121,15 @@ def test_classes_of_materials_have_atlases_of_their_own() -> None:
 
 
 def test_materials_that_differ_in_factors_share_an_atlas() -> None:
-    image = as_png(waves())
+    image = encode_png(waves())
     mesh = textured_ball(image)
     ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] < 0).astype(np.int32)
     half = (0.5, 0.5, 0.5, 1.0)
     plain = gltf_material("one", image)
     dark = Material(
-        "two", image, half, kept=GltfStatements(plain.kept.tree, plain.kept.textures, half, image)
+        "two", image, half, kept=GltfMaterialSource(plain.kept.tree, plain.kept.textures, half, image)
     )
-    original = with_materials(mesh, (plain, dark), ids)
+    original = replace_materials(mesh, (plain, dark), ids)
     found = simplify(original, ratio=0.3, bake=True)
     (material,) = found.mesh.texture.materials
     assert material.base_color is None
@@ -134,34 +137,36 @@ def test_materials_that_differ_in_factors_share_an_atlas() -> None:
 
 
 def test_a_factor_that_all_share_is_not_baked_twice() -> None:
-    image, factor = as_png(waves()), (0.5, 0.25, 1.0, 1.0)
+    image, factor = encode_png(waves()), (0.5, 0.25, 1.0, 1.0)
     plain = gltf_material("one", image)
     tinted = Material(
-        "one", image, factor, kept=GltfStatements(plain.kept.tree, plain.kept.textures, factor, image)
+        "one", image, factor, kept=GltfMaterialSource(plain.kept.tree, plain.kept.textures, factor, image)
     )
     mesh = textured_ball(image)
-    original = with_materials(mesh, (tinted,), mesh.texture.material_ids)
+    original = replace_materials(mesh, (tinted,), mesh.texture.material_ids)
     found = simplify(original, ratio=0.3)
     assert found.mesh.texture.materials[0].base_color == factor
     assert color_difference(found.mesh, original) < 4
 
 
 def test_vertex_colours_that_multiply_an_image_are_baked() -> None:
-    image = as_png(waves())
+    image = encode_png(waves())
     plain = gltf_material("one", image)
-    kept = GltfStatements(plain.kept.tree, plain.kept.textures, None, image, multiplies=True)
+    kept = GltfMaterialSource(
+        plain.kept.tree, plain.kept.textures, None, image, multiplies_vertex_colors=True
+    )
     mesh = textured_ball(image)
     grey = np.rint(255 * (0.6 + 0.4 * mesh.vertices[:, 2:])).clip(0, 255).astype(np.uint8)
-    original = with_materials(mesh, (Material("one", image, kept=kept),), mesh.texture.material_ids)
+    original = replace_materials(mesh, (Material("one", image, kept=kept),), mesh.texture.material_ids)
     original = original.with_(colors=np.repeat(grey, 3, axis=1))
     found = simplify(original, ratio=0.3)
     assert found.mesh.colors is None
-    assert not found.mesh.texture.materials[0].kept.multiplies
+    assert not found.mesh.texture.materials[0].kept.multiplies_vertex_colors
     assert color_difference(found.mesh, original) < 4
 
 
 def test_an_image_that_repeats_is_baked_where_it_wraps() -> None:
-    mesh = textured_ball(as_png(waves()))
+    mesh = textured_ball(encode_png(waves()))
     moved = mesh.texture.uvs + np.array([0.37, -2.0])
     original = mesh.with_(
         texture=type(mesh.texture)(moved, mesh.texture.material_ids, mesh.texture.materials)
@@ -173,10 +178,10 @@ def test_normals_of_a_map_stay_where_they_were_in_space() -> None:
     mesh, normals_at = bumpy_plane()
     found = simplify(mesh, ratio=0.05).mesh
     assert len(found.triangles) < len(mesh.triangles) / 10
-    at, weights, places = points_of(found)
+    at, weights, places = sample_points(found)
     image = kept_image(found, "normalTexture")
     uvs = found.texture.uvs
-    texels = sampled(image.pixels, np.einsum("kc,kcx->kx", weights, uvs[at]), ("clamp", "clamp"))
+    texels = sample_bilinear(image.pixels, np.einsum("kc,kcx->kx", weights, uvs[at]), ("clamp", "clamp"))
     local = texels / 127.5 - 1
     # The frame of each triangle by its own edges, as the plane has one normal.
     corners = found.vertices[found.triangles]
@@ -194,16 +199,20 @@ def test_normals_of_a_map_stay_where_they_were_in_space() -> None:
 def test_other_maps_keep_their_values() -> None:
     occlusion = waves()
     occlusion[..., 1:] = 40
-    image = as_png(waves())
-    material = gltf_material("map", image, {"occlusionTexture": as_png(occlusion), "emissiveTexture": image})
+    image = encode_png(waves())
+    material = gltf_material(
+        "map", image, {"occlusionTexture": encode_png(occlusion), "emissiveTexture": image}
+    )
     mesh = textured_ball(image)
-    found = simplify(with_materials(mesh, (material,), mesh.texture.material_ids), ratio=0.3).mesh
+    found = simplify(replace_materials(mesh, (material,), mesh.texture.material_ids), ratio=0.3).mesh
     pixels = kept_image(found, "occlusionTexture").pixels
     assert np.abs(pixels[..., 1:].astype(int) - 40).max() <= 1
     as_mesh = mesh.with_(
-        texture=with_materials(mesh, (Material("o", as_png(occlusion)),), mesh.texture.material_ids).texture
+        texture=replace_materials(
+            mesh, (Material("o", encode_png(occlusion)),), mesh.texture.material_ids
+        ).texture
     )
-    shown = with_materials(
+    shown = replace_materials(
         found, (Material("o", Image(given=pixels), wrap=("clamp", "clamp")),), found.texture.material_ids
     )
     assert color_difference(shown, as_mesh) < 4
@@ -212,7 +221,7 @@ def test_other_maps_keep_their_values() -> None:
 
 
 def test_equal_input_gives_equal_bytes() -> None:
-    mesh = textured_ball(as_jpeg(waves()))
+    mesh = textured_ball(encode_jpeg(waves()))
     one, other = (simplify(mesh, ratio=0.2, threads=threads).mesh.texture for threads in (1, 2))
     assert one.images[0].file_bytes == other.images[0].file_bytes
     assert np.array_equal(one.uvs, other.uvs)

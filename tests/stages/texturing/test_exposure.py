@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scanloom.stages.texturing.exposure import exposures
+from scanloom.stages.texturing.exposure import estimate_exposures
 
 
 def samples(
@@ -29,11 +29,11 @@ def grey_after(exposure: object, level: int = 80) -> np.ndarray:
 
 def test_gains_and_biases_are_found() -> None:
     gains, biases = np.array([0.7, 0.9, 1.0, 1.1, 1.4]), np.array([8.0, -6.0, 0.0, 4.0, -6.0])
-    found = exposures(*samples(gains, biases, 1.0, (0.0, 0.0)), count=5)
+    found = estimate_exposures(*samples(gains, biases, 1.0, (0.0, 0.0)), count=5)
     usual = gains / np.exp(np.log(gains).mean())
     for one, gain in zip(found.photos, usual, strict=True):
         np.testing.assert_allclose(one.gain, gain, rtol=0.03)
-    assert found.after < 0.2 * found.before
+    assert found.difference_after < 0.2 * found.difference_before
     # What all have in common is told alike by all.
     shown = [
         grey_after(one, round(80 * g + b)) for one, g, b in zip(found.photos, gains, biases, strict=True)
@@ -43,14 +43,14 @@ def test_gains_and_biases_are_found() -> None:
 
 
 def test_the_vignette_of_a_lens_is_found() -> None:
-    found = exposures(*samples(np.ones(5), np.zeros(5), 1.0, (-0.3, -0.1)), count=5)
+    found = estimate_exposures(*samples(np.ones(5), np.zeros(5), 1.0, (-0.3, -0.1)), count=5)
     v = found.photos[0].vignette
     assert 1 + v[1] + v[2] == pytest.approx(0.6, rel=0.1)
 
 
 def test_a_thing_in_the_middle_of_all_photos_has_no_vignette() -> None:
     """What is brighter at its rim says nothing of the corners, where nothing is."""
-    found = exposures(*samples(np.ones(5), np.zeros(5), 0.05, (4.0, 10.0)), count=5)
+    found = estimate_exposures(*samples(np.ones(5), np.zeros(5), 0.05, (4.0, 10.0)), count=5)
     for one in found.photos:
         assert one.vignette == (1.0, 0.0, 0.0)
         np.testing.assert_allclose(grey_after(one), 80, atol=12)

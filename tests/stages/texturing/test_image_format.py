@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 from PIL import Image as PillowImage
-from textured_models import as_jpeg, as_png, waves
+from textured_models import encode_jpeg, encode_png, waves
 
 from scanloom.stages.surface.mesh import Image
 from scanloom.stages.texturing.image_format import (
@@ -13,20 +13,20 @@ from scanloom.stages.texturing.image_format import (
     choose_format,
     encode,
     encode_within,
-    jpeg_quality,
+    estimate_jpeg_quality,
 )
 
 
 @pytest.mark.parametrize("quality", [15, 50, 75, 90, 97])
 @pytest.mark.parametrize("subsampling", [0, 2])
 def test_the_quality_of_a_jpeg_is_found(quality: int, subsampling: int) -> None:
-    found, is_subsampled = jpeg_quality(as_jpeg(waves(), quality, subsampling).file_bytes)
+    found, is_subsampled = estimate_jpeg_quality(encode_jpeg(waves(), quality, subsampling).file_bytes)
     assert abs(found - quality) <= 1
     assert is_subsampled == (subsampling == 2)
 
 
 def test_the_format_is_that_of_the_sources() -> None:
-    jpeg, png = as_jpeg(waves(), 77), as_png(waves())
+    jpeg, png = encode_jpeg(waves(), 77), encode_png(waves())
     file = io.BytesIO()
     PillowImage.fromarray(waves()).save(file, "WEBP", quality=80)
     webp = Image("a.webp", file.getvalue())

@@ -5,34 +5,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from coloured_meshes import ball, of_trimesh
-from photographed import CAMERA, flat_photo, paint, photos, pose, wall
+from coloured_meshes import ball, color_trimesh
+from wall_photos import CAMERA, make_grazing_photo, paint, photos, pose, wall
 
 from scanloom.stages import Mesh, _kernels
-from scanloom.stages.progress import silent
-from scanloom.stages.scans.model.poses import inverted
-from scanloom.stages.surface.raycasting import Surface
-from scanloom.stages.surface.vertex_normals import vertex_normals
-from scanloom.stages.texturing.exposure import no_exposure
-from scanloom.stages.texturing.photos import photos_of
-from scanloom.stages.texturing.seams import SeamSums
-from scanloom.stages.texturing.views import drawn_mesh, kernel_camera, see
+from scanloom.stages.progress import ignore_progress
+from scanloom.stages.scans.model.poses import invert_pose
+from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.vertex_normals import compute_vertex_normals
+from scanloom.stages.texturing.exposure import make_identity_exposure
+from scanloom.stages.texturing.photo_sampling import prepare_render_mesh, sample_photos, to_kernel_camera
+from scanloom.stages.texturing.photos import load_photos
+from scanloom.stages.texturing.seam_visibility import SeamStatistics
 
 
 def camera(place: np.ndarray) -> tuple:
-    return kernel_camera(CAMERA, inverted(place))
+    return to_kernel_camera(CAMERA, invert_pose(place))
 
 
 @pytest.mark.parametrize("shape", ["ball", "room"])
 def test_a_camera_sees_what_rays_meet(shape):
     # From outside a ball, and from inside a room whose walls reach behind the camera.
-    mesh = ball() if shape == "ball" else of_trimesh(trimesh.creation.box((3, 2, 4)))
+    mesh = ball() if shape == "ball" else color_trimesh(trimesh.creation.box((3, 2, 4)))
     place = pose(0.1, 0.05, z=-2.5) if shape == "ball" else pose(0.3, -0.2, z=0.4, turn=40)
     depth, triangles = _kernels.DrawnMesh(mesh.vertices, mesh.triangles).zbuffer(camera(place), near=1e-3)
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
     rays = np.stack([x, y, np.ones(x.shape)], axis=-1).reshape(-1, 3) @ place[:3, :3].T
-    hits = Surface(mesh).cast(place[:3, 3], rays.astype(np.float32))
+    hits = RaycastingSurface(mesh).cast_rays(place[:3, 3], rays.astype(np.float32))
     expected = np.full(rows.size, np.inf)
     expected[hits.rays] = hits.distances
     seen = np.isfinite(depth.ravel())
@@ -81,10 +81,12 @@ def test_threads_change_nothing():
     found = []
     for threads in (1, 2, 5):
         points = _kernels.SurfacePoints(
-            mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=3
+            mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, kept=3
         )
-        one = photos_of(frames, silent)
-        see(points, drawn_mesh(mesh), one, [no_exposure()] * len(one), None, lambda: None)
+        one = load_photos(frames, ignore_progress)
+        sample_photos(
+            points, prepare_render_mesh(mesh), one, [make_identity_exposure()] * len(one), None, lambda: None
+        )
         blended = points.blend(blurred=1, details=3, deviations=3, levels=12, wanted_threads=threads)
         found.append([*points.samples(), points.density(), *blended])
     for others in found[1:]:
@@ -95,9 +97,13 @@ def test_the_best_views_come_first_and_show_the_paint():
     mesh, frames = wall(), photos(8)
     of = np.arange(len(mesh.triangles), dtype=np.uint32)
     shares = np.full((len(of), 3), 1 / 3, np.float32)
-    points = _kernels.SurfacePoints(mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=4)
-    one = photos_of(frames, silent)
-    see(points, drawn_mesh(mesh), one, [no_exposure()] * len(one), None, lambda: None)
+    points = _kernels.SurfacePoints(
+        mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, kept=4
+    )
+    one = load_photos(frames, ignore_progress)
+    sample_photos(
+        points, prepare_render_mesh(mesh), one, [make_identity_exposure()] * len(one), None, lambda: None
+    )
     views, colors, scores = points.samples()
     assert (np.diff(scores, axis=1) <= 0).all()
     assert ((views >= 0) == (scores > 0)).all()
@@ -112,9 +118,9 @@ def test_the_best_views_come_first_and_show_the_paint():
 
 
 def seam_ratio(image: np.ndarray, labels: np.ndarray) -> float | None:
-    sums = SeamSums()
+    sums = SeamStatistics()
     sums.add(image, labels)
-    return sums.ratio()
+    return sums.compute_ratio()
 
 
 def test_a_seam_is_seen_in_the_ratio():
@@ -135,17 +141,21 @@ def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
     mesh = wall()
     of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 20)
     shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
-    points = _kernels.SurfacePoints(mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=3)
-    one = photos_of([frames[number] for number in order], silent)
+    points = _kernels.SurfacePoints(
+        mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, kept=3
+    )
+    one = load_photos([frames[number] for number in order], ignore_progress)
     # Sharpness is judged among those taken one after the other: not here.
-    one = replace(one, worths=np.ones(len(one)))
-    see(points, drawn_mesh(mesh), one, [no_exposure()] * len(one), None, lambda: None)
+    one = replace(one, weights=np.ones(len(one)))
+    sample_photos(
+        points, prepare_render_mesh(mesh), one, [make_identity_exposure()] * len(one), None, lambda: None
+    )
     return points
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]])
 def test_a_flat_look_counts_only_where_there_is_no_other(order):
-    frames = [*photos(3), flat_photo(3)]
+    frames = [*photos(3), make_grazing_photo(3)]
     without, flat = looked_at(frames, [n for n in order if n != 3]), looked_at(frames, order)
     named = [np.append(chosen, -1) for chosen in ([n for n in order if n != 3], order)]
     straight = without.samples()[0][:, 0] >= 0
@@ -166,7 +176,7 @@ def test_a_flat_look_counts_only_where_there_is_no_other(order):
 
 def test_a_photo_alone_may_be_flatter_than_one_of_several():
     # At 88° and more of the farther half.
-    low = replace(flat_photo(0, z=-0.03, turn=-85), depth=None)
+    low = replace(make_grazing_photo(0, z=-0.03, turn=-85), depth=None)
     away = replace(low, name="away", world_from_camera=pose(9, 9))
     alone, beside = looked_at([low], [0]), looked_at([low, away], [0, 1])
     assert alone.flat().mean() > 0.5
@@ -174,7 +184,7 @@ def test_a_photo_alone_may_be_flatter_than_one_of_several():
 
 
 def test_a_flat_look_does_not_see_through_what_is_before_it():
-    mesh, frame = wall(), replace(flat_photo(0), depth=None)
+    mesh, frame = wall(), replace(make_grazing_photo(0), depth=None)
     # A board on the wall, square to it, across what is farther from the camera.
     board = Mesh(
         np.array([(0.5, 0, 0), (0.5, 1, 0), (0.5, 1, -0.4), (0.5, 0, -0.4)]),
@@ -186,9 +196,11 @@ def test_a_flat_look_does_not_see_through_what_is_before_it():
     )
     of = np.arange(len(mesh.triangles), dtype=np.uint32)
     shares = np.full((len(of), 3), 1 / 3, np.float32)
-    points = _kernels.SurfacePoints(both.vertices, vertex_normals(both), both.triangles, of, shares, kept=1)
-    one = photos_of([frame], silent)
-    see(points, drawn_mesh(both), one, [no_exposure()], None, lambda: None)
+    points = _kernels.SurfacePoints(
+        both.vertices, compute_vertex_normals(both), both.triangles, of, shares, kept=1
+    )
+    one = load_photos([frame], ignore_progress)
+    sample_photos(points, prepare_render_mesh(both), one, [make_identity_exposure()], None, lambda: None)
     x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
     seen = points.density() > 0
     # By a pixel, which is a tenth of the way there, it may be wrong.

@@ -5,19 +5,19 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from photographed import paint, photo, pose, wall
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
+from wall_photos import paint, photo, pose, wall
 
 from scanloom.stages import _kernels
-from scanloom.stages.progress import silent
-from scanloom.stages.surface.vertex_normals import vertex_normals
-from scanloom.stages.texturing import painting
-from scanloom.stages.texturing.exposure import no_exposure
-from scanloom.stages.texturing.photos import photos_of
-from scanloom.stages.texturing.seams import SeamSums, beside_photos
+from scanloom.stages.progress import ignore_progress
+from scanloom.stages.surface.vertex_normals import compute_vertex_normals
+from scanloom.stages.texturing import photo_painting
+from scanloom.stages.texturing.exposure import make_identity_exposure
+from scanloom.stages.texturing.photo_sampling import prepare_render_mesh, sample_photos
+from scanloom.stages.texturing.photos import load_photos
+from scanloom.stages.texturing.seam_visibility import SeamStatistics, sum_neighbour_differences
 from scanloom.stages.texturing.texture import texture
-from scanloom.stages.texturing.views import drawn_mesh, see
 
 SIDE = 120
 REACH = 8.0
@@ -58,15 +58,17 @@ def seen(offsets: list[float], there: np.ndarray | None = None) -> Seen:
     order = np.argsort(is_second, kind="stable")
     points = _kernels.SurfacePoints(
         mesh.vertices,
-        vertex_normals(mesh),
+        compute_vertex_normals(mesh),
         mesh.triangles,
         is_second[order].astype(np.uint32),
         shares[order].astype(np.float32),
         kept=2,
     )
-    used = photos_of(frames, silent)
-    used = replace(used, worths=np.ones(len(used)))
-    see(points, drawn_mesh(mesh), used, [no_exposure()] * len(used), None, lambda: None)
+    used = load_photos(frames, ignore_progress)
+    used = replace(used, weights=np.ones(len(used)))
+    sample_photos(
+        points, prepare_render_mesh(mesh), used, [make_identity_exposure()] * len(used), None, lambda: None
+    )
     colors, _, _ = points.blend(blurred=1, details=1, deviations=50, levels=255, wanted_threads=1)
     return Seen(points, (rows * SIDE + columns)[order].astype(np.uint32), colors)
 
@@ -196,11 +198,15 @@ def test_borders_that_are_blended_differ_as_photos_do_and_those_of_one_photo_by_
     labels = labels_of(one)
 
     def over_photos(colors: np.ndarray) -> float:
-        sums, image, label = SeamSums(), np.zeros((SIDE * SIDE, 3), np.float32), np.full(SIDE * SIDE, -1)
+        sums, image, label = (
+            SeamStatistics(),
+            np.zeros((SIDE * SIDE, 3), np.float32),
+            np.full(SIDE * SIDE, -1),
+        )
         image[one.pixels], label[one.pixels] = colors, labels
-        beside = beside_photos(one.points, colors, labels, one.pixels, SIDE)
+        beside = sum_neighbour_differences(one.points, colors, labels, one.pixels, SIDE)
         sums.add(image.reshape(SIDE, SIDE, 3), label.reshape(SIDE, SIDE).astype(np.int32), beside)
-        return sums.over_photos()
+        return sums.compute_ratio_over_photos()
 
     # Of one photo alone at each place, which are not equally bright.
     views, shown, _ = one.points.samples()
@@ -210,9 +216,9 @@ def test_borders_that_are_blended_differ_as_photos_do_and_those_of_one_photo_by_
 
 
 def test_without_borders_nothing_is_over_photos():
-    sums = SeamSums()
+    sums = SeamStatistics()
     sums.add(np.zeros((20, 20, 3), np.float32), np.zeros((20, 20), np.int32), np.zeros((2, 2)))
-    assert sums.over_photos() is None
+    assert sums.compute_ratio_over_photos() is None
 
 
 def test_where_the_same_photos_count_nothing_changes():
@@ -270,7 +276,7 @@ def test_a_texture_of_photos_that_differ_shows_fewer_borders(monkeypatch: pytest
         light = np.where(color > 0, color.astype(float) + rng.uniform(-25, 25), 0)
         frames.append(replace(one, color=np.rint(light).clip(0, 254).astype(np.uint8), depth=depth))
     levelled = texture(wall(), frames, format="png", exposure=False, rounds=0)
-    monkeypatch.setattr(painting, "level_borders", lambda *_: None)
+    monkeypatch.setattr(photo_painting, "level_seams", lambda *_: None)
     without = texture(wall(), frames, format="png", exposure=False, rounds=0)
-    assert without.seams > 1.5
-    assert levelled.seams < 1 + 0.5 * (without.seams - 1)
+    assert without.seam_ratio > 1.5
+    assert levelled.seam_ratio < 1 + 0.5 * (without.seam_ratio - 1)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from photographed import photos
+from wall_photos import photos
 
-from scanloom.stages.progress import silent
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.texturing.photos import photos_of
+from scanloom.stages.texturing.photos import load_photos
 
 
 def blurred(frame: Frame, spread: float) -> Frame:
@@ -19,7 +19,7 @@ def blurred(frame: Frame, spread: float) -> Frame:
 def test_a_blurred_photo_counts_a_thirtieth():
     frames = photos(12)
     frames[5] = blurred(frames[5], 3.0)
-    worths = photos_of(frames, silent).worths
+    worths = load_photos(frames, ignore_progress).weights
     # They are squared where photos are weighed.
     assert worths[5] ** 2 == pytest.approx(0.5**5)
     assert np.median(worths) == 1
@@ -27,5 +27,5 @@ def test_a_blurred_photo_counts_a_thirtieth():
 
 def test_the_sharpest_of_blurred_photos_are_not_taken_down():
     sharp, soft = photos(12), [blurred(frame, 1.0) for frame in photos(12)]
-    one, other = (photos_of(frames, silent).worths for frames in (sharp, soft))
+    one, other = (load_photos(frames, ignore_progress).weights for frames in (sharp, soft))
     assert other == pytest.approx(one, abs=0.25)

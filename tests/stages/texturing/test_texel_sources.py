@@ -12,8 +12,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
-from scanloom.stages.surface.color import sampled
-from scanloom.stages.surface.raycasting import Surface, closest_weights, unit_normals
+from scanloom.stages.surface.raycasting import (
+    RaycastingSurface,
+    compute_closest_weights,
+    compute_triangle_normals,
+)
+from scanloom.stages.surface.surface_color import sample_bilinear
 
 WRAPS = ("repeat", "clamp", "mirror")
 
@@ -96,7 +100,7 @@ def test_the_last_triangle_of_a_chart_is_drawn(seed: int) -> None:
     beside = np.flatnonzero((expected < 0) & (found.ravel() >= 0))
     flat = np.concatenate([corners, np.zeros((len(corners), 3, 1))], axis=2)[found.ravel()[beside]]
     at = np.concatenate([points[beside], np.zeros((len(beside), 1))], axis=1)
-    nearest = np.einsum("kc,kcx->kx", closest_weights(at, flat), flat)
+    nearest = np.einsum("kc,kcx->kx", compute_closest_weights(at, flat), flat)
     assert np.linalg.norm(nearest - at, axis=1).max(initial=0) < 3
     assert np.array_equal(charts[found.ravel()[beside]], own_charts[beside])
 
@@ -162,7 +166,7 @@ def test_samples_are_those_of_the_surface(
     uvs[:20] = np.round(uvs[:20])
     found = _kernels.sample_points(image, uvs, channels=3, wrap=wrap, wanted_threads=2)
     # Shares have eight bits.
-    assert np.abs(found - sampled(image, uvs, wrap)).max() <= 2.5
+    assert np.abs(found - sample_bilinear(image, uvs, wrap)).max() <= 2.5
     assert np.array_equal(
         found, _kernels.sample_points(image, uvs, channels=4, wrap=wrap, wanted_threads=1)[:, :3]
     )
@@ -204,7 +208,7 @@ def test_texels_are_located_at_the_nearest_point(seed: int) -> None:
     at = np.concatenate([centres(40, 40)[texels], np.zeros((500, 1))], axis=1)
     away = [
         np.linalg.norm(np.einsum("kc,kcx->kx", weights, flat) - at, axis=1)
-        for weights in (found, closest_weights(at, flat))
+        for weights in (found, compute_closest_weights(at, flat))
     ]
     assert np.abs(away[0] - away[1]).max() < 1e-4
     assert (found >= 0).all()
@@ -217,7 +221,9 @@ def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
     surface = _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=threads)
     points = np.random.default_rng(0).normal(size=(3000, 3))
     triangles, weights, distances = surface.closest(points, wanted_threads=threads)
-    expected = Surface(mesh, np.array([points.min(axis=0), points.max(axis=0)])).closest(points)
+    expected = RaycastingSurface(
+        mesh, np.array([points.min(axis=0), points.max(axis=0)])
+    ).find_closest_points(points)
     assert np.allclose(distances, expected.distances, atol=1e-9)
     at = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
     assert np.allclose(np.linalg.norm(points - at, axis=1), distances)
@@ -225,7 +231,7 @@ def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
     normals = points / np.linalg.norm(points, axis=1)[:, None]
     for sign in (1, -1):
         found, _, is_turned = surface.facing(points, sign * normals, reach=1e9, wanted_threads=threads)
-        towards = np.einsum("kx,kx->k", unit_normals(mesh)[found], sign * normals)
+        towards = np.einsum("kx,kx->k", compute_triangle_normals(mesh)[found], sign * normals)
         assert (towards > 0).all()
         assert is_turned.all() == (sign < 0)
     _, _, is_turned = surface.facing(points, -normals, reach=1e-3, wanted_threads=threads)

@@ -8,26 +8,36 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from photographed import CAMERA, brighter, flat_photo, hits, paint, photo, photos, pose, wall
+from wall_photos import (
+    CAMERA,
+    change_exposure,
+    intersect_plane,
+    make_grazing_photo,
+    paint,
+    photo,
+    photos,
+    pose,
+    wall,
+)
 
 from scanloom import InputError, MeshError, UsageError
-from scanloom.stages.progress import silent
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.scans.model.images import read_photo
 from scanloom.stages.scans.model.scan import Frame, Scan
-from scanloom.stages.surface.color import color_at
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
-from scanloom.stages.texturing import maps, painting, survey
+from scanloom.stages.surface.surface_color import compute_surface_colors
+from scanloom.stages.texturing import photo_painting, photo_survey, provenance_maps
 from scanloom.stages.texturing import photos as photos_module
-from scanloom.stages.texturing.maps import write_maps
-from scanloom.stages.texturing.texture import Textured, texture
-from scanloom.stages.texturing.views import see
+from scanloom.stages.texturing.photo_sampling import sample_photos
+from scanloom.stages.texturing.provenance_maps import write_maps
+from scanloom.stages.texturing.texture import TextureResult, texture
 
 INNER = (0.2, 0.8)
 
 
 @cache
-def textured(count: int, kind: str = "jpeg") -> Textured:
+def textured(count: int, kind: str = "jpeg") -> TextureResult:
     """The wall with a texture from so many photos: several tests look at the same one."""
     return texture(wall(), photos(count), format=kind)
 
@@ -40,7 +50,7 @@ def shown(
     chosen = rng.choice(len(mesh.triangles) if triangles is None else triangles, count)
     weights = rng.dirichlet((1, 1, 1), count)
     places = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[chosen]])
-    return color_at(mesh, chosen, weights), places
+    return compute_surface_colors(mesh, chosen, weights), places
 
 
 def errors(mesh: Mesh) -> np.ndarray:
@@ -54,7 +64,7 @@ def test_a_wall_shows_what_its_photos_show():
     found = texture(wall(), photos(), format="png")
     assert np.median(errors(found.mesh)) < 2.5
     assert np.quantile(errors(found.mesh), 0.99) < 8
-    assert found.seen > 0.95
+    assert found.coverage_ratio > 0.95
     assert found.mesh.colors is None
     assert len(found.photos) == 12
     assert found.skipped == ()
@@ -76,22 +86,22 @@ def test_equal_input_gives_equal_bytes():
 def test_photos_that_are_where_they_should_be_stay_there():
     # Of one image, details would be added; see test_back_projection.py.
     painted, looked_at = (texture(wall(), photos(4), max_size=128, rounds=rounds) for rounds in (0, 1))
-    assert 0 < looked_at.shift < 0.3 / 640
+    assert 0 < looked_at.shift_ratio < 0.3 / 640
     assert len(painted.sizes) > 1
     for one, other in zip(painted.mesh.texture.images, looked_at.mesh.texture.images, strict=True):
         assert one.file_bytes == other.file_bytes
-    assert looked_at.seams == painted.seams
+    assert looked_at.seam_ratio == painted.seam_ratio
     for one, other in zip(painted.labels, looked_at.labels, strict=True):
         assert np.array_equal(one, other)
 
 
 def test_what_does_not_fit_into_memory_gives_the_same(monkeypatch: pytest.MonkeyPatch):
     whole = textured(6)
-    monkeypatch.setattr(photos_module, "_KEPT_BYTES", 0)
-    monkeypatch.setattr(photos_module, "_LARGE", 0)
-    monkeypatch.setattr(survey, "_AT_ONCE", 1_000)
+    monkeypatch.setattr(photos_module, "_MAX_CACHE_BYTES", 0)
+    monkeypatch.setattr(photos_module, "_LARGE_PHOTO_PIXELS", 0)
+    monkeypatch.setattr(photo_survey, "_BATCH_POINTS", 1_000)
     found = texture(wall(), photos(6))
-    assert photos_module.photos_of(photos(6), silent).kept == {}
+    assert photos_module.load_photos(photos(6), ignore_progress).cached == {}
     assert [image.file_bytes for image in found.mesh.texture.images] == [
         image.file_bytes for image in whole.mesh.texture.images
     ]
@@ -107,12 +117,12 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
 
     def watched(*given, numbers=None, **named):
         asked.append(numbers)
-        return see(*given, numbers=numbers, **named)
+        return sample_photos(*given, photo_indices=numbers, **named)
 
-    monkeypatch.setattr(painting, "see", watched)
-    monkeypatch.setattr(painting, "_LEAST_AT_ONCE", 6e6)
-    monkeypatch.setattr(painting, "_AT_ONCE", 6e6)
-    monkeypatch.setattr(painting, "_ALL_AT_ONCE", 6e6)
+    monkeypatch.setattr(photo_painting, "sample_photos", watched)
+    monkeypatch.setattr(photo_painting, "_MIN_BATCH_BYTES", 6e6)
+    monkeypatch.setattr(photo_painting, "_BATCH_BYTES", 6e6)
+    monkeypatch.setattr(photo_painting, "_SINGLE_BATCH_BYTES", 6e6)
     found = texture(wall(40), frames, format="png", rounds=0)
     assert len(asked) > 3
     assert sum(0 < len(numbers) < len(frames) for numbers in asked) > len(asked) / 2
@@ -125,7 +135,7 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
 @pytest.mark.slow
 def test_photos_are_made_equally_bright():
     gains = np.array([0.8, 1.25, 1.0, 0.9, 1.1, 1.0] * 2)
-    frames = [brighter(frame, gain, 3.0) for frame, gain in zip(photos(), gains, strict=True)]
+    frames = [change_exposure(frame, gain, 3.0) for frame, gain in zip(photos(), gains, strict=True)]
     found = texture(wall(), frames, format="png")
     assert found.difference_after < 0.5 * found.difference_before
     # Only ratios can be known: what is left is one gain and bias for all. What is very bright was cut off.
@@ -136,7 +146,7 @@ def test_photos_are_made_equally_bright():
         line = np.polyfit(colors[usable, k], truth[usable, k], 1)
         assert np.median(np.abs(np.polyval(line, colors[usable, k]) - truth[usable, k])) < 2
     plain = texture(wall(), frames, format="png", exposure=False)
-    assert plain.gains == (1.0, 1.0)
+    assert plain.gain_range == (1.0, 1.0)
     assert np.median(errors(plain.mesh)) > np.median(errors(found.mesh))
 
 
@@ -157,7 +167,7 @@ def test_who_walks_by_is_not_painted():
 def test_what_stands_in_front_is_not_painted_on_what_is_behind():
     # A white card before the wall, in the mesh and in every photo.
     def with_card(frame: Frame) -> Frame:
-        x, y, depth = hits(np.asarray(frame.world_from_camera), z=-0.3)
+        x, y, depth = intersect_plane(np.asarray(frame.world_from_camera), z=-0.3)
         card = (np.abs(x - 0.5) < 0.1) & (np.abs(y - 0.5) < 0.1)
         image = np.where(card[..., None], 240, np.array(frame.color)).astype(np.uint8)
         return replace(
@@ -197,16 +207,16 @@ def misplaced() -> tuple[Frame, ...]:
 @pytest.mark.slow
 def test_a_photo_that_is_off_by_pixels_is_shifted():
     still, shifted = (texture(wall(), misplaced(), format="png", rounds=rounds) for rounds in (0, 1))
-    assert 0.2 / CAMERA.width < shifted.shift < 3 / CAMERA.width
+    assert 0.2 / CAMERA.width < shifted.shift_ratio < 3 / CAMERA.width
     assert np.median(errors(shifted.mesh)) < 0.8 * np.median(errors(still.mesh))
 
 
 @pytest.mark.slow
 def test_shifts_of_large_photos_are_found_in_smaller_ones(monkeypatch: pytest.MonkeyPatch):
     whole = texture(wall(), misplaced(), format="png")
-    monkeypatch.setattr(painting, "_MOST_PIXELS", 10_000)
+    monkeypatch.setattr(photo_painting, "_MAX_CORRECTION_PIXELS", 10_000)
     found = texture(wall(), misplaced(), format="png")
-    assert found.shift == pytest.approx(whole.shift, rel=0.25)
+    assert found.shift_ratio == pytest.approx(whole.shift_ratio, rel=0.25)
     assert np.median(errors(found.mesh)) < 1.15 * np.median(errors(whole.mesh))
 
 
@@ -215,7 +225,7 @@ def test_what_no_photo_shows_keeps_its_own_colours():
     mesh = wall(50)
     own = paint(mesh.vertices[:, 0], mesh.vertices[:, 1])
     found = texture(mesh.with_(colors=np.rint(own).astype(np.uint8)), frames, format="png")
-    assert 0.1 < found.seen < 0.6
+    assert 0.1 < found.coverage_ratio < 0.6
     colors, places = shown(found.mesh)
     unseen = places[:, 0] > 0.7
     off = np.abs(colors - paint(places[:, 0], places[:, 1]))[unseen]
@@ -262,7 +272,7 @@ def test_maps_tell_which_photo_counts(tmp_path):
     assert found.labels[0].max() < 6
     shown = found.labels[0] >= 0
     assert np.array_equal(maps["photo-1"], found.labels[0] + 1)
-    assert found.counts[0][shown].min() >= 1
+    assert found.photo_counts[0][shown].min() >= 1
     # No photo is turned by more than 15 degrees, and none shows much beyond 35 degrees to its side.
     assert maps["obliquity-1"][shown].max() < 60
     assert (maps["obliquity-1"][~shown] == 255).all()
@@ -275,8 +285,8 @@ def test_maps_are_the_same_however_few_texels_are_measured_at_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     found, written = textured(6), []
-    for name, at_once in (("all", maps._AT_ONCE), ("few", 997)):
-        monkeypatch.setattr(maps, "_AT_ONCE", at_once)
+    for name, at_once in (("all", provenance_maps._BATCH_TEXELS), ("few", 997)):
+        monkeypatch.setattr(provenance_maps, "_BATCH_TEXELS", at_once)
         (tmp_path / name).mkdir()
         write_maps(tmp_path / name, found)
         written.append({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()})
@@ -348,10 +358,10 @@ def test_what_lies_beyond_the_edge_of_a_distorted_photo_is_not_taken():
 
 
 def test_what_only_an_oblique_photo_shows_has_its_colours_and_is_not_told_as_unseen():
-    flat = flat_photo(0)
+    flat = make_grazing_photo(0)
     grey = wall(colors=np.full((13 * 13, 3), 128, np.uint8))
     found = texture(grey, [flat], format="png")
-    assert found.seen > 0.5
+    assert found.coverage_ratio > 0.5
     assert found.diagnostics == ()
     colors, places = shown(found.mesh)
     truth = paint(places[:, 0], places[:, 1])
@@ -363,10 +373,10 @@ def test_what_only_an_oblique_photo_shows_has_its_colours_and_is_not_told_as_uns
 @pytest.mark.slow
 def test_an_oblique_photo_changes_nothing_where_others_show_the_wall():
     frames, mesh = photos(), wall()
-    flat = replace(flat_photo(12), color=np.full((120, 160, 3), 200, np.uint8))
+    flat = replace(make_grazing_photo(12), color=np.full((120, 160, 3), 200, np.uint8))
     without, beside = (texture(mesh, some, format="png", rounds=0) for some in (frames, [*frames, flat]))
     for share in (0.5, 0.9, 0.99):
         off = [np.quantile(errors(one.mesh), share) for one in (without, beside)]
         assert off[1] == pytest.approx(off[0], abs=0.2)
     assert beside.difference_after == pytest.approx(without.difference_after, abs=0.2)
-    assert beside.seen >= without.seen
+    assert beside.coverage_ratio >= without.coverage_ratio

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import image_size
+from scanloom.stages.files.images import read_image_size
 from scanloom.stages.scans.codes import (
     DEPTH_RANGE_UNKNOWN,
     FILE_COLMAP_INVALID,
@@ -27,41 +27,49 @@ from scanloom.stages.scans.codes import (
     SCAN_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from scanloom.stages.scans.image_folders.image_files import numbers
+from scanloom.stages.scans.image_folders.image_files import extract_numbers
 from scanloom.stages.scans.layouts.colmap import model_files as colmap
-from scanloom.stages.scans.layouts.colmap.model_files import View
+from scanloom.stages.scans.layouts.colmap.model_files import ColmapImage
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.layouts.shared.views import in_metres, single_view
+from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame, to_metres
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.model.scan import (
+    Camera,
+    Frame,
+    PackedImage,
+    Pose,
+    Scan,
+    SkippedFrame,
+    scale_camera,
+)
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 # nerfstudio stores the model below colmap/. Numbered subfolders hold disconnected models.
-_MODELS = ("sparse", ".", "colmap/sparse", "colmap")
+_MODEL_FOLDERS = ("sparse", ".", "colmap/sparse", "colmap")
 # Dense workspace locations of COLMAP's own scripts, relative to the scan folder.
-_WORKSPACES = (".", "dense", "dense/0")
-_KINDS = ("geometric", "photometric")
+_WORKSPACE_FOLDERS = (".", "dense", "dense/0")
+_DEPTH_MAP_KINDS = ("geometric", "photometric")
 # Relative tolerance of the aspect ratio: COLMAP rounds sizes to whole pixels when it downscales images.
-_LARGEST_STRETCH = 0.02
+_ASPECT_RATIO_TOLERANCE = 0.02
 # Number of views whose images are checked against the cameras of the model.
-_LOOKED_AT = 8
+_SAMPLE_COUNT = 8
 
 
 def _matches(folder: Path) -> str | None:
-    models = next(filter(None, map(_models, _workspaces(folder))), None)
+    models = next(filter(None, map(_find_models, _list_workspaces(folder))), None)
     return None if models is None else f"cameras and images in {models[0].relative_to(folder).as_posix()}/"
 
 
-def _workspaces(folder: Path) -> list[Path]:
-    return [folder / name for name in _WORKSPACES]
+def _list_workspaces(folder: Path) -> list[Path]:
+    return [folder / name for name in _WORKSPACE_FOLDERS]
 
 
-def _models(folder: Path) -> list[Path]:
+def _find_models(folder: Path) -> list[Path]:
     """Return the models at the first location that has any.
 
     Several models are disconnected reconstructions of parts of the images.
     """
-    for place in (folder / name for name in _MODELS):
+    for place in (folder / name for name in _MODEL_FOLDERS):
         if colmap.has_model(place):
             return [place]
         inner = [one for one in place.iterdir() if one.name.isdecimal()] if place.is_dir() else []
@@ -71,7 +79,7 @@ def _models(folder: Path) -> list[Path]:
     return []
 
 
-def _largest(models: Sequence[Path]) -> Path:
+def _select_largest_model(models: Sequence[Path]) -> Path:
     """Return the model with the most images, and warn about the others."""
     if len(models) == 1:
         return models[0]
@@ -90,40 +98,40 @@ def _largest(models: Sequence[Path]) -> Path:
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    places = [one for one in _workspaces(folder) if _models(one)]
-    if not places:
+    workspaces = [one for one in _list_workspaces(folder) if _find_models(one)]
+    if not workspaces:
         raise InputError(
             SCAN_FILES_MISSING,
             "a COLMAP model (cameras and images, .bin or .txt) is required in the folder, in sparse/ "
             "or in sparse/0/.",
             folder,
         )
-    workspace = _workspace(folder, places)
-    model = _largest(_models(workspace))
-    views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
-    depths = {view.name: _depth_map(workspace, view) for view in views}
-    alone = not any(depths.values())
-    points = colmap.read_points(model) if alone else {}
-    images = _images(workspace)
-    poses = _poses(folder, views, options)
+    workspace = _select_workspace(folder, workspaces)
+    model = _select_largest_model(_find_models(workspace))
+    views = sorted(colmap.read_model(model), key=lambda view: (extract_numbers(view.name), view.name))
+    depths = {view.name: _find_depth_map(workspace, view) for view in views}
+    has_no_depth = not any(depths.values())
+    points = colmap.read_points(model) if has_no_depth else {}
+    images = _get_image_folder(workspace)
+    poses = _read_poses(folder, views, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for view, pose in zip(views, poses, strict=True):
         depth = depths[view.name]
         name = PurePosixPath(view.name).with_suffix("").as_posix()
-        camera = _stated(view.camera, options)
+        camera = _apply_stated_camera(view.camera, options)
         try:
-            if alone:
-                found = _own_points(points, view, options)
-                frames.append(single_view(name, camera, images / view.name, pose, points=found))
+            if has_no_depth:
+                found = _get_observed_points(points, view, options)
+                frames.append(create_view_frame(name, camera, images / view.name, pose, points=found))
                 continue
             if depth is None:
                 raise InputError(FRAME_IMAGE_MISSING, "its depth map is missing.")
-            frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
+            frames.append(_create_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, error.diagnostic))
     _check_depths(frames)
-    if alone and not points:
+    if has_no_depth and not points:
         emit(
             DEPTH_RANGE_UNKNOWN.warning(
                 "the model has no points (points3D.bin or .txt): the depth range is estimated from the "
@@ -132,96 +140,106 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     # Poses given by the user are in metres. Depth maps stay in the unit of the model.
-    is_metric = options.depth_scale is not None or (alone and options.poses is not None)
+    is_metric = options.depth_scale is not None or (has_no_depth and options.poses is not None)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
 
 
-def _workspace(folder: Path, places: Sequence[Path]) -> Path:
+def _select_workspace(folder: Path, workspaces: Sequence[Path]) -> Path:
     """Choose the folder to read among those with a model.
 
     Folders whose images exist and match the cameras are preferred, then those with depth maps.
     """
-    fitting = [one for one in places if _fits(one)] or places
+    fitting = [one for one in workspaces if _has_matching_images(one)] or workspaces
     workspace = next((one for one in fitting if (one / "stereo" / "depth_maps").is_dir()), fitting[0])
-    if places[0] not in fitting:
+    if workspaces[0] not in fitting:
         emit(
             SCAN_ASSUMED.warning(
                 "the images of {model}/ are missing or have another shape: {other}/, whose images match, "
                 "is read instead",
-                model=_models(places[0])[0].relative_to(folder).as_posix(),
+                model=_find_models(workspaces[0])[0].relative_to(folder).as_posix(),
                 other=workspace.relative_to(folder).as_posix(),
             )
         )
     return workspace
 
 
-def _fits(workspace: Path) -> bool:
+def _has_matching_images(workspace: Path) -> bool:
     """Return True if the images of a model match its cameras.
 
     A sample is tested: the first image that exists must have the shape of its camera.
     """
     try:
         with collecting(forward=False):
-            model = _largest(_models(workspace))
+            model = _select_largest_model(_find_models(workspace))
         views = colmap.read_model(model)
-        for view in views[:: max(1, len(views) // _LOOKED_AT)]:
-            image = _images(workspace) / view.name
+        for view in views[:: max(1, len(views) // _SAMPLE_COUNT)]:
+            image = _get_image_folder(workspace) / view.name
             if image.is_file():
-                width, height = image_size(image)
+                width, height = read_image_size(image)
                 camera = view.camera
-                return math.isclose(width / camera.width, height / camera.height, rel_tol=_LARGEST_STRETCH)
+                return math.isclose(
+                    width / camera.width, height / camera.height, rel_tol=_ASPECT_RATIO_TOLERANCE
+                )
     except InputError:
         pass  # Reported when the model is read.
     return False
 
 
-def _images(workspace: Path) -> Path:
+def _get_image_folder(workspace: Path) -> Path:
     return workspace / "images" if (workspace / "images").is_dir() else workspace
 
 
-def _stated(camera: Camera, options: ReadingParams) -> Camera:
+def _apply_stated_camera(camera: Camera, options: ReadingParams) -> Camera:
     """Return the camera with the intrinsics given by the user.
 
     A fisheye camera keeps its lens model and distortion coefficients.
     """
-    stated = options.camera(camera.width, camera.height)
+    stated = options.get_camera(camera.width, camera.height)
     if stated is None or not camera.fisheye:
         return stated or camera
     return replace(stated, distortion=camera.distortion, fisheye=True)
 
 
-def _own_points(
-    points: Mapping[int, NDArray[np.float64]], view: View, options: ReadingParams
+def _get_observed_points(
+    points: Mapping[int, NDArray[np.float64]], view: ColmapImage, options: ReadingParams
 ) -> NDArray[np.float64] | None:
     """Return the points (n, 3) observed in a view, metres, or None.
 
     None if the user gave the poses: their world frame differs from the frame of the points.
     """
-    if options.poses is not None or view.identity not in points:
+    if options.poses is not None or view.image_id not in points:
         return None
-    return points[view.identity] / (options.depth_scale or 1.0)
+    return points[view.image_id] / (options.depth_scale or 1.0)
 
 
-def _depth_map(workspace: Path, view: View) -> Path | None:
+def _find_depth_map(workspace: Path, view: ColmapImage) -> Path | None:
     maps = workspace / "stereo" / "depth_maps"
-    files = (maps / f"{view.name}.{kind}.bin" for kind in _KINDS)
+    files = (maps / f"{view.name}.{kind}.bin" for kind in _DEPTH_MAP_KINDS)
     return next((path for path in files if path.is_file()), None)
 
 
-def _poses(folder: Path, views: Sequence[View], options: ReadingParams) -> Sequence[Pose | None]:
+def _read_poses(folder: Path, views: Sequence[ColmapImage], options: ReadingParams) -> Sequence[Pose | None]:
     """Return the camera-to-world poses of the views.
 
     In metres if the scale is known.
     """
-    given = options.file("poses", folder)
+    given = options.resolve_file("poses", folder)
     if given is not None:
-        return trajectories.match(trajectories.read_trajectory(given), [view.name for view in views], given)
-    # Model lengths and depth maps have the same unit, so `depth_scale` applies to both.
-    return [in_metres(view.world_from_camera, options.depth_scale) for view in views]
+        return trajectories.match_poses_to_frames(
+            trajectories.read_trajectory(given), [view.name for view in views], given
+        )
+    # Model lengths and depth maps have the same unit, so `choose_depth_scale` applies to both.
+    return [to_metres(view.world_from_camera, options.depth_scale) for view in views]
 
 
-def _frame(
-    name: str, view: View, full: Camera, pose: Pose | None, color: Path, depth: Path, options: ReadingParams
+def _create_frame(
+    name: str,
+    view: ColmapImage,
+    full_camera: Camera,
+    pose: Pose | None,
+    color: Path,
+    depth: Path,
+    options: ReadingParams,
 ) -> Frame:
     """Create a frame with depth.
 
@@ -230,8 +248,10 @@ def _frame(
     InputError
         If the depth map is unreadable or its shape differs from the shape of its camera.
     """
-    width, height = colmap.depth_map_size(depth)
-    if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
+    width, height = colmap.read_depth_map_size(depth)
+    if not math.isclose(
+        width / full_camera.width, height / full_camera.height, rel_tol=_ASPECT_RATIO_TOLERANCE
+    ):
         raise InputError(
             FILE_COLMAP_INVALID,
             (
@@ -241,14 +261,14 @@ def _frame(
             depth,
             width=width,
             height=height,
-            full_width=full.width,
-            full_height=full.height,
+            full_width=full_camera.width,
+            full_height=full_camera.height,
         )
     return Frame(
         name=name,
-        camera=scaled(full, width, height),
+        camera=scale_camera(full_camera, width, height),
         color=color,
-        depth=Packed(depth, view.name, partial(colmap.read_depth_map, depth)),
+        depth=PackedImage(depth, view.name, partial(colmap.read_depth_map, depth)),
         depth_scale=options.depth_scale or 1.0,
         world_from_camera=pose,
     )
@@ -264,7 +284,7 @@ def _check_depths(frames: Sequence[Frame]) -> None:
             )
         )
     unchecked = sum(
-        isinstance(one.depth, Packed) and ".photometric." in one.depth.file.name for one in frames
+        isinstance(one.depth, PackedImage) and ".photometric." in one.depth.file.name for one in frames
     )
     if unchecked:
         emit(
@@ -278,7 +298,7 @@ def _check_depths(frames: Sequence[Frame]) -> None:
 
 LAYOUT = Layout(
     name="colmap",
-    text="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ (COLMAP)",
+    description="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ (COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -22,70 +22,70 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_TEXT_INVALID, FILE_UNREADABLE
 from scanloom.stages.files.image_bytes import MAX_PIXELS
-from scanloom.stages.files.opening import content_of, opened
-from scanloom.stages.scans.calibration.camera_files import checked
-from scanloom.stages.scans.calibration.fov_lens import fisheye_of_fov
+from scanloom.stages.files.input_files import open_input, read_input_bytes
+from scanloom.stages.scans.calibration.camera_files import check_camera_values
+from scanloom.stages.scans.calibration.fov_lens import convert_fov_to_fisheye
 from scanloom.stages.scans.codes import CAMERA_LENS_UNKNOWN, FILE_COLMAP_INVALID
-from scanloom.stages.scans.model.poses import inverted, pose_from_quaternion
+from scanloom.stages.scans.model.poses import create_pose_from_quaternion, invert_pose
 from scanloom.stages.scans.model.scan import Camera, Pose
 
 
 @dataclass(frozen=True)
-class _Model:
+class _CameraModel:
     """COLMAP camera model: name, parameter count, and mapping to OpenCV parameters.
 
-    `matrix` holds the parameter indices of fx, fy, cx, cy; `distortion` those for k1, k2, p1, p2 …, with
+    `intrinsic_indices` holds the parameter indices of fx, fy, cx, cy; `distortion_indices` those for k1, k2, p1, p2 …, with
     None for a coefficient of 0. For a fisheye, they are k1 to k4 of OpenCV's fisheye model.
     """
 
     name: str
-    count: int
-    matrix: tuple[int, int, int, int] | None = None
-    distortion: tuple[int | None, ...] = ()
-    fisheye: bool = False
+    parameter_count: int
+    intrinsic_indices: tuple[int, int, int, int] | None = None
+    distortion_indices: tuple[int | None, ...] = ()
+    is_fisheye: bool = False
 
 
-# In the order of COLMAP's model IDs. Models without `matrix` have no OpenCV equivalent.
-_MODELS = (
-    _Model("SIMPLE_PINHOLE", 3, (0, 0, 1, 2)),
-    _Model("PINHOLE", 4, (0, 1, 2, 3)),
-    _Model("SIMPLE_RADIAL", 4, (0, 0, 1, 2), (3, None, None, None)),
-    _Model("RADIAL", 5, (0, 0, 1, 2), (3, 4, None, None)),
-    _Model("OPENCV", 8, (0, 1, 2, 3), (4, 5, 6, 7)),
-    _Model("OPENCV_FISHEYE", 8, (0, 1, 2, 3), (4, 5, 6, 7), fisheye=True),
-    _Model("FULL_OPENCV", 12, (0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
-    _Model("FOV", 5, (0, 1, 2, 3)),
-    _Model("SIMPLE_RADIAL_FISHEYE", 4, (0, 0, 1, 2), (3, None, None, None), fisheye=True),
-    _Model("RADIAL_FISHEYE", 5, (0, 0, 1, 2), (3, 4, None, None), fisheye=True),
-    _Model("THIN_PRISM_FISHEYE", 12),
-    _Model("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+# In the order of COLMAP's model IDs. Models without `intrinsic_indices` have no OpenCV equivalent.
+_CAMERA_MODELS = (
+    _CameraModel("SIMPLE_PINHOLE", 3, (0, 0, 1, 2)),
+    _CameraModel("PINHOLE", 4, (0, 1, 2, 3)),
+    _CameraModel("SIMPLE_RADIAL", 4, (0, 0, 1, 2), (3, None, None, None)),
+    _CameraModel("RADIAL", 5, (0, 0, 1, 2), (3, 4, None, None)),
+    _CameraModel("OPENCV", 8, (0, 1, 2, 3), (4, 5, 6, 7)),
+    _CameraModel("OPENCV_FISHEYE", 8, (0, 1, 2, 3), (4, 5, 6, 7), is_fisheye=True),
+    _CameraModel("FULL_OPENCV", 12, (0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
+    _CameraModel("FOV", 5, (0, 1, 2, 3)),
+    _CameraModel("SIMPLE_RADIAL_FISHEYE", 4, (0, 0, 1, 2), (3, None, None, None), is_fisheye=True),
+    _CameraModel("RADIAL_FISHEYE", 5, (0, 0, 1, 2), (3, 4, None, None), is_fisheye=True),
+    _CameraModel("THIN_PRISM_FISHEYE", 12),
+    _CameraModel("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 )
 _STEMS = ("cameras", "images")
-_ENDS = (".bin", ".txt")
-_LONGEST_NAME = 4096
+_FILE_SUFFIXES = (".bin", ".txt")
+_MAX_NAME_BYTES = 4096
 # Points beyond this many units are outliers and ignored.
-_FARTHEST = 1e9
-_POINT_BYTES = 24
+_MAX_COORDINATE = 1e9
+_POINT2D_BYTES = 24
 # Binary point record: ID, position, colour, error, track length; then 8 bytes per track element.
-_POINT, _SEEN_BYTES = "<Q3d3BdQ", 8
+_POINT_FORMAT, _TRACK_ELEMENT_BYTES = "<Q3d3BdQ", 8
 # Header of a depth map: width, height, channels. Only the first 64 bytes are searched.
 _DEPTH_HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
 _DEPTH_HEADER_BYTES = 64
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ColmapImage:
     """Registered image of a model.
 
     Attributes
     ----------
-    identity : image ID in the model.
+    image_id : image ID in the model.
     name : path relative to the image folder, with `/`.
     camera : pixel centres at integer coordinates.
     world_from_camera : (4, 4) float64, in the unit of the model; None if it is not finite.
     """
 
-    identity: int
+    image_id: int
     name: str
     camera: Camera
     world_from_camera: Pose | None
@@ -93,10 +93,10 @@ class View:
 
 def has_model(folder: Path) -> bool:
     """Return True if a folder holds a model: cameras and images."""
-    return any(all((folder / f"{stem}{end}").is_file() for stem in _STEMS) for end in _ENDS)
+    return any(all((folder / f"{stem}{end}").is_file() for stem in _STEMS) for end in _FILE_SUFFIXES)
 
 
-def read_model(folder: Path) -> list[View]:
+def read_model(folder: Path) -> list[ColmapImage]:
     """Read the images of a model with their cameras, in file order.
 
     Binary files are preferred to text files.
@@ -106,7 +106,9 @@ def read_model(folder: Path) -> list[View]:
     InputError
         If a file cannot be read, is truncated or damaged, or a camera model has no OpenCV equivalent.
     """
-    end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
+    end = next(
+        (end for end in _FILE_SUFFIXES if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None
+    )
     if end is None:
         raise InputError(
             FILE_COLMAP_INVALID,
@@ -115,8 +117,8 @@ def read_model(folder: Path) -> list[View]:
         )
     cameras_path, images_path = (folder / f"{stem}{end}" for stem in _STEMS)
     if end == ".bin":
-        return list(_binary_views(images_path, dict(_binary_cameras(cameras_path))))
-    return list(_text_views(images_path, dict(_text_cameras(cameras_path))))
+        return list(_parse_binary_images(images_path, dict(_parse_binary_cameras(cameras_path))))
+    return list(_parse_text_images(images_path, dict(_parse_text_cameras(cameras_path))))
 
 
 def count_images(folder: Path) -> int:
@@ -130,7 +132,7 @@ def count_images(folder: Path) -> int:
     path = folder / "images.bin"
     if not (path.is_file() and (folder / "cameras.bin").is_file()):
         return len(read_model(folder))
-    (count,), _ = _unpacked("<Q", _mapped(path), 0, path)
+    (count,), _ = _unpack_at("<Q", _map_file(path), 0, path)
     return int(count)
 
 
@@ -148,12 +150,14 @@ def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
     InputError
         If the file cannot be read, is truncated or damaged.
     """
-    path = next((folder / f"points3D{end}" for end in _ENDS if (folder / f"points3D{end}").is_file()), None)
+    path = next(
+        (folder / f"points3D{end}" for end in _FILE_SUFFIXES if (folder / f"points3D{end}").is_file()), None
+    )
     if path is None:
         return {}
     points: list[tuple[float, ...]] = []
     images: list[NDArray[np.int64]] = []
-    for point, seen_in in _binary_points(path) if path.suffix == ".bin" else _text_points(path):
+    for point, seen_in in _parse_binary_points(path) if path.suffix == ".bin" else _parse_text_points(path):
         points.append(point)
         images.append(seen_in)
     if not points:
@@ -161,7 +165,7 @@ def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
     places = np.array(points, np.float64)
     image = np.concatenate(images)
     which = np.repeat(np.arange(len(points)), [len(seen_in) for seen_in in images])
-    sound = np.asarray((np.abs(places) < _FARTHEST).all(axis=1))
+    sound = np.asarray((np.abs(places) < _MAX_COORDINATE).all(axis=1))
     image, which = image[sound[which]], which[sound[which]]
     if not image.size:
         return {}
@@ -172,7 +176,7 @@ def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
     }
 
 
-def depth_map_size(path: Path) -> tuple[int, int]:
+def read_depth_map_size(path: Path) -> tuple[int, int]:
     """Return (width, height) of a depth map, from its header.
 
     Raises
@@ -181,14 +185,14 @@ def depth_map_size(path: Path) -> tuple[int, int]:
         If the file cannot be read, or its length does not match its header.
     """
     try:
-        with opened(path) as file:
+        with open_input(path) as file:
             start = file.read(_DEPTH_HEADER_BYTES)
         size = path.stat().st_size
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "the depth map cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
-    width, height, offset = _depth_header(start, path)
+    width, height, offset = _parse_depth_header(start, path)
     if size != offset + 4 * width * height:
         raise InputError(
             FILE_DAMAGED,
@@ -209,11 +213,11 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     Raises
     ------
     InputError
-        As for `depth_map_size`.
+        As for `read_depth_map_size`.
     """
-    width, height = depth_map_size(path)
+    width, height = read_depth_map_size(path)
     try:
-        data = content_of(path)
+        data = read_input_bytes(path)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "the depth map cannot be read ({strerror}).", path, strerror=error.strerror
@@ -224,7 +228,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     return np.frombuffer(values, "<f4").reshape(height, width).astype(np.float32)
 
 
-def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
+def _parse_depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
     """Parse a depth map header: width, height, and offset of the values."""
     header = _DEPTH_HEADER.match(start)
     if header is None:
@@ -244,10 +248,10 @@ def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
     return width, height, header.end()
 
 
-def _camera(
-    model: _Model, width: int, height: int, values: Sequence[float], identity: int, path: Path
+def _create_camera(
+    model: _CameraModel, width: int, height: int, values: Sequence[float], camera_id: int, path: Path
 ) -> Camera:
-    if model.matrix is None:
+    if model.intrinsic_indices is None:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
@@ -255,7 +259,7 @@ def _camera(
                 "COLMAP's image_undistorter and give its output folder."
             ),
             path,
-            identity=identity,
+            identity=camera_id,
             model_name=model.name,
         )
     if not 0 < width * height <= MAX_PIXELS:
@@ -263,25 +267,27 @@ def _camera(
             FILE_COLMAP_INVALID,
             "camera {identity} states an invalid size of {width}×{height} pixels.",
             path,
-            identity=identity,
+            identity=camera_id,
             width=width,
             height=height,
         )
-    fx, fy, cx, cy = (values[at] for at in model.matrix)
-    bent = tuple(0.0 if at is None else values[at] for at in model.distortion)
-    bent = bent if model.fisheye or any(bent) else ()
-    camera = checked(Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, bent, model.fisheye), path)
-    return fisheye_of_fov(camera, values[4], path) if model.name == "FOV" else camera
+    fx, fy, cx, cy = (values[at] for at in model.intrinsic_indices)
+    distortion = tuple(0.0 if at is None else values[at] for at in model.distortion_indices)
+    distortion = distortion if model.is_fisheye or any(distortion) else ()
+    camera = check_camera_values(
+        Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, distortion, model.is_fisheye), path
+    )
+    return convert_fov_to_fisheye(camera, values[4], path) if model.name == "FOV" else camera
 
 
-def _view(
-    identity: int,
+def _create_image(
+    image_id: int,
     name: str,
     numbers: Sequence[float],
     camera: int,
     cameras: Mapping[int, Camera],
     path: Path,
-) -> View:
+) -> ColmapImage:
     """Create a view from a world-to-camera quaternion and translation.
 
     `numbers` are qw qx qy qz tx ty tz.
@@ -296,15 +302,15 @@ def _view(
             camera=camera,
         )
     documents.require_inside(name, path, "an image")
-    pose = pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
-    return View(identity, name, cameras[camera], None if pose is None else inverted(pose))
+    pose = create_pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
+    return ColmapImage(image_id, name, cameras[camera], None if pose is None else invert_pose(pose))
 
 
-def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+def _parse_text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     """Yield cameras by ID from lines `id model width height parameters…`."""
-    for number, text in documents.lines(path):
+    for number, text in documents.iterate_lines(path):
         words = text.split()
-        model = next((one for one in _MODELS if one.name in words[1:2]), None)
+        model = next((one for one in _CAMERA_MODELS if one.name in words[1:2]), None)
         if model is None:
             raise InputError(
                 FILE_TEXT_INVALID,
@@ -322,19 +328,19 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
                 path,
                 number=number,
             ) from error
-        if len(values) != model.count:
+        if len(values) != model.parameter_count:
             raise InputError(
                 FILE_TEXT_INVALID,
                 "line {number}: {model_name} requires {model_count} parameters.",
                 path,
                 number=number,
                 model_name=model.name,
-                model_count=model.count,
+                model_count=model.parameter_count,
             )
-        yield identity, _camera(model, width, height, values, identity, path)
+        yield identity, _create_camera(model, width, height, values, identity, path)
 
 
-def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
+def _parse_text_images(path: Path, cameras: Mapping[int, Camera]) -> Iterator[ColmapImage]:
     """Yield the images of images.txt.
 
     Lines are `id qw qx qy qz tx ty tz camera name`.
@@ -345,7 +351,7 @@ def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
     for number, line in enumerate(documents.read_text(path).splitlines(), 1):
         text = line.strip()
         # The line of points may be empty; some tools omit it.
-        if after_image and (not text or _are_points(text)):
+        if after_image and (not text or _is_point_line(text)):
             after_image = False
             continue
         if not text or text.startswith("#"):
@@ -362,21 +368,21 @@ def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
                 number=number,
             ) from error
         after_image = True
-        yield _view(identity, name, numbers, camera, cameras, path)
+        yield _create_image(identity, name, numbers, camera, cameras, path)
 
 
-def _are_points(text: str) -> bool:
+def _is_point_line(text: str) -> bool:
     """Return True if a line repeats `x y point_id`."""
     words = text.split()
     return len(words) % 3 == 0 and all(re.fullmatch(r"[-+\d.eE]+|-?nan|-?inf", word) for word in words[-3:])
 
 
-def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
-    data = _mapped(path)
-    (count,), at = _unpacked("<Q", data, 0, path)
+def _parse_binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+    data = _map_file(path)
+    (count,), at = _unpack_at("<Q", data, 0, path)
     for _ in range(count):
-        (identity, number, width, height), at = _unpacked("<IiQQ", data, at, path)
-        if not 0 <= number < len(_MODELS):
+        (identity, number, width, height), at = _unpack_at("<IiQQ", data, at, path)
+        if not 0 <= number < len(_CAMERA_MODELS):
             raise InputError(
                 CAMERA_LENS_UNKNOWN,
                 "camera {identity} has the unknown model {number}.",
@@ -384,17 +390,17 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
                 identity=identity,
                 number=number,
             )
-        model = _MODELS[number]
-        values, at = _unpacked(f"<{model.count}d", data, at, path)
-        yield identity, _camera(model, width, height, values, identity, path)
+        model = _CAMERA_MODELS[number]
+        values, at = _unpack_at(f"<{model.parameter_count}d", data, at, path)
+        yield identity, _create_camera(model, width, height, values, identity, path)
 
 
-def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
-    data = _mapped(path)
-    (count,), at = _unpacked("<Q", data, 0, path)
+def _parse_binary_images(path: Path, cameras: Mapping[int, Camera]) -> Iterator[ColmapImage]:
+    data = _map_file(path)
+    (count,), at = _unpack_at("<Q", data, 0, path)
     for _ in range(count):
-        (identity, *numbers, camera), at = _unpacked("<I7dI", data, at, path)
-        end = data.find(b"\0", at, at + _LONGEST_NAME)
+        (identity, *numbers, camera), at = _unpack_at("<I7dI", data, at, path)
+        end = data.find(b"\0", at, at + _MAX_NAME_BYTES)
         if end < 0:
             raise InputError(
                 FILE_DAMAGED, "the file is truncated or damaged: an image name is not terminated.", path
@@ -405,8 +411,8 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
             raise InputError(
                 FILE_DAMAGED, "the file is damaged: an image name is not valid UTF-8.", path
             ) from error
-        (points,), at = _unpacked("<Q", data, end + 1, path)
-        at += _POINT_BYTES * points
+        (points,), at = _unpack_at("<Q", data, end + 1, path)
+        at += _POINT2D_BYTES * points
         if at > len(data):
             raise InputError(
                 FILE_DAMAGED,
@@ -414,15 +420,15 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
                 path,
                 name=name,
             )
-        yield _view(identity, name, numbers, camera, cameras, path)
+        yield _create_image(identity, name, numbers, camera, cameras, path)
 
 
-def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
+def _parse_text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
     """Yield the points of points3D.txt, and the IDs of their images.
 
     Lines are `id x y z r g b error (image index)…`.
     """
-    for number, text in documents.lines(path):
+    for number, text in documents.iterate_lines(path):
         words = text.split()
         try:
             point = tuple(float(word) for word in words[1:4])
@@ -439,12 +445,12 @@ def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int
         yield point, images
 
 
-def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
-    data = _mapped(path)
-    (count,), at = _unpacked("<Q", data, 0, path)
+def _parse_binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
+    data = _map_file(path)
+    (count,), at = _unpack_at("<Q", data, 0, path)
     for _ in range(count):
-        (_, x, y, z, *_, seen), at = _unpacked(_POINT, data, at, path)
-        end = at + _SEEN_BYTES * seen
+        (_, x, y, z, *_, seen), at = _unpack_at(_POINT_FORMAT, data, at, path)
+        end = at + _TRACK_ELEMENT_BYTES * seen
         if end > len(data):
             raise InputError(
                 FILE_DAMAGED, "the file is truncated or damaged", path, remedy="copy the file again."
@@ -453,13 +459,13 @@ def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.i
         at = end
 
 
-def _mapped(path: Path) -> mmap.mmap | bytes:
+def _map_file(path: Path) -> mmap.mmap | bytes:
     """Return the bytes of a file, memory-mapped.
 
     The point lists of large models are gigabytes, most of which are not read.
     """
     try:
-        with opened(path) as file:
+        with open_input(path) as file:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
     except OSError as error:
         raise InputError(
@@ -467,7 +473,7 @@ def _mapped(path: Path) -> mmap.mmap | bytes:
         ) from error
 
 
-def _unpacked(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[tuple[Any, ...], int]:
+def _unpack_at(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[tuple[Any, ...], int]:
     """Unpack values at an offset; returns the values and the next offset."""
     end = at + struct.calcsize(form)
     if end > len(data):

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
-from scanloom.stages.scans.calibration.camera_files import matrix_camera
-from scanloom.stages.scans.calibration.image_size import LARGEST_SIDE, for_images, is_of_shape
-from scanloom.stages.scans.calibration.rig_calibration import with_baseline
+from scanloom.stages.scans.calibration.camera_files import create_camera_from_matrix
+from scanloom.stages.scans.calibration.image_size import MAX_SIDE_PX, has_same_aspect_ratio, scale_to_images
+from scanloom.stages.scans.calibration.rig_calibration import set_baseline
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, StereoRig
 
 # Maximum width of downscaled images, as a ratio of the stated width. A smaller difference means the
 # calibration of another day.
-_SMALLER = 0.9
+_MAX_DOWNSCALED_RATIO = 0.9
 
 
 def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
@@ -59,7 +59,7 @@ def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
     return found
 
 
-def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
+def resolve_rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
     """Return the rectified image size that a calibration file is for.
 
     Parameters
@@ -82,12 +82,12 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:
         raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect must be two numbers.", calib) from error
-    if any(not 1 <= side <= LARGEST_SIDE for one in sizes for side in one):
+    if any(not 1 <= side <= MAX_SIDE_PX for one in sizes for side in one):
         raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not a valid image size.", calib)
     if not sizes or size in sizes:
         return size
     width, height = sizes[0]
-    if size[0] > _SMALLER * width or not is_of_shape(sizes[0], size):
+    if size[0] > _MAX_DOWNSCALED_RATIO * width or not has_same_aspect_ratio(sizes[0], size):
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
@@ -104,12 +104,12 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
-def projected_camera(
+def decompose_projection(
     projection: NDArray[np.float64],
     size: tuple[int, int],
     options: ReadingParams,
     calib: Path,
-    stated: tuple[int, int] | None = None,
+    stated_size: tuple[int, int] | None = None,
 ) -> tuple[Camera, NDArray[np.float64]]:
     """Return the camera of a projection K [I | t], and camera_from_cam0.
 
@@ -117,7 +117,7 @@ def projected_camera(
     ----------
     projection : (3, 4) float64.
     size : image size (width, height) in pixels.
-    stated : image size that the projection is for; None for `size`.
+    stated_size : image size that the projection is for; None for `size`.
 
     Raises
     ------
@@ -125,8 +125,8 @@ def projected_camera(
         If the matrix is singular or not a camera projection.
     """
     k = projection[:, :3]
-    camera = matrix_camera(k, (), *(stated or size), calib)
-    camera = options.camera(*size) or for_images(camera, *size, calib)
+    camera = create_camera_from_matrix(k, (), *(stated_size or size), calib)
+    camera = options.get_camera(*size) or scale_to_images(camera, *size, calib)
     if abs(np.linalg.det(k)) < 1e-9:
         raise InputError(CAMERA_CALIBRATION_INVALID, "a projection matrix is singular.", calib)
     offset = np.eye(4)
@@ -134,13 +134,13 @@ def projected_camera(
     return camera, offset
 
 
-def projected_rig(
+def create_projected_rig(
     left: NDArray[np.float64],
     right: NDArray[np.float64],
     size: tuple[int, int],
     options: ReadingParams,
     calib: Path,
-    stated: tuple[int, int] | None = None,
+    stated_size: tuple[int, int] | None = None,
 ) -> tuple[StereoRig, NDArray[np.float64]]:
     """Return the rig of two projections K [I | t], and left_from_cam0.
 
@@ -148,7 +148,7 @@ def projected_rig(
     ----------
     left, right : (3, 4) float64 projections.
     size : image size (width, height) in pixels.
-    stated : image size that the projections are for; None for `size`.
+    stated_size : image size that the projections are for; None for `size`.
 
     Raises
     ------
@@ -156,7 +156,8 @@ def projected_rig(
         If a matrix is singular, or the second camera is not right of the first.
     """
     cameras, offsets = zip(
-        *(projected_camera(matrix, size, options, calib, stated) for matrix in (left, right)), strict=True
+        *(decompose_projection(matrix, size, options, calib, stated_size) for matrix in (left, right)),
+        strict=True,
     )
     right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
     if right_from_left[0, 3] >= 0:
@@ -166,5 +167,5 @@ def projected_rig(
             calib,
         )
     if options.baseline is not None:
-        right_from_left = with_baseline(right_from_left, options.baseline)
-    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]
+        right_from_left = set_baseline(right_from_left, options.baseline)
+    return StereoRig(cameras[0], cameras[1], right_from_left, is_rectified=True), offsets[0]

@@ -10,37 +10,41 @@ import re
 from pathlib import Path
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import image_size
-from scanloom.stages.files.noting import note
+from scanloom.stages.files.file_access_log import record_opened
+from scanloom.stages.files.images import read_image_size
 from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, RECORDING_SEVERAL, SCAN_FILES_MISSING
-from scanloom.stages.scans.image_folders.image_files import has, images, pair
-from scanloom.stages.scans.layouts.kitti.projections import projected_rig, read_projections, rectified_size
+from scanloom.stages.scans.image_folders.image_files import has_all, list_images, match_by_number
+from scanloom.stages.scans.layouts.kitti.projections import (
+    create_projected_rig,
+    read_projections,
+    resolve_rectified_size,
+)
 from scanloom.stages.scans.layouts.shared.layout import Layout
-from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Frame, Pose, Scan
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
-_CAMERAS = (
+_CAMERA_FOLDERS = (
     ("image_2", "image_3", 2),
     ("colored_0", "colored_1", 2),
     ("image_0", "image_1", 0),
 )
-_CALIBRATIONS = ("calib_cam_to_cam", "calib")
-_NAME = re.compile(r"(\d{6})_\d\d")
+_CALIBRATION_FOLDERS = ("calib_cam_to_cam", "calib")
+_IMAGE_NAME = re.compile(r"(\d{6})_\d\d")
 
 
 def _matches(folder: Path) -> str | None:
-    calibrations = next((name for name in _CALIBRATIONS if (folder / name).is_dir()), None)
-    left = next((left for left, right, _ in _CAMERAS if has(folder, left, right)), None)
+    calibrations = next((name for name in _CALIBRATION_FOLDERS if (folder / name).is_dir()), None)
+    left = next((left for left, right, _ in _CAMERA_FOLDERS if has_all(folder, left, right)), None)
     if calibrations is None or left is None:
         return None
-    named = any(_NAME.fullmatch(path.stem) for path in images(folder / left))
+    named = any(_IMAGE_NAME.fullmatch(path.stem) for path in list_images(folder / left))
     return f"{left}/ with scenes like 000000_10.png, and {calibrations}/" if named else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    found = next((names for names in _CAMERAS if has(folder, *names[:2])), None)
+    found = next((names for names in _CAMERA_FOLDERS if has_all(folder, *names[:2])), None)
     if found is None:
         raise InputError(
             SCAN_FILES_MISSING,
@@ -49,9 +53,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
     left, right, at = found
     lefts, rights = (
-        [path for path in images(folder / name) if _NAME.fullmatch(path.stem)] for name in (left, right)
+        [path for path in list_images(folder / name) if _IMAGE_NAME.fullmatch(path.stem)]
+        for name in (left, right)
     )
-    pairs, skipped = pair(lefts, rights, f"{left}/", f"{right}/", folder)
+    pairs, skipped = match_by_number(lefts, rights, f"{left}/", f"{right}/", folder)
     end = None if options.last is None else options.last + 1
     scenes = sorted({one.stem[:6] for one, _ in pairs[options.first : end : options.every]})
     if len(scenes) != 1:
@@ -64,8 +69,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             pairs_stem=pairs[0][0].stem,
         )
     (scene,) = scenes
-    calib = options.file("calibration", folder) or next(
-        (path for name in _CALIBRATIONS if (path := folder / name / f"{scene}.txt").exists()), None
+    calib = options.resolve_file("calibration", folder) or next(
+        (path for name in _CALIBRATION_FOLDERS if (path := folder / name / f"{scene}.txt").exists()), None
     )
     if calib is None:
         raise InputError(
@@ -77,36 +82,36 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
     # Mark the calibrations of the other scenes as known, so that they are not reported as unused files.
     for one, _ in pairs:
-        note(calib.with_name(f"{one.stem[:6]}.txt"))
+        record_opened(calib.with_name(f"{one.stem[:6]}.txt"))
     projections = read_projections(calib)
     if not {at, at + 1} <= projections.keys():
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
             "the projection matrices P{at} and P{at_2} are missing.",
             calib,
-            at=at,
+            replace_location=at,
             at_2=at + 1,
         )
-    size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
-    stated = rectified_size(calib, size)
-    rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
+    size = read_image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
+    stated = resolve_rectified_size(calib, size)
+    rig, _ = create_projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
     # Poses of the other scenes are dropped when the frame selection of the user is applied.
-    given = options.file("poses", folder)
+    given = options.resolve_file("poses", folder)
     names = [one.stem for one, _ in pairs]
     poses: list[Pose | None] = [None] * len(pairs)
     if given is not None:
-        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+        poses = trajectories.match_poses_to_frames(trajectories.read_trajectory(given), names, given)
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)
     ]
-    missing = (poses_missing("the data set contains no poses"),) if given is None else ()
+    missing = (describe_missing_poses("the data set contains no poses"),) if given is None else ()
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
 LAYOUT = Layout(
     name="kitti-stereo",
-    text="image_2/000000_10.png, image_3/, calib_cam_to_cam/000000.txt (KITTI stereo 2012, 2015)",
+    description="image_2/000000_10.png, image_3/, calib_cam_to_cam/000000.txt (KITTI stereo 2012, 2015)",
     matches=_matches,
     read=_read,
 )

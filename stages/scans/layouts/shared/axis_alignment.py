@@ -15,15 +15,15 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.codes import SCAN_ALIGNMENT_MISSING, SCAN_ASSUMED
-from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.poses import check_rigid_pose
 from scanloom.stages.scans.model.scan import Pose, Scan
-from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from scanloom.stages.scans.model.world import Z_UP, WorldUp, create_layout_up
 
-_NAME = re.compile(r"scene\d{4}_\d\d")
-_LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
+_SCENE_NAME = re.compile(r"scene\d{4}_\d\d")
+_ALIGNMENT_LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
 
 
-def aligned(scan: Scan, folder: Path) -> Scan:
+def apply_axis_alignment(scan: Scan, folder: Path) -> Scan:
     """Apply the axisAlignment of scene*.txt to the poses of a scan.
 
     Without poses, the scan is returned unchanged, with a warning.
@@ -41,7 +41,7 @@ def aligned(scan: Scan, folder: Path) -> Scan:
             )
         )
         return scan
-    path, alignment = _alignment(folder)
+    path, alignment = _read_alignment(folder)
     frames = [
         frame
         if frame.world_from_camera is None
@@ -56,27 +56,27 @@ def aligned(scan: Scan, folder: Path) -> Scan:
     return replace(scan, frames=frames, up=up)
 
 
-def up_of_scannet(place: Path, layout: str) -> WorldUp | None:
+def find_scannet_up(source: Path, layout: str) -> WorldUp | None:
     """Return the up direction of an original ScanNet scan, or None.
 
     Other data packed in ScanNet's layout has an unknown up direction.
 
     Parameters
     ----------
-    place : scan folder or file.
+    source : scan folder or file.
     layout : name of the layout.
     """
-    beside = place.parent if place.is_file() else place
-    is_own = any(_NAME.search(name) for name in (place.name, beside.resolve().name)) or any(
-        beside.glob("scene*.txt")
+    scan_folder = source.parent if source.is_file() else source
+    is_own = any(_SCENE_NAME.search(name) for name in (source.name, scan_folder.resolve().name)) or any(
+        scan_folder.glob("scene*.txt")
     )
-    return up_of_layout(layout, Z_UP) if is_own else None
+    return create_layout_up(layout, Z_UP) if is_own else None
 
 
-def _alignment(folder: Path) -> tuple[Path, Pose]:
-    beside = folder.parent if folder.is_file() else folder
-    for path in sorted(beside.glob("scene*.txt")):
-        found = _LINE.search(documents.read_text(path))
+def _read_alignment(folder: Path) -> tuple[Path, Pose]:
+    scan_folder = folder.parent if folder.is_file() else folder
+    for path in sorted(scan_folder.glob("scene*.txt")):
+        found = _ALIGNMENT_LINE.search(documents.read_text(path))
         if found is None:
             continue
         try:
@@ -85,7 +85,7 @@ def _alignment(folder: Path) -> tuple[Path, Pose]:
             values = []
         if len(values) != 16:
             raise InputError(SCAN_ALIGNMENT_MISSING, "axisAlignment must be 16 numbers.", path)
-        pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
+        pose = check_rigid_pose(np.reshape(values, (4, 4)), path, "axisAlignment")
         if pose is None:
             raise InputError(SCAN_ALIGNMENT_MISSING, "axisAlignment contains NaN or infinity.", path)
         return path, pose

@@ -18,21 +18,21 @@ class Layout:
     Attributes
     ----------
     name : value of `scan.layout`.
-    text : one-line list of the files that make up the layout.
+    description : one-line list of the files that make up the layout.
     matches : return a short reason why a folder has this layout, or None.
     read : return all frames of the folder in order, and emit diagnostics. Missing poses or a missing
         calibration are added to `missing`; the caller decides whether to reject the scan.
     suffixes : suffixes of files that are a complete scan; `read` accepts these files as well as folders.
     up : up direction of the world, if the layout defines it. If only some folders define it, `read` sets
         `Scan.up` instead.
-    is_level : `up` comes from the device's accelerometer, so that each pose implies the up direction of its
+    is_gravity_aligned : `up` comes from the device's accelerometer, so that each pose implies the up direction of its
         camera.
     """
 
     name: str
-    text: str
+    description: str
     matches: Callable[[Path], str | None]
     read: Callable[[Path, ReadingParams], Scan]
     suffixes: tuple[str, ...] = ()
     up: Direction | None = None
-    is_level: bool = False
+    is_gravity_aligned: bool = False

@@ -14,20 +14,20 @@ import numpy as np
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.files import documents
 from scanloom.stages.scans.codes import SCALE_UP_UNCERTAIN
-from scanloom.stages.scans.streams.clocked_streams import Accelerometer
+from scanloom.stages.scans.streams.timestamped_streams import Accelerometer
 
 _COLUMNS = ("timestamp", "a_x", "a_y", "a_z")
 # Images are stored in landscape orientation: camera x points down the phone, camera y to its left, and the
 # camera looks out of its back.
 _CAMERA_FROM_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_LATEST_S = 1 << 32
+_MAX_TIME_S = 1 << 32
 
 
-def phone_accelerometer(path: Path) -> Accelerometer | None:
+def read_phone_accelerometer(path: Path) -> Accelerometer | None:
     """Read the accelerometer of imu.csv, or return None if there is none."""
     if not path.is_file():
         return None
-    lines = list(documents.lines(path))
+    lines = list(documents.iterate_lines(path))
     header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
     if lacking := [name for name in _COLUMNS if name not in header]:
         emit(
@@ -46,7 +46,7 @@ def phone_accelerometer(path: Path) -> Accelerometer | None:
             row = [float(words[column]) for column in columns]
         except (ValueError, IndexError):
             continue
-        if abs(row[0]) < _LATEST_S:
+        if abs(row[0]) < _MAX_TIME_S:
             rows.append(row)
     if len(rows) < len(lines) - 1:
         emit(

@@ -8,7 +8,7 @@ from pathlib import Path
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def read_associations(path: Path) -> list[Association]:
         empty.
     """
     found = []
-    for number, text in documents.lines(path):
+    for number, text in documents.iterate_lines(path):
         words = text.split()
         if len(words) != 4:
             raise InputError(
@@ -52,7 +52,9 @@ def read_associations(path: Path) -> list[Association]:
             path.parent / documents.require_inside(words[place + 1], path, f"line {number}")
             for place in (at, other)
         )
-        depth_time, color_time = (trajectories.stamp(words[place], path, number) for place in (at, other))
+        depth_time, color_time = (
+            trajectories.parse_timestamp(words[place], path, number) for place in (at, other)
+        )
         found.append(Association(color_time, color, depth_time, depth))
     if not found:
         raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)

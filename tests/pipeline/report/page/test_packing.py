@@ -5,49 +5,52 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from coloured_meshes import ball, sheet
-from page_content import shown
+from page_content import read_page_content
 
-from scanloom.pipeline.report.page.one_file import PageScale
-from scanloom.pipeline.report.page.packing import Paint, Shown, packed_page
+from scanloom.pipeline.report.page.packing import PageModelSource, VertexColormap, make_packed_page
+from scanloom.pipeline.report.page.single_file_page import PageScale
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.surface.mesh import Mesh
 
 SCALE = PageScale("mm", -1.0, 1.0, 0.1, ["rgb(0, 0, 0)", "rgb(9, 9, 9)"], [0.5, 0.5])
 
 
-def models() -> dict[str, Shown]:
+def models() -> dict[str, PageModelSource]:
     main = sheet(60)
-    paint = Paint(np.linspace(-1, 1, len(main.vertices)), SCALE, "of it")
-    return {"main": Shown(main, "first", paints={"look": paint}), "beside": Shown(ball())}
+    paint = VertexColormap(np.linspace(-1, 1, len(main.vertices)), SCALE, "of it")
+    return {
+        "main": PageModelSource(main, "first", colormaps={"look": paint}),
+        "beside": PageModelSource(ball()),
+    }
 
 
 def triangles(page: bytes) -> dict[str, int]:
-    return {one["name"]: one["triangles"] for one in shown(page)["models"]}
+    return {one["name"]: one["triangles"] for one in read_page_content(page)["models"]}
 
 
 def test_where_there_is_room_nothing_is_lost() -> None:
-    page = packed_page("t", models(), 5_000_000)
+    page = make_packed_page("t", models(), 5_000_000)
     assert triangles(page) == {"main": 7200, "beside": 5120, "look": 7200}
-    told = {one["name"]: one for one in shown(page)["models"]}
+    told = {one["name"]: one for one in read_page_content(page)["models"]}
     look = told["look"]
     assert (look["look"], look["file"], look["note"]) == (0, told["main"]["file"], "of it")
     assert look["scale"]["unit"] == "mm"
-    assert len(shown(page)["files"]) == 2
+    assert len(read_page_content(page)["files"]) == 2
 
 
 def test_models_are_made_lighter_until_it_fits_the_first_last() -> None:
-    complete = len(packed_page("t", models(), 5_000_000))
-    page = packed_page("t", models(), complete - 5_000)
+    complete = len(make_packed_page("t", models(), 5_000_000))
+    page = make_packed_page("t", models(), complete - 5_000)
     assert len(page) <= complete - 5_000
     assert triangles(page)["main"] == 7200
     assert 2_000 <= triangles(page)["beside"] < 5120
-    smaller = packed_page("t", models(), complete - 40_000)
+    smaller = make_packed_page("t", models(), complete - 40_000)
     assert len(smaller) <= complete - 40_000
     assert triangles(smaller)["main"] == triangles(smaller)["look"] < 7200
-    told = {one["name"]: one for one in shown(smaller)["models"]}
+    told = {one["name"]: one for one in read_page_content(smaller)["models"]}
     assert told["main"]["note"] == "first, reduced from 7,200 for this page"
     assert told["look"]["note"] == "of it, reduced from 7,200 for this page"
-    assert smaller == packed_page("t", models(), complete - 40_000)
+    assert smaller == make_packed_page("t", models(), complete - 40_000)
 
 
 def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
@@ -56,9 +59,9 @@ def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
     corners = (rng.uniform(-1, 1, (1500, 1, 3)) + rng.normal(0, 0.01, (1500, 4, 3))).reshape(-1, 3)
     sides = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
     loose = Mesh(corners, (sides + 4 * np.arange(1500)[:, None, None]).reshape(-1, 3).astype(np.int32))
-    both = {"main": Shown(sheet(120)), "loose": Shown(loose)}
-    most = len(packed_page("t", both, 5_000_000)) - 5_000
-    page = packed_page("t", both, most)
+    both = {"main": PageModelSource(sheet(120)), "loose": PageModelSource(loose)}
+    most = len(make_packed_page("t", both, 5_000_000)) - 5_000
+    page = make_packed_page("t", both, most)
     assert len(page) <= most
     assert triangles(page)["loose"] == 6000
     assert 2_000 < triangles(page)["main"] < 28_800
@@ -66,7 +69,7 @@ def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
 
 def test_a_page_that_cannot_be_small_enough_says_so() -> None:
     with collecting() as diagnostics:
-        page = packed_page("t", models(), 1000)
+        page = make_packed_page("t", models(), 1000)
     assert len(page) > 1000
     assert [str(one) for one in diagnostics] == [
         f"the page has {len(page):,} bytes, more than 1,000, and cannot be reduced further."
@@ -76,6 +79,8 @@ def test_a_page_that_cannot_be_small_enough_says_so() -> None:
 @pytest.mark.parametrize("looks", [0, 4])
 def test_a_model_has_as_many_looks_as_there_are(looks: int) -> None:
     mesh = sheet(4)
-    paints = {f"look {k}": Paint(np.zeros(len(mesh.vertices)), SCALE) for k in range(looks)}
-    told = shown(packed_page("t", {"m": Shown(mesh, paints=paints)}, 5_000_000))["models"]
+    paints = {f"look {k}": VertexColormap(np.zeros(len(mesh.vertices)), SCALE) for k in range(looks)}
+    told = read_page_content(
+        make_packed_page("t", {"m": PageModelSource(mesh, colormaps=paints)}, 5_000_000)
+    )["models"]
     assert [one["look"] for one in told] == ["own", *range(looks)]

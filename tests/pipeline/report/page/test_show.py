@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browsers import browser
+from browsers import launch_browser
 from coloured_meshes import ball, sheet
 
 from scanloom import Mesh, MeshError, Page, UsageError, show, simplify
@@ -49,7 +49,7 @@ def test_a_notebook_takes_it() -> None:
 def test_it_draws_in_its_frame_and_cannot_get_out(page: Page, tmp_path: Path) -> None:
     (tmp_path / "notebook.html").write_text(f"<!doctype html><body>{page._repr_html_()}</body>")
     said: list[str] = []
-    with browser() as chromium:
+    with launch_browser() as chromium:
         opened = chromium.new_page(viewport={"width": 500, "height": 400})
         opened.on("console", lambda message: said.append(message.text))
         opened.on("pageerror", lambda error: said.append(str(error)))

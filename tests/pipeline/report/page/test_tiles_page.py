@@ -11,14 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from browsers import PAGE, browser, node, served
+from browsers import PAGE, launch_browser, run_node, run_server
 from numpy.typing import NDArray
 
-from scanloom.pipeline.report.page.files import tiles_page, write_tiles_page
-from scanloom.pipeline.report.page.serving import FolderServer
+from scanloom.pipeline.report.page.folder_server import FolderServer
+from scanloom.pipeline.report.page.tileset_page import make_tileset_page, write_tileset_page
 from scanloom.stages import Mesh, lod
-from scanloom.stages.picturing.render import render
-from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.rendering.render import render
+from scanloom.stages.rendering.viewpoints import Viewpoint
 from scanloom.stages.scans.model.scan import Camera
 
 WIDTH, HEIGHT = 480, 360
@@ -54,7 +54,7 @@ def tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     outdir = tmp_path_factory.mktemp("page") / "tiles"
     hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
     lod.write_tiles(hierarchy, outdir, up="+z")
-    write_tiles_page(outdir)
+    write_tileset_page(outdir)
     return outdir
 
 
@@ -68,7 +68,7 @@ def textured_tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     hierarchy = lod.build(grey, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
     images = lod.TileImageParams(image_side=128)
     lod.write_tiles(hierarchy, outdir, texture=green, images=images, up="+z")
-    write_tiles_page(outdir)
+    write_tileset_page(outdir)
     return outdir
 
 
@@ -107,7 +107,7 @@ class Seen:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    with browser() as started:
+    with launch_browser() as started:
         yield started
 
 
@@ -154,7 +154,7 @@ def holes(seen: Mask, view: str) -> int:
 def test_the_model_is_whole_from_far_near_and_in_mixed_levels(
     chromium: Any, tiles: Path, scheme: str
 ) -> None:
-    with served(FolderServer(tiles)) as server:
+    with run_server(FolderServer(tiles)) as server:
         seen = opened(chromium, server.address, scheme)
         found = {}
         for view, (_, _, error) in VIEWS.items():
@@ -176,7 +176,7 @@ def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> Non
         # The last ones of the indices, which end the file: triangles without a size.
         data = tile.read_bytes()
         tile.write_bytes(data[:-60] + data[-64:-60] * 15)
-    with served(FolderServer(tmp_path / "tiles")) as server:
+    with run_server(FolderServer(tmp_path / "tiles")) as server:
         assert holes(opened(chromium, server.address).picture("near"), "near") > 0
 
 
@@ -185,15 +185,15 @@ def test_packed_tiles_are_drawn(chromium: Any, tiles: Path, tmp_path: Path, pack
     if packed_by == "scanloom":
         hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
         lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", compress="meshopt")
-        write_tiles_page(tmp_path / "tiles")
+        write_tileset_page(tmp_path / "tiles")
     else:
         shutil.copytree(tiles, tmp_path / "tiles")
-        node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
+        run_node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
     before, after = (
         sum(f.stat().st_size for f in (at / "tiles").iterdir()) for at in (tiles, tmp_path / "tiles")
     )
     assert after < 0.8 * before
-    with served(FolderServer(tmp_path / "tiles")) as server:
+    with run_server(FolderServer(tmp_path / "tiles")) as server:
         seen = opened(chromium, server.address)
         for view in VIEWS:
             mask = seen.picture(view)
@@ -208,7 +208,7 @@ def test_a_model_far_from_its_origin_is_as_whole(chromium: Any, tmp_path: Path) 
     far = Mesh(mesh.vertices + away, mesh.triangles, mesh.colors)
     hierarchy = lod.build(far, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
     lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z")
-    with served(FolderServer(tmp_path / "tiles", more=tiles_page())) as server:
+    with run_server(FolderServer(tmp_path / "tiles", extra_files=make_tileset_page())) as server:
         seen = opened(chromium, server.address)
         for view in VIEWS:
             mask = seen.picture(view, away)
@@ -217,7 +217,7 @@ def test_a_model_far_from_its_origin_is_as_whole(chromium: Any, tmp_path: Path) 
 
 
 def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> None:
-    with served(FolderServer(tiles)) as server:
+    with run_server(FolderServer(tiles)) as server:
         seen = opened(chromium, server.address)
         mask = seen.mask()
         assert mask.any(axis=0).mean() > 0.3
@@ -231,7 +231,7 @@ def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> No
 
 
 def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path) -> None:
-    with served(FolderServer(tiles)) as server:
+    with run_server(FolderServer(tiles)) as server:
         seen = opened(chromium, server.address + "#eye=0,-9,3&target=1,0,0&error=4&mode=levels")
         page = seen.page
         view = page.evaluate("scanloom.view()")
@@ -252,7 +252,7 @@ def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path
         page.evaluate("scanloom.settled()")
         assert seen.mask().sum() > whole
         before = page.evaluate("scanloom.view().eye")
-        page.mouse.down()
+        page.mouse.rows()
         page.mouse.move(WIDTH / 2 + 60, HEIGHT / 2)
         page.mouse.up()
         assert np.linalg.norm(np.subtract(page.evaluate("scanloom.view().eye"), before)) > 1
@@ -268,7 +268,7 @@ def test_a_tile_that_is_not_there_is_told(chromium: Any, tiles: Path, tmp_path: 
     shutil.copytree(tiles, tmp_path / "tiles")
     for tile in (tmp_path / "tiles" / "tiles").iterdir():
         tile.unlink()
-    with served(FolderServer(tmp_path / "tiles")) as server:
+    with run_server(FolderServer(tmp_path / "tiles")) as server:
         page = chromium.new_page()
         page.goto(server.address)
         page.wait_for_selector("#message:has-text('could not be loaded')")
@@ -276,13 +276,13 @@ def test_a_tile_that_is_not_there_is_told(chromium: Any, tiles: Path, tmp_path: 
 
 
 def test_the_library_is_what_its_packages_give(tmp_path: Path) -> None:
-    node(PAGE / "build.mjs", tmp_path)
+    run_node(PAGE / "build.mjs", tmp_path)
     for name in ("library.js", "LICENSES.txt"):
         assert (tmp_path / name).read_bytes() == (PAGE / name).read_bytes()
 
 
 def test_a_page_is_written_with_its_licences_and_addresses_nobody(tiles: Path) -> None:
-    page = tiles_page()
+    page = make_tileset_page()
     assert {path.relative_to(tiles).as_posix() for path in tiles.rglob("*.*")} >= set(page)
     for name, content in page.items():
         assert (tiles / name).read_bytes() == content
@@ -292,7 +292,7 @@ def test_a_page_is_written_with_its_licences_and_addresses_nobody(tiles: Path) -
 
 
 def test_images_of_tiles_are_shown(chromium: Any, textured_tiles: Path) -> None:
-    with served(FolderServer(textured_tiles)) as server:
+    with run_server(FolderServer(textured_tiles)) as server:
         seen = opened(chromium, server.address)
         for view in VIEWS:
             assert seen.picture(view).any()
@@ -315,8 +315,8 @@ def test_a_wall_is_first_seen_from_the_side_it_was_scanned_from(
     wall = Mesh(places, (faces if side < 0 else faces[:, ::-1]).astype(np.int32))
     hierarchy = lod.build(wall, cell_triangles=256, root_triangles=100)
     lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z")
-    write_tiles_page(tmp_path / "tiles")
-    with served(FolderServer(tmp_path / "tiles")) as server:
+    write_tileset_page(tmp_path / "tiles")
+    with run_server(FolderServer(tmp_path / "tiles")) as server:
         seen = opened(chromium, server.address)
         eye = seen.page.evaluate("scanloom.view()")["eye"]
         assert side * eye[1] > 1

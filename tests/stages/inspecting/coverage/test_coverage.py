@@ -6,31 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plates import CAMERA, depth_of, frames_of, looking, plate, together, without
+from flat_plates import CAMERA, join_meshes, look_at, plate, remove_triangles, render_depth, render_frames
 
 from scanloom import Mesh, clean, coverage
 from scanloom.stages.diagnostics.errors import InputError, MeshError, UsageError
-from scanloom.stages.inspecting.coverage.covered import Coverage
-from scanloom.stages.inspecting.coverage.kinds import MISSING, THIN
-from scanloom.stages.inspecting.coverage.place import Place
+from scanloom.stages.inspecting.coverage.coverage_result import Coverage
+from scanloom.stages.inspecting.coverage.defect import CoverageDefect
+from scanloom.stages.inspecting.coverage.defect_kinds import MISSING_KINDS, WEAK_KINDS
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
 # Five cameras in a row before the wall.
 ROW = [((x, -1.2, 0.6), (x, 0, 0.6)) for x in np.linspace(-0.3, 0.3, 5)]
 
 
-def of_kind(found: Coverage, *kinds: str) -> list[Place]:
-    return [place for place in found.places if place.kind in kinds]
+def of_kind(found: Coverage, *kinds: str) -> list[CoverageDefect]:
+    return [place for place in found.defects if place.kind in kinds]
 
 
-def in_sight(world: Mesh, place: Place, points: np.ndarray) -> float:
+def in_sight(world: Mesh, place: CoverageDefect, points: np.ndarray) -> float:
     """Return the share of points of the world that are in sight from where one should look."""
-    eye = np.array(place.stand.position)
+    eye = np.array(place.viewpoint.position)
     lines = points - eye
     lengths = np.linalg.norm(lines, axis=1)
-    hits = Surface(world).cast(eye, lines / lengths[:, None])
+    hits = RaycastingSurface(world).cast_rays(eye, lines / lengths[:, None])
     seen = np.ones(len(points), bool)
     seen[hits.rays] = hits.distances > lengths[hits.rays] - 0.01
     return float(seen.mean())
@@ -44,7 +44,7 @@ def pane(points: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def glass() -> Coverage:
     """A wall with a pane of 30 × 20 cm in it that gives no depth, and no hole behind."""
-    frames = frames_of(WALL, ROW)
+    frames = render_frames(WALL, ROW)
     poses = [frame.world_from_camera for frame in frames]
     broken = []
     for frame, pose in zip(frames, poses, strict=True):
@@ -53,60 +53,60 @@ def glass() -> Coverage:
         points = np.stack([(u - CAMERA.cx) / CAMERA.fx * z, (v - CAMERA.cy) / CAMERA.fy * z, z], axis=-1)
         at = points.reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
         broken.append(replace(frame, depth=np.where(pane(at).reshape(z.shape), np.float32(0), z)))
-    return coverage(without(WALL, pane), broken)
+    return coverage(remove_triangles(WALL, pane), broken)
 
 
 def test_a_hole_is_told_with_its_area_and_where_it_is(glass: Coverage) -> None:
-    (hole,) = of_kind(glass, *MISSING)
+    (hole,) = of_kind(glass, *MISSING_KINDS)
 
     assert hole.kind == "hole"
     assert hole.area == pytest.approx(0.3 * 0.2, rel=0.1)
     np.testing.assert_allclose(hole.point, (0.1, 0, 0.5), atol=0.06)
     np.testing.assert_allclose(hole.normal, (0, -1, 0), atol=1e-6)
-    assert hole.frames_towards == 5
-    assert glass.places[0] is hole
+    assert hole.frames_in_view == 5
+    assert glass.defects[0] is hole
     assert glass.missing_areas["hole"] == pytest.approx(hole.area)
 
 
 def test_the_outline_of_a_scan_is_no_hole(glass: Coverage) -> None:
-    frames = frames_of(WALL, ROW)
+    frames = render_frames(WALL, ROW)
     whole = coverage(seen_by(WALL, frames), frames)
 
-    assert not whole.places
-    assert whole.ends_area > 0
-    assert sum(whole.thin_areas.values()) < 0.01 * whole.surface_area
-    assert len(of_kind(glass, *MISSING)) == 1
+    assert not whole.defects
+    assert whole.scan_end_area > 0
+    assert sum(whole.weak_areas.values()) < 0.01 * whole.surface_area
+    assert len(of_kind(glass, *MISSING_KINDS)) == 1
 
 
 def test_frames_that_have_no_depth_at_a_hole_say_so_and_one_looks_straight_at_it(glass: Coverage) -> None:
     (hole,) = of_kind(glass, "hole")
 
-    assert len(hole.looks) == 5
-    assert {look.why for look in hole.looks} == {"no depth there"}
-    assert all(look.share == 1 for look in hole.looks)
-    assert hole.stand.position[1] < -0.5
-    assert hole.stand.sees == 1
-    assert hole.stand.is_free
-    assert np.dot(hole.stand.direction, (0, 1, 0)) > 0.7
+    assert len(hole.nearest_frames) == 5
+    assert {look.reason for look in hole.nearest_frames} == {"no depth there"}
+    assert all(look.in_view_ratio == 1 for look in hole.nearest_frames)
+    assert hole.viewpoint.position[1] < -0.5
+    assert hole.viewpoint.visible_ratio == 1
+    assert hole.viewpoint.is_free
+    assert np.dot(hole.viewpoint.direction, (0, 1, 0)) > 0.7
 
 
 def test_the_painted_mesh_shows_a_hole_behind_its_own_triangles(glass: Coverage) -> None:
-    mesh = without(WALL, pane)
+    mesh = remove_triangles(WALL, pane)
     count = len(mesh.vertices)
 
-    np.testing.assert_array_equal(glass.painted.vertices[:count], mesh.vertices)
-    np.testing.assert_array_equal(glass.painted.triangles[: len(mesh.triangles)], mesh.triangles)
-    cap = glass.painted.vertices[count:]
+    np.testing.assert_array_equal(glass.painted_mesh.vertices[:count], mesh.vertices)
+    np.testing.assert_array_equal(glass.painted_mesh.triangles[: len(mesh.triangles)], mesh.triangles)
+    cap = glass.painted_mesh.vertices[count:]
     assert len(cap)
     assert (np.abs(cap - (0.1, 0, 0.5)) <= (0.16, 1e-6, 0.11)).all()
-    red, green, blue = glass.painted.colors[count:].astype(int).T
+    red, green, blue = glass.painted_mesh.colors[count:].astype(int).T
     assert (red > 2 * np.maximum(green, blue)).all()
 
 
 def test_an_opening_that_frames_look_through_is_no_hole() -> None:
-    window = without(WALL, pane)
+    window = remove_triangles(WALL, pane)
     behind = plate((-2, 0.8, -0.6), (4, 0, 0), (0, 0, 2.4))
-    frames = frames_of(together([window, behind]), ROW)
+    frames = render_frames(join_meshes([window, behind]), ROW)
 
     assert not of_kind(coverage(window, frames), "hole")
 
@@ -118,7 +118,7 @@ BOX = [
     plate((-0.15, 0.1, 0), (0, -0.2, 0), (0, 0, 0.3)),
     plate((-0.15, -0.1, 0.3), (0.3, 0, 0), (0, 0.2, 0)),
 ]
-FLOOR = without(
+FLOOR = remove_triangles(
     plate((-0.8, -0.8, 0), (1.6, 0, 0), (0, 1.6, 0)),
     lambda p: (np.abs(p[:, 0]) < 0.15) & (np.abs(p[:, 1]) < 0.1),
 )
@@ -138,38 +138,38 @@ def seen_by(world: Mesh, frames: list[Frame]) -> Mesh:
         v = np.rint(CAMERA.fy * p[:, 1] / np.where(ahead, p[:, 2], 1) + CAMERA.cy).astype(int)
         inside = ahead & (u >= 0) & (v >= 0) & (u < CAMERA.width) & (v < CAMERA.height)
         is_seen[inside] |= np.abs(frame.depth[v[inside], u[inside]] - p[inside, 2]) < 0.03
-    return clean(without(world, lambda middle: ~is_seen), min_island_area=0.0).mesh  # noqa: ARG005
+    return clean(remove_triangles(world, lambda middle: ~is_seen), min_island_area=0.0).mesh  # noqa: ARG005
 
 
 @pytest.fixture(scope="module")
 def world() -> Mesh:
-    return together([*BOX, FLOOR])
+    return join_meshes([*BOX, FLOOR])
 
 
 def test_the_side_of_a_thing_that_no_frame_saw_is_told_and_looked_at_from_there(world: Mesh) -> None:
-    frames = frames_of(world, FRONT)
+    frames = render_frames(world, FRONT)
     found = coverage(seen_by(world, frames), frames, spacing=0.02)
 
-    first = found.places[0]
+    first = found.defects[0]
     assert first.kind in ("hidden", "hole")
     # Behind the box, and below its top.
     assert first.point[1] > 0.05
     assert abs(first.point[0]) < 0.2
     assert 0 <= first.point[2] < 0.35
-    assert first.stand.position[1] > 0.2
-    assert first.stand.sees > 0.7
+    assert first.viewpoint.position[1] > 0.2
+    assert first.viewpoint.visible_ratio > 0.7
     back = BOX[2].vertices[BOX[2].triangles].mean(axis=1)
     assert in_sight(world, first, back) > 0.9
-    assert any("occluded" in look.why or "behind" in look.why for look in first.looks)
+    assert any("occluded" in look.reason or "behind" in look.reason for look in first.nearest_frames)
 
 
 @pytest.mark.slow
 def test_once_that_side_is_seen_it_is_told_no_more(world: Mesh) -> None:
-    frames = frames_of(world, FRONT)
+    frames = render_frames(world, FRONT)
     before = coverage(seen_by(world, frames), frames, spacing=0.02)
-    place = before.places[0]
-    eye = place.stand.position
-    more = frames_of(world, [*FRONT, (eye, np.add(eye, place.stand.direction))])
+    place = before.defects[0]
+    eye = place.viewpoint.position
+    more = render_frames(world, [*FRONT, (eye, np.add(eye, place.viewpoint.direction))])
     after = coverage(seen_by(world, more), more, spacing=0.02)
 
     assert before.missing_areas["hidden"] > 0.04
@@ -182,7 +182,7 @@ def test_a_gap_between_what_was_scanned_is_told_where_the_surface_would_be() -> 
     floor = plate((-1.5, -0.4, 0), (3, 0, 0), (0, 0.8, 0))
     left = [((x, 0, 0.9), (x, 0, 0)) for x in (-1.1, -1.0, -0.9)]
     right = [((x, 0, 0.9), (x, 0, 0)) for x in (0.9, 1.0, 1.1)]
-    frames = frames_of(floor, [*left, *right])
+    frames = render_frames(floor, [*left, *right])
     found = coverage(seen_by(floor, frames), frames)
 
     gap = of_kind(found, "gap")[0]
@@ -192,13 +192,13 @@ def test_a_gap_between_what_was_scanned_is_told_where_the_surface_would_be() -> 
     np.testing.assert_allclose(gap.point, (0, 0, 0), atol=0.2)
     assert gap.normal[2] == pytest.approx(1)
     assert area == pytest.approx(0.8 * width, rel=0.1)
-    assert {look.frame for look in gap.looks[:2]} == {"2", "3"}
-    assert 0.5 < gap.stand.position[2] < 1.4
-    assert gap.stand.sees == 1
-    assert "outside the image" in gap.looks[0].why
-    assert gap.frames_towards == 0
+    assert {look.frame for look in gap.nearest_frames[:2]} == {"2", "3"}
+    assert 0.5 < gap.viewpoint.position[2] < 1.4
+    assert gap.viewpoint.visible_ratio == 1
+    assert "outside the image" in gap.nearest_frames[0].reason
+    assert gap.frames_in_view == 0
     # Those beyond the ends are none.
-    assert not [place for place in of_kind(found, *MISSING) if abs(place.point[0]) > 0.6]
+    assert not [place for place in of_kind(found, *MISSING_KINDS) if abs(place.point[0]) > 0.6]
 
 
 @pytest.mark.slow
@@ -211,13 +211,13 @@ def test_a_wall_of_a_room_that_nobody_looked_at_is_told() -> None:
         plate((-1, 1, 1.6), (2, 0, 0), (0, -2, 0), 0.04),
         plate((1, -1, 0), (-2, 0, 0), (0, 0, 1.6), 0.04),
     ]
-    walls = together(room)
+    walls = join_meshes(room)
     looks = [
         ((0.3 * np.sin(a), 0.3 * np.cos(a), 0.8), (np.sin(a), np.cos(a), 0.8 + rise))
         for a in np.radians(np.linspace(-100, 100, 15))
         for rise in (-0.6, 0, 0.6)
     ]
-    frames = frames_of(walls, looks)
+    frames = render_frames(walls, looks)
     found = coverage(seen_by(walls, frames), frames, spacing=0.06, places=1000)
 
     # Below and above the cameras, where floor and ceiling would go on.
@@ -235,8 +235,8 @@ def test_a_wall_of_a_room_that_nobody_looked_at_is_told() -> None:
 def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
     near = [((0.4, -0.8, 0.6), (0.4, 0, 0.6))] * 3
     # The left half by one frame, and all by oblique ones from the right.
-    few = coverage(WALL, frames_of(WALL, [*near, ((-0.4, -0.8, 0.6), (-0.4, 0, 0.6))]), few_frames=2)
-    few_there = few.kinds == THIN.index("few")
+    few = coverage(WALL, render_frames(WALL, [*near, ((-0.4, -0.8, 0.6), (-0.4, 0, 0.6))]), few_frames=2)
+    few_there = few.vertex_kinds == WEAK_KINDS.index("few")
     assert few_there[
         (np.abs(WALL.vertices[:, 0] + 0.5) < 0.15) & (np.abs(WALL.vertices[:, 2] - 0.6) < 0.3)
     ].all()
@@ -246,41 +246,43 @@ def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
     assert of_kind(few, "few")[0].point[0] < 0.1
 
     aslant = [((0.8 + 1.2, -0.3, 0.6), (0.5, 0, 0.6))] * 3
-    oblique = coverage(WALL, frames_of(WALL, aslant), oblique=70, least_area=0.01)
+    oblique = coverage(WALL, render_frames(WALL, aslant), oblique=70, min_area=0.01)
     cosine = 0.3 / np.hypot(1.2 + 0.8 - WALL.vertices[:, 0], 0.3)
-    seen = oblique.evidence.frames > 0
+    seen = oblique.vertex_evidence.frame_counts > 0
     np.testing.assert_allclose(
-        oblique.evidence.cosine[seen & (WALL.vertices[:, 2] == 0.6)],
+        oblique.vertex_evidence.max_cosine[seen & (WALL.vertices[:, 2] == 0.6)],
         cosine[seen & (WALL.vertices[:, 2] == 0.6)],
         atol=0.02,
     )
     assert of_kind(oblique, "oblique")
 
-    far = coverage(WALL, frames_of(WALL, ROW), far=1.0)
+    far = coverage(WALL, render_frames(WALL, ROW), far=1.0)
     assert of_kind(far, "far")
-    assert far.evidence.distance[far.evidence.frames > 0] == pytest.approx(1.2, abs=1e-3)
-    assert not of_kind(coverage(WALL, frames_of(WALL, ROW), far=1.3), "far")
+    assert far.vertex_evidence.min_distance[far.vertex_evidence.frame_counts > 0] == pytest.approx(
+        1.2, abs=1e-3
+    )
+    assert not of_kind(coverage(WALL, render_frames(WALL, ROW), far=1.3), "far")
 
 
 def test_what_a_mask_leaves_out_hides_nothing() -> None:
-    box = together(BOX)
+    box = join_meshes(BOX)
     all_around = [
         ((1.1 * np.sin(a), -1.1 * np.cos(a), 0.6), (0, 0, 0.15)) for a in np.radians(np.arange(0, 360, 30))
     ]
-    frames = frames_of(box, all_around)
+    frames = render_frames(box, all_around)
     masked = [replace(one, mask=np.where(one.depth > 0, 255, 0).astype(np.uint8)) for one in frames]
     found = coverage(box, masked)
 
     # Only the ground that it stands on.
-    assert all(place.point[2] < 0.05 for place in of_kind(found, *MISSING))
+    assert all(place.point[2] < 0.05 for place in of_kind(found, *MISSING_KINDS))
     assert not of_kind(found, "unseen", "end", "blank")
 
 
 def test_far_from_the_origin_the_same_is_found(glass: Coverage) -> None:
     shift = np.array((500_000.0, 5_200_000.0, 300.0))
-    mesh = without(WALL, pane)
+    mesh = remove_triangles(WALL, pane)
     frames = []
-    for frame in frames_of(without(WALL, pane), ROW):
+    for frame in render_frames(remove_triangles(WALL, pane), ROW):
         pose = frame.world_from_camera.copy()
         pose[:3, 3] += shift
         frames.append(replace(frame, world_from_camera=pose))
@@ -292,15 +294,15 @@ def test_far_from_the_origin_the_same_is_found(glass: Coverage) -> None:
 
 
 def test_equal_input_gives_an_equal_result() -> None:
-    frames = frames_of(WALL, ROW)
-    one, other = (coverage(without(WALL, pane), frames) for _ in range(2))
+    frames = render_frames(WALL, ROW)
+    one, other = (coverage(remove_triangles(WALL, pane), frames) for _ in range(2))
 
     assert one.figures() == other.figures()
-    np.testing.assert_array_equal(one.painted.colors, other.painted.colors)
+    np.testing.assert_array_equal(one.painted_mesh.colors, other.painted_mesh.colors)
 
 
 def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
-    frames = frames_of(world, FRONT)
+    frames = render_frames(world, FRONT)
     mesh = seen_by(world, frames)
     every = coverage(mesh, frames, places=1000)
     few = coverage(mesh, frames, places=2)
@@ -308,29 +310,29 @@ def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
 
     scores = [one["weight"] * one["area_m2"] for one in figures]
     assert scores == sorted(scores, reverse=True)
-    assert [one.point for one in few.places] == [one.point for one in every.places[:2]]
-    assert few.left_out == len(every.places) - 2
+    assert [one.point for one in few.defects] == [one.point for one in every.defects[:2]]
+    assert few.omitted_count == len(every.defects) - 2
     assert min(one["area_m2"] for one in figures) > 0
 
 
 @pytest.mark.slow
 def test_what_is_large_is_told_as_several_places_of_one_look_each(world: Mesh) -> None:
-    frames = frames_of(world, FRONT)
+    frames = render_frames(world, FRONT)
     mesh = seen_by(world, frames)
-    whole = coverage(mesh, frames, place_size=2.0, places=1000)
-    cut = coverage(mesh, frames, place_size=0.15, least_area=1e-4, places=1000)
+    whole = coverage(mesh, frames, max_patch_size=2.0, places=1000)
+    cut = coverage(mesh, frames, max_patch_size=0.15, min_area=1e-4, places=1000)
 
-    assert max(place.extent for place in of_kind(cut, *MISSING)) < 0.25
+    assert max(place.extent for place in of_kind(cut, *MISSING_KINDS)) < 0.25
     assert len(of_kind(cut, "hidden", "hole")) > len(of_kind(whole, "hidden", "hole"))
 
 
 def test_damaged_frames_are_told_and_the_others_count() -> None:
-    frames = frames_of(WALL, ROW)
+    frames = render_frames(WALL, ROW)
     empty = replace(frames[0], name="empty", depth=np.zeros_like(frames[0].depth))
     lost = replace(frames[1], name="lost", world_from_camera=None)
     found = coverage(WALL, [empty, lost, *frames[2:]])
 
-    assert found.frames == 3
+    assert found.frame_count == 3
     assert [(one.name, one.reason) for one in found.skipped] == [
         ("empty", "no pixel has a depth."),
         ("lost", "there is no camera pose."),
@@ -354,13 +356,15 @@ def test_without_depth_and_poses_nothing_can_be_said(frames: list[Frame], why: s
 
 
 def test_frames_of_another_place_are_refused() -> None:
-    frames = [replace(one, world_from_camera=looking((50, 0, 0), (51, 0, 0))) for one in frames_of(WALL, ROW)]
+    frames = [
+        replace(one, world_from_camera=look_at((50, 0, 0), (51, 0, 0))) for one in render_frames(WALL, ROW)
+    ]
     with pytest.raises(InputError, match="poses and mesh are in the same coordinate system"):
         coverage(WALL, frames)
 
 
 def test_meshes_that_are_no_surface_are_refused() -> None:
-    frames = frames_of(WALL, ROW)
+    frames = render_frames(WALL, ROW)
     with pytest.raises(MeshError, match="no triangles"):
         coverage(Mesh(WALL.vertices, np.zeros((0, 3), np.int32)), frames)
     fin = np.concatenate([WALL.triangles, WALL.triangles[:1, ::-1] * (1, 1, 0) + (0, 0, 500)])
@@ -377,5 +381,5 @@ def test_parameters_out_of_range_are_refused(wrong: dict[str, float]) -> None:
 
 
 def test_depth_of_a_plate_is_exact() -> None:
-    depth = depth_of(Surface(WALL), looking((0, -1.2, 0.6), (0, 0, 0.6)))
+    depth = render_depth(RaycastingSurface(WALL), look_at((0, -1.2, 0.6), (0, 0, 0.6)))
     assert depth[30:40, 40:50] == pytest.approx(1.2, abs=1e-5)

@@ -6,20 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cut_in_pieces import cut_in_pieces
-from plates import frames_of, plate, without
+from chunked_meshes import split_into_chunks
+from flat_plates import plate, remove_triangles, render_frames
 
 from scanloom import coverage, read_scan
 from scanloom.stages.inspecting.coverage import probes
-from scanloom.stages.inspecting.coverage.borders import border_of
-from scanloom.stages.inspecting.coverage.covered import Coverage
-from scanloom.stages.inspecting.coverage.sight import Sight
+from scanloom.stages.inspecting.coverage.boundary import find_boundary
+from scanloom.stages.inspecting.coverage.coverage_result import Coverage
+from scanloom.stages.inspecting.coverage.occlusion_test import OcclusionTest
 from scanloom.stages.scans.model.scan import Frame
-from scanloom.stages.surface import piecewise
+from scanloom.stages.surface import chunked_mesh
+from scanloom.stages.surface.chunked_mesh import ChunkedMesh, SingleChunkMesh
+from scanloom.stages.surface.chunked_ply import ChunkedPly
 from scanloom.stages.surface.formats.ply import read_ply
-from scanloom.stages.surface.pieces import Pieces
-from scanloom.stages.surface.piecewise import OnePiece, Piecewise
-from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.raycasting import RaycastingSurface
 
 _SAMPLE = Path(__file__).resolve().parents[4] / "samples" / "rgbd"
 
@@ -39,20 +39,20 @@ def whole(large: Path, frames: list[Frame]) -> Coverage:
 def pieced(large: Path, frames: list[Frame]) -> Coverage:
     with pytest.MonkeyPatch.context() as patch:
         # Of some pieces not all triangles are worked on at a time.
-        patch.setattr(piecewise, "AT_ONCE", 300)
-        surface = Piecewise(Pieces(large))
+        patch.setattr(chunked_mesh, "BATCH_TRIANGLES", 300)
+        surface = ChunkedMesh(ChunkedPly(large))
         assert len(surface) > 5
-        assert len(list(surface.pieces())) > len(surface)
+        assert len(list(surface.iterate_batches())) > len(surface)
         found = coverage(surface, frames, few_frames=2, spacing=0.03)
         # What it tells of vertices is read when it is asked for.
-        found.painted  # noqa: B018
+        found.painted_mesh  # noqa: B018
     return found
 
 
 def test_figures_and_places_are_those_of_the_whole(whole: Coverage, pieced: Coverage) -> None:
     expected, told = whole.figures(), pieced.figures()
     assert len(expected["places"]) > 10
-    assert {place.kind for place in whole.places} == {"hidden", "few", "oblique", "unmeasured", "apart"}
+    assert {place.kind for place in whole.defects} == {"hidden", "few", "oblique", "unmeasured", "apart"}
     assert [one.pop("nearest_frames") for one in told["places"]] == [
         one.pop("nearest_frames") for one in expected["places"]
     ]
@@ -66,20 +66,20 @@ def test_figures_and_places_are_those_of_the_whole(whole: Coverage, pieced: Cove
 def test_colours_and_what_is_known_of_vertices_are_those_of_the_whole(
     whole: Coverage, pieced: Coverage
 ) -> None:
-    np.testing.assert_array_equal(pieced.painted.vertices, whole.painted.vertices)
-    np.testing.assert_array_equal(pieced.painted.triangles, whole.painted.triangles)
-    off = np.abs(pieced.painted.colors.astype(int) - whole.painted.colors.astype(int))
+    np.testing.assert_array_equal(pieced.painted_mesh.vertices, whole.painted_mesh.vertices)
+    np.testing.assert_array_equal(pieced.painted_mesh.triangles, whole.painted_mesh.triangles)
+    off = np.abs(pieced.painted_mesh.colors.astype(int) - whole.painted_mesh.colors.astype(int))
     # Where pieces meet, normals are sums in single precision.
     assert off.max() <= 1
-    np.testing.assert_array_equal(pieced.kinds, whole.kinds)
+    np.testing.assert_array_equal(pieced.vertex_kinds, whole.vertex_kinds)
     for name in ("frames", "cosine", "distance", "pixel", "mean_cosine", "spread"):
-        values = getattr(pieced.evidence, name)
-        np.testing.assert_allclose(values, getattr(whole.evidence, name), rtol=1e-4, atol=1e-7)
-    assert len(whole.painted.vertices) > len(whole.kinds) == len(pieced.kinds)
+        values = getattr(pieced.vertex_evidence, name)
+        np.testing.assert_allclose(values, getattr(whole.vertex_evidence, name), rtol=1e-4, atol=1e-7)
+    assert len(whole.painted_mesh.vertices) > len(whole.vertex_kinds) == len(pieced.vertex_kinds)
 
 
 def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(large: Path) -> None:
-    one, many = border_of(OnePiece(read_ply(large))), border_of(Piecewise(Pieces(large)))
+    one, many = find_boundary(SingleChunkMesh(read_ply(large))), find_boundary(ChunkedMesh(ChunkedPly(large)))
     assert len(one.tails) > 100
     for name in ("tails", "heads", "starts", "ends"):
         np.testing.assert_array_equal(getattr(many, name), getattr(one, name))
@@ -89,15 +89,19 @@ def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(la
 
 def test_a_hole_whose_rim_runs_through_four_pieces_is_told_as_of_the_whole(tmp_path: Path) -> None:
     wall = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2), 0.02)
-    open_wall = without(wall, lambda p: (np.abs(p[:, 0] - 0.1) < 0.15) & (np.abs(p[:, 2] - 0.5) < 0.1))
+    open_wall = remove_triangles(
+        wall, lambda p: (np.abs(p[:, 0] - 0.1) < 0.15) & (np.abs(p[:, 2] - 0.5) < 0.1)
+    )
     # Nothing is measured there, though there is glass.
-    frames = frames_of(open_wall, [((x, -1.2, 0.6), (x, 0, 0.6)) for x in (-0.2, 0.0, 0.2)])
+    frames = render_frames(open_wall, [((x, -1.2, 0.6), (x, 0, 0.6)) for x in (-0.2, 0.0, 0.2)])
     middles = open_wall.vertices[open_wall.triangles].mean(axis=1)
-    large = cut_in_pieces(tmp_path / "wall.ply", open_wall, (middles[:, 0] > 0.1) + 2 * (middles[:, 2] > 0.5))
+    large = split_into_chunks(
+        tmp_path / "wall.ply", open_wall, (middles[:, 0] > 0.1) + 2 * (middles[:, 2] > 0.5)
+    )
     assert len(large) == 4
 
-    (expected,) = [one for one in coverage(open_wall, frames).places if one.kind == "hole"]
-    (hole,) = [one for one in coverage(large, frames).places if one.kind == "hole"]
+    (expected,) = [one for one in coverage(open_wall, frames).defects if one.kind == "hole"]
+    (hole,) = [one for one in coverage(large, frames).defects if one.kind == "hole"]
     assert hole.area == pytest.approx(expected.area, rel=1e-9)
     assert hole.area == pytest.approx(0.3 * 0.2, rel=0.15)
     np.testing.assert_allclose(hole.point, (0.1, 0, 0.5), atol=0.06)
@@ -106,11 +110,11 @@ def test_a_hole_whose_rim_runs_through_four_pieces_is_told_as_of_the_whole(tmp_p
 def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is(
     large: Path, frames: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(probes, "_POINTS", 10)
-    for mesh in (read_ply(large), Piecewise(Pieces(large))):
-        found = coverage(mesh, frames).covered
+    monkeypatch.setattr(probes, "_TARGET_COUNT", 10)
+    for mesh in (read_ply(large), ChunkedMesh(ChunkedPly(large))):
+        found = coverage(mesh, frames).surface_coverage
         vertices = read_ply(large).vertices - found.surface.box.mean(axis=0)
-        stands = np.concatenate([part.probes for part in found.painted()])[: len(vertices)]
+        stands = np.concatenate([part.probe_indices for part in found.iterate_painted()])[: len(vertices)]
         away = np.linalg.norm(found.probes.points[stands] - vertices, axis=1)
         # Marching cubes of 15 mm: their edges are shorter. Beside rims another cube's stands for a vertex.
         assert np.quantile(away, 0.95) < 6 * 0.015
@@ -118,7 +122,7 @@ def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is
 
 
 def test_rays_meet_pieces_as_they_meet_the_whole(large: Path) -> None:
-    mesh, pieced = read_ply(large), Piecewise(Pieces(large))
+    mesh, pieced = read_ply(large), ChunkedMesh(ChunkedPly(large))
     rng = np.random.default_rng(3)
     low, high = pieced.box
     origins = rng.uniform(low - 0.2, high + 0.2, (3000, 3))
@@ -127,9 +131,9 @@ def test_rays_meet_pieces_as_they_meet_the_whole(large: Path) -> None:
     # Some along the axes of boxes.
     directions[:300] = np.eye(3)[rng.integers(0, 3, 300)]
     reaches = rng.uniform(0.05, 1.0, 3000)
-    hits = Surface(mesh, pieced.box).cast(origins, directions)
+    hits = RaycastingSurface(mesh, pieced.box).cast_rays(origins, directions)
     expected = np.zeros(3000, bool)
     expected[hits.rays] = hits.distances <= reaches[hits.rays]
     assert 100 < expected.sum() < 2900
-    for surface in (OnePiece(mesh), pieced):
-        np.testing.assert_array_equal(Sight(surface).is_met(origins, directions, reaches), expected)
+    for surface in (SingleChunkMesh(mesh), pieced):
+        np.testing.assert_array_equal(OcclusionTest(surface).is_hit(origins, directions, reaches), expected)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plates import CAMERA, frames_of, plate, together
+from flat_plates import CAMERA, join_meshes, plate, render_frames
 
 from scanloom import coverage
-from scanloom.stages.inspecting.coverage.kinds import THIN
+from scanloom.stages.inspecting.coverage.defect_kinds import WEAK_KINDS
 from scanloom.stages.scans.model.scan import Frame
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
@@ -24,22 +24,22 @@ def moved(frame: Frame, by: np.ndarray | float) -> Frame:
 
 
 def test_of_exact_depth_there_is_none_however_obliquely_it_is_seen() -> None:
-    found = coverage(WALL, frames_of(WALL, [*STRAIGHT, *ASLANT]))
-    evidence = found.evidence
-    assert evidence.frames.max() == 9
+    found = coverage(WALL, render_frames(WALL, [*STRAIGHT, *ASLANT]))
+    evidence = found.vertex_evidence
+    assert evidence.frame_counts.max() == 9
     # In the middle of a pixel: 1 cm beside it, depth of a slope of 55° is 1.4 cm off.
-    assert evidence.spread.max() < 1e-5
+    assert evidence.rms_height.max() < 1e-5
     assert found.spread_95 < 1e-5
 
 
 @pytest.mark.parametrize("sigma", [0.002, 0.008])
 def test_of_noise_it_is_that_of_the_noise(sigma: float) -> None:
     rng = np.random.default_rng(5)
-    frames = [moved(one, rng.normal(0, sigma, one.depth.shape)) for one in frames_of(WALL, STRAIGHT * 4)]
+    frames = [moved(one, rng.normal(0, sigma, one.depth.shape)) for one in render_frames(WALL, STRAIGHT * 4)]
     found = coverage(WALL, frames)
-    often = found.evidence.frames >= 20
+    often = found.vertex_evidence.frame_counts >= 20
     assert often.sum() > 1000
-    assert np.sqrt((found.evidence.spread[often] ** 2).mean()) == pytest.approx(sigma, rel=0.03)
+    assert np.sqrt((found.vertex_evidence.rms_height[often] ** 2).mean()) == pytest.approx(sigma, rel=0.03)
     assert found.spread_median == pytest.approx(sigma, rel=0.1)
     assert found.spread_median < found.spread_95 < 2 * sigma
     figures = found.figures()
@@ -47,52 +47,57 @@ def test_of_noise_it_is_that_of_the_noise(sigma: float) -> None:
 
 
 def test_two_frames_that_disagree_are_each_half_of_that_off() -> None:
-    one = frames_of(WALL, [STRAIGHT[2]])[0]
+    one = render_frames(WALL, [STRAIGHT[2]])[0]
     found = coverage(WALL, [moved(one, 0.006), moved(one, -0.006)])
-    seen = found.evidence.frames == 2
+    seen = found.vertex_evidence.frame_counts == 2
     assert seen.sum() > 1000
-    np.testing.assert_allclose(found.evidence.spread[seen], 0.006, atol=1e-6)
+    np.testing.assert_allclose(found.vertex_evidence.rms_height[seen], 0.006, atol=1e-6)
     # What one of them alone has measured is as far off as that is, what none has is not.
     alone = coverage(WALL, [moved(one, 0.006)])
-    np.testing.assert_allclose(alone.evidence.spread[alone.evidence.frames == 1], 0.006, atol=1e-6)
-    assert (alone.evidence.spread[alone.evidence.frames == 0] == 0).all()
+    np.testing.assert_allclose(
+        alone.vertex_evidence.rms_height[alone.vertex_evidence.frame_counts == 1], 0.006, atol=1e-6
+    )
+    assert (alone.vertex_evidence.rms_height[alone.vertex_evidence.frame_counts == 0] == 0).all()
 
 
 def test_aslant_it_is_along_the_normal_and_the_mean_angle_is_of_all_looks() -> None:
-    straight, aslant = frames_of(WALL, [((0, -1.2, 0.6), (0, 0, 0.6)), ((0.9, -0.9, 0.6), (0, 0, 0.6))])
+    straight, aslant = render_frames(WALL, [((0, -1.2, 0.6), (0, 0, 0.6)), ((0.9, -0.9, 0.6), (0, 0, 0.6))])
     middle = np.abs(WALL.vertices - (0, 0, 0.6)).max(axis=1) < 0.02
-    evidence = coverage(WALL, [straight, moved(aslant, 0.01)]).evidence
+    evidence = coverage(WALL, [straight, moved(aslant, 0.01)]).vertex_evidence
     # Along the axis of the camera 1 cm, along the normal that times the cosine; of two frames one is right.
-    np.testing.assert_allclose(evidence.spread[middle], 0.01 * np.cos(np.pi / 4) / np.sqrt(2), rtol=0.05)
+    np.testing.assert_allclose(evidence.rms_height[middle], 0.01 * np.cos(np.pi / 4) / np.sqrt(2), rtol=0.05)
     np.testing.assert_allclose(evidence.mean_cosine[middle], (1 + np.cos(np.pi / 4)) / 2, atol=0.02)
-    np.testing.assert_allclose(evidence.cosine[middle], 1, atol=0.01)
+    np.testing.assert_allclose(evidence.max_cosine[middle], 1, atol=0.01)
 
 
 def test_where_frames_disagree_evidence_is_thin_and_a_place_of_its_own() -> None:
-    frames = frames_of(WALL, [STRAIGHT[2]] * 6)
+    frames = render_frames(WALL, [STRAIGHT[2]] * 6)
     # On the left, every second frame has the wall 2 cm farther off.
     left = np.arange(CAMERA.width) < 30
     wrong = [moved(one, 0.02 * left * (number % 2)) for number, one in enumerate(frames)]
-    found = coverage(WALL, wrong, least_area=0.01)
-    apart = found.kinds == THIN.index("apart")
-    is_left = (found.evidence.frames == 6) & (WALL.vertices[:, 0] < -0.35)
+    found = coverage(WALL, wrong, min_area=0.01)
+    apart = found.vertex_kinds == WEAK_KINDS.index("apart")
+    is_left = (found.vertex_evidence.frame_counts == 6) & (WALL.vertices[:, 0] < -0.35)
     assert is_left.sum() > 1000
     assert apart[is_left].all()
-    np.testing.assert_allclose(found.evidence.spread[is_left], 0.02 / np.sqrt(2), rtol=1e-3)
+    np.testing.assert_allclose(found.vertex_evidence.rms_height[is_left], 0.02 / np.sqrt(2), rtol=1e-3)
     assert not apart[WALL.vertices[:, 0] > -0.3].any()
-    assert 0.005 <= found.limits.spread < 0.01
-    assert {place.kind for place in found.places if place.point[0] < -0.35} >= {"apart"}
-    assert found.thin_areas["apart"] > 0.05
-    assert not (coverage(WALL, wrong, spread=0.03).kinds == THIN.index("apart")).any()
+    assert 0.005 <= found.limits.max_spread < 0.01
+    assert {place.kind for place in found.defects if place.point[0] < -0.35} >= {"apart"}
+    assert found.weak_areas["apart"] > 0.05
+    assert not (coverage(WALL, wrong, spread=0.03).vertex_kinds == WEAK_KINDS.index("apart")).any()
     # Less than half an edge of the mesh is nothing that it could show.
-    assert not (coverage(WALL, frames).kinds == THIN.index("apart")).any()
+    assert not (coverage(WALL, frames).vertex_kinds == WEAK_KINDS.index("apart")).any()
 
 
 def test_frames_before_which_something_stands_have_no_say() -> None:
     board = plate((-0.2, -0.5, 0.4), (0.4, 0, 0), (0, 0, 0.4))
-    clear, hidden = frames_of(WALL, [STRAIGHT[2]])[0], frames_of(together([WALL, board]), [STRAIGHT[3]])[0]
-    alone, both = (coverage(WALL, frames).evidence for frames in ([clear], [clear, hidden]))
+    clear, hidden = (
+        render_frames(WALL, [STRAIGHT[2]])[0],
+        render_frames(join_meshes([WALL, board]), [STRAIGHT[3]])[0],
+    )
+    alone, both = (coverage(WALL, frames).vertex_evidence for frames in ([clear], [clear, hidden]))
     behind = np.abs(WALL.vertices - (0, 0, 0.6)).max(axis=1) < 0.15
-    assert (both.frames[behind] == 1).all()
-    np.testing.assert_array_equal(both.spread[behind], alone.spread[behind])
-    assert both.frames.max() == 2
+    assert (both.frame_counts[behind] == 1).all()
+    np.testing.assert_array_equal(both.rms_height[behind], alone.rms_height[behind])
+    assert both.frame_counts.max() == 2

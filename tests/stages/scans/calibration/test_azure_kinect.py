@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.calibration.azure_kinect import color_from_depth
+from scanloom.stages.scans.calibration.azure_kinect import read_color_from_depth
 from scanloom.stages.scans.calibration.camera_files import read_camera
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 # Shares of the sensor's sides, and a lens of its own for each camera.
 DEPTH = [0.51, 0.515, 0.49, 0.491, 0.5, -0.02, -0.003, 0.9, 0.09, -0.01, 0, 0, -7e-5, 2e-5]
@@ -93,7 +93,7 @@ def test_depth_and_colour_of_a_recording_have_a_camera_each(tmp_path, path, tiny
 def test_depth_brought_to_colour_has_colour_s_camera_and_place(path):
     camera = read_camera(path, 1280, 720)
     assert camera.fx == pytest.approx(0.478 * 1280)
-    assert color_from_depth(path, camera) is None
+    assert read_color_from_depth(path, camera) is None
 
 
 @pytest.mark.parametrize(
@@ -125,4 +125,4 @@ def test_a_colour_camera_without_a_place_is_refused(path, changes, message):
     depth = read_camera(path, 640, 576)
     path.write_text(json.dumps(document(camera("D0", DEPTH), camera("PV0", COLOR) | changes)))
     with pytest.raises(InputError, match=message):
-        color_from_depth(path, depth)
+        read_color_from_depth(path, depth)

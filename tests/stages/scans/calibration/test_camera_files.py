@@ -100,7 +100,7 @@ def test_every_form_describes_the_same_rig(tmp_path, name):
         np.testing.assert_allclose(camera.distortion, BENT)
     np.testing.assert_allclose(rig.right_from_left[:3, :3], R, atol=1e-9)
     np.testing.assert_allclose(rig.right_from_left[:3, 3], T, atol=1e-9)
-    assert not rig.rectified
+    assert not rig.is_rectified
     assert bool(warnings) == (name in ("guessed.json", "ros.json", "ros2.yaml"))
 
 
@@ -119,7 +119,7 @@ def test_every_form_describes_the_same_rig(tmp_path, name):
 def test_rectified_forms(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     rig = read_rig(tmp_path / name, 32, 24)
-    assert rig.rectified
+    assert rig.is_rectified
     np.testing.assert_allclose(rig.left.matrix, K)
     np.testing.assert_allclose(rig.right_from_left[:3, 3], (-0.5, 0, 0))
 
@@ -129,7 +129,7 @@ def test_a_stated_rectified_wins_over_the_guess(tmp_path):
     path.write_text(
         json.dumps({"fx": 100, "fy": 110, "cx": 16, "cy": 12, "baseline": 0.5, "rectified": False})
     )
-    assert not read_rig(path, 32, 24).rectified
+    assert not read_rig(path, 32, 24).is_rectified
 
 
 @pytest.mark.parametrize(

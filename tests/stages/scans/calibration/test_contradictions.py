@@ -9,7 +9,7 @@ from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.scans.calibration.camera_files import read_camera
 from scanloom.stages.scans.calibration.rig_calibration import read_rig
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 K = [[100, 0, 16], [0, 100, 12], [0, 0, 1]]
 OPENCV = {"K1": K, "K2": K, "R": np.eye(3).tolist(), "T": [-0.5, 0, 0]}

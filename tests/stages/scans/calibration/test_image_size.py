@@ -11,7 +11,7 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.calibration.camera_files import read_camera
 from scanloom.stages.scans.calibration.rig_calibration import read_rig
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 # For images twice as large as the tiny world's: pixel centres are at whole numbers.
 LARGE = [[200, 0, 32.5], [0, 200, 24.5], [0, 0, 1]]
@@ -183,7 +183,7 @@ def test_a_real_pair_made_smaller_beside_its_calibration(shared_data, tmp_path):
     # The disparity offset is pixels, and so is the range that is stated.
     offsets = [rig.right.cx - rig.left.cx for rig in (large, small)]
     assert offsets[1] == pytest.approx(offsets[0] / 2, rel=2e-3)
-    assert small.disparities == large.disparities // 2
+    assert small.disparity_count == large.disparity_count // 2
 
 
 def test_a_real_street_made_smaller_beside_its_calibration(shared_data, tmp_path):

@@ -65,7 +65,7 @@ def conf(tmp_path):
 
 def test_the_rig_of_a_size_of_images(conf):
     rig = read_rig(conf, 1280, 720)
-    assert (rig.left.fx, rig.left.cy, rig.right.fx, rig.rectified) == (700.5, 361.8, 701.0, False)
+    assert (rig.left.fx, rig.left.cy, rig.right.fx, rig.is_rectified) == (700.5, 361.8, 701.0, False)
     assert rig.left.distortion == (-0.171, 0.0273, 0.0001, -0.0002, 0)
     assert rig.right.distortion == (-0.169, 0.0261, 0, 0, 0)
     assert rig.baseline == pytest.approx(np.hypot(0.11987, np.hypot(0.000046, 0.000468)))

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.image_folders.image_files import images, pair
+from scanloom.stages.scans.image_folders.image_files import list_images, match_by_number
 
 
 def paths(*names):
@@ -11,7 +11,7 @@ def paths(*names):
 
 
 def paired(left, right):
-    pairs, alone = pair(paths(*left), paths(*right), "left/", "right/", Path("scan"))
+    pairs, alone = match_by_number(paths(*left), paths(*right), "left/", "right/", Path("scan"))
     return [(one.stem, other.stem) for one, other in pairs], sorted(frame.name for frame in alone)
 
 
@@ -43,7 +43,7 @@ def test_counts_that_differ_are_never_paired_in_order():
 def test_images_are_ordered_by_number(tmp_path):
     for name in ("10.png", "2.png", "1.JPG", ".hidden.png", "notes.txt"):
         (tmp_path / name).touch()
-    assert [path.name for path in images(tmp_path)] == ["1.JPG", "2.png", "10.png"]
+    assert [path.name for path in list_images(tmp_path)] == ["1.JPG", "2.png", "10.png"]
 
 
 def test_a_number_that_agrees_by_chance_pairs_nothing():

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from scanloom.stages.scans.image_folders.rotated_bits import is_rotated, turned_back
+from scanloom.stages.scans.image_folders.rotated_bits import decode_rotated, is_rotated
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def rotated(depth):
@@ -27,7 +27,7 @@ def room(nearest, farthest, seed=1):
 @pytest.mark.parametrize("stated", [False, True])
 def test_rotated_and_plain_values_are_told_apart(nearest, farthest, stated):
     depth = room(nearest, farthest)
-    np.testing.assert_array_equal(turned_back(rotated(depth)), depth)
+    np.testing.assert_array_equal(decode_rotated(rotated(depth)), depth)
     assert not is_rotated(depth, is_scale_stated=stated)
     # Without values that start again, multiples of eight may be what the person means by a scale.
     assert is_rotated(rotated(depth), is_scale_stated=stated) == (farthest > 8192 or not stated)

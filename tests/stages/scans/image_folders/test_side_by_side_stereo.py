@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from scanloom.stages.scans.image_folders.side_by_side_stereo import are_pairs
+from scanloom.stages.scans.image_folders.side_by_side_stereo import is_side_by_side
 from scanloom.stages.scans.model.images import read_color, read_right
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 WIDTH, HEIGHT, SHIFT = 160, 90, 9
 CAMERA = {"fx": 150, "fy": 150, "cx": 80, "cy": 45, "baseline": 0.12}
@@ -58,11 +58,11 @@ def test_panoramas_are_no_pairs(scan_folder):
 def test_real_pairs_are_and_real_photos_are_not(shared_data, tmp_path):
     """A street's photos are as wide as two others', and alike on both sides."""
     street = shared_data / "real" / "kitti_stereo_2015"
-    assert not are_pairs(sorted((street / "image_2").iterdir()))
+    assert not is_side_by_side(sorted((street / "image_2").iterdir()))
     rig = shared_data / "stereo" / "euroc_V1_01_easy_static" / "mav0"
     wholes = []
     for left in sorted((rig / "cam0" / "data").glob("*.png"))[:4]:
         right = rig / "cam1" / "data" / left.name
         wholes.append(tmp_path / left.name)
         assert cv2.imwrite(str(wholes[-1]), np.hstack([cv2.imread(str(left)), cv2.imread(str(right))]))
-    assert are_pairs(wholes)
+    assert is_side_by_side(wholes)

@@ -7,7 +7,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 # Depth's own names, and those of the other files: off by a millisecond either way.
 DEPTHS = ("41069021_9.500", "41069021_10.250")
@@ -69,7 +69,7 @@ def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
     (scan_folder / "lowres_wide.traj").write_text(TRAJECTORY.replace("9.504", "9.506"))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == [DEPTHS[1]]
-    assert [(one.name, one.reason) for one in scan.skipped] == [
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
         (DEPTHS[0], "the trajectory has no pose within 0.005 s")
     ]
 
@@ -85,7 +85,7 @@ def test_a_missing_file_costs_its_frame_only(scan_folder, file, reason):
     (scan_folder / file).unlink()
     scan = read_scan(scan_folder)
     assert len(scan.frames) == 1
-    assert [(one.name, one.reason) for one in scan.skipped] == [(DEPTHS[0], reason)]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [(DEPTHS[0], reason)]
 
 
 def test_stated_intrinsics_stand_in(scan_folder, tiny):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 # Tenths of a millimetre.
 UNITS = 10_000
@@ -16,7 +16,7 @@ def entry(world_from_camera=None, **more):
     """What the file has for one image; poses are world-to-camera, millimetres."""
     table = {"cam_K": [100, 0, 16, 0, 100, 12, 0, 0, 1], "depth_scale": 1000 / UNITS}
     if world_from_camera is not None:
-        pose = inverted(world_from_camera)
+        pose = invert_pose(world_from_camera)
         table |= {"cam_R_w2c": pose[:3, :3].ravel().tolist(), "cam_t_w2c": (1000 * pose[:3, 3]).tolist()}
     return table | more
 
@@ -111,8 +111,8 @@ def test_what_is_wrong_with_one_image_costs_that_image(scan_folder, tiny, table,
     write(scan_folder, {"3": entry(tiny.identity)} | ({} if table is None else {"10": table}))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["000003"]
-    assert [one.name for one in scan.skipped] == ["000010"]
-    assert why in scan.skipped[0].reason
+    assert [one.name for one in scan.skipped_frames] == ["000010"]
+    assert why in scan.skipped_frames[0].reason
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"a": {}}', '{"3": 4}', '{"99999999999": {}}', "{"])

@@ -4,7 +4,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def rotated(metres: float, scale: float = 10_000.0) -> np.ndarray:
@@ -103,7 +103,9 @@ def test_poses_of_the_other_direction_and_of_a_trajectory(scan_folder, tiny, mat
 def test_a_frame_without_depth_is_left_out(scan_folder):
     (scan_folder / "frame-000001.depth.png").unlink()
     scan = read_scan(scan_folder)
-    assert [(one.name, one.reason) for one in scan.skipped] == [("frame-000001", "its depth map is missing")]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
+        ("frame-000001", "its depth map is missing")
+    ]
     (scan_folder / "frame-000000.depth.png").unlink()
     with pytest.raises(InputError, match="none of the 2 listed frames has a depth map, such as frame-000000"):
         read_scan(scan_folder)

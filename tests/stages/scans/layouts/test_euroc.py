@@ -7,7 +7,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color, read_right
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 FIRST, SECOND = 1403715273262142976, 1403715273462142976
 SENSOR = """%YAML:1.0
@@ -53,7 +53,7 @@ def scan_folder(tmp_path, tiny):
 
 def test_known_points_fall_on_known_pixels_of_both_images(scan_folder, tiny):
     scan = read_scan(scan_folder)
-    assert (scan.layout, scan.rig.rectified) == ("euroc", False)
+    assert (scan.layout, scan.rig.is_rectified) == ("euroc", False)
     assert [frame.timestamp for frame in scan.frames] == [FIRST, SECOND]
     assert scan.rig.baseline == pytest.approx(0.5)
     assert scan.rig.left.distortion == (-0.1, 0.01, 0.001, -0.002)
@@ -75,7 +75,7 @@ def test_unequal_counts_pair_by_time(scan_folder):
     (scan_folder / "mav0" / "cam1" / "data.csv").write_text(f"#t,f\n{SECOND},{SECOND}.png\n")
     scan = read_scan(scan_folder)
     assert [frame.timestamp for frame in scan.frames] == [SECOND]
-    assert [one.name for one in scan.skipped] == [str(FIRST)]
+    assert [one.name for one in scan.skipped_frames] == [str(FIRST)]
 
 
 def test_a_frame_far_from_any_pose_is_skipped(scan_folder):
@@ -83,7 +83,7 @@ def test_a_frame_far_from_any_pose_is_skipped(scan_folder):
     path.write_text("\n".join(path.read_text().splitlines()[:2]))
     scan = read_scan(scan_folder)
     assert [frame.timestamp for frame in scan.frames] == [FIRST]
-    assert "no pose" in scan.skipped[0].reason
+    assert "no pose" in scan.skipped_frames[0].reason
 
 
 def test_no_ground_truth(scan_folder):
@@ -178,7 +178,7 @@ def test_tum_vi_has_fisheye_cameras_and_wide_images(tum_vi, chain):
     scan = read_scan(tum_vi)
     assert scan.layout == "euroc"
     assert scan.rig.left.fisheye
-    assert not scan.rig.rectified
+    assert not scan.rig.is_rectified
     np.testing.assert_allclose(scan.rig.right_from_left[:3, 3], (-0.5, 0, 0), atol=1e-12)
     # The same places as with sensor.yaml; a fisheye sees the point 0.2 right and 0.1 down at 2 m closer in.
     known = ((2.1, -0.2, -0.1), (1 + 0.2, 2 + 2.1, 3 - 0.1))

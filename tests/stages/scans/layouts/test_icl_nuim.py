@@ -5,7 +5,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 HALF = 0.5**0.5
 # In OpenCV axes, y down in the world too: turned by 90 degrees about +x, at (1, 2, 3). The known camera point
@@ -31,7 +31,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert scan.layout == "icl-nuim"
     assert [frame.name for frame in scan.frames] == ["1", "2"]
-    assert [(one.name, one.reason) for one in scan.skipped] == [
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
         ("0", "the trajectory has no pose with its number")
     ]
     for frame, point in zip(scan.frames, (tiny.points[0], TURNED_POINT), strict=True):

@@ -3,7 +3,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CALIB = (
     "P1: 90 0 20 0 0 90 15 0 0 0 1 0\n"
@@ -24,7 +24,7 @@ def scan_folder(tmp_path, tiny):
 
 def test_known_points_fall_on_known_pixels(scan_folder, tiny):
     scan = read_scan(scan_folder)
-    assert (scan.layout, scan.rig.rectified, scan.rig.baseline) == ("karlsruhe", True, 0.5)
+    assert (scan.layout, scan.rig.is_rectified, scan.rig.baseline) == ("karlsruhe", True, 0.5)
     assert [frame.right.name for frame in scan.frames] == ["I2_000000.png", "I2_000001.png"]
     for frame, point in zip(scan.frames, tiny.points, strict=True):
         camera_from_world = np.linalg.inv(frame.world_from_camera)

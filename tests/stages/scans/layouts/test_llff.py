@@ -5,7 +5,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_mask
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def row(pose, size=(32, 24), focal=100.0, bounds=(1.0, 4.0)):

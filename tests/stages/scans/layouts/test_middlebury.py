@@ -3,7 +3,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CALIB = """cam0=[100 0 16; 0 100 12; 0 0 1]
 cam1=[100 0 20; 0 100 12; 0 0 1]
@@ -27,7 +27,7 @@ def scan_folder(tmp_path, tiny):
 def test_the_known_point_falls_on_known_pixels(scan_folder, tiny):
     scan = read_scan(scan_folder)
     (frame,) = scan.frames
-    assert (scan.layout, scan.rig.rectified, scan.rig.disparities) == ("middlebury", True, 30)
+    assert (scan.layout, scan.rig.is_rectified, scan.rig.disparity_count) == ("middlebury", True, 30)
     assert scan.rig.baseline == pytest.approx(0.25)
     camera_from_world = np.linalg.inv(frame.world_from_camera)
     left = tiny.pixel(tiny.points[0], camera_from_world, scan.rig.left)
@@ -83,7 +83,7 @@ def test_damaged_calibrations_are_told(scan_folder, text, message):
 
 def test_motorcycle(shared_data):
     scan = read_scan(shared_data / "stereo" / "middlebury2014_motorcycle")
-    assert (scan.layout, scan.rig.disparities) == ("middlebury", 70)
+    assert (scan.layout, scan.rig.disparity_count) == ("middlebury", 70)
     assert scan.rig.baseline == pytest.approx(0.193001)
     assert scan.rig.right.cx - scan.rig.left.cx == pytest.approx(31.086)
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from scanloom.pipeline.cache.digest import scan_digest
+from scanloom.pipeline.cache.digest import compute_scan_digest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CAMERA = "100 0 16 0 100 12 0 0 1"
 # World-to-camera of the two frames of the tiny world: R and t by hand, R = pose.T, t = -R c.
@@ -35,11 +35,11 @@ def test_the_known_points_fall_on_the_known_pixel(scan_folder, tiny):
 
 def test_the_box_of_the_notes_is_read_and_is_part_of_the_digest(scan_folder):
     without = read_scan(scan_folder)
-    assert without.box is None
+    assert without.bounding_box is None
     (scan_folder / "README.txt").write_text(NOTES)
     scan = read_scan(scan_folder)
-    np.testing.assert_array_equal(scan.box, [[-1, 0.5, 2], [3.5, 2.5, 4]])
-    assert scan_digest(scan).digest != scan_digest(without).digest
+    np.testing.assert_array_equal(scan.bounding_box, [[-1, 0.5, 2], [3.5, 2.5, 4]])
+    assert compute_scan_digest(scan).digest != compute_scan_digest(without).digest
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_the_box_of_the_notes_is_read_and_is_part_of_the_digest(scan_folder):
 )
 def test_notes_that_state_no_sound_box_are_passed_over(scan_folder, notes):
     (scan_folder / "README.txt").write_bytes(notes)
-    assert read_scan(scan_folder).box is None
+    assert read_scan(scan_folder).bounding_box is None
 
 
 def test_without_its_count_a_file_is_read_as_well(scan_folder):
@@ -68,7 +68,7 @@ def test_an_image_that_is_not_there_is_left_out(scan_folder):
     (scan_folder / "a0001.png").unlink()
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["a0002"]
-    assert scan.skipped[0].name == "a0001"
+    assert scan.skipped_frames[0].name == "a0001"
 
 
 def test_stated_values_win(scan_folder, tiny):
@@ -111,8 +111,8 @@ def test_temple_ring(shared_data):
     assert (scan.layout, len(scan.frames)) == ("middlebury-mview", 47)
     camera = scan.frames[0].camera
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (1520.4, 1525.9, 302.32, 246.87)
-    np.testing.assert_allclose(scan.box[1], (0.078626, 0.121636, -0.017395))
-    middle = scan.box.mean(axis=0)
+    np.testing.assert_allclose(scan.bounding_box[1], (0.078626, 0.121636, -0.017395))
+    middle = scan.bounding_box.mean(axis=0)
     for frame in scan.frames:
         # All stand on a ring of 0.57 m around the object and look at it.
         seen = frame.world_from_camera[:3, :3].T @ (middle - frame.world_from_camera[:3, 3])

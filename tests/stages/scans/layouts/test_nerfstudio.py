@@ -7,9 +7,9 @@ import OpenEXR
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.model.images import read_color, read_depth, read_seen
+from scanloom.stages.scans.model.images import read_color, read_depth, read_valid_pixels
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 FACTOR = 4
 APPLIED = np.array([[0, 1, 0, 0.5], [1, 0, 0, -2], [0, 0, -1, 7], [0, 0, 0, 1.0]])
@@ -310,7 +310,7 @@ def test_single_views_each_of_its_size(scan_folder, tiny):
     tiny.color(scan_folder / "images" / "2.png", (100, 30))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10"]
-    assert "the camera has another aspect ratio" in scan.skipped[0].reason
+    assert "the camera has another aspect ratio" in scan.skipped_frames[0].reason
 
 
 @pytest.mark.parametrize("with_depth", [True, False])
@@ -324,7 +324,7 @@ def test_masks_say_where_nothing_is(scan_folder, tiny, with_depth):
         cv2.imwrite(str(scan_folder / entry["mask_path"]), mask)
     write(scan_folder, content)
     frame = read_scan(scan_folder).frames[0]
-    seen = read_depth(frame) > 0 if with_depth else read_seen(frame)
+    seen = read_depth(frame) > 0 if with_depth else read_valid_pixels(frame)
     factor = 1 if with_depth else FACTOR
     assert seen.shape == (24 * factor, 32 * factor)
     assert not seen[: 4 * factor].any()
@@ -341,8 +341,8 @@ def test_transparency_is_a_mask(scan_folder, tiny):
     cv2.imwrite(str(scan_folder / "images" / "2.png"), image)
     write(scan_folder, without_depth(tiny))
     first, second = read_scan(scan_folder).frames
-    assert np.flatnonzero(~read_seen(first).all(axis=0)).tolist() == list(range(40))
-    assert read_seen(first)[:, 40:].all()
+    assert np.flatnonzero(~read_valid_pixels(first).all(axis=0)).tolist() == list(range(40))
+    assert read_valid_pixels(first)[:, 40:].all()
     assert second.mask is None
 
 
@@ -352,7 +352,7 @@ def test_frames_without_depth_are_left_out(scan_folder, tiny):
     write(scan_folder, content)
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10"]
-    assert [(one.name, one.reason) for one in scan.skipped] == [
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
         ("2", "it has no depth_file_path or depth_path")
     ]
 
@@ -361,7 +361,7 @@ def test_a_frame_whose_pose_is_lost_is_left_out(scan_folder, tiny):
     content = document(tiny)
     content["frames"][0]["transform_matrix"] = np.full((4, 4), np.nan).tolist()
     write(scan_folder, content)
-    assert [one.name for one in read_scan(scan_folder).skipped] == ["2"]
+    assert [one.name for one in read_scan(scan_folder).skipped_frames] == ["2"]
 
 
 @pytest.mark.parametrize("size", [(128, 0), (0, 96)])
@@ -416,7 +416,7 @@ def test_a_frame_of_another_computer_that_is_not_there_is_left_out(scan_folder, 
     write(scan_folder, content)
     (scan_folder / "images" / "10.png").unlink()
     scan = read_scan(scan_folder)
-    assert [(one.name, one.reason) for one in scan.skipped] == [("10", "10.png is missing")]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [("10", "10.png is missing")]
 
 
 def test_a_real_toy_whose_paths_are_those_of_its_author(shared_data, tmp_path):

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from scanloom.stages.adjusting.offset import offset, sights
-from scanloom.stages.adjusting.view import color_camera, place_of_color
+from scanloom.stages.adjusting.silhouette_offset import estimate_photo_offset, observe_silhouettes
+from scanloom.stages.adjusting.view import get_color_camera, get_color_from_depth
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 DEPTHS = ("d-10.000000-100.pgm", "d-10.500000-600.pgm", "d-20.000000-900.pgm")
 COLORS = ("r-10.030000-101.ppm", "r-10.490000-590.ppm", "r-10.600000-700.ppm")
@@ -51,7 +51,7 @@ def test_streams_are_paired_by_time(scan_folder):
     found = [(frame.name[:4], frame.color.name[:7]) for frame in scan.frames]
     assert found == [("d-10", "r-10.03"), ("d-10", "r-10.49")]
     assert [frame.timestamp for frame in scan.frames] == [10_000_000_000, 10_500_000_000]
-    assert [one.reason for one in scan.skipped] == ["no colour image within 0.05 s"]
+    assert [one.reason for one in scan.skipped_frames] == ["no colour image within 0.05 s"]
 
 
 def test_known_points_with_a_trajectory_of_ones_own(scan_folder, tiny):
@@ -105,11 +105,15 @@ def test_a_real_frame_meets_its_colour(shared_data, tmp_path):
     assert 1.5 < np.median(depth[depth > 0]) < 4
     assert any("single frame" in text for text in map(str, scan.diagnostics))
     # It is one frame alone, seen twice.
-    found = offset(sights([frame], [0]) * 2, color_camera(frame), place_of_color(frame))
-    assert np.hypot(*found.pixels) < 2
+    found = estimate_photo_offset(
+        observe_silhouettes([frame], [0]) * 2, get_color_camera(frame), get_color_from_depth(frame)
+    )
+    assert np.hypot(*found.shift_px) < 2
     unregistered = cv2.imread(str(source / "NYU_color.ppm"))[:, :, ::-1]
     # Without the cameras' places the edges of colour correlate with those of depth not half as well.
-    assert correlation(read_matching_color(frame, depth), depth) > 2 * correlation(unregistered, depth)
+    assert correlation(read_color_aligned_to_depth(frame, depth), depth) > 2 * correlation(
+        unregistered, depth
+    )
 
 
 def correlation(color, depth):

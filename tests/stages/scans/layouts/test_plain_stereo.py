@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.inspecting.unused import unused
+from scanloom.stages.inspecting.unused_files import find_unused_files
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CAMERA = {"fx": 100, "fy": 100, "cx": 16, "cy": 12}
 
@@ -35,7 +35,7 @@ def assert_known_pixels(scan, tiny):
 
 def test_known_points_fall_on_known_pixels(scan_folder, tiny):
     scan = read_scan(scan_folder)
-    assert scan.rig.rectified
+    assert scan.rig.is_rectified
     assert [frame.name for frame in scan.frames] == ["left2", "left10"]
     assert_known_pixels(scan, tiny)
 
@@ -136,7 +136,7 @@ def test_a_pair_without_partner_is_left_out_with_its_pose(scan_folder):
     (scan_folder / "poses.txt").write_text("0 0 1 1 0 1 0 2 -1 0 0 3\n")
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["left10"]
-    assert scan.skipped[0].name == "left2"
+    assert scan.skipped_frames[0].name == "left2"
 
 
 def test_opencv_stereo_sample_files(scan_folder, tiny):
@@ -155,7 +155,7 @@ def test_opencv_stereo_sample_files(scan_folder, tiny):
         "T: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ -5.0e-01, 0., 0. ]\n"
     )
     scan = read_scan(scan_folder)
-    assert not scan.rig.rectified
+    assert not scan.rig.is_rectified
     assert scan.rig.left.distortion == (0.01, 0, 0, 0, 0)
     assert_known_pixels(scan, tiny)
 
@@ -214,7 +214,7 @@ def test_real_halves_of_a_calibration_whose_p1_is_not_filled_in(shared_data, tmp
     rig = read_scan(tmp_path, named).rig
     assert (rig.left.fx, rig.right.fx) == pytest.approx((12975.717, 13031.695), abs=1e-3)
     assert rig.baseline == pytest.approx(0.1619, abs=1e-4)
-    assert not rig.rectified
+    assert not rig.is_rectified
     copy = tmp_path / "alone.yml"
     copy.write_bytes((halves / "opencv_hik_extrinsics.yml").read_bytes())
     with pytest.raises(InputError, match="P1 is not filled in"):
@@ -259,7 +259,7 @@ def test_arrays_of_a_calibration_in_one_archive(scan_folder, matrices, lenses, p
     arrays = names_of_a_rig(matrices, lenses) | straight | {"corners": corners, "P1": np.eye(3, 4)}
     np.savez(scan_folder / place / "stereo.npz", **arrays, allow_pickle=True)
     scan = read_scan(scan_folder)
-    assert (scan.rig.baseline, scan.rig.rectified) == (0.5, False)
+    assert (scan.rig.baseline, scan.rig.is_rectified) == (0.5, False)
     assert scan.rig.left.distortion == (0.1, -0.02, 0, 0, 0.003)
     named = (Path(place) / "stereo.npz").as_posix()
     assert f"the calibration is read from {named}, which was found in the scan folder" in map(
@@ -279,7 +279,7 @@ def test_a_calibration_in_a_file_for_each_matrix(scan_folder, suffix, place):
     assert (scan.rig.baseline, scan.rig.left.fx, scan.rig.right.distortion[1]) == (0.5, 100, -0.02)
     (said,) = [text for text in map(str, scan.diagnostics) if "one matrix per file" in text]
     assert all(f"{name}{suffix}" in said for name in ("mtx_l", "dist_r", "R", "T"))
-    assert not unused(scan)
+    assert not find_unused_files(scan)
     (scan_folder / place / f"mtx_r{suffix}").unlink()
     with pytest.raises(InputError, match="no calibration"):
         read_scan(scan_folder)

@@ -7,7 +7,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan, recognise
+from scanloom.stages.scans.reader import detect_layout, read_scan
 
 K = {"camera_matrix": [[40.0, 0, 15.5], [0, 40.0, 11.5], [0, 0, 1]], "image_width": 32, "image_height": 24}
 
@@ -37,7 +37,7 @@ def rows(xs):
 
 def test_poses_in_the_order_of_the_photos(photos):
     (photos / "where.txt").write_text(rows((1, 2, 3)))
-    layout, why = recognise(photos)
+    layout, why = detect_layout(photos)
     assert (layout.name, why) == ("plain-views", "images/ and where.txt, one pose per image")
     scan = read_scan(photos)
     assert scan.is_views
@@ -58,7 +58,7 @@ def test_poses_by_the_names_of_photos_and_one_without(photos):
     (photos / "poses.json").write_text(json.dumps(named))
     scan = read_scan(photos)
     assert places(scan) == [1, 3]
-    assert [(one.name, one.reason) for one in scan.skipped] == [
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
         ("frame_000012", "poses.json has no pose for it")
     ]
 

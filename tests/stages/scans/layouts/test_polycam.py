@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.model.images import read_depth, read_seen
+from scanloom.stages.scans.model.images import read_depth, read_valid_pixels
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 FACTOR = 4
 STEMS = ("9999999", "10000000")
@@ -60,7 +60,7 @@ def test_colour_is_looked_up_in_its_own_size(scan_folder, tiny):
 
 @pytest.mark.parametrize(("least", "kept"), [(None, [0, 2, 2]), (0, [2, 2, 2]), (255, [0, 0, 2])])
 def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
-    scan = read_scan(scan_folder, ScanParams(least_confidence=least))
+    scan = read_scan(scan_folder, ScanParams(min_confidence=least))
     assert read_depth(scan.frames[0])[3, 4:7].tolist() == kept
     assert any(
         f"confidence {127 if least is None else least} or higher" in text
@@ -81,7 +81,7 @@ def test_without_corrected_cameras_the_tracked_ones_are_used_and_said(scan_folde
 def test_a_frame_that_lacks_something_is_left_out(scan_folder, tiny):
     (scan_folder / "keyframes" / "depth" / f"{STEMS[0]}.png").unlink()
     scan = read_scan(scan_folder)
-    assert [(one.name, one.reason) for one in scan.skipped] == [(STEMS[0], "its depth map is missing")]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [(STEMS[0], "its depth map is missing")]
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points[1:], atol=1e-6)
 
 
@@ -104,7 +104,7 @@ def test_a_damaged_camera_costs_its_frame(scan_folder, tiny, change, message):
     )
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == [STEMS[1]]
-    (left_out,) = scan.skipped
+    (left_out,) = scan.skipped_frames
     assert message in left_out.reason
     (cameras / f"{STEMS[1]}.json").write_text("{")
     with pytest.raises(InputError, match="none of its 2 frames can be used"):
@@ -125,7 +125,7 @@ def test_without_depth_the_frames_are_single_views(scan_folder, tiny):
     tiny.assert_views(scan)
     assert scan.diagnostics == ()
     (scan_folder / "keyframes" / "corrected_images" / f"{STEMS[1]}.png").unlink()
-    assert [(one.name, one.reason) for one in read_scan(scan_folder).skipped] == [
+    assert [(one.name, one.reason) for one in read_scan(scan_folder).skipped_frames] == [
         (STEMS[1], "its image is missing")
     ]
 
@@ -146,10 +146,10 @@ def test_black_borders_of_corrected_images_paint_nothing(scan_folder):
     for file in (scan_folder / "keyframes" / "depth").iterdir():
         file.unlink()
     view = read_scan(scan_folder).frames[0]
-    assert np.flatnonzero(~read_seen(view).all(axis=0)).tolist() == [0, 1, 2, 3, 4, 5]
+    assert np.flatnonzero(~read_valid_pixels(view).all(axis=0)).tolist() == [0, 1, 2, 3, 4, 5]
     for file in (scan_folder / "keyframes" / "corrected_images").iterdir():
         file.unlink()
-    assert read_seen(read_scan(scan_folder).frames[0]).all()
+    assert read_valid_pixels(read_scan(scan_folder).frames[0]).all()
 
 
 def test_without_images_the_reason_is_said(tmp_path):

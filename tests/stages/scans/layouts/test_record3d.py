@@ -10,7 +10,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 FACTOR = 4
 HALF = 0.5**0.5
@@ -105,7 +105,7 @@ def test_depth_of_little_confidence_is_left_out(tmp_path, tiny, packed, least, k
         (tmp_path / "confidence").mkdir()
         for number in (0, 1):
             cv2.imwrite(str(tmp_path / "confidence" / f"{number}.png"), trust())
-    scan = read_scan(tmp_path, ScanParams(least_confidence=least))
+    scan = read_scan(tmp_path, ScanParams(min_confidence=least))
     assert read_depth(scan.frames[1])[3, 4:7].tolist() == kept
     assert any(
         f"confidence {1 if least is None else least} or higher" in text for text in map(str, scan.diagnostics)
@@ -185,7 +185,7 @@ def test_without_depth_the_reason_is_said(tmp_path, tiny):
 def test_a_packed_frame_without_depth_is_left_out(tmp_path, tiny):
     write_archive(tmp_path / "take.r3d", tiny, {"rgbd/0.depth": None})
     scan = read_scan(tmp_path)
-    assert [(one.name, one.reason) for one in scan.skipped] == [("0", "its depth map is missing")]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [("0", "its depth map is missing")]
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points[1:], atol=1e-6)
 
 

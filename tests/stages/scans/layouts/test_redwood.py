@@ -7,7 +7,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_a_frame_without_colour_is_left_out(scan_folder, tiny):
     tiny.depth(scan_folder / "depth" / "11.png", 1000)
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["2", "10"]
-    assert scan.skipped[0].name == "11"
+    assert scan.skipped_frames[0].name == "11"
 
 
 def test_unequal_counts_without_common_numbers_stop(scan_folder, tiny):
@@ -291,11 +291,11 @@ def test_confidence_beside_depth_leaves_out_the_lowest(scan_folder, levels, leas
         trust[5, 5:7] = levels[:2]
         assert cv2.imwrite(str(scan_folder / "confidence" / name), trust)
     scan = read_scan(scan_folder)
-    assert [frame.least_confidence for frame in scan.frames] == [least] * len(names)
+    assert [frame.min_confidence for frame in scan.frames] == [least] * len(names)
     depth = read_depth(scan.frames[0])
     assert (depth[5, 5] == 0, depth[5, 6] > 0) == (True, True)
     assert any(f"depth of confidence {least} or higher" in text for text in map(str, scan.diagnostics))
-    best = read_depth(read_scan(scan_folder, ScanParams(least_confidence=levels[2])).frames[0])
+    best = read_depth(read_scan(scan_folder, ScanParams(min_confidence=levels[2])).frames[0])
     assert best[5, 6] == 0
 
 
@@ -307,14 +307,14 @@ def test_confidence_without_levels_is_asked_about(scan_folder):
         assert cv2.imwrite(str(scan_folder / "confidence" / name), trust)
     scan = read_scan(scan_folder)
     assert scan.frames[0].confidence is None
-    assert any("0 to 255: set scan.least_confidence=VALUE" in text for text in map(str, scan.diagnostics))
-    asked = read_scan(scan_folder, ScanParams(least_confidence=200))
+    assert any("0 to 255: set scan.min_confidence=VALUE" in text for text in map(str, scan.diagnostics))
+    asked = read_scan(scan_folder, ScanParams(min_confidence=200))
     assert read_depth(asked.frames[0])[0, 10] == 0
 
 
 def test_a_real_phone_states_its_confidence(shared_data):
     scan = read_scan(shared_data / "real" / "phone_desk_no_calibration", complete=False)
-    assert {frame.least_confidence for frame in scan.frames} == {50}
+    assert {frame.min_confidence for frame in scan.frames} == {50}
     assert any("of 0, 50, 100" in text for text in map(str, scan.diagnostics))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 UNITS = 6553.5
 
@@ -95,7 +95,7 @@ def test_a_missing_image_costs_its_frame_only(scan_folder):
     (scan_folder / "results" / "frame000000.jpg").unlink()
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["000002"]
-    assert "results/frame*" in scan.skipped[0].reason
+    assert "results/frame*" in scan.skipped_frames[0].reason
 
 
 def test_empty_results(scan_folder):

@@ -10,7 +10,7 @@ from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame
 from scanloom.stages.scans.model.world import WorldUp
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CAMERA = {"width": 32, "height": 24, "fx": 100, "fy": 100, "cx": 16, "cy": 12}
 
@@ -110,7 +110,7 @@ def test_a_frame_without_pose_is_kept_as_lost(tmp_path, tiny):
     write_scan_json(tmp_path, frames)
     scan = read_scan(tmp_path)
     assert [frame.name for frame in scan.frames] == ["0", "2"]
-    assert [one.name for one in scan.skipped] == ["1"]
+    assert [one.name for one in scan.skipped_frames] == ["1"]
 
 
 def test_float_depth_is_read_in_its_unit(scan_folder):
@@ -178,8 +178,8 @@ def test_damaged_documents_are_told(scan_folder, values, message):
         ({"mask": "../secret.png"}, "frame b: mask is not a path inside the folder"),
         ({"color_camera": {**CAMERA, "fx": 0}}, "focal lengths"),
         ({"color_from_depth": [[1, 2], [3, 4]]}, "frame b: color_from_depth is not a 4x4 matrix"),
-        ({"least_confidence": "x"}, "frame b: least_confidence"),
-        ({"least_confidence": 300}, "frame b: least_confidence"),
+        ({"min_confidence": "x"}, "frame b: min_confidence"),
+        ({"min_confidence": 300}, "frame b: min_confidence"),
         ({"depth_range": [2, 1]}, "frame b: depth_range"),
         ({"depth_range": [1, float("nan")]}, "frame b: depth_range"),
         ({"depth_range": 7}, "frame b: depth_range"),

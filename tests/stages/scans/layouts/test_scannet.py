@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 # The colour camera sees the same view, three times as large and from a centre that is not the image's: the
 # known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of its images.
@@ -67,7 +67,7 @@ def test_a_colour_folder_of_another_name_is_read(scan_folder, tiny):
 
 def test_colour_is_found_through_its_own_camera(scan_folder):
     frame = read_scan(scan_folder).frames[0]
-    color = read_matching_color(frame, read_depth(frame))
+    color = read_color_aligned_to_depth(frame, read_depth(frame))
     assert color.shape == (24, 32, 3)
     rows, columns = np.nonzero(color[:, :, 1] > 128)
     assert (rows.mean(), columns.mean()) == (17, 26)
@@ -100,7 +100,7 @@ def test_lost_poses_are_skipped_and_counted(scan_folder, matrix_text, value):
     (scan_folder / "pose" / "2.txt").write_text(matrix_text(np.full((4, 4), value)))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10"]
-    assert "lost" in scan.skipped[0].reason
+    assert "lost" in scan.skipped_frames[0].reason
 
 
 def test_a_missing_pose_or_colour_skips_its_frame_only(scan_folder, tiny):
@@ -108,7 +108,7 @@ def test_a_missing_pose_or_colour_skips_its_frame_only(scan_folder, tiny):
     tiny.depth(scan_folder / "depth" / "11.png", 1000)
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10"]
-    assert {one.name: one.reason for one in scan.skipped} == {
+    assert {one.name: one.reason for one in scan.skipped_frames} == {
         "2": "pose/2.txt is missing",
         "11": "color/ has no image with this number",
     }

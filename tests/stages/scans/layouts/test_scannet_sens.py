@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 UNITS = 500
 # The known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of the colour images.
@@ -71,7 +71,7 @@ def test_known_points_and_colours_come_out(tmp_path, tiny, coders):
         np.testing.assert_allclose(tiny.seen(one), point, atol=1e-6)
         depth = read_depth(one)
         assert depth[0, 0] == 0
-        color = read_matching_color(one, depth)
+        color = read_color_aligned_to_depth(one, depth)
         rows, columns = np.nonzero(color[:, :, 2] > 128)
         np.testing.assert_allclose((rows.mean(), columns.mean()), (17, 26), atol=0.01)
         assert color[17, 26, 0] < 30
@@ -81,8 +81,8 @@ def test_lost_and_wrong_poses_cost_their_frames(tmp_path, tiny):
     poses = (np.full((4, 4), -np.inf), np.diag((2, 1, 1, 1)), tiny.second)
     scan = read_scan(written(tmp_path, header(3) + b"".join(frame(pose) for pose in poses)))
     assert [one.name for one in scan.frames] == ["000002"]
-    assert {one.name: one.reason.split(":")[-1] for one in scan.skipped}.keys() == {"000000", "000001"}
-    assert any("not rigid" in one.reason for one in scan.skipped)
+    assert {one.name: one.reason.split(":")[-1] for one in scan.skipped_frames}.keys() == {"000000", "000001"}
+    assert any("not rigid" in one.reason for one in scan.skipped_frames)
     np.testing.assert_allclose(tiny.seen(scan.frames[0]), tiny.points[1], atol=1e-6)
 
 

@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_larger_colour_of_bundlefusion_has_its_own_camera(scan_folder, name):
         "m_calibrationDepthIntrinsic = 100 0 16 0 0 100 12 0 0 0 1 0 0 0 0 1\n"
     )
     frame = read_scan(scan_folder).frames[0]
-    color = read_matching_color(frame, read_depth(frame))
+    color = read_color_aligned_to_depth(frame, read_depth(frame))
     rows, columns = np.nonzero(color[:, :, 0] > 128)
     assert (rows.mean(), columns.mean()) == (17, 26)
 
@@ -132,15 +132,15 @@ def test_lost_poses_are_skipped_and_counted(scan_folder, matrix_text):
     (scan_folder / "frame-000002.pose.txt").write_text(matrix_text(np.full((4, 4), -np.inf)))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["frame-000010"]
-    assert [one.name for one in scan.skipped] == ["frame-000002"]
-    assert "lost" in scan.skipped[0].reason
+    assert [one.name for one in scan.skipped_frames] == ["frame-000002"]
+    assert "lost" in scan.skipped_frames[0].reason
 
 
 def test_a_missing_pose_file_skips_its_frame_only(scan_folder):
     (scan_folder / "frame-000002.pose.txt").unlink()
     scan = read_scan(scan_folder)
     assert len(scan.frames) == 1
-    assert scan.skipped[0].reason == "frame-000002.pose.txt is missing"
+    assert scan.skipped_frames[0].reason == "frame-000002.pose.txt is missing"
 
 
 def test_no_pose_at_all_is_an_error(scan_folder):
@@ -223,7 +223,7 @@ def test_one_damaged_pose_of_many_costs_only_its_frame(scan_folder, tiny, matrix
     (scan_folder / "frame-000025.pose.txt").write_text("1 0 0 0\n0 1 0")
     scan = read_scan(scan_folder)
     assert len(scan.frames) == 21
-    (left,) = scan.skipped
+    (left,) = scan.skipped_frames
     assert left.name == "frame-000025"
     assert "its pose is damaged" in left.reason
     assert "it holds 7 numbers" in left.reason
@@ -235,5 +235,5 @@ def test_one_damaged_pose_of_many_costs_only_its_frame(scan_folder, tiny, matrix
 
 def test_a_frame_without_its_depth_map_is_told(scan_folder):
     (scan_folder / "frame-000010.depth.png").unlink()
-    (left,) = read_scan(scan_folder).skipped
+    (left,) = read_scan(scan_folder).skipped_frames
     assert (left.name, left.reason) == ("frame-000010", "its depth map is missing")

@@ -3,7 +3,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def scan_folder(tmp_path, tiny):
 
 def test_the_published_calibration_at_a_third_of_the_size(scan_folder, tiny):
     scan = read_scan(scan_folder)
-    assert (scan.layout, scan.rig.rectified) == ("pair", True)
+    assert (scan.layout, scan.rig.is_rectified) == ("pair", True)
     point = (0.2, 0.1, 2.0)
     left = tiny.pixel(point, np.eye(4), scan.rig.left)
     right = tiny.pixel(point, scan.rig.right_from_left, scan.rig.right)
@@ -77,7 +77,12 @@ def test_k_txt_is_the_matrix_and_the_baseline(tmp_path, tiny):
         tiny.color(tmp_path / f"{name}.png")
     (tmp_path / "K.txt").write_text("100 0 16 0 100 12 0 0 1\n0.5\n")
     scan = read_scan(tmp_path)
-    assert (scan.layout, scan.rig.rectified, scan.rig.baseline, scan.rig.left.cx) == ("pair", True, 0.5, 16)
+    assert (scan.layout, scan.rig.is_rectified, scan.rig.baseline, scan.rig.left.cx) == (
+        "pair",
+        True,
+        0.5,
+        16,
+    )
     point = (0.2, 0.1, 2.0)
     at = [tiny.pixel(point, pose, scan.rig.left) for pose in (np.eye(4), scan.rig.right_from_left)]
     np.testing.assert_allclose(at, [(26, 17), (1, 17)])
@@ -85,5 +90,5 @@ def test_k_txt_is_the_matrix_and_the_baseline(tmp_path, tiny):
 
 def test_a_real_pair_with_k_txt(shared_data):
     scan = read_scan(shared_data / "real" / "stereo_pair_k_txt")
-    assert (scan.rig.rectified, scan.rig.baseline) == (True, 0.063)
+    assert (scan.rig.is_rectified, scan.rig.baseline) == (True, 0.063)
     assert scan.rig.left.fx == pytest.approx(754.668, abs=1e-3)

@@ -5,7 +5,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 FACTOR = 8
 HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
@@ -93,7 +93,7 @@ def test_depth_as_arrays_is_in_millimetres_too(scan_folder, tiny):
 
 @pytest.mark.parametrize(("least", "kept"), [(None, [0, 2, 2]), (0, [2, 2, 2]), (2, [0, 0, 2])])
 def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
-    scan = read_scan(scan_folder, ScanParams(least_confidence=least))
+    scan = read_scan(scan_folder, ScanParams(min_confidence=least))
     assert read_depth(scan.frames[0])[3, 4:7].tolist() == kept
     assert any(
         f"confidence {1 if least is None else least} or higher" in text for text in map(str, scan.diagnostics)
@@ -104,19 +104,21 @@ def test_more_confidence_than_there_is_would_leave_nothing(scan_folder):
     with pytest.raises(
         InputError, match="least_confidence is 255, but this layout has only the levels 0, 1, 2"
     ):
-        read_scan(scan_folder, ScanParams(least_confidence=255))
+        read_scan(scan_folder, ScanParams(min_confidence=255))
 
 
 def test_rows_beyond_the_video_are_left_out(scan_folder, tiny):
     write_video(scan_folder / "rgb.mp4", [tiny.dotted(FACTOR)])
     scan = read_scan(scan_folder)
-    assert [(one.name, one.reason) for one in scan.skipped] == [("000001", "the video has only 1 frames")]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
+        ("000001", "the video has only 1 frames")
+    ]
     assert any("1 frames but odometry.csv has 2 rows" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_row_without_depth_is_left_out(scan_folder):
     (scan_folder / "depth" / "000000.png").unlink()
-    assert [one.name for one in read_scan(scan_folder).skipped] == ["000000"]
+    assert [one.name for one in read_scan(scan_folder).skipped_frames] == ["000000"]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def write_rotated(path, millimetres):
@@ -117,4 +117,4 @@ def test_streams_of_a_sequence_are_paired_by_time_and_posed_by_image(scan_folder
     scan = read_scan(scan_folder)
     assert [frame.color.name[:7] for frame in scan.frames] == ["0000001", "0000003"]
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)
-    assert [one.name[:7] for one in scan.skipped] == ["0000002", "0000004"]
+    assert [one.name[:7] for one in scan.skipped_frames] == ["0000002", "0000004"]

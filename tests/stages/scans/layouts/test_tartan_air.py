@@ -5,7 +5,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 HALF = 0.5**0.5
 # By hand: the first camera looks along world x (NED), so the known camera point (0.2, 0.1, 2), right, down
@@ -50,7 +50,7 @@ def test_the_right_images_stand_in_for_depth(scan_folder, tiny):
         tiny.color(scan_folder / "image_right" / f"{number:06d}_right.png")
     scan = read_scan(scan_folder)
     assert scan.is_stereo
-    assert scan.rig.rectified
+    assert scan.rig.is_rectified
     assert scan.rig.right_from_left[0, 3] == -0.25
     frame = scan.frames[1]
     assert frame.right.name == "000001_right.png"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import image_size
-from scanloom.stages.scans.model.images import read_color, read_depth, read_right, read_seen
+from scanloom.stages.files.images import read_image_size
+from scanloom.stages.scans.model.images import read_color, read_depth, read_right, read_valid_pixels
 from scanloom.stages.scans.model.scan import Camera, Frame
 
 CAMERA = Camera(32, 24, 100, 100, 16, 12)
@@ -27,7 +27,7 @@ def png_of_size(path, width, height):
 def test_the_size_is_width_then_height(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), np.zeros((24, 32, 3), np.uint8))
-    assert image_size(path) == (32, 24)
+    assert read_image_size(path) == (32, 24)
 
 
 def test_grey_and_transparent_images_become_rgb(tmp_path):
@@ -89,7 +89,7 @@ def test_what_is_no_image_is_told(tmp_path, content):
     with pytest.raises(InputError, match=r"a\.jpg: the image"):
         read_color(frame(color=path))
     with pytest.raises(InputError, match=r"a\.jpg: the image"):
-        image_size(path)
+        read_image_size(path)
 
 
 def test_a_missing_image_is_told(tmp_path):
@@ -167,19 +167,19 @@ def test_what_a_mask_shows_is_depth_and_seen():
     mask[:, 8:, 1] = 1
     frame = Frame("a", camera, depth=np.full((6, 8), 2, np.float32), mask=mask)
     np.testing.assert_array_equal(read_depth(frame)[3], [0, 0, 0, 0, 2, 2, 2, 2])
-    np.testing.assert_array_equal(read_seen(frame)[3], [0, 0, 0, 0, 1, 1, 1, 1])
+    np.testing.assert_array_equal(read_valid_pixels(frame)[3], [0, 0, 0, 0, 1, 1, 1, 1])
     with pytest.raises(InputError, match=r"frame a: a mask with 8 bits"):
-        read_seen(replace(frame, mask=mask.astype(np.uint16)))
+        read_valid_pixels(replace(frame, mask=mask.astype(np.uint16)))
 
 
 def test_what_lies_beyond_the_edge_of_a_distorted_image_is_not_seen():
     """Pincushion distortion: the corners of the pinhole image lie outside of the one that was taken."""
     bent = Camera(64, 48, 60, 60, 31.5, 23.5, (0.5, 0, 0, 0))
-    seen = read_seen(Frame("a", bent))
+    seen = read_valid_pixels(Frame("a", bent))
     # (x, y) = (31.5, 23.5) / 60 is seen at 1 + 0.5 r² of that, 12 % farther out: 3.8 px beyond the edge.
     assert not seen[[0, 0, -1, -1], [0, -1, 0, -1]].any()
     assert seen[8:40, 8:56].all()
-    assert read_seen(Frame("a", replace(bent, distortion=()))).all()
+    assert read_valid_pixels(Frame("a", replace(bent, distortion=()))).all()
 
 
 def test_a_name_no_file_can_have_is_told(tmp_path):

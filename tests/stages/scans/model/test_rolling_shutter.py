@@ -5,9 +5,15 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from photographed import CAMERA, hits, paint, photo, pose
+from wall_photos import CAMERA, intersect_plane, paint, photo, pose
 
-from scanloom.stages.scans.model.images import read_color, read_depth, read_photo, read_pinhole, read_seen
+from scanloom.stages.scans.model.images import (
+    read_color,
+    read_depth,
+    read_photo,
+    read_pinhole,
+    read_valid_pixels,
+)
 from scanloom.stages.scans.model.scan import Camera, Frame
 
 TURN = np.radians((2.0, -3.0, 1.5))
@@ -18,7 +24,7 @@ INNER = np.s_[12:-12, 12:-12]
 
 def still() -> tuple[np.ndarray, np.ndarray]:
     """Return what the wall looks like from the middle row's pose, and how deep it is."""
-    x, y, depth = hits(STAND)
+    x, y, depth = intersect_plane(STAND)
     return paint(x, y), depth
 
 
@@ -80,9 +86,9 @@ def test_a_view_without_depth_and_its_mask_turn_as_well():
     view = replace(photo(0, STAND, with_depth=False, turn=TURN), shutter_turn=TURN, mask=mask)
     assert np.median(np.abs(read_pinhole(view) - levels)[INNER]) < 2
     _, _, shown = read_photo(view)
-    np.testing.assert_array_equal(read_seen(view), shown)
+    np.testing.assert_array_equal(read_valid_pixels(view), shown)
     # The straight edge of the mask was not sheared with the image: it is, where that is put right.
-    edge = [np.flatnonzero(row).max() for row in read_seen(view)[12:-12]]
+    edge = [np.flatnonzero(row).max() for row in read_valid_pixels(view)[12:-12]]
     assert np.ptp(edge) >= 5
 
 

@@ -10,8 +10,8 @@ from itertools import islice
 
 import pytest
 
-from scanloom.stages.scans.model.prefetch import both, read_ahead, workers
-from scanloom.stages.scans.model.threads import VARIABLE, environment_of, threads_to_use
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered, run_concurrently
+from scanloom.stages.scans.model.threads import THREADS_VARIABLE, build_thread_environment, get_thread_count
 
 # Threads while a mesh is simplified, at the most, and the result.
 SCRIPT = """
@@ -47,21 +47,21 @@ print(most - before, hashlib.sha256(light.vertices.tobytes()).hexdigest())
     [("1", 1), ("7", 7), ("0", None), ("-1", None), ("many", None), ("", None), ("²", None)],
 )
 def test_what_is_said_counts_if_it_is_a_number(monkeypatch: pytest.MonkeyPatch, said: str, meant: int | None):
-    monkeypatch.setenv(VARIABLE, said)
-    assert threads_to_use() == (meant or os.cpu_count())
-    assert workers() <= threads_to_use()
+    monkeypatch.setenv(THREADS_VARIABLE, said)
+    assert get_thread_count() == (meant or os.cpu_count())
+    assert get_worker_count() <= get_thread_count()
 
 
 def test_libraries_are_told_by_their_own_names():
-    told = environment_of(3)
+    told = build_thread_environment(3)
     assert set(told.values()) == {"3"}
-    assert {VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= told.keys()
+    assert {THREADS_VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= told.keys()
 
 
 @pytest.mark.parametrize(("said", "others"), [("1", False), ("2", True)])
 def test_with_one_thread_nothing_goes_on_beside(monkeypatch: pytest.MonkeyPatch, said: str, others: bool):
-    monkeypatch.setenv(VARIABLE, said)
-    beside, here = both(threading.get_ident, threading.get_ident)
+    monkeypatch.setenv(THREADS_VARIABLE, said)
+    beside, here = run_concurrently(threading.get_ident, threading.get_ident)
     assert (beside != here) is others
 
 
@@ -70,14 +70,14 @@ def test_one_thread_that_works_ahead_is_the_callers(threads: int, others: bool):
     def worked(item: int) -> tuple[int, int]:
         return item, threading.get_ident()
 
-    found = list(read_ahead(worked, range(9), threads=threads, ahead=4))
+    found = list(map_ordered(worked, range(9), threads=threads, max_pending=4))
     assert [item for item, _ in found] == list(range(9))
     assert (threading.get_ident() not in {where for _, where in found}) is others
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_what_fails_ahead_is_raised_in_its_turn(threads: int):
-    results = read_ahead(lambda item: 6 // (3 - item), range(9), threads=threads, ahead=5)
+    results = map_ordered(lambda item: 6 // (3 - item), range(9), threads=threads, max_pending=5)
     assert list(islice(results, 3)) == [2, 3, 6]
     with pytest.raises(ZeroDivisionError):
         next(results)
@@ -90,7 +90,7 @@ def test_the_kernels_use_as_many_and_come_to_the_same():
     for count in ("1", "6"):
         done = subprocess.run(
             [sys.executable, "-c", SCRIPT],
-            env=os.environ | environment_of(int(count)),
+            env=os.environ | build_thread_environment(int(count)),
             capture_output=True,
             text=True,
             check=True,

@@ -31,35 +31,35 @@ def number_of(image):
 
 
 def test_a_frame_is_had_by_its_number_in_any_order(path, monkeypatch):
-    monkeypatch.setattr(video, "_KEPT_BYTES", 3 * 64 * 48 * 3)
+    monkeypatch.setattr(video, "_DECODED_BYTES", 3 * 64 * 48 * 3)
     opened = Video(path)
-    assert (opened.width, opened.height, opened.frames) == (64, 48, COUNT)
+    assert (opened.width, opened.height, opened.frame_count) == (64, 48, COUNT)
     for number in (0, 1, 5, 3, 4, 39, 38, 0, 20, 2):
-        assert number_of(opened.frame(number)) == number
-        assert len(opened._kept) <= 3
-    np.testing.assert_allclose(opened.frame(7)[44, 60], (255, 0, 0), atol=12)
+        assert number_of(opened.read_frame(number)) == number
+        assert len(opened._decoded) <= 3
+    np.testing.assert_allclose(opened.read_frame(7)[44, 60], (255, 0, 0), atol=12)
 
 
 def test_what_a_caller_does_to_a_frame_stays_with_him(path):
     opened = Video(path)
-    opened.frame(3)[:] = 0
-    assert number_of(opened.frame(3)) == 3
+    opened.read_frame(3)[:] = 0
+    assert number_of(opened.read_frame(3)) == 3
 
 
 def test_threads_get_the_frames_they_asked_for(path, monkeypatch):
-    monkeypatch.setattr(video, "_KEPT_BYTES", 4 * 64 * 48 * 3)
+    monkeypatch.setattr(video, "_DECODED_BYTES", 4 * 64 * 48 * 3)
     opened = Video(path)
     order = list(np.random.default_rng(0).permutation(COUNT))
     with ThreadPoolExecutor(8) as threads:
-        assert [number_of(image) for image in threads.map(opened.frame, order)] == order
+        assert [number_of(image) for image in threads.map(opened.read_frame, order)] == order
 
 
 def test_a_frame_beyond_the_end_is_told_every_time_and_the_others_stay(path):
     opened = Video(path)
     for number in (COUNT, COUNT + 5, COUNT):
         with pytest.raises(InputError, match=rf"a\.mp4: frame {number} is missing: .* after {COUNT} frames"):
-            opened.frame(number)
-    assert number_of(opened.frame(3)) == 3
+            opened.read_frame(number)
+    assert number_of(opened.read_frame(3)) == 3
 
 
 def test_what_is_no_video_is_told(path):
@@ -88,7 +88,7 @@ def test_damage_inside_is_an_error_or_another_picture_and_no_crash(path):
             broken[at] = rng.integers(256)
         path.write_bytes(broken)
         try:
-            image = Video(path).frame(COUNT - 1)
+            image = Video(path).read_frame(COUNT - 1)
         except InputError:
             continue
         assert image.dtype == np.uint8

@@ -6,12 +6,12 @@ import pytest
 from tiny_recordings import (
     color_stream,
     depth_stream,
-    outcome,
     recording,
+    summarise_scan,
 )
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.mark.parametrize(
@@ -52,16 +52,16 @@ def test_a_recording_that_was_not_closed_keeps_what_came_before(tmp_path):
     made = recording(streams=[depth_stream(4), color_stream(4)], compression="lz4")
     file = made.write(tmp_path / "take.bag")
     data = file.read_bytes()
-    whole, warnings = outcome(file)
+    whole, warnings = summarise_scan(file)
     assert (len(whole), warnings) == (4, 0)
     # Without the summary at the end: what is left when the recorder dies after the last chunk.
     summary = int.from_bytes(data[data.index(b"index_pos=") + 10 :][:8], "little")
     file.write_bytes(data[:summary])
-    assert outcome(file) == (whole, 0)
+    assert summarise_scan(file) == (whole, 0)
     counts = []
     for end in range(summary - 1, 4096, -97):
         file.write_bytes(data[:end])
-        kept = outcome(file)
+        kept = summarise_scan(file)
         counts.append(0 if kept is None else len(kept[0]))
         if kept is not None:
             assert kept[0] == whole[: len(kept[0])]
@@ -83,7 +83,7 @@ def test_damaged_bytes_are_refused_or_cost_frames(tmp_path, compression):
         for _ in range(chosen.choice((1, 1, 3))):
             damaged[chosen.choice(places)] = chosen.choice((0, 0x7F, 0xFF, chosen.randrange(256)))
         file.write_bytes(damaged)
-        refused += outcome(file) is None
+        refused += summarise_scan(file) is None
     assert 0 < refused < 100
 
 

@@ -26,8 +26,8 @@ def test_no_more_is_unpacked_than_a_chunk_states(tmp_path, compression, pack):
     file.write_bytes(packed)
     chunk = chunked.Chunk(0, len(packed), compression, 1000)
     tracemalloc.start()
-    with chunked.opened(file) as span:
-        content = chunked._unpacked(span, chunk, file, None)
+    with chunked.open_span(file) as span:
+        content = chunked._decompress_chunk(span, chunk, file, None)
         assert content.read(0, 1000) == bytes(1000)
         with pytest.raises(EOFError):
             content.read(0, 1001)

@@ -10,14 +10,14 @@ from tiny_recordings import (
     color_stream,
     depth_map,
     depth_stream,
-    doubts,
+    list_warnings,
     recording,
 )
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def test_images_of_one_moment_are_paired_whatever_was_dropped(tmp_path):
@@ -31,7 +31,7 @@ def test_images_of_one_moment_are_paired_whatever_was_dropped(tmp_path):
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     seen = [(round(10 * read_depth(one)[9, 9] - 10), read_color(one)[0, 0, 0] // 10) for one in scan.frames]
     assert seen == [(0, 0), (1, 1), (2, 2), (5, 5)]
-    assert [text for text in doubts(scan) if "4 of 5 depth maps and 5 colour images" in text]
+    assert [text for text in list_warnings(scan) if "4 of 5 depth maps and 5 colour images" in text]
 
 
 def test_streams_of_other_rates(tmp_path):
@@ -50,7 +50,7 @@ def test_clocks_that_do_not_agree(tmp_path):
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     assert [read_color(one)[0, 0, 0] for one in scan.frames] == [0, 1, 2]
     assert [one.timestamp for one in scan.frames] == [START + n * INTERVAL for n in range(3)]
-    assert any("clocks" in text for text in doubts(scan))
+    assert any("clocks" in text for text in list_warnings(scan))
 
 
 def test_poses_of_another_time_and_poses_by_number(tmp_path, tiny, matrix_text):

@@ -7,7 +7,7 @@ from tiny_recordings import START, color_image, color_stream, depth_map, depth_s
 
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.mark.parametrize(

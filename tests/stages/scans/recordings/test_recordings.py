@@ -13,7 +13,7 @@ from tiny_recordings import (
     START,
     color_image,
     depth_map,
-    doubts,
+    list_warnings,
     recording,
     ros_bag,
     ros_color,
@@ -24,7 +24,7 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import zstd_blocks
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def test_a_bag_without_images_says_what_it_holds(tmp_path):
@@ -50,7 +50,7 @@ def written(recording, folder, form):
 @pytest.mark.parametrize("form", FORMS)
 def test_known_points_and_colours(tmp_path, tiny, form):
     scan = read_scan(written(ros_bag(links=LINKS), tmp_path, form), complete=False)
-    assert not doubts(scan)
+    assert not list_warnings(scan)
     (frame,) = scan.frames
     assert frame.timestamp == START
     np.testing.assert_allclose(
@@ -66,7 +66,7 @@ def test_known_points_and_colours(tmp_path, tiny, form):
 def test_frames_that_nothing_joins(tmp_path, links):
     scan = read_scan(ros_bag(links=links).write(tmp_path / "take.bag"), complete=False)
     assert scan.frames[0].color_from_depth is None
-    assert ["does not contain the extrinsics" in text for text in doubts(scan)] == [True]
+    assert ["does not contain the extrinsics" in text for text in list_warnings(scan)] == [True]
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap none"])
@@ -82,9 +82,9 @@ def test_aligned_depth_and_float_depth(tmp_path, form):
     assert read_depth(scan.frames[0])[17, 26] == 2
     assert read_depth(scan.frames[0])[0, 0] == 0
     assert str(scan.frames[0].color).endswith("/cam/color/image_raw 000000")
-    assert [text for text in doubts(scan) if "2 topics contain depth" in text and "aligned" in text] == list(
-        doubts(scan)
-    )
+    assert [
+        text for text in list_warnings(scan) if "2 topics contain depth" in text and "aligned" in text
+    ] == list(list_warnings(scan))
 
 
 @pytest.mark.parametrize("form", ["bag", "sqlite3 none"])
@@ -182,7 +182,7 @@ def drivers(depth, color, frame="color_optical", **others):
 )
 def test_names_of_drivers(tmp_path, depth, colors, frame, chosen):
     scan = read_scan(drivers(depth, colors, frame).write_ros2(tmp_path / "take", "mcap"), complete=False)
-    assert not doubts(scan)
+    assert not list_warnings(scan)
     (one,) = scan.frames
     assert read_depth(one)[17, 26] == 2
     assert str(one.color).endswith(f"{colors[chosen]} 000000")
@@ -225,7 +225,7 @@ def test_a_recording_that_was_packed_as_a_file(tmp_path):
     for place in (file, file.parent):
         with pytest.raises(InputError, match=r"\.db3\.zstd.*zstd --decompress"):
             read_scan(place)
-    file.with_suffix("").write_bytes(zstd_blocks.unpacked(file.read_bytes(), 1 << 24))
+    file.with_suffix("").write_bytes(zstd_blocks.decompress_zstd(file.read_bytes(), 1 << 24))
     assert read_scan(file.parent, complete=False).frames
 
 

@@ -4,10 +4,19 @@ import random
 
 import pytest
 from recordings import Image
-from tiny_recordings import INTERVAL, START, color_image, depth_map, outcome, ros_bag, ros_color, ros_depth
+from tiny_recordings import (
+    INTERVAL,
+    START,
+    color_image,
+    depth_map,
+    ros_bag,
+    ros_color,
+    ros_depth,
+    summarise_scan,
+)
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.scans.recordings import chunked
 
 FORMS = [
@@ -34,7 +43,7 @@ def test_damaged_bytes_are_refused_or_cost_frames(tmp_path, storage, packed):
     file = take(tmp_path, storage, packed)
     data = file.read_bytes()
     chosen = random.Random(11)
-    whole = outcome(file)
+    whole = summarise_scan(file)
     assert len(whole[0]) == 3
     refused = 0
     for _ in range(60):
@@ -42,7 +51,7 @@ def test_damaged_bytes_are_refused_or_cost_frames(tmp_path, storage, packed):
         for _ in range(chosen.choice((1, 1, 3, 30))):
             damaged[chosen.randrange(len(data))] = chosen.choice((0, 0x7F, 0xFF, chosen.randrange(256)))
         file.write_bytes(damaged)
-        refused += outcome(file) is None
+        refused += summarise_scan(file) is None
     assert refused < 60
 
 
@@ -50,30 +59,30 @@ def test_damaged_bytes_are_refused_or_cost_frames(tmp_path, storage, packed):
 def test_files_that_are_cut_short(tmp_path, storage, packed):
     file = take(tmp_path, storage, packed)
     data = file.read_bytes()
-    whole, _ = outcome(file)
+    whole, _ = summarise_scan(file)
     for end in range(0, len(data), len(data) // 25):
         file.write_bytes(data[:end])
-        kept = outcome(file)
+        kept = summarise_scan(file)
         assert kept is None or kept[0] == whole[: len(kept[0])]
 
 
 def test_an_mcap_that_was_not_closed_keeps_what_came_before(tmp_path):
     file = take(tmp_path, "mcap", "none")
     data = file.read_bytes()
-    whole = outcome(file)
+    whole = summarise_scan(file)
     # The last thing before the summary: DataEnd, whose record is 4 bytes of checksum.
     summary = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
     file.write_bytes(data[:summary])
-    assert outcome(file) == whole
+    assert summarise_scan(file) == whole
     file.write_bytes(data[: summary - 1])
-    assert outcome(file)[0] == whole[0]
-    assert outcome(file)[1] == whole[1] + 1
+    assert summarise_scan(file)[0] == whole[0]
+    assert summarise_scan(file)[1] == whole[1] + 1
 
 
 def test_messages_that_stand_in_no_chunk(tmp_path):
     """Recorders that have to be fast write messages as they come, and neither index nor summary."""
     file = take(tmp_path, "mcap", "none")
-    whole = outcome(file)
+    whole = summarise_scan(file)
     data = file.read_bytes()
     for unchunked in (True, False):
         parts, at = [data[:8]], 8
@@ -87,7 +96,7 @@ def test_messages_that_stand_in_no_chunk(tmp_path):
                 parts.append(data[at : at + 9 + size])
             at += 9 + size
         file.write_bytes(b"".join(parts))
-        assert outcome(file) == whole
+        assert summarise_scan(file) == whole
 
 
 @pytest.mark.parametrize(
@@ -106,6 +115,6 @@ def test_files_that_are_no_mcap(tmp_path, data, words):
 
 def test_a_chunk_that_claims_too_much_is_not_unpacked(tmp_path, monkeypatch):
     file = take(tmp_path, "mcap", "storage")
-    monkeypatch.setattr(chunked, "_LARGEST_CHUNK", 100)
+    monkeypatch.setattr(chunked, "_MAX_CHUNK_BYTES", 100)
     with pytest.raises(InputError, match=r"take\S*\.mcap"):
         read_scan(file)

@@ -14,8 +14,8 @@ from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.transforms.scale import with_scale
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.scans.transforms.scale import apply_scale
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 FACTOR = 0.25
@@ -37,13 +37,13 @@ def everything(**more) -> Scan:
         color_from_depth=pose(0.5),
         depth_range=(0.5, 8.0),
     )
-    rig = StereoRig(CAMERA, CAMERA, pose(-0.1), rectified=True)
-    return Scan("made", [frame], rig, box=np.array([[0, 0, 0], [1, 2, 3.0]]), **more)
+    rig = StereoRig(CAMERA, CAMERA, pose(-0.1), is_rectified=True)
+    return Scan("made", [frame], rig, bounding_box=np.array([[0, 0, 0], [1, 2, 3.0]]), **more)
 
 
 def scaled(scan: Scan, **options) -> Scan:
     with collecting() as found:
-        scaled = with_scale(scan, ScanParams(**options), Path("scan"))
+        scaled = apply_scale(scan, ScanParams(**options), Path("scan"))
     return replace(scaled, diagnostics=tuple(found))
 
 
@@ -55,10 +55,10 @@ def test_all_lengths_are_multiplied() -> None:
     np.testing.assert_array_equal(frame.world_from_camera[:3, :3], np.eye(3))
     assert frame.depth_range == (0.125, 2.0)
     assert read_depth(frame)[0, 0] == 0.5
-    np.testing.assert_allclose(scan.box, [[0, 0, 0], [0.25, 0.5, 0.75]])
+    np.testing.assert_allclose(scan.bounding_box, [[0, 0, 0], [0.25, 0.5, 0.75]])
     assert scan.rig.right_from_left[0, 3] == pytest.approx(-0.025)
     assert (scan.is_metric, scan.diagnostics) == (True, ())
-    assert scan.scale.figures() == {"metres_per_unit": 0.25, "source": "given", "spread_share": None}
+    assert scan.scale.figures() == {"metres_per_unit": 0.25, "source": "given", "spread_ratio": None}
     assert scaled(scan).diagnostics == ()
 
 
@@ -157,7 +157,7 @@ def test_tags_are_found_when_a_folder_is_read_whatever_frames_are_chosen(views: 
 def test_poses_that_were_adjusted_in_metres_stay(views: Path, tmp_path: Path) -> None:
     better = {"accepted": True, "color_camera": None, "color_from_depth": None, "names": {"0": "0000"}}
     (tmp_path / "cameras.json").write_text(json.dumps(better | {"poses": {"0": pose(7.0).tolist()}}))
-    options = ScanParams(scale=0.31, adjusted=str(tmp_path / "cameras.json"))
+    options = ScanParams(scale=0.31, adjusted_cameras=str(tmp_path / "cameras.json"))
     np.testing.assert_array_equal(read_scan(views, options).frames[0].world_from_camera, pose(7.0))
 
 

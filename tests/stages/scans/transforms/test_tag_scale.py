@@ -14,8 +14,8 @@ from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model import tags
 from scanloom.stages.scans.model.scan import Camera, Frame
-from scanloom.stages.scans.model.tags import FAMILIES
-from scanloom.stages.scans.transforms.tag_scale import scale_by_tags
+from scanloom.stages.scans.model.tags import TAG_FAMILIES
+from scanloom.stages.scans.transforms.tag_scale import estimate_scale_from_tags
 
 FOLDER = Path("scan")
 EDGE = 0.12
@@ -38,16 +38,16 @@ def far(frames):
 
 @pytest.mark.parametrize("moved", [list, far])
 def test_the_true_scale_comes_out(frames, moved):
-    scale = scale_by_tags(moved(frames), EDGE, FAMILY, FOLDER)
+    scale = estimate_scale_from_tags(moved(frames), EDGE, FAMILY, FOLDER)
     assert scale.metres_per_unit == pytest.approx(0.31, rel=0.005)
     assert scale.source == "2 tags of 0.12 m in 6 photos"
-    assert scale.spread_share < 0.005
+    assert scale.spread_ratio < 0.005
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", TAG_FAMILIES)
 def test_every_family_is_found_to_a_part_of_a_pixel(family):
     pose = tagged_wall.poses(1)[0]
-    known = getattr(cv2.aruco, tags._DICTIONARIES[family])
+    known = getattr(cv2.aruco, tags._OPENCV_DICTIONARIES[family])
     photo = tagged_wall.photo(tagged_wall.wall([Tag(2, (0.1, -0.05), EDGE, known)]), pose)
     found = tags.find_tags(photo, family)
     assert list(found) == [2]
@@ -84,7 +84,7 @@ def test_photos_beside_depth_and_with_lens_distortion_are_seen_from_their_own_ca
                 world_from_camera=pose @ apart,
             )
         )
-    scale = scale_by_tags(shown, EDGE, FAMILY, FOLDER)
+    scale = estimate_scale_from_tags(shown, EDGE, FAMILY, FOLDER)
     assert scale.metres_per_unit == pytest.approx(1, rel=0.005)
 
 
@@ -92,21 +92,21 @@ def test_a_pose_that_is_wrong_costs_its_view_alone(frames):
     off = frames[2].world_from_camera.copy()
     off[:3, 3] += 0.2
     wrong = [*frames[:2], replace(frames[2], world_from_camera=off), *frames[3:]]
-    scale = scale_by_tags(wrong, EDGE, FAMILY, FOLDER)
+    scale = estimate_scale_from_tags(wrong, EDGE, FAMILY, FOLDER)
     assert scale.metres_per_unit == pytest.approx(0.31, rel=0.005)
     assert scale.source.endswith("in 5 photos")
 
 
 def test_an_image_that_cannot_be_read_or_has_no_pose_is_left_out(frames):
     spoiled = [replace(frames[0], color=Path("missing.png")), replace(frames[1], world_from_camera=None)]
-    scale = scale_by_tags([*spoiled, *frames[2:]], EDGE, FAMILY, FOLDER)
+    scale = estimate_scale_from_tags([*spoiled, *frames[2:]], EDGE, FAMILY, FOLDER)
     assert scale.source.endswith("in 4 photos")
 
 
 def test_tags_of_another_size_are_left_out_if_they_are_fewer():
     made = tagged_wall.frames([*TAGS, Tag(9, (0.25, 0.25), 0.18)], count=3)
     with collecting() as found:
-        scale = scale_by_tags(made, EDGE, FAMILY, FOLDER)
+        scale = estimate_scale_from_tags(made, EDGE, FAMILY, FOLDER)
     assert scale.metres_per_unit == pytest.approx(1, rel=0.005)
     (said,) = map(str, found)
     assert (
@@ -119,14 +119,14 @@ def test_tags_that_disagree_are_refused():
     with pytest.raises(
         InputError, match=r"scan: the tags give different .*: tag 3 0\.99\d+, tag 9 0\.66\d+\."
     ):
-        scale_by_tags(made, EDGE, FAMILY, FOLDER)
+        estimate_scale_from_tags(made, EDGE, FAMILY, FOLDER)
 
 
 def test_a_tag_that_is_no_square_by_the_poses_is_refused(frames):
     # A camera that is taken to be wider than it is.
     squeezed = [replace(one, camera=replace(CAMERA, fx=1.3 * CAMERA.fx)) for one in frames]
     with pytest.raises(InputError, match=r"is not square|none in two photos from different positions"):
-        scale_by_tags(squeezed, EDGE, FAMILY, FOLDER)
+        estimate_scale_from_tags(squeezed, EDGE, FAMILY, FOLDER)
 
 
 def without_pictures(made):
@@ -150,4 +150,4 @@ def without_poses(made):
 )
 def test_where_there_is_no_scale_the_reason_is_said(frames, change, family, words):
     with pytest.raises(InputError, match=rf"^scan: .*{words}"):
-        scale_by_tags(change(frames), EDGE, family, FOLDER)
+        estimate_scale_from_tags(change(frames), EDGE, family, FOLDER)

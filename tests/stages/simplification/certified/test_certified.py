@@ -15,12 +15,12 @@ from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import resolve
-from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.simplification.method_selection import select_method
 from scanloom.stages.simplification.regions import Box, Sphere
-from scanloom.stages.simplification.simplify import Simplified, SimplifyParams, simplify
+from scanloom.stages.simplification.simplify import SimplificationResult, SimplifyParams, simplify
 from scanloom.stages.surface.mesh import Mesh, Texture
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
-from scanloom.stages.surface.raycasting import Surface, interpolated
+from scanloom.stages.surface.raycasting import RaycastingSurface, interpolate_values
 from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
@@ -46,7 +46,7 @@ def two_sheets_that_touch() -> Mesh:
     return Mesh(np.tile(mesh.vertices, (2, 1)), both, colors=np.concatenate([black, white]))
 
 
-def assert_bounds_hold(result: Simplified, mesh: Mesh, samples: int = 100_000) -> None:
+def assert_bounds_hold(result: SimplificationResult, mesh: Mesh, samples: int = 100_000) -> None:
     """Every vertex of both surfaces, and samples between, are within the proven bounds."""
     assert result.details.shape_bound_m is not None
     measured = compare(mesh, result.mesh, samples=samples)
@@ -73,7 +73,7 @@ def assert_bounds_hold(result: Simplified, mesh: Mesh, samples: int = 100_000) -
     ],
 )
 def test_bounds_are_proven_ones_unless_jia01_is_wanted(given: dict[str, Any], method: str) -> None:
-    assert chosen(resolve(SimplifyParams, None, given)).name == method
+    assert select_method(resolve(SimplifyParams, None, given)).name == method
     assert simplify(hills(8), **given).method == method
 
 
@@ -110,9 +110,9 @@ def test_each_triangle_has_its_own_bounds() -> None:
     assert result.mesh.colors is not None
     assert mesh.colors is not None
     levels = np.einsum("kc,kcx->kx", weights, result.mesh.colors[corners].astype(float))
-    nearest = Surface(mesh).closest(places)
+    nearest = RaycastingSurface(mesh).find_closest_points(places)
     assert (nearest.distances <= shape[of]).all()
-    there = interpolated(mesh.colors, mesh, nearest)
+    there = interpolate_values(mesh.colors, mesh, nearest)
     assert (np.linalg.norm(levels - there, axis=1) <= color[of]).all()
 
 
@@ -147,7 +147,7 @@ def test_a_number_with_bounds_has_the_same_bytes_on_any_number_of_threads() -> N
 def test_bounds_of_triangles_are_close_if_asked_for() -> None:
     mesh = hills()
     bounds = {"max_shape": 0.01, "max_color": 30.0}
-    loose, close = (simplify(mesh, certified={"close_bounds": close}, **bounds) for close in (False, True))
+    loose, close = (simplify(mesh, certified={"tight_bounds": close}, **bounds) for close in (False, True))
     assert close.mesh.vertices.tobytes() == loose.mesh.vertices.tobytes()
     assert loose.details.shape_bound is not None
     assert close.details.shape_bound is not None
@@ -203,10 +203,10 @@ def test_importance_divides_the_bounds_and_locked_vertices_stay() -> None:
     ball = Sphere((0.8, 0.8, 0), 0.15, lock=True)
     result = simplify(mesh, max_shape=0.02, regions=(left, ball))
     assert result.details.proven
-    far = Surface(result.mesh).closest(mesh.vertices).distances
-    assert far[left.holds(mesh.vertices)].max() <= 0.02 / 8
+    far = RaycastingSurface(result.mesh).find_closest_points(mesh.vertices).distances
+    assert far[left.contains(mesh.vertices)].max() <= 0.02 / 8
     assert far.max() > 0.02 / 8
-    locked = np.flatnonzero(ball.holds(mesh.vertices))
+    locked = np.flatnonzero(ball.contains(mesh.vertices))
     assert len(locked) > 20
     at = np.searchsorted(result.vertex_source, locked)
     assert result.mesh.vertices[at].tobytes() == mesh.vertices[locked].tobytes()
@@ -289,7 +289,7 @@ def test_without_a_bound_on_colours_the_largest_difference_is_proven_of_all(mesh
     assert attained <= found.color_bound_levels <= 1.05 * attained + 1.5
     apart = certify(light.mesh, mesh)
     assert apart.color_attained_levels <= found.color_bound_levels
-    close = simplify(mesh, max_shape=0.003, certified={"close_bounds": True})
+    close = simplify(mesh, max_shape=0.003, certified={"tight_bounds": True})
     assert (close.mesh.vertices == light.mesh.vertices).all()
     assert (close.details.color_bound <= 1.05 * found.color_bound).all()
 

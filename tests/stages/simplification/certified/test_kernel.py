@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification.certified.details import CertifiedDetails
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Surface, interpolated
+from scanloom.stages.surface.raycasting import RaycastingSurface, interpolate_values
 from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
@@ -51,21 +51,21 @@ def points_on(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[NDArray
 TINY = 1e-300
 
 
-def certified(mesh: Mesh, **changes: Any) -> Simplified[CertifiedDetails]:
+def certified(mesh: Mesh, **changes: Any) -> SimplificationResult[CertifiedDetails]:
     """Simplify with this method, whatever `auto` would take."""
     return simplify(mesh, method="certified", **changes)
 
 
-def attack(result: Simplified[CertifiedDetails], mesh: Mesh, count: int = 20_000) -> None:
+def attack(result: SimplificationResult[CertifiedDetails], mesh: Mesh, count: int = 20_000) -> None:
     """Look for a point of either surface that breaks the bounds."""
     rng = np.random.default_rng(7)
     assert result.details.shape_bound_m is not None
     for one, other in ((result.mesh, mesh), (mesh, result.mesh)):
         places, colors = points_on(one, count, rng)
-        found = Surface(other).closest(places)
+        found = RaycastingSurface(other).find_closest_points(places)
         assert found.distances.max() <= result.details.shape_bound_m
         if result.details.color_bound_levels is not None and other.colors is not None:
-            there = interpolated(other.colors, other, found)
+            there = interpolate_values(other.colors, other, found)
             assert np.linalg.norm(there - colors, axis=1).max() <= result.details.color_bound_levels
 
 
@@ -129,7 +129,7 @@ def test_important_vertices_get_a_finer_bound() -> None:
     mesh = height_field(40, np.sin(x)[:, None] * np.cos(x))
     importance = np.where(mesh.vertices[:, 0] < 20, 8.0, 1.0)
     result = certified(mesh, max_shape=0.2, importance=importance)
-    far = Surface(result.mesh).closest(mesh.vertices).distances
+    far = RaycastingSurface(result.mesh).find_closest_points(mesh.vertices).distances
     assert far[mesh.vertices[:, 0] < 20].max() <= 0.2 / 8
     assert far[mesh.vertices[:, 0] >= 20].max() > 0.2 / 8
 

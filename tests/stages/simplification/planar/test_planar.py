@@ -15,13 +15,13 @@ from scanloom import stages
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.simplification.planar.patches import colored_by_patch
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.planar.patches import color_by_patch
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Material, Mesh, Texture
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.raycasting import Surface
-from scanloom.stages.surface.topology import areas, topology
+from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.topology import compute_areas, topology
 
 BENCHES = Path(__file__).resolve().parents[4] / "benches"
 # Below the 9° between two sectors of the cone, none takes in what is thin enough of the next near the apex.
@@ -29,11 +29,11 @@ ANGLES = {"cone": 6, "cup": 40, "bottle": 40}
 DATA = Path(__file__).resolve().parents[5] / "shared" / "data" / "meshes"
 
 
-def planar(mesh: Mesh, **params: float) -> Simplified:
+def planar(mesh: Mesh, **params: float) -> SimplificationResult:
     return simplify(mesh, method="planar", **params)
 
 
-def assert_promises(result: Simplified, mesh: Mesh, samples: int = 5000) -> None:
+def assert_promises(result: SimplificationResult, mesh: Mesh, samples: int = 5000) -> None:
     """What holds for any mesh at any tolerance."""
     light = result.mesh
     was = topology(mesh)
@@ -70,7 +70,7 @@ def assert_touching_alike(now: Mesh, before: Mesh) -> None:
         assert getattr(is_now, name) == getattr(was, name), name
 
 
-def assert_counterparts(result: Simplified, mesh: Mesh, samples: int) -> None:
+def assert_counterparts(result: SimplificationResult, mesh: Mesh, samples: int) -> None:
     """A point of either surface has a counterpart in the other, near in shape and colour at once."""
     assert result.details.shape_bound_m is not None
     assert result.details.color_bound_levels is not None
@@ -186,7 +186,7 @@ def test_no_vertex_lies_on_an_edge_of_others() -> None:
 @pytest.mark.parametrize("name", ["cone", "cup", "bottle"])
 def test_reductions_of_the_paper(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(BENCHES))
-    from revolved import REDUCTIONS
+    from surfaces_of_revolution import REDUCTIONS
 
     make, points, *wanted = REDUCTIONS[name]
     mesh = make()
@@ -241,7 +241,9 @@ def test_each_triangle_has_its_own_bound() -> None:
     of = np.repeat(np.arange(len(result.mesh.triangles)), 20)
     weights = random.dirichlet([0.5, 0.5, 0.5], len(of))
     places = np.einsum("kc,kcx->kx", weights, result.mesh.vertices[result.mesh.triangles[of]])
-    assert (Surface(mesh).closest(places).distances <= result.details.shape_bound[of] + 1e-6).all()
+    assert (
+        RaycastingSurface(mesh).find_closest_points(places).distances <= result.details.shape_bound[of] + 1e-6
+    ).all()
 
 
 def test_the_work_grows_with_the_mesh_and_no_faster() -> None:
@@ -249,7 +251,7 @@ def test_the_work_grows_with_the_mesh_and_no_faster() -> None:
     looks = []
     for n in (20, 40, 80, 160):
         mesh = sheet(n, noise=0.02 / n)
-        looks.append(stages.planar_patches(mesh, max_shape=0.01).looks / len(mesh.triangles))
+        looks.append(stages.planar_patches(mesh, max_shape=0.01).neighbour_test_count / len(mesh.triangles))
     # Three neighbours each, for at most three times that a triangle is set free, and grown twice each time.
     assert max(looks) < 3 * (3 * 2 + 2)
 
@@ -278,7 +280,7 @@ def test_patches_have_areas_planes_and_colours_of_their_own() -> None:
     assert found.figures()["patches"] == 6
     assert found.figures()["area_m2"] == pytest.approx(6)
     assert len(found.figures()["largest_patches"]) == 6
-    colored = colored_by_patch(mesh, found.triangle_patch)
+    colored = color_by_patch(mesh, found.triangle_patch)
     assert len(colored.triangles) == len(mesh.triangles)
     assert colored.colors is not None
     of = colored.colors[colored.triangles]
@@ -367,7 +369,7 @@ def test_a_scan_as_it_is_needs_no_cleaning() -> None:
     result = planar(mesh)
     assert_promises(result, mesh, samples=20_000)
     assert len(result.mesh.triangles) < 0.2 * len(mesh.triangles)
-    whole = areas(mesh.vertices, mesh.triangles).sum()
+    whole = compute_areas(mesh.vertices, mesh.triangles).sum()
     assert stages.planar_patches(mesh).areas.sum() == pytest.approx(whole)
 
 

@@ -18,13 +18,13 @@ from scanloom.stages import _kernels
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.progress import silent
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.simplification.codes import SIMPLIFY_EDGES_BLOCKED
 from scanloom.stages.simplification.regions import Sphere
-from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.simplify import simplify
-from scanloom.stages.surface.convert import as_mesh, to_open3d_legacy
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import as_mesh, to_open3d_legacy
 from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.topology import topology
 
@@ -81,7 +81,7 @@ def test_too_few_triangles_for_many_holes_are_warned_of() -> None:
     loops = topology(torn).boundary_loops
     assert loops > 90
 
-    def crowded(found: Simplified[Any]) -> list[str]:
+    def crowded(found: SimplificationResult[Any]) -> list[str]:
         return [str(one) for one in found.diagnostics if one.code == SIMPLIFY_EDGES_BLOCKED.name]
 
     (warning,) = crowded(simplify(torn, triangles=4 * loops))
@@ -114,7 +114,7 @@ def test_regions_of_any_size_keep_the_mesh_whole(name: str, region: int) -> None
         np.zeros(0),
         weight=1e-4,
         running=running,
-        progress=silent,
+        progress=ignore_progress,
     )
     assert 199 <= len(result.triangles) <= 200
     assert_same_topology(Mesh(result.vertices, result.triangles), mesh)
@@ -322,8 +322,8 @@ def test_other_attributes_follow_their_vertices() -> None:
     result = simplify(mesh, ratio=0.2)
     assert len(np.unique(result.vertex_source)) == len(result.mesh.vertices)
     confidence = np.linspace(0, 1, len(mesh.vertices))
-    np.testing.assert_array_equal(result.follow(confidence), confidence[result.vertex_source])
-    apart = np.linalg.norm(result.mesh.vertices - result.follow(mesh.vertices), axis=1)
+    np.testing.assert_array_equal(result.map_vertex_values(confidence), confidence[result.vertex_source])
+    apart = np.linalg.norm(result.mesh.vertices - result.map_vertex_values(mesh.vertices), axis=1)
     corners = result.mesh.vertices[result.mesh.triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
     assert apart.max() < longest
@@ -352,11 +352,11 @@ def test_other_attributes_follow_their_vertices() -> None:
         ({"max_shape": 0.1, "importance": np.full(36, 0.5)}, "importance has values below 1"),
         ({"method": "certified"}, "certified needs an error bound"),
         (
-            {"ratio": 0.5, "certified": {"close_bounds": True}},
+            {"ratio": 0.5, "certified": {"tight_bounds": True}},
             "close_bounds belongs to method certified, which needs max_shape or",
         ),
         (
-            {"method": "jia01", "max_shape": 0.1, "certified": {"close_bounds": True}},
+            {"method": "jia01", "max_shape": 0.1, "certified": {"tight_bounds": True}},
             "close_bounds is not supported by method jia01; leave one of them out",
         ),
         (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from saved_records import arrays_of, recorded, saved
+from collapse_records import load_arrays, make_record, save_record
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.simplification.records.load import load_record
@@ -16,7 +16,7 @@ from scanloom.stages.simplification.records.load import load_record
 
 @pytest.mark.parametrize("kind", ["vertices", "wedges"])
 def test_a_file_cut_short_anywhere_is_bad_input(tmp_path: Path, kind: str) -> None:
-    path = saved(kind, tmp_path)
+    path = save_record(kind, tmp_path)
     whole = path.read_bytes()
     for length in (0, 1, 30, 1000, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
@@ -25,7 +25,7 @@ def test_a_file_cut_short_anywhere_is_bad_input(tmp_path: Path, kind: str) -> No
 
 
 def test_a_changed_byte_is_bad_input(tmp_path: Path) -> None:
-    record, path = recorded("vertices"), saved("vertices", tmp_path)
+    record, path = make_record("vertices"), save_record("vertices", tmp_path)
     whole = path.read_bytes()
     for array in (record.mesh.vertices, record.mesh.triangles, record.removed, record.survivor, record.path):
         place = whole.index(array.tobytes()) + array.nbytes // 2
@@ -35,7 +35,7 @@ def test_a_changed_byte_is_bad_input(tmp_path: Path) -> None:
 
 
 def test_an_archive_nobody_wrote_like_this_is_bad_input(tmp_path: Path) -> None:
-    path = saved("vertices", tmp_path)
+    path = save_record("vertices", tmp_path)
     content = bytearray(path.read_bytes())
     entry = content.index(b"PK\x01\x02")  # in the archive's directory; its compression is two bytes at 10
     content[entry + 10] = 99
@@ -126,8 +126,8 @@ def changed(arrays: dict[str, Any], name: str) -> dict[str, Any]:
     ],
 )
 def test_a_record_that_cannot_be_is_named(tmp_path: Path, name: str, message: str) -> None:
-    path = saved("vertices", tmp_path)
-    np.savez(path, **changed(arrays_of(path), name))
+    path = save_record("vertices", tmp_path)
+    np.savez(path, **changed(load_arrays(path), name))
     with pytest.raises(InputError, match=rf"light\.npz: .*{message}"):
         load_record(path)
 
@@ -143,8 +143,8 @@ def test_a_record_that_cannot_be_is_named(tmp_path: Path, name: str, message: st
 )
 @pytest.mark.parametrize("damage", ["missing", "cut", "out of range"])
 def test_a_damaged_array_is_refused(tmp_path: Path, name: str, damage: str) -> None:
-    path = saved("wedges", tmp_path)
-    arrays = arrays_of(path)
+    path = save_record("wedges", tmp_path)
+    arrays = load_arrays(path)
     whole = arrays.pop(name)
     if damage == "cut":
         # An image cut short is noticed where it is decoded.
@@ -180,8 +180,8 @@ def test_a_damaged_array_is_refused(tmp_path: Path, name: str, damage: str) -> N
     ],
 )
 def test_words_that_cannot_be_are_refused(tmp_path: Path, about: dict[str, Any]) -> None:
-    path = saved("wedges", tmp_path)
-    arrays = arrays_of(path)
+    path = save_record("wedges", tmp_path)
+    arrays = load_arrays(path)
     words = json.loads(str(arrays["about"]))
     for part, changes in about.items():
         words[part] = words[part] | changes if changes and isinstance(changes, dict) else changes

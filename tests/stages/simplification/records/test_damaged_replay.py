@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from saved_records import KINDS, arrays_of, saved
+from collapse_records import KINDS, load_arrays, save_record
 
 from scanloom.stages.diagnostics.errors import ScanloomError
 from scanloom.stages.simplification.records.load import load_record
-from scanloom.stages.surface.mesh import validated
+from scanloom.stages.surface.mesh import validate_mesh
 
 SEEDS = range(25)
 
@@ -42,7 +42,7 @@ def damaged(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def outcome(path: Path, **how: Any) -> str:
     try:
-        validated(load_record(path).replay(**how).mesh)
+        validate_mesh(load_record(path).replay(**how).mesh)
     except ScanloomError as error:
         return str(error)
     return "replayed"
@@ -51,7 +51,7 @@ def outcome(path: Path, **how: Any) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_changed_members_are_refused_or_replayed(tmp_path: Path, kind: str) -> None:
-    whole = arrays_of(saved(kind, tmp_path))
+    whole = load_arrays(save_record(kind, tmp_path))
     names = [name for name, array in whole.items() if array.dtype.kind in "iufb"]
     path = tmp_path / "changed.npz"
     outcomes = []

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from collapse_records import KINDS, load_arrays, save_record
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from saved_records import KINDS, arrays_of, saved
 
 from scanloom.stages.diagnostics.errors import InputError, ScanloomError
 from scanloom.stages.simplification.records.load import load_record
@@ -29,7 +29,7 @@ def header(shape: tuple[int, ...], kind: str) -> bytes:
     [((2**40, 3), "<f8"), ((2**40, 0), "<f8"), ((2**62,), "<U0"), ((2**62,), "|V0"), ((-1,), "<f8")],
 )
 def test_no_room_is_made_for_what_is_only_promised(tmp_path: Path, shape: tuple[int, ...], kind: str) -> None:
-    path = saved("vertices", tmp_path)
+    path = save_record("vertices", tmp_path)
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("other.npy", header(shape, kind) + bytes(64))
     with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
@@ -48,7 +48,7 @@ def test_no_room_is_made_for_what_is_only_promised(tmp_path: Path, shape: tuple[
     ],
 )
 def test_first_lines_that_are_none_are_refused(tmp_path: Path, words: str) -> None:
-    path = saved("vertices", tmp_path)
+    path = save_record("vertices", tmp_path)
     first = words.encode() + b"\n"
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(
@@ -59,15 +59,15 @@ def test_first_lines_that_are_none_are_refused(tmp_path: Path, words: str) -> No
 
 
 def test_an_archive_that_unpacks_a_thousandfold_is_not_unpacked(tmp_path: Path) -> None:
-    path = saved("vertices", tmp_path)
-    np.savez_compressed(path, **arrays_of(path), other=np.zeros(50_000_000, np.uint8))
+    path = save_record("vertices", tmp_path)
+    np.savez_compressed(path, **load_arrays(path), other=np.zeros(50_000_000, np.uint8))
     with pytest.raises(InputError, match=r"light\.npz: .*would unpack to many times its size"):
         load_record(path)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_no_other_compression_is_unpacked(tmp_path: Path, method: int) -> None:
-    path = saved("vertices", tmp_path)
+    path = save_record("vertices", tmp_path)
     with zipfile.ZipFile(path, "a", method) as archive:
         archive.writestr("other.npy", header((1000,), "|u1") + bytes(1000))
     with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
@@ -75,8 +75,8 @@ def test_no_other_compression_is_unpacked(tmp_path: Path, method: int) -> None:
 
 
 def test_a_truth_value_is_0_or_1_whatever_the_byte(tmp_path: Path) -> None:
-    path = saved("vertices", tmp_path)
-    arrays = arrays_of(path)
+    path = save_record("vertices", tmp_path)
+    arrays = load_arrays(path)
     np.savez(path, **arrays | {"lock": (arrays["lock"] * np.uint8(254)).view(bool)})
     assert set(load_record(path).lock.view(np.uint8).tolist()) == {0, 1}
 
@@ -91,8 +91,8 @@ def test_a_tall_forest_replays(tmp_path: Path) -> None:
     mesh = Mesh(vertices, ends.astype(np.int32))
     CollapseRecord(mesh, steps, steps + 1, vertices[1:], np.zeros(count, bool)).save(tmp_path / "tall.npz")
     record = load_record(tmp_path / "tall.npz")
-    assert record.triangles_after(0) == count - 2
-    assert record.triangles_after(1) == count - 3
+    assert record.count_triangles_after(0) == count - 2
+    assert record.count_triangles_after(1) == count - 3
     assert len(record.replay(collapses=count - 10).mesh.triangles) == 8
 
 
@@ -102,8 +102,8 @@ def test_a_tall_forest_replays(tmp_path: Path) -> None:
 def test_any_numbers_are_refused_or_replay(tmp_path: Path, kind: str, seed: int) -> None:
     """Bytes of arrays changed at random, in an archive that is whole."""
     rng = np.random.default_rng(seed)
-    path = saved(kind, tmp_path)
-    arrays = arrays_of(path)
+    path = save_record(kind, tmp_path)
+    arrays = load_arrays(path)
     names = sorted(name for name, array in arrays.items() if array.dtype.kind in "iufb" and array.size)
     for name in rng.choice(names, int(rng.integers(1, 3))):
         array = arrays[name].copy().reshape(-1)
@@ -129,7 +129,7 @@ def test_any_numbers_are_refused_or_replay(tmp_path: Path, kind: str, seed: int)
 def test_any_bytes_are_refused_or_replay(tmp_path: Path, kind: str, seed: int) -> None:
     """Bytes of the file changed at random, of the archive's own above all: its headers and directory."""
     rng = np.random.default_rng(seed)
-    path = saved(kind, tmp_path)
+    path = save_record(kind, tmp_path)
     content = bytearray(path.read_bytes())
     starts = [
         i for mark in (b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06", b"\x93NUMPY") for i in _all(content, mark)

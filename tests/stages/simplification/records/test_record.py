@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from real_parts import quarter
+from partial_meshes import select_quarter
 
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification.records.collapse_steps import ReplayedMesh
 from scanloom.stages.simplification.records.record import CollapseRecord
-from scanloom.stages.simplification.records.steps import Replayed
-from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.simplification.simplify import SimplificationResult, simplify
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.topology import topology
@@ -39,13 +39,15 @@ def half_ring() -> Mesh:
 MESHES = {"ring": ring, "half ring": half_ring}
 
 
-def recorded(mesh: Mesh, **changes: Any) -> tuple[Simplified, CollapseRecord]:
+def recorded(mesh: Mesh, **changes: Any) -> tuple[SimplificationResult, CollapseRecord]:
     result = simplify(mesh, record=True, **changes)
     assert result.record is not None
     return result, result.record
 
 
-def assert_equal(one: Simplified | Replayed, other: Simplified | Replayed) -> None:
+def assert_equal(
+    one: SimplificationResult | ReplayedMesh, other: SimplificationResult | ReplayedMesh
+) -> None:
     for name in ("vertices", "triangles", "colors", "normals"):
         np.testing.assert_array_equal(getattr(one.mesh, name), getattr(other.mesh, name))
     np.testing.assert_array_equal(one.vertex_source, other.vertex_source)
@@ -107,7 +109,7 @@ def test_every_mesh_on_the_way_is_whole(name: str, how: str) -> None:
         # A collapse removes one vertex and two triangles, or one triangle at a boundary.
         assert now.vertices == was.vertices - collapses
         assert triangles - 2 * step <= now.triangles <= triangles
-        assert now.triangles == record.triangles_after(collapses)
+        assert now.triangles == record.count_triangles_after(collapses)
         triangles = now.triangles
 
 
@@ -122,7 +124,7 @@ def test_any_count_can_be_had(name: str) -> None:
         assert wanted - 1 <= count <= wanted or count == before < wanted
         if replayed.collapses:
             # One collapse fewer is not enough.
-            assert record.triangles_after(replayed.collapses - 1) > wanted
+            assert record.count_triangles_after(replayed.collapses - 1) > wanted
     np.testing.assert_array_equal(
         record.replay(ratio=0.5).mesh.vertices, record.replay(triangles=before // 2).mesh.vertices
     )
@@ -185,7 +187,7 @@ def test_locks_hold_all_the_way() -> None:
 
 def test_what_is_taken_back_is_not_in_the_record(shared_data: Path) -> None:
     kitchen = read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")
-    mesh = clean(quarter(kitchen)).mesh
+    mesh = clean(select_quarter(kitchen)).mesh
     result, record = recorded(mesh, max_shape=0.005, max_color=20)
     assert result.details.iterations is not None
     assert result.details.iterations > 3

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from saved_records import KINDS, arrays_of, recorded, saved
+from collapse_records import KINDS, load_arrays, make_record, save_record
 
 from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.simplification.records.collapse_steps import ReplayedMesh
 from scanloom.stages.simplification.records.load import load_record
 from scanloom.stages.simplification.records.record import FORMAT_VERSION
-from scanloom.stages.simplification.records.steps import Replayed
 
 
-def assert_equal(one: Replayed, other: Replayed) -> None:
+def assert_equal(one: ReplayedMesh, other: ReplayedMesh) -> None:
     for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):
         np.testing.assert_array_equal(getattr(one.mesh, name), getattr(other.mesh, name))
     np.testing.assert_array_equal(one.vertex_source, other.vertex_source)
@@ -28,7 +28,7 @@ def assert_equal(one: Replayed, other: Replayed) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_record_survives_its_file(tmp_path: Path, kind: str) -> None:
-    record, again = recorded(kind), load_record(saved(kind, tmp_path))
+    record, again = make_record(kind), load_record(save_record(kind, tmp_path))
     assert [entry.name for entry in tmp_path.iterdir()] == ["light.npz"]
     assert (record.wedges is not None) == (again.wedges is not None) == (kind == "wedges")
     for collapses in (0, 1, len(record.removed) // 2, len(record.removed)):
@@ -39,7 +39,10 @@ def test_a_record_survives_its_file(tmp_path: Path, kind: str) -> None:
 
 
 def test_the_texture_survives(tmp_path: Path) -> None:
-    texture, before = load_record(saved("wedges", tmp_path)).mesh.texture, recorded("wedges").mesh.texture
+    texture, before = (
+        load_record(save_record("wedges", tmp_path)).mesh.texture,
+        make_record("wedges").mesh.texture,
+    )
     assert texture is not None
     assert before is not None
     assert texture.materials[0].name == "sheet"
@@ -48,27 +51,27 @@ def test_the_texture_survives(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["vertices", "wedges"])
 def test_the_file_says_what_it_holds(tmp_path: Path, kind: str) -> None:
-    arrays = arrays_of(saved(kind, tmp_path))
+    arrays = load_arrays(save_record(kind, tmp_path))
     about = json.loads(str(arrays["about"]))
     assert arrays["scanloom_collapse_record"] == FORMAT_VERSION == 2
     assert about["content"] == f"collapses of vertices{' and wedges' if kind == 'wedges' else ''}"
-    assert about["collapses"] == len(recorded(kind).removed)
+    assert about["collapses"] == len(make_record(kind).removed)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_same_record_is_the_same_file(tmp_path: Path, kind: str) -> None:
-    first = saved(kind, tmp_path).read_bytes()
+    first = save_record(kind, tmp_path).read_bytes()
     load_record(tmp_path / "light.npz").save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == first
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_that_somebody_packed_still_reads(tmp_path: Path, kind: str) -> None:
-    path = saved(kind, tmp_path)
-    np.savez_compressed(path, **arrays_of(path))
-    assert_equal(load_record(path).replay(), recorded(kind).replay())
+    path = save_record(kind, tmp_path)
+    np.savez_compressed(path, **load_arrays(path))
+    assert_equal(load_record(path).replay(), make_record(kind).replay())
 
 
 def test_no_such_folder(tmp_path: Path) -> None:
     with pytest.raises(StageError, match="cannot be written"):
-        recorded("vertices").save(tmp_path / "nowhere" / "light.npz")
+        make_record("vertices").save(tmp_path / "nowhere" / "light.npz")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from seamed_meshes import edge_counts, outside_charts, welded
+from seamed_meshes import count_edges, count_outside_charts, weld_corners
 
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.simplification.simplify import simplify
@@ -42,8 +42,8 @@ def test_poles_of_a_globe_cost_little(bumps: float, ratio: float) -> None:
     assert light.stopped_by == "triangles"
     assert light.details.seam_drift <= 0.1
     assert light.diagnostics == ()
-    assert edge_counts(welded(light.mesh))[0] == 0
-    assert outside_charts(light.mesh, light.triangle_source, mesh) == 0
+    assert count_edges(weld_corners(light.mesh))[0] == 0
+    assert count_outside_charts(light.mesh, light.triangle_source, mesh) == 0
     plain = simplify(mesh.with_(texture=None), ratio=ratio, method="quadric")
     rms = [
         compare(one.mesh, mesh, samples=30_000).figures()["distance"]["symmetric"]["rms_m"]

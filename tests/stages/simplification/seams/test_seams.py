@@ -10,19 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seamed_meshes import (
-    charts,
-    edge_counts,
+    count_duplicates,
+    count_edges,
+    count_outside_charts,
+    find_charts,
     folded_strips,
-    outside_charts,
-    overlapping,
     signed_areas,
     touching_parts,
     two_cubes,
-    welded,
+    weld_corners,
     wrapped_ball,
 )
-from simplified_checks import assert_finite
-from simplified_checks import assert_sound as assert_near
+from simplification_checks import assert_finite
+from simplification_checks import assert_within_bounds as assert_near
 
 from scanloom.stages import _kernels
 from scanloom.stages.cleaning.clean import clean
@@ -30,12 +30,15 @@ from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
 from scanloom.stages.simplification.records.record import CollapseRecord
-from scanloom.stages.simplification.result import Simplified
-from scanloom.stages.simplification.seams.similar import equal_sets, joinable_sets
+from scanloom.stages.simplification.result import SimplificationResult
+from scanloom.stages.simplification.seams.similar_vertices import (
+    group_equal_vertices,
+    group_joinable_vertices,
+)
 from scanloom.stages.simplification.simplify import SimplifyParams, simplify
 from scanloom.stages.surface.mesh import Material, Mesh, Texture
 from scanloom.stages.surface.mesh_files import read_mesh
-from scanloom.stages.surface.topology import repeats_vertex
+from scanloom.stages.surface.topology import has_repeated_vertex
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "meshes"
 TEXTURED = (
@@ -65,9 +68,9 @@ def textured(name: str) -> Mesh:
 
 def assert_sound(light: Mesh, source: np.ndarray, mesh: Mesh) -> None:
     """Welded, it has no open, crowded or doubled place that the input has not; no image has turned over."""
-    now, before = welded(light), welded(mesh)
-    assert all(a <= b for a, b in zip(edge_counts(now), edge_counts(before), strict=True))
-    assert overlapping(now) <= overlapping(before)
+    now, before = weld_corners(light), weld_corners(mesh)
+    assert all(a <= b for a, b in zip(count_edges(now), count_edges(before), strict=True))
+    assert count_duplicates(now) <= count_duplicates(before)
     assert (now[:, 0] != now[:, 1]).all()
     assert (now[:, 1] != now[:, 2]).all()
     assert (now[:, 2] != now[:, 0]).all()
@@ -99,18 +102,18 @@ def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts
         assert wanted - 1 <= len(replayed.mesh.triangles) <= wanted
         assert_sound(replayed.mesh, replayed.triangle_source, mesh)
         if ratio in (0.5, 0.12, 0.03):
-            assert outside_charts(replayed.mesh, replayed.triangle_source, mesh) == 0
+            assert count_outside_charts(replayed.mesh, replayed.triangle_source, mesh) == 0
 
 
 def test_the_chart_check_sees_a_coordinate_outside() -> None:
     mesh = folded_strips()
     assert mesh.texture is not None
     everything = np.arange(len(mesh.triangles), dtype=np.int32)
-    assert outside_charts(mesh, everything, mesh) == 0
+    assert count_outside_charts(mesh, everything, mesh) == 0
     uvs = mesh.texture.uvs.copy()
     uvs[0, 0] -= 0.01
     moved = mesh.with_(texture=Texture(uvs, mesh.texture.material_ids, mesh.texture.materials))
-    assert outside_charts(moved, everything, mesh) == 1
+    assert count_outside_charts(moved, everything, mesh) == 1
 
 
 @settings(max_examples=40, deadline=None)
@@ -155,7 +158,7 @@ def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
     )
     assert result.record is not None
     assert_sound(result.mesh, result.triangle_source, cut)
-    assert outside_charts(result.mesh, result.triangle_source, cut) == 0
+    assert count_outside_charts(result.mesh, result.triangle_source, cut) == 0
     for collapses in rng.integers(0, len(result.record.removed) + 1, 3):
         replayed = result.record.replay(collapses=int(collapses))
         assert_sound(replayed.mesh, replayed.triangle_source, cut)
@@ -166,7 +169,7 @@ def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
 
 def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not() -> None:
     mesh = folded_strips()
-    rim = edge_counts(welded(mesh))[0]
+    rim = count_edges(weld_corners(mesh))[0]
     goal = len(mesh.triangles) // 2
     # Plain quadrics, on the copies that the file has: the kernel knows of nothing else.
     kernel = _kernels.simplify_by_quadrics(
@@ -182,7 +185,7 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
         progress=lambda _done, _total: True,
     )
     torn = Mesh(kernel.vertices, kernel.triangles)
-    assert edge_counts(welded(torn))[0] > rim
+    assert count_edges(weld_corners(torn))[0] > rim
     # Every method sees the surface.
     asked: dict[str, dict[str, Any]] = {
         "quadric": {"triangles": goal},
@@ -192,12 +195,12 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
     }
     for method, how_far in asked.items():
         seen = simplify(mesh.with_(texture=None), SimplifyParams(method=method, **how_far))
-        assert edge_counts(welded(seen.mesh))[0] <= rim, method
+        assert count_edges(weld_corners(seen.mesh))[0] <= rim, method
     whole = simplify(mesh, method="seams", triangles=goal)
-    assert edge_counts(welded(whole.mesh))[0] <= rim
+    assert count_edges(weld_corners(whole.mesh))[0] <= rim
     assert_sound(whole.mesh, whole.triangle_source, mesh)
     # Both sides of the cut end at the same vertices, each with coordinates of its own.
-    assert len(np.unique(charts(whole.mesh))) == 2
+    assert len(np.unique(find_charts(whole.mesh))) == 2
 
 
 @pytest.mark.parametrize("doubled", [(4, 7), (3, 4, 7), (4, 7, 8), (3, 4, 7, 8)])
@@ -218,7 +221,7 @@ def test_figure_3_one_collapse_beside_doubled_vertices(doubled: tuple[int, ...])
     for goal in range(len(named) - 1, 4, -1):
         result = simplify(mesh, method="seams", triangles=goal)
         assert_sound(result.mesh, result.triangle_source, mesh)
-        assert outside_charts(result.mesh, result.triangle_source, mesh) == 0
+        assert count_outside_charts(result.mesh, result.triangle_source, mesh) == 0
 
 
 def _halves(corner: int) -> list[list[int]]:
@@ -233,7 +236,7 @@ def test_a_straight_seam_stays_straight_in_the_image() -> None:
     mesh = wrapped_ball()
     result = simplify(mesh, ratio=0.1, seams={"max_seam_drift": 0})
     assert result.method == "seams"
-    assert edge_counts(welded(result.mesh)) == (0, 0)
+    assert count_edges(weld_corners(result.mesh)) == (0, 0)
     assert result.mesh.texture is not None
     border = _border(result.mesh, np.ones(len(result.mesh.triangles), bool))
     # Poles apart, whose own coordinates are cut into the image from above and below.
@@ -244,7 +247,7 @@ def test_a_straight_seam_stays_straight_in_the_image() -> None:
     for side in (0.0, 1.0):
         assert np.abs(np.diff(v[(u == side).all(axis=1)])).sum() == pytest.approx(1 - 2 / 24)
     assert_sound(result.mesh, result.triangle_source, mesh)
-    assert outside_charts(result.mesh, result.triangle_source, mesh) == 0
+    assert count_outside_charts(result.mesh, result.triangle_source, mesh) == 0
 
 
 @pytest.mark.parametrize("bound", [0.0, 0.002, 0.02])
@@ -258,7 +261,7 @@ def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
     assert result.details.seam_drift <= bound
     assert result.mesh.texture is not None
     assert mesh.texture is not None
-    of, now = charts(mesh), charts(mesh)[result.triangle_source]
+    of, now = find_charts(mesh), find_charts(mesh)[result.triangle_source]
     for chart in np.unique(now):
         seams = _border(result.mesh, now == chart)
         points = _border(mesh, of == chart).reshape(-1, 2)
@@ -348,7 +351,7 @@ def test_a_palette_whose_triangles_have_no_area_in_the_image() -> None:
         (0.25, 0.25),
         (0.75, 0.25),
     }
-    assert edge_counts(welded(result.mesh)) == (0, 0)
+    assert count_edges(weld_corners(result.mesh)) == (0, 0)
 
 
 # -- similar vertices and the paper's knobs --------------------------------------------------------------
@@ -357,25 +360,25 @@ def test_a_palette_whose_triangles_have_no_area_in_the_image() -> None:
 def test_similar_sets_are_chains_of_close_vertices() -> None:
     vertices = np.array([[0, 0, 0], [5, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [5, 0, 0], [9, 9, 9]], float)
     none = np.zeros((0, 3), np.int32)
-    assert equal_sets(vertices).tolist() == [0, 1, 2, 3, 1, 4]
-    assert joinable_sets(vertices, none, 0.0)[0].tolist() == [0, 1, 2, 3, 1, 4]
-    sets, positions, _ = joinable_sets(vertices, none, 1.0)
+    assert group_equal_vertices(vertices).tolist() == [0, 1, 2, 3, 1, 4]
+    assert group_joinable_vertices(vertices, none, 0.0)[0].tolist() == [0, 1, 2, 3, 1, 4]
+    sets, positions, _ = group_joinable_vertices(vertices, none, 1.0)
     assert sets.tolist() == [0, 1, 0, 0, 1, 2]
     np.testing.assert_allclose(positions[[0, 2, 3]], [[0.9, 0, 0]] * 3)
     np.testing.assert_array_equal(positions[[1, 4, 5]], vertices[[1, 4, 5]])
     # The ends of an edge are not copies of each other.
     edge = np.array([[0, 2, 5]], np.int32)
-    assert joinable_sets(vertices, edge, 1.0)[0].tolist() == [0, 1, 2, 2, 1, 3]
+    assert group_joinable_vertices(vertices, edge, 1.0)[0].tolist() == [0, 1, 2, 2, 1, 3]
 
 
 def test_a_chain_is_joined_only_if_no_vertex_moves_farther_than_the_distance() -> None:
     vertices = np.zeros((6, 3))
     vertices[:, 0] = 0.9 * np.arange(6)
     none = np.zeros((0, 3), np.int32)
-    sets, positions, _ = joinable_sets(vertices, none, 1.0)
+    sets, positions, _ = group_joinable_vertices(vertices, none, 1.0)
     assert len(np.unique(sets)) == 6
     np.testing.assert_array_equal(positions, vertices)
-    assert joinable_sets(vertices, none, 3.0)[0].tolist() == [0] * 6
+    assert group_joinable_vertices(vertices, none, 3.0)[0].tolist() == [0] * 6
 
 
 def bodies(light: Mesh) -> int:
@@ -383,7 +386,7 @@ def bodies(light: Mesh) -> int:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    t = welded(light)
+    t = weld_corners(light)
     ends = t[:, [0, 1, 1, 2]].reshape(-1, 2)
     links = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(t.max() + 1,) * 2)
     return int(connected_components(links, directed=False)[0])
@@ -401,7 +404,7 @@ def test_similar_distance_closes_cracks_between_parts() -> None:
     joined = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": 0.1})
     assert bodies(joined.mesh) == 1
     assert joined.details.joined_vertices == 24
-    assert edge_counts(welded(joined.mesh))[1] == 0
+    assert count_edges(weld_corners(joined.mesh))[1] == 0
 
 
 def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
@@ -409,7 +412,7 @@ def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
     light = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": 2e-3})
     assert bodies(light.mesh) == 2
     assert light.stopped_by == "triangles"
-    assert edge_counts(welded(light.mesh)) == (0, 0)
+    assert count_edges(weld_corners(light.mesh)) == (0, 0)
 
 
 @pytest.mark.slow
@@ -418,7 +421,7 @@ def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
 def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: float, distance: float) -> None:
     mesh = touching_parts(np.random.default_rng(seed), 10**gap)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    before = edge_counts(welded(mesh))[1]
+    before = count_edges(weld_corners(mesh))[1]
     for ratio in (1.0, 0.3):
         try:
             light = simplify(
@@ -426,10 +429,10 @@ def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: floa
             ).mesh
         except UsageError:  # the distance is larger than many edges
             return
-        t = welded(light)
-        assert not repeats_vertex(t).any()
+        t = weld_corners(light)
+        assert not has_repeated_vertex(t).any()
         if len(t):
-            assert edge_counts(t)[1] <= before
+            assert count_edges(t)[1] <= before
         assert_finite(light)
         if ratio == 1.0:
             assert_near(light, mesh, max_shape=distance * diagonal)
@@ -438,14 +441,14 @@ def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: floa
 def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> None:
     nearly = 1e-7
     cubes = two_cubes(gap=nearly)
-    sets, positions, apart = joinable_sets(cubes.vertices, cubes.triangles, 2 * nearly)
+    sets, positions, apart = group_joinable_vertices(cubes.vertices, cubes.triangles, 2 * nearly)
     np.testing.assert_array_equal(positions, cubes.vertices)
     assert len(np.unique(sets)) == len(np.unique(cubes.vertices, axis=0))
     facing = np.isclose(cubes.vertices[:, 0], 0.5, atol=1e-5)
     np.testing.assert_array_equal(apart, facing)
     light = simplify(cubes, method="seams", ratio=0.3)
-    assert edge_counts(welded(light.mesh)) == (0, 0)
-    assert overlapping(welded(light.mesh)) == 0
+    assert count_edges(weld_corners(light.mesh)) == (0, 0)
+    assert count_duplicates(weld_corners(light.mesh)) == 0
 
     # The second copy of the middle row is off by a rounding error: the sheet is one all the same.
     sheet = folded_strips()
@@ -453,11 +456,11 @@ def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> N
     copies = np.setdiff1d(np.arange(len(vertices)), np.unique(vertices, axis=0, return_index=True)[1])
     vertices[copies] += nearly
     shaken = sheet.with_(vertices=vertices)
-    assert edge_counts(welded(shaken))[0] > edge_counts(welded(sheet))[0]
-    assert not joinable_sets(vertices, sheet.triangles, 2 * nearly)[2].any()
+    assert count_edges(weld_corners(shaken))[0] > count_edges(weld_corners(sheet))[0]
+    assert not group_joinable_vertices(vertices, sheet.triangles, 2 * nearly)[2].any()
     light = simplify(shaken, ratio=0.3, keep_uv=True)
     assert light.details.joined_vertices == len(copies)
-    assert edge_counts(welded(light.mesh))[0] <= edge_counts(welded(sheet))[0]
+    assert count_edges(weld_corners(light.mesh))[0] <= count_edges(weld_corners(sheet))[0]
 
 
 def test_auto_takes_seams_for_what_only_seams_carries() -> None:
@@ -492,7 +495,9 @@ def test_a_penalty_puts_off_what_it_is_for() -> None:
         by_part = [set(t[result.mesh.part_ids == part].reshape(-1).tolist()) for part in (0, 1)]
         return len(by_part[0] & by_part[1])
 
-    assert left_on_border(seams={"across_parts": 1000}) > left_on_border(seams={"across_parts": 0})
+    assert left_on_border(seams={"part_border_penalty": 1000}) > left_on_border(
+        seams={"part_border_penalty": 0}
+    )
 
 
 def test_importance_keeps_triangles_where_it_is() -> None:
@@ -516,7 +521,7 @@ def test_high_valence_is_put_off() -> None:
 
     def beyond_eight(**changes: Any) -> int:
         light = simplify(mesh, method="seams", ratio=0.2, **changes).mesh
-        return int(np.maximum(np.bincount(welded(light).reshape(-1)) - 8, 0).sum())
+        return int(np.maximum(np.bincount(weld_corners(light).reshape(-1)) - 8, 0).sum())
 
     assert beyond_eight(seams={"valence_penalty": 10}) < beyond_eight(seams={"valence_penalty": 0})
 
@@ -603,7 +608,7 @@ def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_paramet
         ({"method": "seams"}, "needs a triangle count"),
         ({"method": "seams", "ratio": 0.5, "max_shape": 0.1}, "max_shape is not supported by method seams"),
         (
-            {"method": "quadric", "ratio": 0.5, "seams": {"across_parts": 1.0}},
+            {"method": "quadric", "ratio": 0.5, "seams": {"part_border_penalty": 1.0}},
             "across_parts is not supported",
         ),
         ({"ratio": 0.5, "seams": {"texture_weight": -1.0}}, "texture_weight"),
@@ -650,7 +655,7 @@ def test_a_mesh_without_triangles_stays_one() -> None:
 # -- the progressive record ------------------------------------------------------------------------------
 
 
-def recorded() -> tuple[Mesh, Simplified, CollapseRecord]:
+def recorded() -> tuple[Mesh, SimplificationResult, CollapseRecord]:
     mesh = folded_strips(24, 9)
     colors = np.arange(3 * len(mesh.vertices)).reshape(-1, 3) % 256
     mesh = mesh.with_(colors=colors.astype(np.uint8), part_ids=None)
@@ -671,7 +676,7 @@ def test_the_record_replays_to_the_result_and_to_every_mesh_on_the_way() -> None
     assert_equal(record.replay(collapses=0).mesh, simplify(mesh, method="seams", ratio=1.0).mesh)
     for collapses in range(0, len(record.removed) + 1, 7):
         replayed = record.replay(collapses=collapses)
-        assert len(replayed.mesh.triangles) == record.triangles_after(collapses)
+        assert len(replayed.mesh.triangles) == record.count_triangles_after(collapses)
         assert_sound(replayed.mesh, replayed.triangle_source, mesh)
     stopped = simplify(mesh, method="seams", ratio=0.4, fit=False)
     assert_equal(record.replay(ratio=0.4).mesh, stopped.mesh)

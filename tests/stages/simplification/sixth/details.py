@@ -13,6 +13,6 @@ class CutDetails(Details):
 
     removed: int
 
-    def text(self) -> str:
+    def describe(self) -> str:
         """Say it in words."""
         return f"Cut off: {self.removed} triangles."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,4 +15,4 @@ class CutParams:
     slope: float = param(0.25, "How much the height grows along x.", low=0)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)

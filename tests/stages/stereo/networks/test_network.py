@@ -3,16 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
-import networks
 import numpy as np
+import onnx_networks
 import pytest
 from onnx import TensorProto, helper
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.stereo.networks.network import Network
-from scanloom.stages.stereo.networks.probe import known_pair
-from scanloom.stages.stereo.networks.process import NetworkProcesses
+from scanloom.stages.stereo.networks.process_pool import NetworkProcesses
 from scanloom.stages.stereo.networks.sidecar import Sidecar
+from scanloom.stages.stereo.networks.sidecar_guessing import make_test_pair
 
 PAIR = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth")
@@ -41,21 +41,21 @@ def off(found: np.ndarray, truth: np.ndarray) -> float:
     ],
 )
 def test_both_images_disparities_in_any_convention(tmp_path, made, said):
-    left, right, truth = known_pair()
-    network = of(networks.matcher(tmp_path / "net.onnx", **made), replace(PAIR, **said))
-    found = network.of_pair(left, right, focal_baseline=2.0, offset=0.0)
+    left, right, truth = make_test_pair()
+    network = of(onnx_networks.write_stereo_network(tmp_path / "net.onnx", **made), replace(PAIR, **said))
+    found = network.predict_pair(left, right, focal_baseline=2.0, offset=0.0)
     assert found.left.shape == found.right.shape == truth.shape
     assert off(found.left, truth) < 0.1
     # Each of the right image's pixels lies its disparity to the left of what it shows.
     rows, columns = np.nonzero(np.isfinite(truth))
     facing = found.right[rows, columns - truth[rows, columns].astype(int)]
     assert np.median(np.abs(facing - truth[rows, columns])) < 0.1
-    assert (found.sure == 1).all()
+    assert (found.confidence == 1).all()
 
 
 def test_an_image_of_no_such_multiple_is_padded_and_cut(matching):
-    left, right, truth = (image[:201, :363] for image in known_pair())
-    found = Network.of(matching, PAIR).of_pair(left, right, 1.0, 0.0)
+    left, right, truth = (image[:201, :363] for image in make_test_pair())
+    found = Network.from_processes(matching, PAIR).predict_pair(left, right, 1.0, 0.0)
     assert found.left.shape == (201, 363)
     assert off(found.left, truth) < 0.1
 
@@ -64,11 +64,15 @@ def test_colours_in_their_order_and_grey(tmp_path):
     weights = {"of": np.array([1, 10, 100], np.float32).reshape(1, 3, 1, 1)}
     nodes = [helper.make_node("Conv", ["image", "of"], ["depth"])]
     shape = [1, 3, "h", "w"]
-    file = networks.saved(tmp_path / "net.onnx", nodes, [("image", shape)], [("depth", None)], weights)
+    file = onnx_networks.save_network(
+        tmp_path / "net.onnx", nodes, [("image", shape)], [("depth", None)], weights
+    )
     image = np.zeros((8, 9, 3), np.uint8) + np.uint8([1, 2, 3])
-    assert (of(file, ONE).of_image(image)[0] == 321).all()
-    assert (of(file, replace(ONE, color="bgr")).of_image(image)[0] == 123).all()
-    assert (of(file, ONE).of_image(image[..., 0])[0] == 111).all(), "a grey image is grey in all channels"
+    assert (of(file, ONE).predict_image(image)[0] == 321).all()
+    assert (of(file, replace(ONE, color="bgr")).predict_image(image)[0] == 123).all()
+    assert (of(file, ONE).predict_image(image[..., 0])[0] == 111).all(), (
+        "a grey image is grey in all channels"
+    )
 
 
 def test_channels_last_other_types_and_half_size(tmp_path):
@@ -80,14 +84,14 @@ def test_channels_last_other_types_and_half_size(tmp_path):
     ]
     inputs = [("image", shape, TensorProto.UINT8)]
     outputs = [("depth", None, TensorProto.FLOAT16)]
-    file = networks.saved(tmp_path / "net.onnx", nodes, inputs, outputs)
+    file = onnx_networks.save_network(tmp_path / "net.onnx", nodes, inputs, outputs)
     image = np.full((8, 10, 3), 7, np.uint8)
     image[:, :4] = 50
-    found, mirrored = of(file, replace(ONE, layout="nhwc")).of_image(image)
+    found, mirrored = of(file, replace(ONE, layout="nhwc")).predict_image(image)
     np.testing.assert_array_equal(found, image[..., 0])
     np.testing.assert_array_equal(mirrored, found)
     half = replace(ONE, layout="nhwc", inputs={"image": "image/2"})
-    assert of(file, half).of_image(image)[0].shape == (8, 10), "made as large as the image again"
+    assert of(file, half).predict_image(image)[0].shape == (8, 10), "made as large as the image again"
 
 
 def test_confidence_and_occlusion(tmp_path):
@@ -100,16 +104,18 @@ def test_confidence_and_occlusion(tmp_path):
     weights = {f"at{k}": np.array([k], np.int64) for k in range(4)} | {"axes": np.array([1], np.int64)}
     inputs = [(name, [1, 3, "h", "w"]) for name in ("left", "right")]
     outputs = [(name, None) for name in ("disparity", "sure", "hidden", "unused")]
-    file = networks.saved(tmp_path / "net.onnx", nodes, inputs, outputs, weights)
+    file = onnx_networks.save_network(tmp_path / "net.onnx", nodes, inputs, outputs, weights)
     told = replace(PAIR, confidence="sure", occlusion="hidden", range=(0.0, 1.0), multiple_of=1)
     image = np.zeros((4, 5, 3), np.uint8) + np.uint8([255, 204, 51])
-    found = of(file, told).of_pair(image, image, 1.0, 0.0)
-    np.testing.assert_allclose(found.sure, 0.8 * 0.8, atol=1e-6)
+    found = of(file, told).predict_pair(image, image, 1.0, 0.0)
+    np.testing.assert_allclose(found.confidence, 0.8 * 0.8, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
 def matching(tmp_path_factory) -> NetworkProcesses:
-    return NetworkProcesses(networks.matcher(tmp_path_factory.mktemp("made") / "net.onnx"), 3 << 30, 60)
+    return NetworkProcesses(
+        onnx_networks.write_stereo_network(tmp_path_factory.mktemp("made") / "net.onnx"), 3 << 30, 60
+    )
 
 
 @pytest.mark.parametrize(
@@ -123,7 +129,7 @@ def matching(tmp_path_factory) -> NetworkProcesses:
 )
 def test_a_sidecar_of_another_network(matching, changes, said):
     with pytest.raises(InputError) as caught:
-        Network.of(matching, replace(PAIR, **changes))
+        Network.from_processes(matching, replace(PAIR, **changes))
     assert said in str(caught.value)
 
 
@@ -137,7 +143,9 @@ def test_a_sidecar_of_another_network(matching, changes, said):
 )
 def test_outputs_that_are_no_map(tmp_path, node, said):
     nodes = [helper.make_node("Sub", ["image", "image"], ["zero"]), node]
-    file = networks.saved(tmp_path / "net.onnx", nodes, [("image", [1, 3, "h", "w"])], [("depth", None)])
+    file = onnx_networks.save_network(
+        tmp_path / "net.onnx", nodes, [("image", [1, 3, "h", "w"])], [("depth", None)]
+    )
     with pytest.raises(InputError) as caught:
-        of(file, ONE).of_image(np.zeros((20, 30, 3), np.uint8))
+        of(file, ONE).predict_image(np.zeros((20, 30, 3), np.uint8))
     assert said in str(caught.value)

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
+from scanloom.stages.stereo.networks.sidecar import Sidecar, format_sidecar, get_sidecar_path, read_sidecar
 
 PAIR = 'kind = "stereo"\noutput = "d"\nunit = "px"\n[inputs]\na = "left"\nb = "right"\n'
 
 
 def beside(tmp_path: Path, text: str) -> Path:
     network = tmp_path / "net.onnx"
-    sidecar_of(network).write_text(text, encoding="utf-8")
+    get_sidecar_path(network).write_text(text, encoding="utf-8")
     return network
 
 
@@ -38,7 +38,7 @@ def beside(tmp_path: Path, text: str) -> Path:
     ],
 )
 def test_what_is_written_is_read_back(tmp_path, sidecar):
-    assert read_sidecar(beside(tmp_path, written(sidecar))) == sidecar
+    assert read_sidecar(beside(tmp_path, format_sidecar(sidecar))) == sidecar
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError, MeshError
-from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.files.image_bytes import encode_png
 from scanloom.stages.surface.formats.gltf import read_gltf
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.texture import Image, Material, Texture
 
-RED = encoded_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
-BLUE = encoded_png(np.full((4, 2, 3), (10, 20, 200), np.uint8))
+RED = encode_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
+BLUE = encode_png(np.full((4, 2, 3), (10, 20, 200), np.uint8))
 CODES = {"u1": 5121, "i1": 5120, "u2": 5123, "i2": 5122, "u4": 5125, "f4": 5126}
 COLUMNS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scanloom.stages import Image, Material, Mesh, Texture, _kernels, read_mesh
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.surface.formats.gltf_container import read_container
-from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
+from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, make_quantization_grid
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
 
 SMALL = [way for way in COMPRESSIONS if way != "none"]
@@ -62,8 +62,8 @@ def test_what_is_packed_comes_back_within_half_a_step(tmp_path, way, made, suffi
     path = tmp_path / f"a{suffix}"
     write_gltf(path, mesh, compress=way)
     back = read_mesh(path)
-    lattice = lattice_of(mesh.vertices)
-    kept = replace(mesh, vertices=lattice.low + lattice.steps(mesh.vertices)[:, :3] * lattice.step)
+    lattice = make_quantization_grid(mesh.vertices)
+    kept = replace(mesh, vertices=lattice.origin + lattice.quantize(mesh.vertices)[:, :3] * lattice.step)
     assert np.abs(kept.vertices - mesh.vertices).max() <= lattice.step / 2 * (1 + 1e-9)
     np.testing.assert_allclose(in_order(back), in_order(kept), atol=1e-9)
     assert back.part_names == mesh.part_names
@@ -144,7 +144,7 @@ def test_fewer_bits_move_vertices_by_half_of_larger_steps(tmp_path, bits):
     mesh = sheet()
     write_gltf(tmp_path / "a.glb", mesh, compress="meshopt", position_bits=bits)
     back = read_mesh(tmp_path / "a.glb")
-    lattice = lattice_of(mesh.vertices, bits)
+    lattice = make_quantization_grid(mesh.vertices, bits)
     # A power of two, of which the longest side of 1 m has no more than fit.
     assert lattice.step == 2.0 ** (1 - bits)
     off = np.abs(np.sort(back.vertices, axis=0) - np.sort(mesh.vertices, axis=0)).max()

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from browsers import PAGE, browser
+from browsers import PAGE, launch_browser
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
 from scanloom import Image, Mesh, Texture, bake, read_mesh, write_mesh
-from scanloom.stages._open3d import open3d
-from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages._open3d import import_open3d
+from scanloom.stages.surface.formats.color_conversion import convert_srgb_to_linear
 from scanloom.stages.surface.formats.gltf_container import read_container
-from scanloom.stages.surface.formats.gltf_materials import UNLIT, is_shown_as_it_is, shown_as_it_is
+from scanloom.stages.surface.formats.gltf_materials import UNLIT, is_unlit, make_unlit_source
 from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
 from scanloom.stages.surface.texture import Material
@@ -30,13 +30,13 @@ def primitives_of(path: Path):
 
 
 def light_of(mesh: Mesh) -> np.ndarray:
-    return np.rint(255 * linear_from_srgb(mesh.colors / 255))
+    return np.rint(255 * convert_srgb_to_linear(mesh.colors / 255))
 
 
 def shown_as_a_scan() -> Mesh:
     """Return a textured sheet as `texture` makes it."""
     mesh = textured_sheet()
-    materials = tuple(Material(m.name, m.image, kept=shown_as_it_is()) for m in mesh.texture.materials)
+    materials = tuple(Material(m.name, m.image, kept=make_unlit_source()) for m in mesh.texture.materials)
     return mesh.with_(texture=Texture(mesh.texture.uvs, mesh.texture.material_ids, materials))
 
 
@@ -72,7 +72,7 @@ def test_trimesh_has_the_image_in_any_case(tmp_path):
 def test_open3d_has_the_colours(tmp_path, shading):
     mesh = sheet().with_(up=UP)
     write_gltf(tmp_path / "a.glb", mesh, shading=shading)
-    seen = open3d().io.read_triangle_mesh(str(tmp_path / "a.glb"))
+    seen = import_open3d().io.read_triangle_mesh(str(tmp_path / "a.glb"))
     found = np.rint(255 * np.asarray(seen.vertex_colors))
     assert {tuple(row) for row in found} == {tuple(row) for row in light_of(mesh)}
     heights = np.sort(np.asarray(seen.vertices)[:, 1])
@@ -104,10 +104,10 @@ def test_a_scan_stays_without_light_unless_it_is_lit(tmp_path, shading):
     write_gltf(tmp_path / "a.glb", shown_as_a_scan())
     assert tree_of(tmp_path / "a.glb")["extensionsUsed"] == [UNLIT]
     scan = read_mesh(tmp_path / "a.glb")
-    assert all(map(is_shown_as_it_is, scan.texture.materials))
+    assert all(map(is_unlit, scan.texture.materials))
     write_gltf(tmp_path / "b.glb", scan, shading=shading)
     back = read_mesh(tmp_path / "b.glb")
-    assert all(is_shown_as_it_is(m) != (shading == "lit") for m in back.texture.materials)
+    assert all(is_unlit(m) != (shading == "lit") for m in back.texture.materials)
     assert (UNLIT in tree_of(tmp_path / "b.glb").get("extensionsUsed", ())) == (shading != "lit")
     assert back.texture.images[0].file_bytes == scan.texture.images[0].file_bytes
 
@@ -116,7 +116,7 @@ def test_what_is_baked_of_a_scan_takes_no_light_either():
     light = sheet().with_(colors=None)
     for original, unlit in ((shown_as_a_scan(), True), (textured_sheet(), False), (sheet(), False)):
         (material,) = bake(light, original, texel_size=0.2).mesh.texture.materials
-        assert is_shown_as_it_is(material) is unlit
+        assert is_unlit(material) is unlit
 
 
 PROGRAM = """
@@ -160,7 +160,7 @@ def test_three_shows_the_colours(tmp_path):
     """Without light what has its own is there; metal is dark, whatever the light around it."""
     color = (200, 120, 40)
     page = f"<script type=module>{PROGRAM}</script>"
-    with browser() as started:
+    with launch_browser() as started:
         opened = started.new_page()
         opened.route("http://page/", lambda route: route.fulfill(body=page, content_type="text/html"))
         library = (PAGE / "library.js").read_text("utf-8")

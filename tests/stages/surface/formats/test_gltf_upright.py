@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 
 from scanloom import read_mesh, simplify, write_mesh
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
-from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.formats.color_conversion import convert_srgb_to_linear
 from scanloom.stages.surface.formats.gltf_container import read_container
-from scanloom.stages.surface.upright import direction_of, turn_along_y, turn_along_z
+from scanloom.stages.surface.up_direction import parse_up_direction, rotate_to_y, rotate_to_z
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def up_as(word: str) -> tuple[float, float, float]:
-    direction = direction_of(word)
+    direction = parse_up_direction(word)
     assert direction is not None
     x, y, z = direction.tolist()
     return x, y, z
@@ -35,17 +35,17 @@ def test_what_is_up_in_the_scan_is_up_in_the_file(tmp_path, word):
     seen = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
     heights = mesh.vertices @ np.array(mesh.up)
     np.testing.assert_allclose(seen.vertices[:, 1], heights, atol=1e-6)
-    assert np.linalg.det(turn_along_y(np.array(mesh.up))) == pytest.approx(1)
-    light = np.rint(255 * linear_from_srgb(mesh.colors / 255))
+    assert np.linalg.det(rotate_to_y(np.array(mesh.up))) == pytest.approx(1)
+    light = np.rint(255 * convert_srgb_to_linear(mesh.colors / 255))
     np.testing.assert_allclose(seen.visual.vertex_colors[:, :3], light, atol=1)
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3))
 def test_any_direction_turns_along_y_and_z(direction):
     words = " ".join(map(repr, direction))
-    up = direction_of(words)
+    up = parse_up_direction(words)
     assert up is not None
-    for turn, axis in ((turn_along_y(up), 1), (turn_along_z(up), 2)):
+    for turn, axis in ((rotate_to_y(up), 1), (rotate_to_z(up), 2)):
         np.testing.assert_allclose(turn @ up, np.eye(3)[axis], atol=1e-12)
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(turn) == pytest.approx(1)
@@ -54,7 +54,7 @@ def test_any_direction_turns_along_y_and_z(direction):
 @pytest.mark.parametrize("up", ["sideways", "0 0 0", "1 2", "nan 0 0", "inf 0 0"])
 def test_what_is_no_direction_is_refused(up):
     with pytest.raises(UsageError):
-        direction_of(up)
+        parse_up_direction(up)
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])

@@ -8,15 +8,15 @@ import pytest
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.diagnostic import Severity
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.image_bytes import encoded_png
-from scanloom.stages.surface.convert import with_vertex_colors
+from scanloom.stages.files.image_bytes import encode_png
 from scanloom.stages.surface.formats import obj_statements
 from scanloom.stages.surface.formats.obj import read_obj, write_obj
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import bake_vertex_colors
 from scanloom.stages.surface.texture import Image, Material, Texture
 
-RED = encoded_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
-BLUE = encoded_png(np.full((2, 2, 4), (10, 20, 200, 255), np.uint8))
+RED = encode_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
+BLUE = encode_png(np.full((2, 2, 4), (10, 20, 200, 255), np.uint8))
 
 LIBRARY = """# made by hand
 newmtl red wall
@@ -192,7 +192,7 @@ def test_an_image_that_cannot_be_decoded_passes_through(folder):
     (folder / "my wall.png").write_bytes(damaged)
     mesh = read_obj(folder / "made.obj")
     with collecting() as found:
-        with_vertex_colors(mesh)
+        bake_vertex_colors(mesh)
     assert any("my wall.png cannot be decoded" in str(one) for one in found)
     assert [one.severity for one in found] == [Severity.WARNING]
     (folder / "out").mkdir()
@@ -225,7 +225,7 @@ def test_several_libraries_in_one_statement(tmp_path):
 
 
 def test_colors_of_materials_without_images(folder):
-    colored = with_vertex_colors(read_obj(folder / "made.obj"))
+    colored = bake_vertex_colors(read_obj(folder / "made.obj"))
     # Vertex 4 has corners of glass and of the wall.
     assert colored.colors[2].tolist() == [200, 10, 20]
     assert colored.colors[1].tolist() == [(200 + 63.75) // 2 + 1, (10 + 127.5) // 2 + 1, (20 + 255) // 2 + 1]
@@ -265,12 +265,12 @@ USUAL = {
 def test_lines_are_sorted_alike_in_bulk_and_one_by_one(monkeypatch, name):
     before, after = (UNUSUAL | USUAL)[name]
     data = (MODEL.replace(before, after) if before else MODEL).encode()
-    in_bulk = obj_statements._in_bulk(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + b"\n")
+    in_bulk = obj_statements._sort_in_bulk(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + b"\n")
     if "\\" not in after:
         assert (in_bulk is None) == (name in UNUSUAL)
-    found = obj_statements.sorted_statements(data)
-    monkeypatch.setattr(obj_statements, "_in_bulk", lambda data: None)  # noqa: ARG005
-    expected = obj_statements.sorted_statements(data)
+    found = obj_statements.sort_statements(data)
+    monkeypatch.setattr(obj_statements, "_sort_in_bulk", lambda data: None)  # noqa: ARG005
+    expected = obj_statements.sort_statements(data)
     for ours, theirs in zip(astuple(found), astuple(expected), strict=True):
         if isinstance(ours, bytes):
             assert [line.split() for line in ours.splitlines()] == [

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanloom.pipeline.evaluation import deviations
+from scanloom.pipeline.evaluation import stored_deviations
 from scanloom.pipeline.steps import coverage as covering
 from scanloom.stages.diagnostics.errors import InputError, MeshError, StageError
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
@@ -95,7 +95,7 @@ def test_texture_round_trip(tmp_path):
 def test_other_programs_read_what_is_written(tmp_path):
     import trimesh
 
-    from scanloom.stages._open3d import open3d
+    from scanloom.stages._open3d import import_open3d
 
     mesh = grid_mesh()
     path = tmp_path / "mesh.ply"
@@ -104,7 +104,7 @@ def test_other_programs_read_what_is_written(tmp_path):
     np.testing.assert_array_equal(theirs.vertices, mesh.vertices)
     np.testing.assert_array_equal(theirs.faces, mesh.triangles)
     np.testing.assert_array_equal(theirs.visual.vertex_colors[:, :3], mesh.colors)
-    theirs = open3d().t.io.read_triangle_mesh(str(path))
+    theirs = import_open3d().t.io.read_triangle_mesh(str(path))
     np.testing.assert_allclose(theirs.vertex.positions.numpy(), mesh.vertices, rtol=1e-6)  # it reads floats
     np.testing.assert_array_equal(theirs.triangle.indices.numpy(), mesh.triangles)
     np.testing.assert_allclose(theirs.vertex.colors.numpy() * 255, mesh.colors, atol=1e-3)
@@ -486,7 +486,7 @@ def test_comments_that_mean_nothing_are_no_material(tmp_path, text):
 
 def test_what_scanloom_measured_of_a_mesh_is_passed_over_without_a_word(tmp_path):
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    names = (*covering.VALUES, deviations.PROPERTY)
+    names = (*covering.VERTEX_VALUES, stored_deviations.VERTEX_PROPERTY)
     faces = {name: np.zeros(1) for name in ("shape_bound", "color_bound", "patch")}
     write_ply(tmp_path / "measured.ply", mesh, faces, {name: np.zeros(3) for name in names})
     assert read_ply(tmp_path / "measured.ply").diagnostics == ()

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_depth, read_pinhole
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 NAMES = ("10.png", "left side/a view 2.png")
 HALF = 0.5**0.5
@@ -131,7 +131,7 @@ def test_smaller_depth_maps_have_a_smaller_camera(scan_folder, tiny):
         image[34:36, 52:54] = 255  # what the known pixel (26, 17) of the depth map covers
         cv2.imwrite(str(scan_folder / "images" / name), image)
     scan = assert_known_points(scan_folder, tiny)
-    color = read_matching_color(scan.frames[0], read_depth(scan.frames[0]))
+    color = read_color_aligned_to_depth(scan.frames[0], read_depth(scan.frames[0]))
     assert [tuple(place) for place in np.argwhere(color[:, :, 0] > 128)] == [(17, 26)]
 
 
@@ -354,18 +354,18 @@ def test_a_view_without_depth_or_with_a_damaged_map_is_skipped(scan_folder):
     path = scan_folder / "stereo" / "depth_maps" / f"{NAMES[0]}.geometric.bin"
     path.unlink()
     scan = read_scan(scan_folder)
-    assert [(one.name, one.reason) for one in scan.skipped] == [("10", "its depth map is missing.")]
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [("10", "its depth map is missing.")]
     for data in (b"", b"32&24", b"32&24&1&" + bytes(100), b"999999999&999999999&1&", b"0&0&1&", b"32&24&3&"):
         path.write_bytes(data)
         scan = read_scan(scan_folder)
-        assert [one.name for one in scan.skipped] == ["10"]
-        assert "10.png.geometric.bin" in scan.skipped[0].reason
+        assert [one.name for one in scan.skipped_frames] == ["10"]
+        assert "10.png.geometric.bin" in scan.skipped_frames[0].reason
 
 
 def test_a_map_of_another_shape_is_skipped(scan_folder):
     write_text(scan_folder / "sparse")
     write_depth(scan_folder / "stereo" / "depth_maps" / f"{NAMES[0]}.geometric.bin", (24, 24))
-    assert "24×24" in read_scan(scan_folder).skipped[0].reason
+    assert "24×24" in read_scan(scan_folder).skipped_frames[0].reason
 
 
 @pytest.mark.parametrize("name", ["../../out.png", "/etc/out.png", "x" * 300, "x\0y"])

@@ -10,7 +10,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 CAMERAS = """S_rect_02: 3.200000e+01 2.400000e+01
 R_rect_00: 1 0 0 0 1 0 0 0 1
@@ -94,7 +94,7 @@ def test_a_file_that_is_missing_costs_its_frame(drive):
     (drive / "oxts" / "data" / "0000000001.txt").unlink()
     scan = read_scan(drive)
     assert [frame.name for frame in scan.frames] == ["0000000000", "0000000002"]
-    assert [one.name for one in scan.skipped] == ["0000000001"]
+    assert [one.name for one in scan.skipped_frames] == ["0000000001"]
 
 
 def test_a_trajectory_that_is_named_wins(drive):

@@ -4,7 +4,7 @@ import pytest
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color, read_right
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 # P0 and P1: baseline 0.5 m. P2 and P3: the colour pair stands 0.06 m left of camera 0, baseline 0.54 m.
 CALIB = """P0: 100 0 16 0 0 100 12 0 0 0 1 0
@@ -29,7 +29,7 @@ def scan_folder(tmp_path, tiny):
 
 def test_known_points_fall_on_known_pixels_of_both_images(scan_folder, tiny):
     scan = read_scan(scan_folder)
-    assert (scan.layout, scan.rig.rectified) == ("kitti", True)
+    assert (scan.layout, scan.rig.is_rectified) == ("kitti", True)
     assert scan.rig.baseline == pytest.approx(0.5)
     for frame, point in zip(scan.frames, tiny.points, strict=True):
         camera_from_world = np.linalg.inv(frame.world_from_camera)

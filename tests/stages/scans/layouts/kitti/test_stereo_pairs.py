@@ -3,7 +3,7 @@ import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 def calib(baseline):

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from recordings import Reading, Recording, transform
+from recordings import Reading, Recording, make_transform
 from scipy.spatial.transform import Rotation
 from tiny_recordings import INTERVAL, LINKS, START, depth_stream, recording, ros_bag
 
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
-from scanloom.stages.scans.transforms.up import known_up
+from scanloom.stages.scans.reader import read_scan
+from scanloom.stages.scans.transforms.up_direction import find_up_direction
 
 ACCEL = "/device_0/sensor_2/Accel_0/imu/data"
 # In the second pose of the tiny world, too, y of the camera is y of the world, which then is down.
@@ -37,7 +37,7 @@ def test_up_is_in_the_axes_of_the_depth_camera(tmp_path, kind, trajectory):
     assert len(scan.frames) == 2
     for frame in scan.frames:
         assert np.degrees(np.arccos(frame.up @ UP)) < 3
-    known = known_up(scan)
+    known = find_up_direction(scan)
     assert known.source == "gravity of the IMU"
     assert known.direction @ UP > np.cos(np.radians(3))
 
@@ -47,7 +47,7 @@ def test_it_is_turned_as_the_recording_says_the_two_stand(tmp_path):
     made = of_realsense(up=(-1.0, 0.0, 0.0))
     quarter = tuple(Rotation.from_euler("z", 90, degrees=True).as_quat())
     made.streams = [depth_stream(from_reference=((0, 0, 0), quarter))]
-    place = transform((0.01, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    place = make_transform((0.01, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     made.others[f"{ACCEL.removesuffix('/imu/data')}/tf/1"] = ("geometry_msgs/Transform", place)
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     np.testing.assert_allclose(scan.frames[0].up, UP, atol=1e-6)
@@ -60,7 +60,7 @@ def test_of_any_camera_the_tree_of_frames_says_it(tmp_path):
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     np.testing.assert_allclose(scan.frames[0].up, UP, atol=1e-6)
     # A single frame stands at the origin of its own world.
-    assert known_up(scan).source == "gravity of the IMU"
+    assert find_up_direction(scan).source == "gravity of the IMU"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_poses_that_turn_it_over_are_told(tmp_path, trajectory):
     second = scan.frames[1]
     second.world_from_camera[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
     with collecting() as found:
-        assert known_up(scan) is None
+        assert find_up_direction(scan) is None
     assert "is inconsistent with the poses" in str(found[0])
 
 
@@ -112,4 +112,4 @@ def test_poses_from_a_file_are_in_another_world_but_gravity_is_measured(tmp_path
     assert trajectory.poses is not None
     scan = read_scan(of_realsense().write(tmp_path / "take.bag"), ScanParams(poses=trajectory.poses))
     assert scan.up is None
-    assert known_up(scan) is not None
+    assert find_up_direction(scan) is not None

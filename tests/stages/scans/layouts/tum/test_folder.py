@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.image_folders.depth_units import told_units
+from scanloom.stages.scans.image_folders.depth_units import infer_depth_scale
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.world import WorldUp
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.fixture
@@ -53,8 +53,8 @@ def test_z_is_up_where_the_data_set_is_named(scan_folder, tmp_path):
 
 def test_frames_without_a_partner_in_time_are_skipped(scan_folder):
     scan = read_scan(scan_folder)
-    assert [one.name for one in scan.skipped] == ["11.000000"]
-    assert "0.02 s" in scan.skipped[0].reason
+    assert [one.name for one in scan.skipped_frames] == ["11.000000"]
+    assert "0.02 s" in scan.skipped_frames[0].reason
 
 
 def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
@@ -62,14 +62,16 @@ def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
     (scan_folder / "groundtruth.txt").write_text("\n".join(lines[:3]))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10.000000"]
-    assert any(one.reason.startswith("the trajectory has no pose within") for one in scan.skipped)
+    assert any(one.reason.startswith("the trajectory has no pose within") for one in scan.skipped_frames)
 
 
 def test_an_excerpt_may_keep_the_lists_of_the_whole(scan_folder):
     (scan_folder / "depth" / "10.010000.png").unlink()
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10.500000"]
-    assert ("10.000000", "10.010000.png is missing") in [(one.name, one.reason) for one in scan.skipped]
+    assert ("10.000000", "10.010000.png is missing") in [
+        (one.name, one.reason) for one in scan.skipped_frames
+    ]
 
 
 def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
@@ -231,9 +233,9 @@ def test_real_depth_tells_its_unit(shared_data):
     desk = read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout", complete=False)
     assert desk.frames[0].depth_scale == 1000
     rpy = sorted((shared_data / "real" / "rgbd_dataset_freiburg1_rpy" / "depth").iterdir())
-    assert told_units(rpy) is None
+    assert infer_depth_scale(rpy) is None
     cabinet = sorted((shared_data / "real" / "freiburg3_cabinet_keyframes" / "depth_imgs").iterdir())
-    assert told_units(cabinet) == 5000
+    assert infer_depth_scale(cabinet) == 5000
 
 
 def test_scale_can_be_stated(scan_folder):
@@ -247,7 +249,7 @@ def test_without_lists_the_names_are_the_times(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert scan.layout == "tum"
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
-    assert [one.name for one in scan.skipped] == ["11.000000"]
+    assert [one.name for one in scan.skipped_frames] == ["11.000000"]
     assert any("timestamps in their names" in text for text in map(str, scan.diagnostics))
 
 
@@ -349,7 +351,7 @@ def test_a_recording_without_depth_is_views_of_its_own_camera(scan_folder):
     scan = read_scan(without_depth(scan_folder))
     assert (scan.layout, [one.depth for one in scan.frames]) == ("tum", [None, None])
     assert [one.name for one in scan.frames] == ["10.000000", "10.500000"]
-    assert [(one.name, one.reason) for one in scan.skipped] == [
+    assert [(one.name, one.reason) for one in scan.skipped_frames] == [
         ("11.000000", "the trajectory has no pose within 0.02 s")
     ]
     # Of 640x480 pixels to the 32x24 of the images.
@@ -372,7 +374,7 @@ def test_a_photo_that_is_gone_is_skipped(scan_folder):
     (without_depth(scan_folder) / "rgb" / "10.000000.png").unlink()
     scan = read_scan(scan_folder)
     assert [one.name for one in scan.frames] == ["10.500000"]
-    assert "10.000000" in [one.name for one in scan.skipped]
+    assert "10.000000" in [one.name for one in scan.skipped_frames]
 
 
 def test_real_photos_of_a_recording_without_their_depth(shared_data, tmp_path):

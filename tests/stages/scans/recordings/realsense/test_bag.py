@@ -12,15 +12,15 @@ from tiny_recordings import (
     color_stream,
     depth_map,
     depth_stream,
-    doubts,
+    list_warnings,
     recording,
 )
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.aligned_color import read_color_aligned_to_depth
 from scanloom.stages.scans.model.images import read_color, read_depth, read_right
 from scanloom.stages.scans.params import ScanParams
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
@@ -28,8 +28,8 @@ def test_known_points_and_colours_come_out(tmp_path, tiny, trajectory, compressi
     file = recording(compression=compression).write(tmp_path / "take.bag")
     scan = read_scan(file, trajectory)
     assert scan.layout == "ros-bag"
-    assert not doubts(scan)
-    assert not scan.skipped
+    assert not list_warnings(scan)
+    assert not scan.skipped_frames
     assert [one.name for one in scan.frames] == ["000000", "000001"]
     assert [one.timestamp for one in scan.frames] == [START, START + INTERVAL]
     for one, point in zip(scan.frames, tiny.points, strict=True):
@@ -75,7 +75,7 @@ def test_the_unit_of_depth_is_read(tmp_path, units, behind, metres, words):
     made = recording(streams=[depth_stream(images=images), color_stream(1)], units=units)
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     assert read_depth(scan.frames[0])[17, 26] == pytest.approx(metres)
-    assert [words in text for text in doubts(scan)] == [True] * (words is not None)
+    assert [words in text for text in list_warnings(scan)] == [True] * (words is not None)
 
 
 @pytest.mark.parametrize("units", [float("nan"), -0.001, 1e12])
@@ -121,7 +121,7 @@ def test_cameras_of_unknown_places(tmp_path):
     made = recording(streams=[depth_stream(), color_stream(from_reference=None)])
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     assert scan.frames[0].color_from_depth is None
-    assert any("does not contain the extrinsics" in text for text in doubts(scan))
+    assert any("does not contain the extrinsics" in text for text in list_warnings(scan))
 
 
 def test_depth_alone_and_with_infrared(tmp_path):
@@ -134,8 +134,8 @@ def test_depth_alone_and_with_infrared(tmp_path):
     )
     made = recording(streams=[depth_stream(1), right, left])
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
-    assert (read_matching_color(scan.frames[0], read_depth(scan.frames[0])) == 77).all()
-    assert any("no colour stream" in text for text in doubts(scan))
+    assert (read_color_aligned_to_depth(scan.frames[0], read_depth(scan.frames[0])) == 77).all()
+    assert any("no colour stream" in text for text in list_warnings(scan))
     with pytest.raises(InputError, match=r"no depth stream, only .*Color_0"):
         read_scan(recording(streams=[color_stream()]).write(tmp_path / "take.bag"), complete=False)
 
@@ -151,7 +151,7 @@ def test_the_infrared_pair_where_there_is_no_depth(tmp_path, written):
     made = recording(streams=[right, color_stream(), left])
     scan = read_scan(getattr(made, written)(tmp_path / f"take{written[5:].replace('_', '.') or '.bag'}"))
     assert scan.is_stereo
-    assert scan.rig.rectified
+    assert scan.rig.is_rectified
     np.testing.assert_allclose(scan.rig.right_from_left[:3, 3], (-0.05, 0, 0), atol=1e-5)
     assert (read_color(scan.frames[0]) == 77).all()
     assert (read_right(scan.frames[0]) == 99).all()

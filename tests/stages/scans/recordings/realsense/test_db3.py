@@ -10,14 +10,14 @@ from tiny_recordings import (
     START,
     color_stream,
     depth_stream,
-    doubts,
-    outcome,
+    list_warnings,
     recording,
+    summarise_scan,
 )
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.images import read_color, read_depth
-from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.scans.recordings import db3 as ros_db3
 
 
@@ -25,8 +25,8 @@ from scanloom.stages.scans.recordings import db3 as ros_db3
 def test_known_points_and_colours_of_a_newer_recording(tmp_path, tiny, trajectory, form):
     scan = read_scan(recording(started=START - 5).write_db3(tmp_path / "take.db3", form), trajectory)
     assert scan.layout == "ros-bag"
-    assert not doubts(scan)
-    assert not scan.skipped
+    assert not list_warnings(scan)
+    assert not scan.skipped_frames
     # Times are decimal milliseconds there, which doubles hold to 0.2 microseconds only.
     np.testing.assert_allclose([one.timestamp - START for one in scan.frames], (0, INTERVAL), atol=1000)
     for one, point in zip(scan.frames, tiny.points, strict=True):
@@ -42,10 +42,12 @@ def test_what_a_newer_recording_says_of_its_cameras(tmp_path):
     scan = read_scan(made_so.write_db3(tmp_path / "take.db3"), complete=False)
     assert scan.frames[0].color_camera.distortion == bent
     assert scan.frames[0].depth_scale == pytest.approx(4000)
-    assert ["changes within" in text for text in doubts(scan)] == [True]
+    assert ["changes within" in text for text in list_warnings(scan)] == [True]
     bare = recording(streams=[depth_stream(), color_stream(from_reference=None)], units=())
     scan = read_scan(bare.write_db3(tmp_path / "take.db3"), complete=False)
-    assert ["millimetres" in text or "does not contain the extrinsics" in text for text in doubts(scan)] == [
+    assert [
+        "millimetres" in text or "does not contain the extrinsics" in text for text in list_warnings(scan)
+    ] == [
         True,
         True,
     ]
@@ -96,7 +98,7 @@ def test_a_newer_recording_that_is_damaged(tmp_path, change, words):
 
 def test_a_message_that_is_too_large_is_not_read(tmp_path, monkeypatch):
     file = recording().write_db3(tmp_path / "take.db3")
-    monkeypatch.setattr(ros_db3, "LARGEST_MESSAGE", 2000)
+    monkeypatch.setattr(ros_db3, "MAX_MESSAGE_BYTES", 2000)
     scan = read_scan(file, complete=False)
     with pytest.raises(InputError, match=r"take\.db3: message \d+ is missing or exceeds the size limit"):
         read_color(scan.frames[0])
@@ -121,10 +123,10 @@ def test_damaged_bytes_of_a_newer_recording_are_refused_or_cost_frames(tmp_path,
     chosen = random.Random(5)
     for end in range(0, len(data), len(data) // 20):
         file.write_bytes(data[:end])
-        assert outcome(file) is None
+        assert summarise_scan(file) is None
     for _ in range(40):
         damaged = bytearray(data)
         for _ in range(chosen.choice((1, 5, 50))):
             damaged[chosen.randrange(len(data))] = chosen.choice((0, 0x7F, 0xFF, chosen.randrange(256)))
         file.write_bytes(damaged)
-        outcome(file)
+        summarise_scan(file)

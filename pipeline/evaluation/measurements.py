@@ -1,0 +1,344 @@
+"""Measurements and pictures of the meshes of a run.
+
+Both only depend on the meshes and are cached. `scanloom.pipeline.run.report_document` adds data of the run itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scanloom.pipeline.evaluation.camera_photos import write_photos
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.evaluation.stored_deviations import write_deviations
+from scanloom.stages.comparing.chunked_comparison import compare_chunked
+from scanloom.stages.comparing.compare import CompareParams, compare_needle_safe, compare_surfaces
+from scanloom.stages.comparing.deviations import DeviationParams, Deviations, measure_deviations_from
+from scanloom.stages.comparing.distance_map import paint_distances
+from scanloom.stages.comparing.needle_search import NeedleSafeSurface
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.rendering.chunked_rendering import draw_chunked
+from scanloom.stages.rendering.render import RenderModel, Viewpoint, viewpoints, write_png
+from scanloom.stages.rendering.viewpoints import MAX_FRAMED_POINTS, choose_viewpoints_around
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.chunked_mesh import ChunkedMesh
+from scanloom.stages.surface.memory_release import release_free_memory
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, compute_bounding_box
+from scanloom.stages.surface.topology import require_area, topology
+
+RESULT_VERSION = 7
+
+# Number of samples for signed deviations.
+SIGNED_SAMPLES = 100_000
+
+
+def measure_and_draw(
+    folder: Path,
+    meshes: Mapping[str, Mesh | ChunkedMesh],
+    frames: Sequence[Frame],
+    compare_params: CompareParams,
+    params: ReportParams,
+    progress: Progress = ignore_progress,
+    color_by_photo: Callable[[], Mesh] | None = None,
+    held_out: Sequence[Frame] = (),
+) -> dict[str, Any]:
+    """Measure the simplified mesh, draw all meshes into `folder`, and return metrics.
+
+    Parameters
+    ----------
+    meshes : meshes by name: "fused", "clean", "simplified" and, if available, "textured". The first two may
+        be chunked.
+    frames : frames of the scan, whose poses determine the viewpoints.
+    compare_params : parameters of the comparison.
+    color_by_photo : returns the textured mesh coloured by the photo with the largest weight, which is drawn, too.
+    held_out : held-out frames with corrected poses.
+
+    Raises
+    ------
+    MeshError
+        If a mesh has no surface to measure and draw.
+    """
+    large = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, ChunkedMesh)}
+    small = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, Mesh)}
+    for name, mesh in small.items():
+        require_area(mesh, f"{name}.ply")
+    # Measurements and pictures share ray-casting structures, which take longer to build than a picture to
+    # draw.
+    box = _merge_boxes(compute_bounding_box(*small.values()), *(one.box for one in large.values()))
+    models = {name: cache(partial(_make_model, mesh, box)) for name, mesh in small.items()}
+    # Chunked meshes need the memory, so models are then built one by one when drawn.
+    if not large:
+        _run_parallel([*models.values()])
+    # Release memory freed after loading the meshes.
+    release_free_memory()
+    measured_meshes = _MeasuredMeshes(models, large, small, box)
+    tasks: list[Callable[[], Any]] = [
+        # Longest task first, for the best use of threads.
+        partial(_measure_from_fused, measured_meshes, compare_params),
+        partial(_measure_from_clean, folder, measured_meshes, compare_params),
+        partial(measure_simplified, small["simplified"]),
+        partial(write_photos, folder, frames, params.photos, held_out),
+    ]
+    drawings: list[_Drawing | _ChunkedDrawing] = []
+    if params.pictures:
+        chosen = choose_viewpoints(meshes["fused"], frames, params)
+        drawings += (_ChunkedDrawing(name, one, chosen, box) for name, one in large.items())
+        drawings += _list_drawings(models, chosen, color_by_photo)
+    tasks += [partial(one.draw, folder) for one in drawings]
+    # Chunked meshes are processed one at a time to save memory.
+    threads = 1 if large else get_worker_count()
+    to_fused, (to_clean, deviation), measured, photos, *_ = _run_parallel(tasks, progress, threads)
+    return {
+        "mesh": measured | {"to_fused": to_fused, "to_clean": to_clean},
+        "deviation": deviation,
+        "pictures": [file for one in drawings for file in one.files],
+        "photos": photos,
+    }
+
+
+class _MeasuredMeshes(NamedTuple):
+    """Meshes to measure.
+
+    Attributes
+    ----------
+    models : functions that build a model on first use, by mesh name.
+    large : chunked meshes by name.
+    small : in-memory meshes by name.
+    box : (2, 3) common bounding box.
+    """
+
+    models: Mapping[str, Callable[[], RenderModel]]
+    large: Mapping[str, ChunkedMesh]
+    small: Mapping[str, Mesh]
+    box: Floats
+
+    def get_surface(self, name: str) -> RaycastingSurface:
+        return self.models[name]().surface
+
+
+def _merge_boxes(*boxes: Floats) -> Floats:
+    lows, highs = np.array(boxes).swapaxes(0, 1)
+    return np.array([lows.min(axis=0), highs.max(axis=0)])
+
+
+def _make_model(mesh: Mesh, box: Floats) -> RenderModel:
+    return RenderModel(RaycastingSurface(mesh, box))
+
+
+def _run_parallel(
+    tasks: Sequence[Callable[[], Any]], progress: Progress = ignore_progress, threads: int | None = None
+) -> list[Any]:
+    """Run tasks in parallel, started in order, and return their results in order.
+
+    `threads` defaults to the number of cores.
+    """
+    results = []
+    for result in map_ordered(
+        lambda one: one(), tasks, threads=threads or get_worker_count(), max_pending=len(tasks)
+    ):
+        results.append(result)
+        progress(len(results), len(tasks))
+    return results
+
+
+def _measure_from_fused(meshes: _MeasuredMeshes, params: CompareParams) -> dict[str, Any]:
+    """Measure the two-sided distance between the simplified and the fused mesh.
+
+    From the simplified to the fused mesh (`b_to_a`) it is the error of the result. The other direction is
+    dominated by the islands that cleaning removed.
+    """
+    if "fused" in meshes.large:
+        found, _ = compare_chunked(meshes.large["fused"], meshes.small["simplified"], params, box=meshes.box)
+        return found.figures()
+    return compare_surfaces(meshes.get_surface("fused"), meshes.get_surface("simplified"), params).figures()
+
+
+def _measure_from_clean(
+    folder: Path, meshes: _MeasuredMeshes, params: CompareParams
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Measure the two-sided error of simplification, and the signed deviation of the result.
+
+    Both are relative to the clean mesh. Islands are already removed from it, so only simplification
+    contributes.
+    """
+    final = meshes.small["simplified"]
+    result = meshes.small.get("textured", final)
+    fewer = replace(params, samples=math.ceil(params.samples / 4))
+    signed = DeviationParams(signed_samples=SIGNED_SAMPLES)
+    found: Deviations | None
+    if "clean" in meshes.large:
+        compared, found = compare_chunked(
+            meshes.large["clean"], final, fewer, box=meshes.box, signed=(result, signed)
+        )
+        assert found is not None, "it was asked for"
+    else:
+        box = compute_bounding_box(meshes.small["clean"], final, result)
+        clean = NeedleSafeSurface(meshes.get_surface("clean"), box)
+        compared = compare_needle_safe(clean, NeedleSafeSurface(meshes.get_surface("simplified"), box), fewer)
+        found = measure_deviations_from(clean, result, signed)
+    return compared.figures(), write_deviations(folder, found)
+
+
+def measure_simplified(final: Mesh) -> dict[str, Any]:
+    """Return element counts, topology and edge statistics of the simplified mesh."""
+    found = topology(final)
+    return {
+        "vertices": len(final.vertices),
+        "triangles": len(final.triangles),
+        "manifold": found.is_manifold,
+        "oriented": found.is_oriented,
+        "boundary_loops": found.boundary_loops,
+        "components": found.components,
+        "edges": edge_figures(final),
+    }
+
+
+def edge_figures(mesh: Mesh) -> dict[str, Any]:
+    """Return statistics of edge lengths; each edge counts once."""
+    ends = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    count = len(mesh.vertices)
+    # Encode each edge as one integer: sorting integers is several times faster than sorting rows.
+    edges = np.unique(ends[:, 0] * count + ends[:, 1])
+    lengths = np.linalg.norm(mesh.vertices[edges // count] - mesh.vertices[edges % count], axis=1)
+    if len(lengths) == 0:
+        return {"count": 0}
+    return {
+        "count": len(edges),
+        "length_mean_m": float(lengths.mean()),
+        "length_std_m": float(lengths.std()),
+        "length_min_m": float(lengths.min()),
+        "length_max_m": float(lengths.max()),
+    }
+
+
+class _Drawing(NamedTuple):
+    """Picture to draw, with an optional second picture that also shows the triangles."""
+
+    file: str
+    model: Callable[[], RenderModel]
+    viewpoint: Viewpoint
+    with_triangles: str | None = None
+
+    @property
+    def files(self) -> list[str]:
+        return [self.file] if self.with_triangles is None else [self.file, self.with_triangles]
+
+    def draw(self, folder: Path) -> None:
+        image = self.model().draw(self.viewpoint)
+        write_png(folder / self.file, image)
+        if self.with_triangles is not None:
+            both = np.hstack([image, self.model().draw(self.viewpoint, "edges")])
+            write_png(folder / self.with_triangles, both)
+
+
+class _ChunkedDrawing(NamedTuple):
+    """All pictures of a chunked mesh."""
+
+    name: str
+    mesh: ChunkedMesh
+    viewpoints: Sequence[Viewpoint]
+    box: Floats
+
+    @property
+    def files(self) -> list[str]:
+        return [_make_file_name(self.name, one) for one in self.viewpoints]
+
+    def draw(self, folder: Path) -> None:
+        for file, image in zip(self.files, draw_chunked(self.mesh, self.viewpoints, self.box), strict=True):
+            write_png(folder / file, image)
+
+
+def _make_file_name(name: str, viewpoint: Viewpoint) -> str:
+    return f"{name}-{viewpoint.name}.png"
+
+
+def _list_drawings(
+    models: Mapping[str, Callable[[], RenderModel]],
+    viewpoint_list: Sequence[Viewpoint],
+    color_by_photo: Callable[[], Mesh] | None,
+) -> list[_Drawing]:
+    """List the pictures to draw: each mesh from each viewpoint, and two extra pictures.
+
+    Files are `<mesh>-<viewpoint>.png`, `simplified-triangles.png` with the edges of the simplified mesh, and
+    `textured-photos.png` with the photo of the largest weight per texel.
+    """
+    drawings: list[_Drawing] = []
+    for name, model in models.items():
+        drawings += (_Drawing(_make_file_name(name, one), model, one) for one in viewpoint_list)
+        if name == "simplified":
+            drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
+        if name == "textured" and color_by_photo is not None:
+            drawings.append(
+                _Drawing(
+                    "textured-photos.png", partial(_recolor_model, model, color_by_photo), viewpoint_list[-1]
+                )
+            )
+    return drawings
+
+
+def _recolor_model(model: Callable[[], RenderModel], colors: Callable[[], Mesh]) -> RenderModel:
+    return model().replace_colors(colors())
+
+
+def choose_viewpoints(
+    mesh: Mesh | ChunkedMesh, frames: Sequence[Frame], params: ReportParams
+) -> tuple[Viewpoint, ...]:
+    """Choose the viewpoints of the pictures from the fused mesh and the frames."""
+    # Viewpoints are named after frames. File names are not part of the cache key, so use frame indices
+    # instead.
+    numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
+    if isinstance(mesh, ChunkedMesh):
+        points = mesh.sample_vertices(MAX_FRAMED_POINTS)
+        return choose_viewpoints_around(points, params.viewpoints, frames=numbered, width=params.width)
+    return viewpoints(mesh, params.viewpoints, frames=numbered, width=params.width)
+
+
+def measure_and_draw_levels(
+    folder: Path | None,
+    original: Mesh,
+    levels: Sequence[Mesh],
+    viewpoint: Viewpoint,
+    compare_params: CompareParams,
+) -> tuple[dict[str, Any], list[str]]:
+    """Measure and draw the levels of a normal mesh.
+
+    Each level is drawn with its triangles. The original mesh is coloured by its distance from the last level.
+
+    Parameters
+    ----------
+    folder : folder for the pictures; None to draw none.
+    original : mesh that was remeshed.
+    levels : meshes of all levels, coarse to fine.
+    viewpoint : viewpoint of the pictures.
+    compare_params : parameters of the comparison; each level gets a quarter of the samples.
+
+    Returns
+    -------
+    Metrics, and the file names of the pictures: `remeshed-level_<k>.png` and `remeshed-distance.png`. The
+    last colour of the latter means `full_scale_m` of the metrics, or more.
+    """
+    fewer = replace(compare_params, samples=math.ceil(compare_params.samples / 4))
+    box = compute_bounding_box(original, *levels)
+    reference, figures, images = RaycastingSurface(original, box), [], {}
+    for level, mesh in enumerate(levels):
+        surface = RaycastingSurface(mesh, box)
+        found = compare_surfaces(reference, surface, fewer)
+        counts = {"level": level, "vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
+        figures.append(counts | {"to_simplified": found.figures()})
+        if folder is not None:
+            images[f"remeshed-level_{level}.png"] = RenderModel(surface).draw(viewpoint, "edges")
+    if folder is None:
+        return {"levels": figures, "full_scale_m": None}, []
+    painted, full_scale = paint_distances(original, surface)
+    images["remeshed-distance.png"] = RenderModel(RaycastingSurface(painted, box)).draw(viewpoint)
+    for name, image in images.items():
+        write_png(folder / name, image)
+    return {"levels": figures, "full_scale_m": full_scale}, list(images)

@@ -1,0 +1,205 @@
+"""Registration subject: the whole scene, or an object that moves in front of a static camera.
+
+Matched points and marks give initial poses of the object (see `turning`); surfaces refine these poses. The
+final masks are computed in `belonging`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.registration.codes import REGISTER_TURNING_OBJECT
+from scanloom.stages.registration.features import Features
+from scanloom.stages.registration.frame_preview import FramePreview, read_preview, read_previews
+from scanloom.stages.registration.object_segmentation import segment_moving_object
+from scanloom.stages.registration.static_background import (
+    Mask,
+    StaticBackground,
+    estimate_background,
+    has_moving_region,
+    is_camera_static,
+)
+from scanloom.stages.registration.turntable_init import estimate_initial_poses
+from scanloom.stages.registration.view import read_registration_view
+from scanloom.stages.scans.model.images import read_mask
+from scanloom.stages.scans.model.poses import invert_pose
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
+from scanloom.stages.scans.model.scan import Frame, Pose
+
+# Number of frames sampled to detect motion, and for the static background.
+_DECISION_FRAME_COUNT, _BACKGROUND_FRAME_COUNT = 7, 24
+# Minimum size of an object, as ratio of the image.
+_MIN_MASK_RATIO = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class MovingObject:
+    """Moving object in front of a static camera, before registration.
+
+    Attributes
+    ----------
+    masked_frames : frames of the scan, with masks of pixels that may show the object.
+    initial_poses : initial world_from_camera of some frames by index; the world is the object.
+    """
+
+    masked_frames: list[Frame]
+    initial_poses: dict[int, Pose]
+
+
+def detect_moving_object(frames: Sequence[Frame], subject: str, where: Path | None) -> MovingObject | None:
+    """Detect the moving object of a scan; None for a scene.
+
+    Parameters
+    ----------
+    frames : frames of the scan.
+    subject : `scene`, `object`, or `auto`: the object if the camera is static and something moves.
+    where : folder of the scan, for messages.
+
+    Raises
+    ------
+    StageError
+        If `subject` is `object`, but the camera moves, or nothing moves in front of it.
+    """
+    if subject == "scene" or len(frames) < 2:
+        return None
+    previews, is_still, moves = _detect_motion(frames)
+    if not (is_still and moves):
+        if subject == "object":
+            reason = "nothing moves in front of the camera" if is_still else "the camera moves"
+            raise StageError(
+                REGISTER_TURNING_OBJECT,
+                "cannot separate a moving object from the scene: {reason}.",
+                where,
+                remedy=(
+                    "register.subject=object needs a static camera and a moving object; use "
+                    "register.subject=scene to register the whole scene."
+                ),
+                reason=reason,
+            )
+        return None
+    more = [n for n in sample_evenly(len(frames), _BACKGROUND_FRAME_COUNT).tolist() if n not in previews]
+    previews |= read_previews(frames, more)
+    background = estimate_background(previews)
+    masked, features = list(frames), {}
+    threads = get_worker_count()
+    shown = map_ordered(
+        lambda frame: _mask_frame(frame, background), frames, threads=threads, max_pending=threads
+    )
+    for n, (frame, seen) in enumerate(shown):
+        masked[n] = frame
+        if seen is not None:
+            features[n] = seen
+    return MovingObject(masked, estimate_initial_poses(frames, features, previews, background))
+
+
+def has_moving_object(frames: Sequence[Frame]) -> bool:
+    """Check whether something moves in front of a static camera.
+
+    This is the case in which `auto` registers the object alone.
+    """
+    _, is_still, moves = _detect_motion(frames)
+    return is_still and moves
+
+
+def mask_to_object(
+    frames: Sequence[Frame],
+    posed_frames: Mapping[int, Frame],
+    moving_object: MovingObject,
+    where: Path | None,
+) -> dict[int, Frame]:
+    """Mask posed frames to the moving object.
+
+    If matched points and marks connect all frames, their poses replace the poses from surfaces. A surface of
+    revolution slides along itself, and the edge of a mask moves with the object.
+
+    Parameters
+    ----------
+    frames : frames of the scan, as given.
+    posed_frames : posed frames by index; the world is the object.
+    where : folder of the scan, for messages.
+
+    Raises
+    ------
+    StageError
+        If hardly a pixel agrees with the poses, because the object is not rigid.
+    """
+    poses = {
+        n: frame.world_from_camera for n, frame in posed_frames.items() if frame.world_from_camera is not None
+    }
+    if all(n in moving_object.initial_poses for n in poses):
+        first = next(iter(poses))
+        into = poses[first] @ invert_pose(moving_object.initial_poses[first])
+        poses = {n: into @ moving_object.initial_poses[n] for n in poses}
+    found = {n: replace(frames[n], world_from_camera=pose) for n, pose in poses.items()}
+    if len(found) < 2:
+        return found
+    masks = segment_moving_object(found)
+    if float(np.median([mask.mean() for mask in masks.values()])) < _MIN_MASK_RATIO:
+        raise create_object_error("no motion of a rigid object fits the frames", where)
+    return {n: _intersect_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
+
+
+def create_object_error(reason: str, where: Path | None) -> StageError:
+    """Create the error for an object whose poses cannot be estimated."""
+    return StageError(
+        REGISTER_TURNING_OBJECT,
+        "an object moves in front of a static camera, but its poses cannot be estimated ({why}).",
+        where,
+        remedy=(
+            "Turn the object in smaller steps, on printed paper, or use register.subject=scene to register "
+            "the whole scene."
+        ),
+        why=reason,
+    )
+
+
+def _detect_motion(frames: Sequence[Frame]) -> tuple[dict[int, FramePreview], bool, bool]:
+    """Detect a static camera and a moving object in sampled frames.
+
+    Returns
+    -------
+    Previews by frame index; whether the camera is static; whether something moves.
+    """
+    looks = read_previews(frames, sample_evenly(len(frames), _DECISION_FRAME_COUNT).tolist())
+    views = {}
+    for n in looks:
+        with contextlib.suppress(InputError):
+            views[n] = read_registration_view(frames[n], np.inf)
+    looks = {n: looks[n] for n in views}
+    if not is_camera_static(list(views.values()), list(looks.values())):
+        return looks, False, False
+    return looks, True, has_moving_region(list(looks.values()))
+
+
+def _mask_frame(frame: Frame, background: StaticBackground) -> tuple[Frame, Features | None]:
+    """Mask a frame to candidate pixels of the object, and detect features.
+
+    Unreadable frames have no features (None).
+    """
+    look = read_preview(frame)
+    if look is None or look.depth.shape != background.depth.shape:
+        return frame, None
+    masked = _intersect_mask(frame, background.mask_candidates(look))
+    try:
+        return masked, read_registration_view(masked, np.inf).features
+    except InputError:
+        return masked, None
+
+
+def _intersect_mask(frame: Frame, mask: Mask) -> Frame:
+    """Intersect the mask of a frame with another mask (h, w)."""
+    import cv2
+
+    both = mask.astype(np.uint8) * np.uint8(255)
+    own = read_mask(frame)
+    if own is not None:
+        size = (mask.shape[1], mask.shape[0])
+        both &= cv2.resize(own, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return replace(frame, mask=both)

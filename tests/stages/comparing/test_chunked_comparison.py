@@ -1,0 +1,110 @@
+"""Distances from and to a mesh in pieces are those of the whole, at the faces where pieces meet, too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scanloom.stages.comparing import chunked_comparison
+from scanloom.stages.comparing.chunked_comparison import compare_chunked
+from scanloom.stages.comparing.compare import CompareParams, compare
+from scanloom.stages.comparing.comparison_inputs import compute_joint_box
+from scanloom.stages.comparing.deviations import DeviationParams, deviations
+from scanloom.stages.comparing.needle_search import NeedleSafeSurface
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface import chunked_ply
+from scanloom.stages.surface.chunked_mesh import ChunkedMesh
+from scanloom.stages.surface.chunked_ply import ChunkedPly, ChunkExtent, WrittenChunk
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats
+
+PARAMS = CompareParams(samples=20_000)
+SIGNED = DeviationParams(signed_samples=5_000)
+
+pytestmark = pytest.mark.usefixtures("few_at_a_time")
+
+
+@pytest.fixture(scope="module")
+def whole(large: Path) -> Mesh:
+    return read_ply(large)
+
+
+def measured(path: Path, whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
+    box: Floats = compute_joint_box(whole, mesh)
+    return compare_chunked(ChunkedMesh(ChunkedPly(path)), mesh, PARAMS, box=box, signed=(mesh, SIGNED))
+
+
+def is_near(found: Any, expected: Any) -> None:
+    """Let equal samples have equal distances, to rounding."""
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for name, value in expected.items():
+            is_near(found[name], value)
+    elif isinstance(expected, list):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            is_near(one, other)
+    else:
+        assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if expected else expected)
+
+
+def test_figures_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
+    light = simplify(whole, ratio=0.1).mesh
+    found, signed = measured(large, whole, light)
+    is_near(found.figures(), compare(whole, light, PARAMS).figures())
+    expected = deviations(whole, light, SIGNED)
+    is_near(signed.figures(), expected.figures())
+    np.testing.assert_allclose(signed.at_vertices, expected.vertex_distances, atol=1e-7)
+    assert found.figures()["color"] is not None
+    assert signed.is_signed
+
+
+def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A steep roof, each side a piece: alone, one side takes what is over the other for its inside.
+    feet = [[x, y, -1] for x in (-0.27, 0.27) for y in (0, 1)]
+    vertices = np.array([[0, 0, 0], [0, 1, 0], *feet], np.float64)
+    triangles = np.array([[0, 1, 3], [0, 3, 2], [1, 0, 4], [1, 4, 5]], np.int32)
+    monkeypatch.setattr(chunked_ply, "MAX_IN_MEMORY_TRIANGLES", 1)
+    sizes = [
+        ChunkExtent((0, 4), (0, 2), (-1, 0, -1), (0, 1, 0)),
+        ChunkExtent((4, 6), (2, 4), (0, 0, -1), (1, 1, 0)),
+    ]
+    parts = [WrittenChunk(vertices[:4], None, triangles[:2]), WrittenChunk(vertices[4:], None, triangles[2:])]
+    path = tmp_path / "roof.ply"
+    chunked_ply.write_chunked_ply(path, sizes, parts, has_colors=False, spacing=1.0)
+    above = Mesh(
+        np.array([[-0.05, 0.2, 0.1], [0.05, 0.2, 0.1], [0.05, 0.8, 0.1]]), np.array([[0, 1, 2]], np.int32)
+    )
+    found, signed = measured(path, Mesh(vertices, triangles), above)
+    assert signed.is_signed
+    np.testing.assert_allclose(signed.at_vertices, np.hypot(0.05, 0.1))
+    assert signed.samples.min() > 0
+    assert found.figures()["color"] is None
+
+
+def test_what_is_far_off_is_found_as_well(large: Path, whole: Mesh) -> None:
+    away = np.array([[0, 0, 9.0], [1, 0, 9], [0, 1, 9]])
+    triangle = Mesh(np.vstack([away, whole.vertices[:3]]), np.array([[0, 1, 2], [3, 4, 5]], np.int32))
+    found, _ = measured(large, whole, triangle)
+    is_near(found.figures(), compare(whole, triangle, PARAMS).figures())
+
+
+def test_few_points_ask_a_piece_they_are_not_near(
+    large: Path, whole: Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    class Counting(NeedleSafeSurface):
+        def find_closest_points(self, points: Floats) -> Any:
+            asked.append(len(points))
+            return super().closest(points)
+
+    monkeypatch.setattr(chunked_comparison, "NeedleSafeSurface", Counting)
+    light = simplify(whole, ratio=0.1).mesh
+    measured(large, whole, light)
+    points = PARAMS.samples + SIGNED.signed_samples + 2 * len(light.vertices)
+    assert points <= sum(asked) < 2 * points

@@ -1,0 +1,82 @@
+"""The measures of WANG12, formula by formula; where the paper's letter differs, both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scanloom.stages.lod import View
+from scanloom.stages.lod.refinement_measures import (
+    compute_frustum_ratio,
+    compute_global_limit,
+    compute_local_measure,
+    compute_marked_ratio,
+    compute_silhouette_weight,
+)
+
+# Looks along +z from the origin.
+VIEW = View((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 100, 100, 90.0)
+
+
+def test_the_global_limit_falls_from_all_triangles_to_the_floor() -> None:
+    limits = [compute_global_limit(1000, 10, d, near=1.0, far=11.0) for d in (0.0, 1.0, 6.0, 11.0, 50.0)]
+    assert limits == [1000, 1000, 505, 10, 10]
+
+
+def test_the_frustum_share_is_that_of_what_is_within() -> None:
+    middle = np.array([[0.0, 0, 5], [0, 0, -5], [5, 0, 5]])
+    radius = np.ones(3)
+    assert compute_frustum_ratio(VIEW, middle, radius).tolist() == [1, 0, 1]
+    points = (np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -5]]), np.array([[4.5, 0, 5], [5.5, 0, 5]]))
+    assert compute_frustum_ratio(VIEW, middle, radius, points).tolist() == [1, 0, 0.5]
+
+
+def weights(degrees: float, rule: str) -> float:
+    """Return the weight of a small flat cell ahead whose normal is so far from the direction of view."""
+    turn = np.radians(degrees)
+    axis = np.array([[np.sin(turn), 0.0, np.cos(turn)]])
+    found = compute_silhouette_weight(
+        VIEW,
+        np.array([[0.0, 0, 10]]),
+        np.array([0.01]),
+        axis,
+        np.array([0.05]),
+        rule=rule,  # type: ignore[arg-type]
+    )
+    return float(found[0])
+
+
+def test_what_looks_away_has_no_weight_and_what_faces_the_eye_has_all_by_both_rules() -> None:
+    assert weights(10, "paper") == weights(10, "corrected") == 0
+    assert weights(180, "paper") == 1
+    assert weights(180, "corrected") == pytest.approx(0.5)
+
+
+def test_at_the_outline_the_papers_letter_is_negative_and_the_corrected_rule_largest() -> None:
+    assert weights(88, "paper") == pytest.approx(-np.cos(np.radians(88)))
+    assert weights(88, "paper") < 0
+    assert weights(88, "corrected") == weights(92, "corrected") == 1
+    assert weights(120, "corrected") == pytest.approx(np.sin(np.radians(120)))
+
+
+def test_from_within_a_cell_everything_may_be_outline() -> None:
+    one = compute_silhouette_weight(VIEW, np.zeros((1, 3)), np.ones(1), np.array([[0.0, 0, 1]]), np.zeros(1))
+    assert one.tolist() == [1]
+
+
+def test_in_the_papers_letter_no_leaf_of_a_shared_region_passes_a_half() -> None:
+    marked, vertices = np.array([30.0, 10, 10, 10, 0]), np.array([100.0, 10, 20, 10, 50])
+    np.testing.assert_allclose(
+        compute_marked_ratio(marked, vertices, rule="paper"), [1, 1 / 3, 1 / 3, 1 / 3, 0]
+    )
+    np.testing.assert_allclose(compute_marked_ratio(marked, vertices), [0.3, 1, 0.5, 1, 0])
+
+
+def test_the_local_measure_is_one_above_either_threshold() -> None:
+    frustum, silhouette = np.array([1.0, 1, 0, 0.5]), np.array([0.5, 0.5, 1, 0.8])
+    error, marked = np.array([0.83, 0.0, 9.0, 0.5]), np.array([0.0, 0.51, 0.0, 0.45])
+    np.testing.assert_allclose(compute_local_measure(frustum, silhouette, error, marked), [1, 1, 0, 0.45])
+    # By the letter, what is off screen refines.
+    np.testing.assert_allclose(
+        compute_local_measure(frustum, silhouette, error, marked, rule="paper"), [1, 1, 1, 0.45]
+    )
