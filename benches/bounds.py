@@ -130,7 +130,8 @@ def find_one_sided_maximum(mesh: Mesh, other: RaycastingSurface, samples: int) -
 def sample_points(mesh: Mesh, samples: int) -> Iterator[ClosestPoints]:
     """Yield batches of sample points on a surface.
 
-    First all vertices, then the points of `BARYCENTRIC_SAMPLES` in every triangle, then random points by area.
+    First all vertices, then the points of `BARYCENTRIC_SAMPLES` in every triangle, then random points by
+    area.
     """
     every = np.arange(len(mesh.triangles))
     for weights in (*np.eye(3), *BARYCENTRIC_SAMPLES):

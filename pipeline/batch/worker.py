@@ -1,7 +1,7 @@
 """Worker that runs jobs of a queue, one per slot.
 
-The worker only claims, watches and records. Jobs run in subprocesses (`scanloom.pipeline.batch.process_handle`), so
-that no job can block the heartbeat or crash the worker.
+The worker only claims, watches and records. Jobs run in subprocesses
+(`scanloom.pipeline.batch.process_handle`), so that no job can block the heartbeat or crash the worker.
 """
 
 from __future__ import annotations

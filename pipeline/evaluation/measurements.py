@@ -1,6 +1,7 @@
 """Measurements and pictures of the meshes of a run.
 
-Both only depend on the meshes and are cached. `scanloom.pipeline.run.report_document` adds data of the run itself.
+Both only depend on the meshes and are cached. `scanloom.pipeline.run.report_document` adds data of the run
+itself.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def measure_and_draw(
         be chunked.
     frames : frames of the scan, whose poses determine the viewpoints.
     compare_params : parameters of the comparison.
-    color_by_photo : returns the textured mesh coloured by the photo with the largest weight, which is drawn, too.
+    color_by_photo : returns the textured mesh coloured by the photo with the largest weight, which is drawn,
+    too.
     held_out : held-out frames with corrected poses.
 
     Raises

@@ -123,12 +123,12 @@ def adjust(
     """Refine camera poses and the colour camera by bundle adjustment.
 
     Silhouettes in depth maps and photos show the offset between both. If the offset is clear, the colour
-    camera is corrected first. Then a few frame pairs are matched. If colour, depth and poses agree there,
-    the poses stay. Otherwise keypoints of at least three frames are joined into tracks. Bundle adjustment
-    fits poses, points and one colour camera to keypoint positions and measured depth, with a prior on the
-    given poses. Rolling-shutter rotations are fitted, too, if they clearly reduce the error. Every fifth
-    track is held out; results that do not improve the held-out tracks are discarded. Equal input gives
-    bit-identical results on any number of threads.
+    camera is corrected first. Then a few frame pairs are matched. If colour, depth and poses agree there, the
+    poses stay. Otherwise keypoints of at least three frames are joined into tracks. Bundle adjustment fits
+    poses, points and one colour camera to keypoint positions and measured depth, with a prior on the given
+    poses. Rolling-shutter rotations are fitted, too, if they clearly reduce the error. Every fifth track is
+    held out; results that do not improve the held-out tracks are discarded. Equal input gives bit-identical
+    results on any number of threads.
 
     Parameters
     ----------

@@ -38,8 +38,8 @@ class Adjustment:
     Attributes
     ----------
     frames : all frames, in order. Adjusted frames have a new `world_from_camera`, and a `shutter_turn` if
-        `is_shutter_adjusted`. If `is_camera_adjusted`, frames with colour, depth and a pose have a new `get_color_camera` and
-        `read_color_from_depth`.
+        `is_shutter_adjusted`. If `is_camera_adjusted`, frames with colour, depth and a pose have a new
+        `get_color_camera` and `read_color_from_depth`.
     adjusted_indices : indices of the frames whose poses were adjusted.
     accepted : the result is better and is used; otherwise `frames` are the given frames.
     reason : reason for the decision, a sentence.
@@ -47,7 +47,8 @@ class Adjustment:
     is_shutter_adjusted : rolling-shutter rotations were adjusted.
     offset_before, offset_after : photo-to-depth offset at silhouettes; None if too few were found.
         `measure_offset` is also None if the colour camera did not change.
-    error_before, error_after : transfer errors of held-out points. If no bundle adjustment ran, `error_before` is measured on a
+    error_before, error_after : transfer errors of held-out points. If no bundle adjustment ran,
+    `error_before` is measured on a
         few frame pairs, and `error_after` is None.
     key_frame_count : number of frames in the bundle adjustment.
     point_count : number of tracks in the bundle adjustment, each seen in at least three key frames.

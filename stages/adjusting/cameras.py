@@ -30,7 +30,8 @@ class Cameras:
     lenses : (m, 9) intrinsics of the colour cameras: fx, fy, cx, cy in pixels of the downscaled image
         (`View.size`), then the distortion coefficients k1, k2, p1, p2, k3.
     color_from_depth : (m, 4, 4) extrinsics of the colour cameras, metres.
-    readout_rotations : (m, 3) rotation of each depth camera from its first to its last image row (rolling shutter).
+    readout_rotations : (m, 3) rotation of each depth camera from its first to its last image row (rolling
+    shutter).
         Rotation vectors in camera axes, radians. `pose_steps` refer to the middle row.
     """
 

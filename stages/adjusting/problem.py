@@ -402,7 +402,8 @@ class TransformedSurfacePoints(NamedTuple):
     first_middle, other_middle : (k, 3) metres, axes of the first and of the other view at their middle rows.
     other_readout : (k, 3) metres, axes of the other view at the readout time of its row.
     readout_times : (k,) that readout time, see stages/adjusting/rolling_shutter.py.
-    rotations, readout_rotations : (k, 3, 3) rotations from `first_middle` to `other_middle`, and from `other_middle` to `other_readout`.
+    rotations, readout_rotations : (k, 3, 3) rotations from `first_middle` to `other_middle`, and from
+    `other_middle` to `other_readout`.
     """
 
     first_middle: NDArray[np.float64]
@@ -437,7 +438,8 @@ class LinearisedProblem:
     surface_residuals : linearised point-to-plane residuals.
     residuals : (n, 3) pixel x, pixel y and depth, weighted, in standard deviations.
     by_pose, by_camera, by_point : Jacobians (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3).
-    pose_gradient, camera_gradient : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour camera, (10,).
+    pose_gradient, camera_gradient : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour
+    camera, (10,).
     pose_weights, camera_weights : second derivatives of the priors: diagonal (6,) or (9,), and (10, 10).
     """
 

@@ -1,8 +1,8 @@
 """Rolling shutter: the camera rotates while image rows are read out (Hedborg et al. 2012).
 
 A pose refers to the middle row. The readout time of a row is -0.5 for the first row and 0.5 for the last row.
-Until then the camera has rotated by that fraction of its `Cameras.readout_rotations`. Depth maps are assumed to have the
-same readout as colour images.
+Until then the camera has rotated by that fraction of its `Cameras.readout_rotations`. Depth maps are assumed
+to have the same readout as colour images.
 """
 
 from __future__ import annotations

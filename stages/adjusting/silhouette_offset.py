@@ -1,7 +1,7 @@
 """Offset between photos and depth maps, measured at silhouettes.
 
-Feature matches barely constrain a constant photo-to-depth offset: depth changes little over a few pixels of
-a surface, and poses absorb the rest. Silhouettes show the offset directly. The photo's gradient is sampled
+Feature matches barely constrain a constant photo-to-depth offset: depth changes little over a few pixels of a
+surface, and poses absorb the rest. Silhouettes show the offset directly. The photo's gradient is sampled
 along the normal of each silhouette point of the depth map. The offset is the shift with the largest mean
 gradient. Levinson and Thrun ("Automatic online calibration of cameras and lasers", 2013) do this for a lidar.
 Sensors also make objects wider or thinner on all sides. A shift moves opposite sides in the same direction,
@@ -46,10 +46,10 @@ _MIN_DIRECTION_RATIO = 0.2
 # sizes of the refinement, pixels.
 _GRID_BLUR_PX, _REFINE_BLUR_PX = 1.5, 0.8
 _REFINE_STEPS_PX = (1.0, 0.5, 0.25, 0.1, 0.05)
-# Criteria of a clear offset. It has at least `_MIN_OFFSET_PX` pixels, and exceeds the change of object width, which
-# is not quite equal on all sides (depth from stereo matching seems to be off by nearly 2 px). Both halves of
-# the frames find it within `_MAX_DIFFERENCE_PX` pixels or the ratio `_MAX_DIFFERENCE_RATIO`. The offset found by one half raises
-# the gradient of the other half by the factor `_MIN_GRADIENT_GAIN`.
+# Criteria of a clear offset. It has at least `_MIN_OFFSET_PX` pixels, and exceeds the change of object width,
+# which is not quite equal on all sides (depth from stereo matching seems to be off by nearly 2 px). Both
+# halves of the frames find it within `_MAX_DIFFERENCE_PX` pixels or the ratio `_MAX_DIFFERENCE_RATIO`. The
+# offset found by one half raises the gradient of the other half by the factor `_MIN_GRADIENT_GAIN`.
 _MIN_OFFSET_PX, _MAX_DIFFERENCE_PX, _MAX_DIFFERENCE_RATIO, _MIN_GRADIENT_GAIN = 2.0, 1.0, 0.25, 1.05
 # Quantiles of relative inverse depth that represent far and near silhouettes.
 _FAR_NEAR_QUANTILES = (0.1, 0.9)
@@ -63,7 +63,8 @@ class SilhouetteObservation:
 
     Attributes
     ----------
-    points, outer_points : (n, 3) silhouette points, and points one pixel further outwards; metres, depth-camera axes.
+    points, outer_points : (n, 3) silhouette points, and points one pixel further outwards; metres,
+    depth-camera axes.
     photo : (h, w, 3) uint8, with lens distortion, blurred, at most 640 wide.
     full_size : (width, height) of the stored photo.
     """
@@ -209,7 +210,8 @@ class _GradientProfiles(NamedTuple):
 
     Attributes
     ----------
-    gradient_sums : (depths, directions, 2 reach + 1) sums of squared gradients, normalised per silhouette point.
+    gradient_sums : (depths, directions, 2 reach + 1) sums of squared gradients, normalised per silhouette
+    point.
     counts : (depths, directions) number of points.
     nearness : (depths,) sums of the inverse depth relative to the typical one, minus 1.
     """

@@ -21,7 +21,8 @@ class SurfacePoints:
 
     Attributes
     ----------
-    pair_indices : (c, 2) indices of the view that measures the points, and of the view whose surface the points
+    pair_indices : (c, 2) indices of the view that measures the points, and of the view whose surface the
+    points
         should meet.
     pair_of_point : (k,) index of the frame pair of each point.
     points : (k, 3) metres, depth-camera axes of the first view, at the readout time of the point's row.

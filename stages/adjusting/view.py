@@ -46,7 +46,8 @@ class AdjustmentView:
     depth : (h, w) float32 metres, smoothed over 3 × 3 pixels; 0 where missing or at discontinuities.
     lens : (9,) colour camera as given, see `Cameras.lenses`.
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
-    has_adjustable_lens : the lens of the colour camera can be adjusted (no fisheye, at most five coefficients).
+    has_adjustable_lens : the lens of the colour camera can be adjusted (no fisheye, at most five
+    coefficients).
     """
 
     name: str

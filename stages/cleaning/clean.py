@@ -4,10 +4,8 @@ The steps, in order:
 
 1. Stitch coincident borders, remove degenerate and duplicate triangles, orient neighbours consistently, and
    split non-manifold edges and vertices.
-2. Remove small islands.
-3. Fill small holes, on request.
-4. Remove unused vertices.
-5. Repair irregular elements, on request.
+2. Remove small islands. 3. Fill small holes, on request. 4. Remove unused vertices. 5. Repair irregular
+elements, on request.
 
 A mesh that is already clean is returned unchanged.
 """
@@ -158,7 +156,8 @@ class CleaningResult:
         holes.
     changes : counts of the changes.
     min_island_area : m², the limit that was applied.
-    repair_result : result of the repairs, None without repairs. Its indices refer to the mesh before the repairs.
+    repair_result : result of the repairs, None without repairs. Its indices refer to the mesh before the
+    repairs.
     """
 
     mesh: Mesh

@@ -4,10 +4,9 @@ The operations follow Wang, Lu and Pan, "Dynamic evaluation and modification for
 (2012, table 1). They flip the longest edge of caps and folded edges, collapse the shortest edge of needles,
 and smooth spikes. Non-manifold regions are left alone.
 
-    apply every repair that creates no new defect, in rounds
-    repeat:
-        prove the two-sided distance of all changed triangles, and undo those beyond max_shape
-        compare the defects of all classes with the input, and undo repairs that created new ones
+    apply every repair that creates no new defect, in rounds repeat:
+        prove the two-sided distance of all changed triangles, and undo those beyond max_shape compare the
+        defects of all classes with the input, and undo repairs that created new ones
     until nothing is undone
 """
 
@@ -111,7 +110,8 @@ class RepairResult:
     mesh : repaired mesh; regular elements are unchanged.
     vertex_source : (n,) input vertex of each vertex.
     triangle_source : (m,) input triangle that each triangle replaces.
-    found_defects : defects of the input: per class in `scanloom.stages.cleaning.check.CLASSES` except thin triangles,
+    found_defects : defects of the input: per class in `scanloom.stages.cleaning.check.CLASSES` except thin
+    triangles,
         vertices (k,), edges (k, 2) or triangles (k,).
     repaired_defects : defects that no longer exist; some disappear through repairs of others.
     remaining_defects : defects that remain.

@@ -60,7 +60,8 @@ class Changes:
     new_area, gone_area : m².
     regions : connected changed regions, largest first: `kind` ("new" or "gone"), `area_m2`, `point_m`
         (centroid).
-    painted_mesh : later mesh in grey with new surface in green, plus the gone surface of the earlier mesh in red.
+    painted_mesh : later mesh in grey with new surface in green, plus the gone surface of the earlier mesh in
+    red.
     """
 
     change_distance: float

@@ -202,8 +202,8 @@ def compare(
     Returns
     -------
     Comparison
-        Colours come from the texture if the mesh has one, else from its vertices (see `compute_surface_colors`). For a
-        cloud, the colour of the nearest point counts.
+        Colours come from the texture if the mesh has one, else from its vertices (see
+        `compute_surface_colors`). For a cloud, the colour of the nearest point counts.
 
     Raises
     ------

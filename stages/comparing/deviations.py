@@ -96,7 +96,8 @@ class Deviations:
     vertex_distances : (n,) distances at the mesh's vertices, metres; 0 at unused vertices.
     delta_e : (k,) colour differences ΔE2000 at `sample_points`; None unless both have colours.
     tolerance : metres, or None.
-    in_tolerance_limit, color_range : metres; distances up to `in_tolerance_limit` get the in-tolerance colour, distances from
+    in_tolerance_limit, color_range : metres; distances up to `in_tolerance_limit` get the in-tolerance
+    colour, distances from
         `color_range` the last colour.
     painted_mesh : the measured mesh or cloud, coloured by deviation.
     """

@@ -97,8 +97,8 @@ def _build_command(module: str, arguments: Sequence[str]) -> list[str]:
 def serve_request(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
     """Run work in the subprocess within limits and write its result to stdout.
 
-    Counterpart of `run_reader_subprocess`: `work` receives the words that `run_reader_subprocess` passed. Exceptions other than ScanloomError
-    are reported like a crash.
+    Counterpart of `run_reader_subprocess`: `work` receives the words that `run_reader_subprocess` passed.
+    Exceptions other than ScanloomError are reported like a crash.
     """
     seconds, words = float(sys.argv[1]), sys.argv[2:]
     _limit_resources(seconds)

@@ -51,7 +51,8 @@ class SharedVertices:
 
     Attributes
     ----------
-    referenced : referenced vertices of neighbours: Z-order keys of their blocks (k,) and their edge codes (k,),
+    referenced : referenced vertices of neighbours: Z-order keys of their blocks (k,) and their edge codes
+    (k,),
         uint64.
     own : own vertices on the lower faces, which neighbours may reference: block keys (j,), edge codes (j,)
         and vertex indices (j,).
@@ -117,7 +118,8 @@ class StitchedMesh:
 
     Attributes
     ----------
-    vertex_offsets, triangle_offsets : (k + 1,) cumulative counts: index of the first element of each brick, and the
+    vertex_offsets, triangle_offsets : (k + 1,) cumulative counts: index of the first element of each brick,
+    and the
         total.
     vertex_count, triangle_count : totals.
 

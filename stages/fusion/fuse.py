@@ -62,7 +62,8 @@ class FusionResult(FusionStatistics):
     Attributes
     ----------
     mesh : with uint8 vertex colours if the frames have colour.
-    observation_counts : (n,) float32, number of frames that observed each vertex, capped at 255. None for a single frame,
+    observation_counts : (n,) float32, number of frames that observed each vertex, capped at 255. None for a
+    single frame,
         for Open3D's backend, and for fusion in bricks.
     """
 
@@ -93,9 +94,9 @@ def fuse(
     With a crop, the volume extends one truncation beyond the crop. Depth outside the crop only carves free
     space. The mesh is cut at the crop boundary and inside equals the mesh without a crop.
 
-    A single frame is meshed directly from its pixels, without a volume (see scanloom.stages.fusion.single_frame_mesh).
-    On one machine, equal input gives a bit-identical mesh for any number of threads and any brick size (see
-    scanloom.stages.fusion.brick_fusion).
+    A single frame is meshed directly from its pixels, without a volume (see
+    scanloom.stages.fusion.single_frame_mesh). On one machine, equal input gives a bit-identical mesh for any
+    number of threads and any brick size (see scanloom.stages.fusion.brick_fusion).
 
     Parameters
     ----------

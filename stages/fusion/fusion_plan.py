@@ -71,7 +71,8 @@ class FusionPlan:
     triangle_count : expected number of triangles, a rough estimate.
     scene : extent of the scan before cropping.
     crop : region to fuse.
-    crop_margin : metres; the volume extends this far outside the crop, so that it is complete at the boundary.
+    crop_margin : metres; the volume extends this far outside the crop, so that it is complete at the
+    boundary.
     support_plane : support plane that is removed with everything below it; None if no plane is removed.
     """
 
@@ -308,7 +309,8 @@ def _compute_position_ratio(
 ) -> float:
     """Return the ratio of camera positions of all frames to sampled ones.
 
-    Positions are counted in grid cells of size `crop_margin`, metres. `sampled_centers` has the sampled positions (n, 3).
+    Positions are counted in grid cells of size `crop_margin`, metres. `sampled_centers` has the sampled
+    positions (n, 3).
     """
 
     def count_cells(centers: NDArray[np.float64]) -> int:

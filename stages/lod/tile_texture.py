@@ -242,7 +242,8 @@ def paint_tile_images(
 ) -> Iterator[tuple[int, Mesh, TileImage]]:
     """Paint the images of all tiles.
 
-    Tiles are painted after all tiles in their `finer_tiles`. The result does not depend on the number of threads.
+    Tiles are painted after all tiles in their `finer_tiles`. The result does not depend on the number of
+    threads.
 
     Yields
     ------

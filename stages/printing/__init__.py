@@ -1,7 +1,8 @@
 """Text and notebook representation of results.
 
 Results print as one line of key values. In a notebook they show a table and a thumbnail. Arrays are never
-printed. A class uses `format_by_metrics` or `format_by_fields` as `__repr__`, and `render_table` as `_repr_html_`.
+printed. A class uses `format_by_metrics` or `format_by_fields` as `__repr__`, and `render_table` as
+`_repr_html_`.
 """
 
 from __future__ import annotations

@@ -133,7 +133,8 @@ def _select_pairs_between_parts(
 
     Parameters
     ----------
-    similarity : (n, n) similarity of views. It is unreliable for small overlaps, so few pairs are all selected.
+    similarity : (n, n) similarity of views. It is unreliable for small overlaps, so few pairs are all
+    selected.
     parts : (n,) index of the part of a broken chain for each key frame.
     """
     later, earlier = np.nonzero(np.tril(parts[:, None] != parts))

@@ -28,11 +28,12 @@ from scanloom.stages.scans.model.scan import Pose
 
 # Number of inlier matches from which a motion is accepted without agreement of surfaces.
 _MIN_CERTAIN_POINTS = 15
-# Minimum `RegistrationView.firmness`. Below, the surface is nearly a plane, cylinder or sphere, and slides along itself.
+# Minimum `RegistrationView.firmness`. Below, the surface is nearly a plane, cylinder or sphere, and slides
+# along itself.
 _MIN_FIRMNESS = 2e-3
 # Minimum overlap (ratio of a view's surface that meets the other surface): with a good initial guess; with a
-# poor one; with a poor one and no match although both views have `_RICH_FEATURE_COUNT` features; with enough inlier
-# matches.
+# poor one; with a poor one and no match although both views have `_RICH_FEATURE_COUNT` features; with enough
+# inlier matches.
 _MIN_FITNESS = 0.3
 _MIN_FITNESS_FROM_AFAR = 0.5
 _MIN_FITNESS_UNMATCHED, _RICH_FEATURE_COUNT = 0.75, 100

@@ -43,8 +43,9 @@ _MIN_LEAD = 1.5
 _MIN_ROTATION_RAD, _MAX_AXIS_DEVIATION_RAD, _MAX_SLIDE_RATIO = np.radians(8), np.radians(8), 0.05
 # Percentile of the radii of certain pixels that gives the radius of the object, and a margin as factor.
 _RADIUS_PERCENTILE, _RADIUS_MARGIN = 97.0, 1.03
-# Minimum number of certain pixels to estimate the extent of the object. The table is searched up to `_TABLE_RADIUS_FACTOR`
-# object radii; it exists if at least the ratio `_MIN_FLAT_RATIO` of the points there is at one height.
+# Minimum number of certain pixels to estimate the extent of the object. The table is searched up to
+# `_TABLE_RADIUS_FACTOR` object radii; it exists if at least the ratio `_MIN_FLAT_RATIO` of the points there
+# is at one height.
 _MIN_CERTAIN_PIXELS, _TABLE_RADIUS_FACTOR, _MIN_FLAT_RATIO = 50, 1.5, 0.5
 # Minimum colour difference between table and plate, 8-bit levels. The plate's colour is sampled within this
 # ratio of the object radius.
@@ -150,7 +151,8 @@ class _Votes:
     Attributes
     ----------
     object_lead : votes for the moving object minus votes for the static background, by depth and colour.
-    see_through_lead : frames that see through the pixel as part of the object, minus those that see through the
+    see_through_lead : frames that see through the pixel as part of the object, minus those that see through
+    the
         pixel as part of the background.
     """
 
@@ -165,7 +167,8 @@ class _ObjectExtent:
     Attributes
     ----------
     axis : rotation axis of the object.
-    radius, min_height, max_height : maximum distance from the axis, and range of heights along the axis, metres.
+    radius, min_height, max_height : maximum distance from the axis, and range of heights along the axis,
+    metres.
     table_height : height of the table, metres; None without a table.
     height_tolerance_m : tolerance of this height, metres.
     """
@@ -281,8 +284,8 @@ def _compare_points(preview: FramePreview, points: Floats, other: FramePreview) 
 
     Returns
     -------
-    Votes (h, w): 1 visible, -1 contradicted (the other frame sees farther), 0 occluded or unknown.
-    Colour agreement (h, w): 1 for equal colours, down to -1.
+    Votes (h, w): 1 visible, -1 contradicted (the other frame sees farther), 0 occluded or unknown. Colour
+    agreement (h, w): 1 for equal colours, down to -1.
     """
     rows, columns, inside = _project_to_pixels(points, other.camera)
     there = other.depth[rows, columns]

@@ -165,8 +165,8 @@ def _choose_best(
 ) -> PoseSolution:
     """Select the best of given, refined and freely estimated poses.
 
-    `refined` is tied to the given poses; `unconstrained` is not, and must be clearly better than `refined`. If the selected
-    poses are not better than the given ones, the given poses stay, with a warning.
+    `refined` is tied to the given poses; `unconstrained` is not, and must be clearly better than `refined`.
+    If the selected poses are not better than the given ones, the given poses stay, with a warning.
     """
     known = set(given_poses)
     edges = [

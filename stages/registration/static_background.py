@@ -105,7 +105,8 @@ class StaticBackground:
     color : (h, w, 3) median over the frames; None without colour.
     is_occluded_sometimes : (h, w) something nearer is seen here in some frames.
     moving_region : (h, w) region with changes, gaps and holes filled.
-    support_region : (h, w) convex hull of that region with a margin, so that it includes the support of the object.
+    support_region : (h, w) convex hull of that region with a margin, so that it includes the support of the
+    object.
     """
 
     depth: NDArray[np.float32]

@@ -40,7 +40,8 @@ class RegistrationView:
     firmness : constraint of the pose by the surface alone, 0 to 1/3. It is the smallest eigenvalue of the
         mean point-to-plane information matrix, with lengths relative to the root-mean-square radius of the
         points.
-    information_per_point : (6, 6) information matrix of rotation and translation, averaged over the points of the surface.
+    information_per_point : (6, 6) information matrix of rotation and translation, averaged over the points of
+    the surface.
     depth_m : median depth, metres.
     valid_pixel_count : number of pixels of `image` with depth.
     mean_color : mean grey level, 0 to 255; NaN if the colour image was not read.

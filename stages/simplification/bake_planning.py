@@ -53,10 +53,10 @@ _MIN_SMOOTH_LENGTH = 0.996
 # Maximum distance between duplicate vertices, as a ratio of the median triangle side.
 _MAX_SIMILAR_PER_SIDE = 0.01
 # For a triangle count, the model's own images are kept under three conditions. Baking loses visibly (RMS
-# above `_VISIBLE_COLOR_LEVELS` levels). The colour error is below `_MAX_COLOR_RATIO` of the baked one. The shape
-# error is at most `_MAX_SHAPE_RATIO` of the baked one, or below `_INVISIBLE_SHAPE_RATIO` of the diagonal. For
-# example, a can with small print has 44 dB with its own images at 10 %, and 34 dB with the same number of new
-# texels.
+# above `_VISIBLE_COLOR_LEVELS` levels). The colour error is below `_MAX_COLOR_RATIO` of the baked one. The
+# shape error is at most `_MAX_SHAPE_RATIO` of the baked one, or below `_INVISIBLE_SHAPE_RATIO` of the
+# diagonal. For example, a can with small print has 44 dB with its own images at 10 %, and 34 dB with the same
+# number of new texels.
 _VISIBLE_COLOR_LEVELS = 3.0
 _MAX_COLOR_RATIO = 0.35
 _MAX_SHAPE_RATIO = 2.5

@@ -22,7 +22,8 @@ def select_method(params: SimplifyParams, *, has_corner_attributes: bool = False
     Parameters
     ----------
     params : parameters of `simplify`.
-    has_corner_attributes : True if the mesh has texture, materials, parts or corner normals. Methods that preserve these
+    has_corner_attributes : True if the mesh has texture, materials, parts or corner normals. Methods that
+    preserve these
         are then tried first.
 
     Raises

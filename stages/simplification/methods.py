@@ -1,8 +1,8 @@
 """Registry of simplification methods: capabilities, parameters, entry points and result types.
 
 To add a method, create a package next to this file and add a row below. Parameters that only this method has
-are a field of SimplifyParams. The help of `method` and the selection by `is_automatic` are derived from the rows.
-Type checkers cannot evaluate the table, so `keywords.py` lists the keyword arguments for each method.
+are a field of SimplifyParams. The help of `method` and the selection by `is_automatic` are derived from the
+rows. Type checkers cannot evaluate the table, so `keywords.py` lists the keyword arguments for each method.
 """
 
 from __future__ import annotations

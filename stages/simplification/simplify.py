@@ -159,9 +159,9 @@ def simplify(
     -------
     Simplified
         With `details` of the method's type. Images of the input are baked anew (`baked`, see
-        `scanloom.stages.simplification.bake_planning`), unless `keep_uv` or a method that preserves them is given.
-        Without images, the mesh has vertex colours if the input has. `diagnostics` contain lost attributes
-        and unmet requirements: a triangle count without a bound, and bounds that are not proven.
+        `scanloom.stages.simplification.bake_planning`), unless `keep_uv` or a method that preserves them is
+        given. Without images, the mesh has vertex colours if the input has. `diagnostics` contain lost
+        attributes and unmet requirements: a triangle count without a bound, and bounds that are not proven.
 
     Raises
     ------

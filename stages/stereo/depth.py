@@ -134,8 +134,8 @@ def depth_scan(
     Raises
     ------
     InputError
-        If the scan has no pairs, left and right are swapped, or more than `max_skipped_ratio` of the frames cannot
-        be used.
+        If the scan has no pairs, left and right are swapped, or more than `max_skipped_ratio` of the frames
+        cannot be used.
     """
     params = resolve(DepthParams, params, changes)
     if scan.rig is None:

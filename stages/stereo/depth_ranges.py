@@ -1,8 +1,9 @@
 """Depth range of the scene in each view.
 
 The scan may state it, as a bounding box or as reconstructed points in each view. Otherwise it follows from
-feature matches between views (see scanloom.stages.stereo.triangulation). Without matches, the views are assumed
-to look at one object: it is where the optical axes intersect, and its size is the median field of view there.
+feature matches between views (see scanloom.stages.stereo.triangulation). Without matches, the views are
+assumed to look at one object: it is where the optical axes intersect, and its size is the median field of
+view there.
 """
 
 from __future__ import annotations

@@ -144,7 +144,8 @@ def compute_left_right_residual(
     """Return the left–right residual of each left pixel, 1/16 px.
 
     The residual is the difference between the pixel's disparity and the disparity of its match in the right
-    image. It is 32767 where either is missing. `match_right` is negated, as `OpenCVMatcher.match_right` returns it.
+    image. It is 32767 where either is missing. `match_right` is negated, as `OpenCVMatcher.match_right`
+    returns it.
     """
     import cv2
 

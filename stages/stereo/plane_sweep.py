@@ -64,7 +64,8 @@ class SweepResult:
     Attributes
     ----------
     depth : (h, w) float32 metres along the optical axis; 0 only outside of the object's window.
-    distinctness : (h, w) float32 from 0 to 1, distinctness of the best plane from its competitors; one half at a
+    distinctness : (h, w) float32 from 0 to 1, distinctness of the best plane from its competitors; one half
+    at a
         cost margin of 120.
     plane_count : number of planes.
     """
@@ -83,7 +84,8 @@ def sweep_view(
     ----------
     main : the view; planes are between its `near` and `far`. Only a window around the object is processed.
     partners : one or more other views of the same scene.
-    hull_depth : (h, w) metres, minimum depth of each pixel from the visual hull, 0 where unknown. Where images are
+    hull_depth : (h, w) metres, minimum depth of each pixel from the visual hull, 0 where unknown. Where
+    images are
         ambiguous, depth close to it is preferred.
     threads : thread count; results do not depend on it.
 

@@ -24,7 +24,8 @@ class ViewImage:
     ----------
     view : posed view.
     grey : (h, w) uint8.
-    object_mask : (h, w), pixels that may show the object that masks cut out of all views; None without such masks.
+    object_mask : (h, w), pixels that may show the object that masks cut out of all views; None without such
+    masks.
     """
 
     view: PosedView

@@ -90,9 +90,9 @@ def views_depth(
     backdrop around the object in all views (see scanloom.stages.stereo.background), and for pairs also from
     missing texture. If masks cut one object out of all views, depth outside of its visual hull is dropped.
 
-    Unmeasured surface of an object is filled from the visual hull (see scanloom.stages.stereo.visual_hull_filling),
-    unmeasured planar patches from planes (see scanloom.stages.stereo.plane_filling). Low coverage or much filled
-    depth is reported after the last map.
+    Unmeasured surface of an object is filled from the visual hull (see
+    scanloom.stages.stereo.visual_hull_filling), unmeasured planar patches from planes (see
+    scanloom.stages.stereo.plane_filling). Low coverage or much filled depth is reported after the last map.
 
     Images larger than `max_side` are downscaled first, and upside-down images are rotated (see
     scanloom.stages.stereo.upside_down_detection); both are reported before the first map.
@@ -105,7 +105,8 @@ def views_depth(
     Parameters
     ----------
     scan : with colour and poses, without depth.
-    params, changes : parameters of the depth stage, and changes to them by name. `select_partners`, `count_supporting_views`
+    params, changes : parameters of the depth stage, and changes to them by name. `select_partners`,
+    `count_supporting_views`
         and `agreement` apply to single views only.
     progress : called after each view of each pass.
 

@@ -126,7 +126,8 @@ class UpEstimate:
     Attributes
     ----------
     direction : (3,) float64 unit vector.
-    source : origin of the direction: `surface`, `plane_normal`, `cameras`, or the source of a known direction.
+    source : origin of the direction: `surface`, `plane_normal`, `cameras`, or the source of a known
+    direction.
     """
 
     direction: Floats
@@ -151,7 +152,8 @@ def estimate_up_of_scene(
     mesh : the scene, in world coordinates of the poses.
     poses : (n, 4, 4) camera-to-world, n >= 1.
     known_up : unit vector (3,) and its source.
-    plane_normal : unit normal (3,), pointing up, of a table or floor removed from the mesh; replaces the estimate
+    plane_normal : unit normal (3,), pointing up, of a table or floor removed from the mesh; replaces the
+    estimate
     from the
         surface.
     """

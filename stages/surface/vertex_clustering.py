@@ -60,7 +60,8 @@ def read_clustered_mesh(path: Path, max_vertices: int) -> ClusteredMesh:
     Parameters
     ----------
     path : PLY file.
-    max_vertices : maximum vertex count, up to 1,048,576. The cell size is 1/2048 of the longest side of the bounding
+    max_vertices : maximum vertex count, up to 1,048,576. The cell size is 1/2048 of the longest side of the
+    bounding
     box,
         doubled until the count is reached.
 

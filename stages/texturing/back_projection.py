@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Ratios of a photo's width: margin along the mesh's silhouette where residuals are ignored (`_MARGIN_RATIO`), and
-# standard deviation of the smoothing (`_SMOOTHING_RATIO`).
+# Ratios of a photo's width: margin along the mesh's silhouette where residuals are ignored (`_MARGIN_RATIO`),
+# and standard deviation of the smoothing (`_SMOOTHING_RATIO`).
 _MARGIN_RATIO, _SMOOTHING_RATIO = 0.01, 0.01
 # Smoothed difference between photo and texture, in levels, beyond which the photo shows another surface.
 # Details may differ by more, but they cancel in the smoothed image.

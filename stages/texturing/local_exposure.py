@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from scanloom.stages.texturing.photo_alignment import Shifts, apply_shifts, limit_resolution
 
-# Levels to add in the cells of a grid, in units of 1/3 level (`_STEPS_PER_LEVEL`): 13 megabytes for 10,000 photos.
+# Levels to add in the cells of a grid, in units of 1/3 level (`_STEPS_PER_LEVEL`): 13 megabytes for 10,000
+# photos.
 LocalExposure = NDArray[np.int8]
 _STEPS_PER_LEVEL = 3
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 # float16, with a resolution of 1/100 pixel: the grids of thousands of photos take hundreds of megabytes.
 Shifts = NDArray[np.float16]
 
-# Ratios of a photo's width: maximum shift (`_MAX_SHIFT_RATIO`), standard deviation of the smoothing (`_SMOOTHING_RATIO`). Number
-# of grid cells along the width (`_GRID_COLUMNS`).
+# Ratios of a photo's width: maximum shift (`_MAX_SHIFT_RATIO`), standard deviation of the smoothing
+# (`_SMOOTHING_RATIO`). Number of grid cells along the width (`_GRID_COLUMNS`).
 _MAX_SHIFT_RATIO = 6 / 640
 _SMOOTHING_RATIO = 10 / 640
 _GRID_COLUMNS = 80

@@ -33,7 +33,8 @@ from scanloom.stages.texturing.photos import Photos
 from scanloom.stages.texturing.seam_visibility import sum_neighbour_differences
 
 Floats = NDArray[np.float64]
-# Colours of texels, photo with the highest weight, number of blended photos, sums of `sum_neighbour_differences`.
+# Colours of texels, photo with the highest weight, number of blended photos, sums of
+# `sum_neighbour_differences`.
 _BatchResult = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8], Floats]
 
 # Bytes of the texels that are painted at a time, with their best photos: bounds memory.
@@ -58,8 +59,8 @@ _LEVELLING_REACH_TEXELS = 12.0
 _MAX_CORRECTION_PIXELS = 1_500_000
 # Number of back-projection passes. A third pass does not reduce the error on held-out photos.
 DETAIL_PASSES = 2
-# Every `_TEXEL_STRIDE`th texel is used to match vertex colours to the painted ones; with fewer than `_MIN_TEXELS`
-# the vertex colours stay as they are.
+# Every `_TEXEL_STRIDE`th texel is used to match vertex colours to the painted ones; with fewer than
+# `_MIN_TEXELS` the vertex colours stay as they are.
 _TEXEL_STRIDE = 7
 _MIN_TEXELS = 100
 

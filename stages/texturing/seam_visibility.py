@@ -62,8 +62,8 @@ class SeamStatistics:
 
         Returns
         -------
-        `compute_ratio` of the texture divided by the same ratio of single photos that show both texels: 1 if texture
-        edges are no stronger than edges in the photos. None if there are too few pairs.
+        `compute_ratio` of the texture divided by the same ratio of single photos that show both texels: 1 if
+        texture edges are no stronger than edges in the photos. None if there are too few pairs.
         """
         if self.compute_ratio() is None or not (self._neighbour_sums > 0).all():
             return None

@@ -167,7 +167,8 @@ def find_charts(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def count_outside_charts(simplified: Mesh, source: NDArray[np.int32], mesh: Mesh, slack: float = 1e-9) -> int:
-    """Return how many corners of `simplified` have a coordinate that no triangle of their chart in `mesh` holds.
+    """Return how many corners of `simplified` have a coordinate that no triangle of their chart in `mesh`
+    holds.
 
     The chart of a triangle is that of its `source`.
     """

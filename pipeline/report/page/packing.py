@@ -78,8 +78,8 @@ class VertexColormap:
 class PageModelSource(NamedTuple):
     """Source of a page model before packing; see `PageModel`.
 
-    The alternative colourings are up to MOST_PAINTS `colormaps`, by name, and the vertex colours of a textured
-    mesh. `full_triangle_count` is the triangle count before coarsening; 0 if not coarsened.
+    The alternative colourings are up to MOST_PAINTS `colormaps`, by name, and the vertex colours of a
+    textured mesh. `full_triangle_count` is the triangle count before coarsening; 0 if not coarsened.
     """
 
     mesh: Mesh

@@ -30,7 +30,8 @@ class EditRound:
     Attributes
     ----------
     dependencies : edits (k,) and the triangles (k,) they depend on.
-    written : edits (w,), triangles (w,) they wrote, a subset of `dependencies`, and the previous corners (w, 3).
+    written : edits (w,), triangles (w,) they wrote, a subset of `dependencies`, and the previous corners (w,
+    3).
     moved : edits (v,), vertices (v,) they moved, and the previous positions (v, 3) in metres.
     """
 

@@ -29,7 +29,8 @@ class DefectPatch:
     normals : (k, 3) float64, towards the viewer.
     areas : (k,) float64, m².
     area : m²; for faces of a grid, less than the sum of `areas`.
-    display_triangles : (t, 3, 3) float64, triangles to display missing surface, relative to the origin; empty for
+    display_triangles : (t, 3, 3) float64, triangles to display missing surface, relative to the origin; empty
+    for
         existing surface.
     """
 

@@ -40,8 +40,10 @@ class DepthView:
     rotation, translation : (3, 3) and (3,) float32, transform from coordinates relative to `origin` to camera
         coordinates.
     depth : (h, w) float32, metres; 0 if missing.
-    coarse_depth : (h', w') float32, minimum depth of `downsampling` × `downsampling` pixels; 0 if missing in all of them.
-    filled_depth : `coarse_depth` with small gaps filled from the nearest pixel; infinite where a mask excludes the scene.
+    coarse_depth : (h', w') float32, minimum depth of `downsampling` × `downsampling` pixels; 0 if missing in
+    all of them.
+    filled_depth : `coarse_depth` with small gaps filled from the nearest pixel; infinite where a mask
+    excludes the scene.
     downsampling : downsampling factor, pixels.
     """
 

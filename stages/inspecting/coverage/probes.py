@@ -64,7 +64,8 @@ class Probes:
     ----------
     points, normals : (k, 3) float32; points in metres relative to the origin.
     grid, keys : the grid, and the ascending keys (k,) of the probes.
-    rim_indices, rim_probes : ascending global indices of vertices that use another probe than their cube's, and those
+    rim_indices, rim_probes : ascending global indices of vertices that use another probe than their cube's,
+    and those
         probes.
     """
 

@@ -1,7 +1,7 @@
 """EuRoC MAV (ASL): unrectified stereo, with extrinsics and poses of the body.
 
-TUM-VI uses the same folders, but its fisheye cameras are described in dso/camchain.yaml (Kalibr), and
-its images are 16-bit.
+TUM-VI uses the same folders, but its fisheye cameras are described in dso/camchain.yaml (Kalibr), and its
+images are 16-bit.
 """
 
 from __future__ import annotations

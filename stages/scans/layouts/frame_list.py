@@ -3,8 +3,8 @@
     frames.json                        {"root": [{"info": {…}, …}, …]}; may name the images
     frame_00000_rgb.png  frame_00000_depth.png  …
 
-Fields of `info`: `kcam.matrix` 3x3, `kcam.undist_coeff`, `kcam.read_image_size`; `choose_depth_scale`, metres per
-depth unit; `depth_bias`, metres added to every depth; `depth_max`, maximum valid depth in depth units;
+Fields of `info`: `kcam.matrix` 3x3, `kcam.undist_coeff`, `kcam.read_image_size`; `choose_depth_scale`, metres
+per depth unit; `depth_bias`, metres added to every depth; `depth_max`, maximum valid depth in depth units;
 `rt_cam.matrix` 4x4, camera-to-world.
 """
 

@@ -1,7 +1,7 @@
 """Polycam raw data: `keyframes/` with images, cameras, depth and confidence.
 
-Poses are camera-to-world, in metres, with OpenGL camera axes (y up, z back). Phones without LiDAR write
-no depth; their images are single views. Undistorted images have black borders, which are masked.
+Poses are camera-to-world, in metres, with OpenGL camera axes (y up, z back). Phones without LiDAR write no
+depth; their images are single views. Undistorted images have black borders, which are masked.
 """
 
 from __future__ import annotations

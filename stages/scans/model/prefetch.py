@@ -29,9 +29,9 @@ def get_worker_count() -> int:
 def map_ordered(work: Callable[[T], R], items: Iterable[T], *, threads: int, max_pending: int) -> Iterator[R]:
     """Map a function over items in threads and yield the results in order.
 
-    At most `max_pending` results are finished or in progress. An exception of `work` is raised in place of its
-    result. Closing the iterator cancels pending items and waits for running ones. Diagnostics are emitted in
-    the order of the items.
+    At most `max_pending` results are finished or in progress. An exception of `work` is raised in place of
+    its result. Closing the iterator cancels pending items and waits for running ones. Diagnostics are emitted
+    in the order of the items.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def map_ordered(work: Callable[[T], R], items: Iterable[T], *, threads: int, max
 def run_concurrently(background: Callable[[], R], foreground: Callable[[], S]) -> tuple[R, S]:
     """Run one function in a thread while the caller runs the other.
 
-    Returns both results. An exception of `background` is raised after `foreground` has finished. If only one thread may
-    be used, the functions run one after the other.
+    Returns both results. An exception of `background` is raised after `foreground` has finished. If only one
+    thread may be used, the functions run one after the other.
     """
     if get_thread_count() == 1:
         return background(), foreground()

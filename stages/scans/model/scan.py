@@ -141,8 +141,8 @@ class PackedImage:
     file : container; the cache treats the image as changed if the container changes.
     name : name of the image in the container, unique and used in messages.
     load : reads the image: (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of
-        `choose_depth_scale` for depth, (h, w) uint8 for confidence and masks. Raises InputError. Thread-safe and
-        repeatable.
+        `choose_depth_scale` for depth, (h, w) uint8 for confidence and masks. Raises InputError. Thread-safe
+        and repeatable.
     """
 
     file: Path
@@ -401,7 +401,8 @@ class Scan:
     diagnostics : warnings of the reader.
     missing : data that a mesh requires and the scan lacks: diagnostics of the codes pose.missing and
         camera.pair-uncalibrated.
-    bounding_box : (2, 3) float64 metres, minimum and maximum corner of the scanned volume, if the folder states it.
+    bounding_box : (2, 3) float64 metres, minimum and maximum corner of the scanned volume, if the folder
+    states it.
     held_out : frames that no stage uses, for evaluation.
     up : up direction in world coordinates, if the layout or the folder states it.
     is_metric : lengths are metres; otherwise poses and depth have the same unknown unit.

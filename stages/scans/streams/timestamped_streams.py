@@ -51,7 +51,8 @@ class Accelerometer:
     record_times_ns : (n,) int64 nanoseconds at which the recorder wrote the readings.
     read : return a reading (3,) in m/s², in the axes of the sensor. At rest it points up. Raises InputError
         if the file is damaged.
-    camera_from_sensor : (3, 3) float64 rotation from the sensor axes to the axes of the frames' camera; None if
+    camera_from_sensor : (3, 3) float64 rotation from the sensor axes to the axes of the frames' camera; None
+    if
         the recording does not contain it.
     """
 

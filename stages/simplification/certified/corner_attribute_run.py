@@ -3,13 +3,10 @@
 Edges collapse as in method `seams`, while samples of the input stay near. The result is then proven. Where
 the proof fails, samples around get tighter bounds or are locked, and the simplification is repeated:
 
-    factors of the vertices <- 1
-    repeat:
-        collapse along seams, each sample within its ratio of the bound
-        prove the distance both ways and vertex colours; measure image colours at every texel
-        stop if nothing fails
-        tighten the factors where the distance proof failed, lock vertices after repeated failures
-        lock vertices where colours failed
+    factors of the vertices <- 1 repeat:
+        collapse along seams, each sample within its ratio of the bound prove the distance both ways and
+        vertex colours; measure image colours at every texel stop if nothing fails tighten the factors where
+        the distance proof failed, lock vertices after repeated failures lock vertices where colours failed
 
 The loop terminates, because a region locked on all sides equals the input.
 """
@@ -71,7 +68,8 @@ class _ProofTarget:
     task : task of method `seams`, with the progress callback of the proofs.
     max_shape : maximum distance, metres.
     max_color : maximum colour difference, levels; infinite without a bound.
-    has_image_colors : True if colours come from images. Their difference is measured. Vertex colours are linear and
+    has_image_colors : True if colours come from images. Their difference is measured. Vertex colours are
+    linear and
         their difference is proven.
     is_ambiguous : (m,) bool, input triangles at positions with several colours.
     surface : (m, 3) int32, input triangles that the proof covers.

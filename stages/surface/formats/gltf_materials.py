@@ -54,7 +54,8 @@ class GltfMaterialSource:
     tree : JSON of the material; its texture indices are keys of `textures`.
     textures : image and sampler by texture index.
     color, image, wrap : the `Material` fields derived from `tree`, to detect later changes.
-    multiplies_vertex_colors : True if the file has vertex colours on this material; they multiply the base colour.
+    multiplies_vertex_colors : True if the file has vertex colours on this material; they multiply the base
+    colour.
     """
 
     tree: JsonObject

@@ -1,7 +1,7 @@
 """Reader of COLMAP's sparse models, their points, and depth maps.
 
-Converts COLMAP's conventions: world-to-camera poses, quaternions with the scalar first, and pixel
-coordinates relative to the corner of the top left pixel.
+Converts COLMAP's conventions: world-to-camera poses, quaternions with the scalar first, and pixel coordinates
+relative to the corner of the top left pixel.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from scanloom.stages.scans.model.scan import Camera, Pose
 class _CameraModel:
     """COLMAP camera model: name, parameter count, and mapping to OpenCV parameters.
 
-    `intrinsic_indices` holds the parameter indices of fx, fy, cx, cy; `distortion_indices` those for k1, k2, p1, p2 …, with
-    None for a coefficient of 0. For a fisheye, they are k1 to k4 of OpenCV's fisheye model.
+    `intrinsic_indices` holds the parameter indices of fx, fy, cx, cy; `distortion_indices` those for k1, k2,
+    p1, p2 …, with None for a coefficient of 0. For a fisheye, they are k1 to k4 of OpenCV's fisheye model.
     """
 
     name: str

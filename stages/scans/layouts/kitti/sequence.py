@@ -1,8 +1,7 @@
 """KITTI odometry: rectified pairs in numbered folders, calib.txt, one pose per line.
 
-Raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
-parent folder, and poses of the car in oxts/. If only one camera is present, its images are single
-views.
+Raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the parent
+folder, and poses of the car in oxts/. If only one camera is present, its images are single views.
 """
 
 from __future__ import annotations

@@ -25,7 +25,8 @@ class Layout:
     suffixes : suffixes of files that are a complete scan; `read` accepts these files as well as folders.
     up : up direction of the world, if the layout defines it. If only some folders define it, `read` sets
         `Scan.up` instead.
-    is_gravity_aligned : `up` comes from the device's accelerometer, so that each pose implies the up direction of its
+    is_gravity_aligned : `up` comes from the device's accelerometer, so that each pose implies the up
+    direction of its
         camera.
     """
 
