@@ -153,7 +153,8 @@ def make_rows(name: str, globe: Globe) -> Iterator[str]:
                     f"| {name} | {over_edge} | {shape:g} | {texture} | {rule} "
                     f"| {compute_reduction(result):.1%} | {paper:.0%} "
                     f"| {f'{prototype:.1%}' if texture == 16 else ''} | {format_errors(globe, result)} "
-                    f"| {format_bounds(globe, result)} | {max(result.refused, key=result.refused.__getitem__)} |"
+                    f"| {format_bounds(globe, result)} | "
+                    f"{max(result.refused, key=result.refused.__getitem__)} |"
                 )
 
 
@@ -176,7 +177,10 @@ def format_bounds(globe: Globe, result: SimplificationResult[Any]) -> str:
     """
     if not isinstance(result.details, CertifiedDetails):
         return ""
-    return f"{result.details.shape_bound_m / globe.mean_edge_length:.3f} e, {result.details.color_bound_levels:.1f}"
+    return (
+        f"{result.details.shape_bound_m / globe.mean_edge_length:.3f} e, "
+        f"{result.details.color_bound_levels:.1f}"
+    )
 
 
 def compute_reduction(result: SimplificationResult[Any]) -> float:

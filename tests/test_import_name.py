@@ -56,7 +56,8 @@ IN_A_CHECKOUT = {
     "assert stages.surface.mesh is ours",
     "names": "from scanloom import Mesh\nfrom stages import Mesh as same\nassert Mesh is same",
     "specs": "import stages.files.input_files as opening\n"
-    "assert (opening.__name__, opening.__spec__.name) == ('scanloom.stages.files.input_files', opening.__name__)",
+    "assert (opening.__name__, opening.__spec__.name) == ('scanloom.stages.files.input_files', "
+    "opening.__name__)",
     "no copies": "import sys, stages, cli.app, pipeline.run.run\ncli.app.app()\n"
     "files = {id(one): one.__file__ for one in sys.modules.values() if getattr(one, '__file__', None)}\n"
     "ours = [path for path in files.values() if path.startswith(sys.argv[1])]\n"

@@ -46,7 +46,8 @@ print(len(names))
 from scanloom.stages.inspecting.machine_report import machine
 told = machine()
 assert told["memory_total_bytes"] == 8 << 30 and told["memory_available_bytes"] == 5 << 30
-assert ["Linux" in told["platform_notes"][0], "260 characters" in told["platform_notes"][1]] == [True, True], told
+notes = told["platform_notes"]
+assert ["Linux" in notes[0], "260 characters" in notes[1]] == [True, True], told
 """
 
 

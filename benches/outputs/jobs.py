@@ -120,7 +120,8 @@ def _make_method_jobs() -> Iterator[Job]:
                 "--ratio 0.1 --set simplify.seams.max_seam_drift=0.002",
                 "--ratio 0.3 --set simplify.seams.texture_weight=2 --set simplify.seams.normal_weight=0.2 "
                 "--set simplify.seams.shape_weight=0.5 --set simplify.seams.valence_penalty=1 "
-                "--set simplify.seams.duplicate_penalty=1 --set simplify.seams.material_border_penalty=1 --set "
+                "--set simplify.seams.duplicate_penalty=1 --set simplify.seams.material_border_penalty=1 "
+                "--set "
                 "simplify.seams.part_border_penalty=1",
                 f"--ratio 0.1 --set simplify.seams.similar_distance={model.shape / 4}",
             ),
@@ -168,7 +169,8 @@ def _make_region_jobs() -> Iterator[Job]:
             (
                 f"simplify {_get_mesh_path('spot')} sphere.ply --method {method} {options} {sphere} --json",
                 f"simplify {_get_mesh_path('spot')} box.ply --method {method} {options} {box} --json",
-                f"simplify {_get_mesh_path('airplane')} both.ply --method {method} {options} {sphere} {box} --json",
+                f"simplify {_get_mesh_path('airplane')} both.ply --method {method} {options} {sphere} "
+                f"{box} --json",
                 f"controlled.py {_get_mesh_path('spot')} {method} {named}",
             ),
         )
@@ -307,7 +309,8 @@ def _make_rendering_jobs() -> Iterator[Job]:
         yield Job(
             f"pictures/{name}",
             tuple(
-                f"render {_get_mesh_path(name)} {shading}.png --shading {shading} --viewpoint {view} --width 640 "
+                f"render {_get_mesh_path(name)} {shading}.png --shading {shading} --viewpoint {view} "
+                "--width 640 "
                 "--json"
                 for shading, view in (("color", 1), ("plain", 2), ("edges", 3))
             ),

@@ -99,8 +99,8 @@ def _text(figures: Mapping[str, Any]) -> str:
         f"the root {format_size(figures['root_bytes'])}, the median {format_size(figures['median_bytes'])}, "
         f"the largest {format_size(figures['largest_bytes'])}.\n"
         f"Positions have {figures['positions']}, on a grid of {figures['grid_step_m']:.3g} m, which moves "
-        f"them by at most {format_upper_bound(figures['grid_displacement_m'])} m; this is in each geometricError."
-        + ("" if figures["images"] is None else f"\n{_images_text(figures['images'])}")
+        f"them by at most {format_upper_bound(figures['grid_displacement_m'])} m; this is in each "
+        "geometricError." + ("" if figures["images"] is None else f"\n{_images_text(figures['images'])}")
     )
 
 

@@ -98,4 +98,7 @@ def _count(word: str) -> int:
 def _text(found: Tradeoff) -> str:
     if found.suggested_triangles is None:
         return format_table(found.to_rows())
-    return f"{format_table(found.to_rows())}\n\nsuggested: {found.suggested_triangles:,} triangles; {found.criterion}"
+    return (
+        f"{format_table(found.to_rows())}\n\nsuggested: {found.suggested_triangles:,} triangles; "
+        f"{found.criterion}"
+    )

@@ -35,7 +35,8 @@ def write_quality_table() -> str:
     rows = ["| quality | sets |", "|---|---|"]
     for quality, sections in QUALITIES.items():
         words = [
-            f"`{section}.{name}={_format_value(value)}` ({_format_value(get_value(getattr(Config(), section), name))})"
+            f"`{section}.{name}={_format_value(value)}` "
+            f"({_format_value(get_value(getattr(Config(), section), name))})"
             for section, params in sections.items()
             for name, value in flatten(params).items()
         ]

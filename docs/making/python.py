@@ -101,7 +101,10 @@ def _describe_member(name: str, member: Any) -> str:
         return f"{format_code(name)}\n: {_indent_text(convert_docstring(member.__doc__))}"
     function = getattr(member, "__func__", member)
     if isinstance(function, FunctionType) and function.__doc__:
-        return f"{format_code(_format_call(name, function))}\n: {_indent_text(convert_docstring(function.__doc__))}"
+        return (
+            f"{format_code(_format_call(name, function))}\n: "
+            f"{_indent_text(convert_docstring(function.__doc__))}"
+        )
     return ""
 
 

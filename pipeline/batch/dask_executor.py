@@ -160,7 +160,8 @@ def _iterate_completed(client: Any, tasks: Collection[Any], on_event: WorkerEven
             if is_alone and not is_notified:
                 on_event(
                     Notice(
-                        f"the scheduler at {client.scheduler.address} has no workers; {completed.count()} scans "
+                        f"the scheduler at {client.scheduler.address} has no workers; {completed.count()} "
+                        "scans "
                         "are waiting. Check if the queueing system lists workers as pending, and the logs of "
                         "workers that have ended"
                     )

@@ -259,7 +259,10 @@ class Worker:
         self._free_slot(slot, 0)
         self._claims.record_end(work.claim, KILLED if code in _KILL_EXIT_CODES else CRASHED)
         self._scheduler.schedule_retry(work.claim)
-        how = f"its process ended unexpectedly ({_format_exit_code(code)}) in {work.stage}; the scan is run again"
+        how = (
+            f"its process ended unexpectedly ({_format_exit_code(code)}) in {work.stage}; the scan is "
+            "run again"
+        )
         self._on_event(Notice(f"{work.job.name}: {how}"))
 
     def _check_running_jobs(self) -> None:

@@ -211,12 +211,16 @@ class LimitGuard:
     def _describe_memory_excess(self, stage: str, needed: int, basis: str | None, share: float = 1.0) -> str:
         limit = self._limits.memory or 0
         takes = "has used" if basis is None else f"is expected to use ({basis})"
-        what = f"{stage} {takes} {_format_size(needed)} of memory, more than the limit of {_format_size(limit)}; "
+        what = (
+            f"{stage} {takes} {_format_size(needed)} of memory, more than the limit of "
+            f"{_format_size(limit)}; "
+        )
         if limit <= BASE_BYTES:
             return f"{what}no voxel size fits, because the libraries alone use {_format_size(BASE_BYTES)}."
         if stage not in self._by_voxels:
             return f"{what}the voxel size has no influence: increase the limit, or disable the stage."
-        return f"{what}{self._suggest_voxel_size(self._extrapolate(needed - BASE_BYTES, share), limit - BASE_BYTES)} would fit."
+        estimate = self._extrapolate(needed - BASE_BYTES, share)
+        return f"{what}{self._suggest_voxel_size(estimate, limit - BASE_BYTES)} would fit."
 
     def _extrapolate(self, taken: float, share: float) -> float:
         """Extrapolate the use at the end of a stage from its completed ratio."""

@@ -339,7 +339,8 @@ def _adjust_frames(
         frames=tuple(result),
         adjusted_indices=tuple(sorted(found_poses)),
         accepted=True,
-        reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: {reason}{_describe_skipped(skipped)}",
+        reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: "
+        f"{reason}{_describe_skipped(skipped)}",
         is_camera_adjusted=has_camera,
         is_shutter_adjusted=bundle_result.is_shutter_adjusted,
         offset_before=prepared.offset,
@@ -461,7 +462,10 @@ def _create_rejected_result(
     )
     reason = f"left as given: {reason}{_describe_skipped(skipped)}"
     if prepared.has_corrected_camera and prepared.offset is not None:
-        reason = f"colour camera moved by {prepared.offset.description}, to match silhouettes in the photos; poses {reason}"
+        reason = (
+            f"colour camera moved by {prepared.offset.description}, to match silhouettes in the "
+            f"photos; poses {reason}"
+        )
     return Adjustment(
         frames=prepared.frames,
         adjusted_indices=(),

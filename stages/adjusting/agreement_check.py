@@ -69,7 +69,8 @@ class AgreementSample:
             return "no matched keypoint has depth"
         if self.is_inconsistent:
             return (
-                f"only {self.consistent_ratio:.0%} of {self.match_count} keypoint matches agree in 3-D; poses, depth "
+                f"only {self.consistent_ratio:.0%} of {self.match_count} keypoint matches agree in 3-D; "
+                "poses, depth "
                 "or colour belong to another scan"
             )
         return ""

@@ -138,7 +138,10 @@ def find_support_plane(views: Sequence[PosedDepth], center: Floats, noise: float
             return SupportPlane(to_point(normal), offset, spread, ratio)
         rejections.append(f"the largest plane ({ratio:.0%} of the points) {rejection}")
         remaining_weights = np.where(np.abs(points @ normal - offset) < inlier_distance, 0, remaining_weights)
-    no_plane_reason = f"no plane within {_MAX_TILT_DEG:g}° of level has {_MIN_INLIER_RATIO:.0%} of the points around the object"
+    no_plane_reason = (
+        f"no plane within {_MAX_TILT_DEG:g}° of level has {_MIN_INLIER_RATIO:.0%} of the "
+        "points around the object"
+    )
     return rejections[0] if rejections else no_plane_reason
 
 

@@ -140,11 +140,13 @@ class Inspection:
             box = " × ".join(f"{side:.2f}" for side in self.trajectory.box_m)
             lines.append(
                 f"path      {self.trajectory.length_m:.2f} {unit} in a box of {box} {unit}; "
-                f"largest step {self.trajectory.max_step_m:.3f} {unit}, {self.trajectory.max_rotation_deg:.1f}°"
+                f"largest step {self.trajectory.max_step_m:.3f} {unit}, "
+                f"{self.trajectory.max_rotation_deg:.1f}°"
             )
         if self.depth is not None:
             lines.append(
-                f"depth     {self.depth.near_m:.2f} to {self.depth.far_m:.2f} {unit} (2nd to 98th percentile), "
+                f"depth     {self.depth.near_m:.2f} to {self.depth.far_m:.2f} {unit} (2nd to 98th "
+                "percentile), "
                 f"median {self.depth.median_m:.2f} {unit}; {self.depth.missing_ratio:.0%} missing "
                 f"(in {self.depth.sampled_frames} of {len(scan.frames)} frames)"
             )

@@ -70,7 +70,7 @@ CAMERA_ADJUSTED_MISMATCH = Code(
     "camera.adjusted-mismatch",
     "A cameras.json of another scan",
     """
-`--adjusted-cameras` takes the file that `scanloom adjust`, or the stage `adjust` of a run, wrote for this scan.
+`scan.adjusted_cameras` takes the file that `scanloom adjust`, or the stage `adjust`, wrote for this scan.
 Frames are matched by name.
 """,
     "room/cameras.json: a cameras.json of `scanloom adjust` is expected.",
@@ -458,7 +458,8 @@ SCAN_TOO_MANY_FRAMES_SKIPPED = Code(
     "scan.too-many-frames-skipped",
     "Too many frames cannot be used",
     """
-A stage skips single unusable frames, up to a ratio of all frames (`fuse.max_skipped_ratio`, `depth.max_skipped_ratio`).
+A stage skips single unusable frames, up to a ratio of all frames (`fuse.max_skipped_ratio`,
+`depth.max_skipped_ratio`).
 With more, there is a problem with the whole scan. The message has the reason of the first or last skipped
 frame, which these pages explain.
 """,

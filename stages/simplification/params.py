@@ -25,7 +25,8 @@ def _build_method_help(methods: Sequence[Method[Any, Any]]) -> str:
     )
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
     return (
-        f"{texts} {AUTO}: the first of {automatic_names} that supports all given parameters and has everything it "
+        f"{texts} {AUTO}: the first of {automatic_names} that supports all given parameters and has "
+        "everything it "
         f"requires; {texture_names} is preferred if the mesh has materials, parts or corner normals, or if "
         "keep_uv is given. A textured model without a target is simplified within 1/1000 of its size."
     )

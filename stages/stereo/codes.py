@@ -70,7 +70,8 @@ DEPTH_COVERAGE_LOW = Code(
 A warning. It lists the reasons for missing depth, the most frequent one first.
 
 - *Too little texture*: plain pixels are treated as background, such as a wall or the sky. With a backdrop
-  of one colour in all views, or with masks, plain parts of the object are measured, too. `depth.max_backdrop_contrast=0`
+  of one colour in all views, or with masks, plain parts of the object are measured, too.
+  `depth.max_backdrop_contrast=0`
   measures all plain pixels, such as the walls of rooms.
 - *No reliable match in another view*: more texture or light helps, or a smaller distance between views.
   Angles of 5° to 15° between neighbours are best.
@@ -78,7 +79,8 @@ A warning. It lists the reasons for missing depth, the most frequent one first.
   few sides. Take more views, or lower `depth.min_confidence` and `depth.min_consistent_views`.
 """,
     (
-        "depth covers only 9% of the views' pixels: 71% have too little texture (depth.max_backdrop_contrast=0 keeps "
+        "depth covers only 9% of the views' pixels: 71% have too little texture "
+        "(depth.max_backdrop_contrast=0 keeps "
         "them), 18% have no reliable match in another view (depth.min_confidence=1 and "
         "depth.sgbm.uniqueness=0 keep more)"
     ),
@@ -159,7 +161,8 @@ DEPTH_VIEW_UNCONFIRMED = Code(
     "depth.view-unconfirmed",
     "Views without confirmed depth",
     """
-No depth of the view agrees with enough other views (`depth.min_consistent_views`), and the view is skipped. Its
+No depth of the view agrees with enough other views (`depth.min_consistent_views`), and the view is skipped.
+Its
 pose may be wrong, its image blurred or without texture, or too few other views see the same surface.
 """,
     "its depth does not agree with other views",

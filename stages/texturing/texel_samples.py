@@ -69,7 +69,9 @@ def _compute_barycentric_weights(corners: Floats, points: Floats) -> Floats:
 
 
 def classify_sides(mesh: Mesh, pages: AtlasLayout) -> NDArray[np.uint8]:
-    """Classify the side opposite each corner, (m, 3) uint8: `INSIDE_CHART`, `CHART_BORDER` or
+    """Classify the side opposite each corner.
+
+    The result, (m, 3) uint8, holds `INSIDE_CHART`, `CHART_BORDER` or
     `MESH_BOUNDARY`.
     """
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])

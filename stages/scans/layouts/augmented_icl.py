@@ -91,7 +91,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 LAYOUT = Layout(
     name="augmented-icl",
-    description="00000.jpg, 00000.png and one .log, or *-color/, *-depth-clean/, *-traj.txt (Augmented ICL-NUIM)",
+    description="00000.jpg, 00000.png and one .log, or *-color/, *-depth-clean/, *-traj.txt (Augmented "
+    "ICL-NUIM)",
     matches=_matches,
     read=_read,
 )

@@ -253,7 +253,8 @@ def _parse_body_from_sensor(document: dict[str, Any], path: Path) -> Pose:
 
 LAYOUT = Layout(
     name="euroc",
-    description="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, TUM-VI)",
+    description="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, "
+    "TUM-VI)",
     matches=_matches,
     read=_read,
     up=Z_UP,

@@ -213,7 +213,8 @@ def _parse_nanoseconds(stem: str) -> int | None:
 
 LAYOUT = Layout(
     name="polycam",
-    description="keyframes/ with corrected_cameras/ or cameras/, images and optionally depth/ (Polycam's raw data)",
+    description="keyframes/ with corrected_cameras/ or cameras/, images and optionally depth/ (Polycam's "
+    "raw data)",
     matches=_matches,
     read=_read,
     up=Y_UP,

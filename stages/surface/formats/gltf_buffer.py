@@ -61,7 +61,9 @@ class GltfBuffer:
         """
         accessors: list[JsonObject] = self._tree.setdefault("accessors", [])
         accessors.append({
-            "bufferView": self._add_rows_view(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
+            "bufferView": self._add_rows_view(
+                np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target
+            ),
             "componentType": component_type,
             "count": len(values),
             "type": element_type,

@@ -298,7 +298,8 @@ def _check_depths(frames: Sequence[Frame]) -> None:
 
 LAYOUT = Layout(
     name="colmap",
-    description="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ (COLMAP)",
+    description="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ "
+    "(COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -226,7 +226,8 @@ def _find_pose_file(folder: Path) -> Path | None:
 
 LAYOUT = Layout(
     name="kitti",
-    description="image_0/ image_1/ (or image_2/ image_3/, raw: image_02/data/ image_03/data/), calib.txt, poses.txt "
+    description="image_0/ image_1/ (or image_2/ image_3/, raw: image_02/data/ image_03/data/), calib.txt, "
+    "poses.txt "
     "(KITTI odometry)",
     matches=_matches,
     read=_read,
