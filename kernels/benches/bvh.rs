@@ -30,7 +30,8 @@ pub fn bench(criterion: &mut Criterion) {
     };
     measure(criterion, "bvh/nearest", asked, |asked| {
         let (points, surface) = &*asked;
-        let nearest = |p| surface.bvh.nearest(p, (0, f64::INFINITY), |slot| surface.distance2(slot, p)).1;
+        let nearest =
+            |p| surface.bvh.find_nearest(p, (0, f64::INFINITY), |slot| surface.distance2(slot, p)).1;
         points.iter().map(nearest).sum::<f64>()
     });
 }

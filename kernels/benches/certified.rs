@@ -9,9 +9,15 @@ use crate::common::{alone, field, measure};
 
 pub fn bench(criterion: &mut Criterion) {
     let mut options =
-        Options { weight: 0.01, close: false, ..Options::new(Deviation { shape: 0.3, color: 16.0 }) };
+        Options { weight: 0.01, tight_bounds: false, ..Options::new(Deviation { shape: 0.3, color: 16.0 }) };
     options.proof.threads = 1;
-    let goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: false };
+    let goal = Goal {
+        triangles: 0,
+        threads: 1,
+        region: REGION_TRIANGLES,
+        min_collapse_ratio: 0.0,
+        record_positions: false,
+    };
     measure(criterion, "certified", field, |(points, triangles)| {
         alone(|progress| simplify::<6, 3>(points, triangles, vec![], &options, &goal, progress))
             .expect("a manifold")

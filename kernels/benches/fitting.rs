@@ -2,7 +2,7 @@
 
 use criterion::Criterion;
 use scanloom_kernels::base::ids::VertexId;
-use scanloom_kernels::fitting::fit::{Input, fit};
+use scanloom_kernels::fitting::least_squares::{FitInput, fit};
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 
 use crate::common::{alone, field, measure};
@@ -19,11 +19,11 @@ pub fn bench(criterion: &mut Criterion) {
         for merge in outcome.logs.iter().rev().flat_map(|log| log.merges.iter().rev()) {
             became[merge.removed.index()] = became[merge.survivor.index()];
         }
-        let light = outcome.mesh.connected().expect("a manifold");
+        let light = outcome.mesh.into_connected().expect("a manifold");
         (light, points, triangles, became)
     };
     measure(criterion, "fitting", given, |(mut mesh, points, triangles, became): (Mesh<6>, _, _, _)| {
-        let input = Input { points: &points, triangles: &triangles, became: &became };
+        let input = FitInput { points: &points, triangles: &triangles, vertex_map: &became };
         alone(|progress| fit(&mut mesh, &input, 1, progress)).expect("nobody interrupts");
         mesh
     });

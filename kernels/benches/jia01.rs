@@ -2,7 +2,7 @@
 
 use criterion::Criterion;
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
-use scanloom_kernels::collapse::whole::Whole;
+use scanloom_kernels::collapse::whole_mesh::WholeMesh;
 use scanloom_kernels::jia01::{Limits, Options, simplify};
 
 use crate::common::{alone, field, measure};
@@ -21,10 +21,10 @@ pub fn bench(criterion: &mut Criterion) {
             triangles: triangles.len() / 10,
             threads: 1,
             region: REGION_TRIANGLES,
-            least: 0.0,
-            record: false,
+            min_collapse_ratio: 0.0,
+            record_positions: false,
         };
-        let whole = Whole::new(points, triangles, vec![]).expect("finite");
+        let whole = WholeMesh::new(points, triangles, vec![]).expect("finite");
         alone(|progress| simplify(whole, &OPTIONS, &goal, progress)).expect("a manifold")
     });
 }

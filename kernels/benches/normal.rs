@@ -2,12 +2,12 @@
 
 use criterion::Criterion;
 use scanloom_kernels::base::geometry::Vec3;
-use scanloom_kernels::normal::carried::Carried;
 use scanloom_kernels::normal::coarsening::Target;
 use scanloom_kernels::normal::normal_mesh::NormalMesh;
 use scanloom_kernels::normal::remesh::remesh;
 use scanloom_kernels::normal::settings::Settings;
-use scanloom_kernels::subdivision::contents::Scheme;
+use scanloom_kernels::normal::vertex_attributes::VertexAttributes;
+use scanloom_kernels::subdivision::snm_contents::Scheme;
 
 use crate::common::{Triangles, alone, measure, plain_field};
 
@@ -24,7 +24,7 @@ pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
         target: Target {
             triangles: triangles.len() >> (2 * LEVELS),
             error: f64::INFINITY,
-            at_any_price: true,
+            ignore_cost_limit: true,
         },
         max_error: 0.0,
         scheme: Scheme::Linear,
@@ -34,6 +34,6 @@ pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
         up: None,
         threads: 1,
     };
-    let carried = Carried::default();
+    let carried = VertexAttributes::default();
     alone(|progress| remesh(&points, &triangles, &carried, None, &settings, progress)).expect("a manifold")
 }

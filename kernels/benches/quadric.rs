@@ -2,8 +2,8 @@
 
 use criterion::Criterion;
 use scanloom_kernels::collapse::rounds::{Goal, Outcome, REGION_TRIANGLES, collapse};
-use scanloom_kernels::collapse::whole::Whole;
-use scanloom_kernels::quadric::qem::QemRecords;
+use scanloom_kernels::collapse::whole_mesh::WholeMesh;
+use scanloom_kernels::quadric::qem::QemState;
 
 use crate::common::{Triangles, alone, field, measure};
 
@@ -20,9 +20,15 @@ pub fn simplified(
     triangles: Triangles,
     left: usize,
     record: bool,
-) -> Outcome<6, QemRecords<3>> {
-    let goal = Goal { triangles: left, threads: 1, region: REGION_TRIANGLES, least: 0.0, record };
-    let whole = Whole::new(points, triangles, vec![]).expect("finite");
-    let records = QemRecords { weight: 0.01, importance: vec![] };
+) -> Outcome<6, QemState<3>> {
+    let goal = Goal {
+        triangles: left,
+        threads: 1,
+        region: REGION_TRIANGLES,
+        min_collapse_ratio: 0.0,
+        record_positions: record,
+    };
+    let whole = WholeMesh::new(points, triangles, vec![]).expect("finite");
+    let records = QemState { weight: 0.01, importance: vec![] };
     alone(|progress| collapse(whole, records, &goal, progress)).expect("a manifold")
 }

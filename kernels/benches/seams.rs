@@ -4,11 +4,11 @@ use std::rc::Rc;
 
 use criterion::Criterion;
 use scanloom_kernels::collapse::rounds;
-use scanloom_kernels::seams::{Goal, Knobs, Surface, simplify};
+use scanloom_kernels::seams::{CostParameters, SeamGoal, SeamSurface, simplify};
 
 use crate::common::{alone, field, measure};
 
-const KNOBS: Knobs = Knobs {
+const KNOBS: CostParameters = CostParameters {
     across_materials: 0.5,
     across_parts: 0.5,
     valence: 0.1,
@@ -28,9 +28,14 @@ pub fn bench(criterion: &mut Criterion) {
         |size| Rc::new(textured(size)),
         |surface| {
             let triangles = surface.triangles.len() / 10;
-            let rounds =
-                rounds::Goal { triangles, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: false };
-            let goal = Goal { rounds, fit: false };
+            let rounds = rounds::Goal {
+                triangles,
+                threads: 1,
+                region: REGION_TRIANGLES,
+                min_collapse_ratio: 0.0,
+                record_positions: false,
+            };
+            let goal = SeamGoal { rounds, fit: false };
             alone(|progress| simplify::<8, 5>(&surface, KNOBS, goal, progress)).expect("a manifold")
         },
     );
@@ -38,7 +43,7 @@ pub fn bench(criterion: &mut Criterion) {
 
 /// Build a height field with square charts in separate areas of the texture; corners have texture coordinates
 /// and a colour.
-fn textured(size: usize) -> Surface<5> {
+fn textured(size: usize) -> SeamSurface<5> {
     let (points, triangles) = field(size);
     let corners = triangles.iter().flat_map(|t| {
         let middle = |i: usize| t.iter().map(|&v| points[v as usize][i]).sum::<f64>() / 3.0;
@@ -50,10 +55,10 @@ fn textured(size: usize) -> Surface<5> {
         })
     });
     let (count, vertices) = (triangles.len(), points.len());
-    Surface {
+    SeamSurface {
         corners: corners.collect(),
         points: points.iter().map(|p| [p[0], p[1], p[2]]).collect(),
-        sets: (0..vertices as u32).collect(),
+        coincident_sets: (0..vertices as u32).collect(),
         triangles,
         textured: vec![true; count],
         materials: vec![0; count],

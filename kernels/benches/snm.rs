@@ -19,7 +19,7 @@ pub fn bench(criterion: &mut Criterion) {
         let (mesh, header, base) = &*whole;
         let mut writer = Writer::new(header, base).expect("in its order");
         for (level, step) in mesh.levels.iter().zip(&mesh.steps) {
-            writer.level(&level.topology, &[], &step.refinement).expect("of the level before");
+            writer.write_level(&level.topology, &[], &step.refinement).expect("of the level before");
         }
         writer.finish()
     });

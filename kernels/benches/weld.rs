@@ -1,7 +1,7 @@
 //! Triangles with a vertex of their own for each corner, made one surface again.
 
 use criterion::Criterion;
-use scanloom_kernels::seams::weld::weld;
+use scanloom_kernels::seams::welding::weld;
 
 use crate::common::{measure, plain_field};
 

@@ -4,7 +4,7 @@ use std::cell::OnceCell;
 use std::time::Duration;
 
 use criterion::{BatchSize, Criterion, SamplingMode, Throughput};
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::progress::{Progress, RunControl};
 
 pub type Triangles = Vec<[u32; 3]>;
 
@@ -35,7 +35,7 @@ pub fn measure<I: Clone, O>(
 
 /// Run a closure with a progress handle that nobody observes.
 pub fn alone<T>(run: impl FnOnce(&mut Progress) -> T) -> T {
-    run(&mut Progress::new(&Control::default()))
+    run(&mut Progress::new(&RunControl::default()))
 }
 
 /// Hash a position to a pseudo-random number from 0 to 1; neighbours are uncorrelated.

@@ -3,7 +3,7 @@
 use std::fmt;
 
 /// Elements that a message lists before it only counts them.
-const NAMED: usize = 5;
+const MAX_LISTED: usize = 5;
 
 /// Error of a kernel: invalid input, exceeded limit, lack of memory, or interruption.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,12 +26,12 @@ pub enum KernelError {
     /// More voxel blocks than the memory limit allows.
     TooManyBlocks { wanted: usize, limit: usize },
     /// A voxel is more than this number of blocks from the origin of the volume.
-    BeyondReach { blocks: usize },
+    OutOfBlockRange { blocks: usize },
     /// The mesh is too small or too large, or the tolerance too fine, for the quantised coordinates of the
     /// file.
-    Extent { diagonal: f64 },
+    UnrepresentableExtent { diagonal: f64 },
     /// A normal mesh cannot be written.
-    Unwritable(&'static str),
+    NotEncodable(&'static str),
     /// The system is out of memory.
     OutOfMemory,
     /// The caller interrupted the run.
@@ -40,7 +40,7 @@ pub enum KernelError {
 
 impl KernelError {
     /// Return true if the run was interrupted or ran out of memory; false if the input is invalid.
-    pub fn is_given_up(&self) -> bool {
+    pub fn is_aborted(&self) -> bool {
         matches!(self, Self::Interrupted | Self::OutOfMemory)
     }
 }
@@ -60,26 +60,26 @@ impl fmt::Display for KernelError {
             Self::NonManifoldEdges(edges) => {
                 let phrases =
                     ["edge belongs to more than two triangles", "edges belong to more than two triangles"];
-                named(f, phrases, edges.iter().map(pair))
+                write_listed(f, phrases, edges.iter().map(format_pair))
             }
             Self::InconsistentEdges(edges) => {
                 let phrases = [
                     "edge joins triangles of opposite orientation",
                     "edges join triangles of opposite orientation",
                 ];
-                named(f, phrases, edges.iter().map(pair))
+                write_listed(f, phrases, edges.iter().map(format_pair))
             }
             Self::SameVertices(pairs) => {
                 let phrases =
                     ["pair of triangles has the same vertices", "pairs of triangles have the same vertices"];
-                named(f, phrases, pairs.iter().map(pair))
+                write_listed(f, phrases, pairs.iter().map(format_pair))
             }
             Self::PinchedVertices(vertices) => {
                 let phrases = [
                     "vertex joins fans of triangles that share no edge",
                     "vertices join fans of triangles that share no edge",
                 ];
-                named(f, phrases, vertices.iter().map(u32::to_string))
+                write_listed(f, phrases, vertices.iter().map(u32::to_string))
             }
             Self::TooManyTriangles { wanted, limit } => {
                 write!(f, "the result needs at least {wanted:.0} triangles; the limit is {limit}")
@@ -87,14 +87,14 @@ impl fmt::Display for KernelError {
             Self::TooManyBlocks { wanted, limit } => {
                 write!(f, "the volume needs {wanted} voxel blocks; the limit is {limit}")
             }
-            Self::BeyondReach { blocks } => {
+            Self::OutOfBlockRange { blocks } => {
                 write!(f, "a surface point is more than {blocks} voxel blocks from the origin")
             }
-            Self::Extent { diagonal } => write!(
+            Self::UnrepresentableExtent { diagonal } => write!(
                 f,
                 "the bounding-box diagonal of the mesh is {diagonal:e}; the file format cannot represent it at this tolerance"
             ),
-            Self::Unwritable(why) => write!(f, "the normal mesh cannot be written: {why}"),
+            Self::NotEncodable(why) => write!(f, "the normal mesh cannot be written: {why}"),
             Self::OutOfMemory => write!(f, "not enough memory"),
             Self::Interrupted => write!(f, "interrupted"),
         }
@@ -103,17 +103,17 @@ impl fmt::Display for KernelError {
 
 impl std::error::Error for KernelError {}
 
-fn pair(pair: &[u32; 2]) -> String {
+fn format_pair(pair: &[u32; 2]) -> String {
     format!("{}–{}", pair[0], pair[1])
 }
 
-fn named(
+fn write_listed(
     f: &mut fmt::Formatter<'_>,
     [one, many]: [&str; 2],
     names: impl ExactSizeIterator<Item = String>,
 ) -> fmt::Result {
     let count = names.len();
     let phrase = if count == 1 { one } else { many };
-    let more = if count > NAMED { ", …" } else { "" };
-    write!(f, "{count} {phrase} ({}{more})", names.take(NAMED).collect::<Vec<_>>().join(", "))
+    let more = if count > MAX_LISTED { ", …" } else { "" };
+    write!(f, "{count} {phrase} ({}{more})", names.take(MAX_LISTED).collect::<Vec<_>>().join(", "))
 }

@@ -5,7 +5,7 @@ pub type Vec3 = [f64; 3];
 
 /// Extract the position of a vertex (the first three coordinates).
 #[inline]
-pub fn position<const D: usize>(p: &[f64; D]) -> Vec3 {
+pub fn position_of<const D: usize>(p: &[f64; D]) -> Vec3 {
     [p[0], p[1], p[2]]
 }
 
@@ -16,7 +16,7 @@ pub fn sub<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
 }
 
 /// Compute the bounding box [low, high] of points; [+∞, −∞] without points.
-pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
+pub fn bounding_box(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
     points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
         [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
     })
@@ -28,7 +28,7 @@ pub fn diagonal([low, high]: &[Vec3; 2]) -> f64 {
 }
 
 /// Grow a box on each side by `share` times its diagonal.
-pub fn enlarged([low, high]: &[Vec3; 2], share: f64) -> [Vec3; 2] {
+pub fn enlarge_box([low, high]: &[Vec3; 2], share: f64) -> [Vec3; 2] {
     let margin = share * diagonal(&[*low, *high]);
     [low.map(|x| x - margin), high.map(|x| x + margin)]
 }
@@ -65,7 +65,7 @@ pub fn norm2(a: &Vec3) -> f64 {
 
 /// Normalise a vector to length 1; the zero vector stays zero.
 #[inline]
-pub fn unit(v: &Vec3) -> Vec3 {
+pub fn normalize(v: &Vec3) -> Vec3 {
     let length = norm2(v).sqrt();
     if length > 0.0 { v.map(|x| x / length) } else { [0.0; 3] }
 }
@@ -79,7 +79,7 @@ pub fn area([a, b, c]: [&Vec3; 3]) -> f64 {
 /// Compute the squared distance of the positions of two vertices (the first three coordinates).
 #[inline]
 pub fn distance2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
-    norm2(&sub(&position(a), &position(b)))
+    norm2(&sub(&position_of(a), &position_of(b)))
 }
 
 /// Compute the squared distance from `p` to the segment `a`–`b`.

@@ -4,7 +4,7 @@
 ///
 /// Long-lived results of a region are allocated between its temporary tables. glibc keeps the freed space in
 /// fragments too small for the next large table. Other allocators return pages without this call.
-pub fn give_back() {
+pub fn release_free_memory() {
     // SAFETY: the call takes no pointer, and is allowed at any time from any thread.
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     unsafe {

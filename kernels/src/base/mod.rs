@@ -9,13 +9,13 @@
 //! | [`parallel`] | multithreaded loops with results independent of the thread count |
 //! | [`progress`] | progress counters, and cancellation |
 //! | [`memory`] | return of free memory to the system |
-//! | [`reserve`] | reserved memory for a clean exit when the system is out of memory |
+//! | [`memory_reserve`] | reserved memory for a clean exit when the system is out of memory |
 
 pub(crate) mod by_processor;
 pub mod errors;
 pub mod geometry;
 pub mod ids;
 pub mod memory;
+pub mod memory_reserve;
 pub mod parallel;
 pub mod progress;
-pub mod reserve;

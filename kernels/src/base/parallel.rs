@@ -6,19 +6,19 @@ use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Mutex, OnceLock};
 use std::thread::{self, Scope, ScopedJoinHandle};
 
-use super::reserve;
+use super::memory_reserve;
 
 /// Bytes that must be available before a thread is created: its stack, and the allocations of the C library
 /// at thread start, which abort the process if they fail. Must exceed 32 MiB, because glibc raises its mmap
 /// threshold up to that size once it has freed such a block.
-const THREAD: usize = 64 << 20;
+const THREAD_BYTES: usize = 64 << 20;
 
 /// Run `work` on a new thread; None if the system refuses one.
-pub fn spawn<'scope, T: Send + 'scope>(
+pub fn spawn_if_possible<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     work: impl FnOnce() -> T + Send + 'scope,
 ) -> Option<ScopedJoinHandle<'scope, T>> {
-    if !reserve::is_there(THREAD) {
+    if !memory_reserve::is_allocatable(THREAD_BYTES) {
         return None;
     }
     thread::Builder::new().spawn_scoped(scope, work).ok()
@@ -52,7 +52,7 @@ pub fn map<T: Send, S>(
         }
     };
     let mut results: Vec<(usize, T)> = thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map_while(|_| spawn(scope, run)).collect();
+        let others: Vec<_> = (1..threads).map_while(|_| spawn_if_possible(scope, run)).collect();
         let mut all = run();
         for other in others {
             match other.join() {
@@ -74,11 +74,15 @@ pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> 
 /// Update each element of a slice with `change(index, element)`; each thread updates contiguous parts.
 pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, &mut T) + Sync) {
     let part = values.len().div_ceil(threads.max(1)).max(1);
-    each(values.chunks_mut(part).enumerate().collect(), threads, |(number, values): (usize, &mut [T])| {
-        for (i, slot) in values.iter_mut().enumerate() {
-            change(number * part + i, slot);
-        }
-    });
+    for_each_part(
+        values.chunks_mut(part).enumerate().collect(),
+        threads,
+        |(number, values): (usize, &mut [T])| {
+            for (i, slot) in values.iter_mut().enumerate() {
+                change(number * part + i, slot);
+            }
+        },
+    );
 }
 
 /// Collect `value(index)` for each index below `count`; each thread computes a contiguous part.
@@ -96,7 +100,7 @@ pub fn collect<T: Send>(count: usize, threads: usize, value: impl Fn(usize) -> T
 }
 
 /// Call `work` on each part and pass it by value; threads take the next part dynamically.
-pub fn each<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
+pub fn for_each_part<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
     let threads = threads.min(parts.len());
     let parts = Mutex::new(parts.into_iter());
     let next = || parts.lock().ok().and_then(|mut parts| parts.next());
@@ -106,13 +110,13 @@ pub fn each<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
         }
     };
     thread::scope(|scope| {
-        let _others: Vec<_> = (1..threads).map_while(|_| spawn(scope, run)).collect();
+        let _others: Vec<_> = (1..threads).map_while(|_| spawn_if_possible(scope, run)).collect();
         run();
     });
 }
 
 /// Run two closures concurrently if a second thread is available, otherwise one after the other.
-pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
+pub fn run_concurrently(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
     if threads <= 1 {
         one();
         other();
@@ -125,7 +129,7 @@ pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
         }
     };
     thread::scope(|scope| {
-        let _other = spawn(scope, run);
+        let _other = spawn_if_possible(scope, run);
         other();
     });
     // No thread was available for `one`.
@@ -134,15 +138,19 @@ pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
 
 /// Return the thread count: `wanted` if above 0, else SCANLOOM_THREADS (set if several processes share a
 /// machine), else one per core.
-pub fn threads(wanted: usize) -> usize {
-    static USUAL: OnceLock<usize> = OnceLock::new();
-    if wanted > 0 { wanted } else { *USUAL.get_or_init(|| said().unwrap_or_else(cores)) }
+pub fn resolve_thread_count(wanted: usize) -> usize {
+    static DEFAULT_COUNT: OnceLock<usize> = OnceLock::new();
+    if wanted > 0 {
+        wanted
+    } else {
+        *DEFAULT_COUNT.get_or_init(|| thread_count_from_environment().unwrap_or_else(core_count))
+    }
 }
 
-fn said() -> Option<usize> {
+fn thread_count_from_environment() -> Option<usize> {
     std::env::var("SCANLOOM_THREADS").ok()?.parse().ok().filter(|&count| count > 0)
 }
 
-fn cores() -> usize {
+fn core_count() -> usize {
     thread::available_parallelism().map_or(1, |n| n.get())
 }

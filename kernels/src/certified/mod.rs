@@ -17,18 +17,18 @@
 //! | file | content |
 //! | --- | --- |
 //! | [`simplify`] | the loop |
-//! | [`tracker`], [`fan`], [`original`] | samples of the input that a collapse must keep within limits; nearest points on the star; nearest points on the input |
-//! | [`tracked`], [`along_seams`] | attribute quadrics and the method `seams`, restricted by the samples |
-//! | `ledger` | cache of proofs |
-//! | [`history`], `watched`, `retreat` | collapses that can be undone; samples per triangle; the choice of collapses to undo |
+//! | [`sample_tracker`], [`collapsed_star`], [`input_surface`] | samples of the input that a collapse must keep within limits; nearest points on the star; nearest points on the input |
+//! | [`bounded_qem`], [`bounded_seams`] | attribute quadrics and the method `seams`, restricted by the samples |
+//! | `proof_cache` | cache of proofs |
+//! | [`collapse_history`], `sample_owners`, `collapse_undo` | collapses that can be undone; samples per triangle; the choice of collapses to undo |
 
-pub mod along_seams;
-pub mod fan;
-pub mod history;
-pub mod ledger;
-pub mod original;
-mod retreat;
+pub mod bounded_qem;
+pub mod bounded_seams;
+pub mod collapse_history;
+mod collapse_undo;
+pub mod collapsed_star;
+pub mod input_surface;
+pub mod proof_cache;
+mod sample_owners;
+pub mod sample_tracker;
 pub mod simplify;
-pub mod tracked;
-pub mod tracker;
-mod watched;

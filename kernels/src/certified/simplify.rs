@@ -1,52 +1,52 @@
 //! The loop of certified simplification: simplify, prove, undo.
 
-use super::original::Original;
-use super::tracked::{Rules, TrackedRecords};
-use super::tracker::{Bound, Limits, Lists};
+use super::bounded_qem::{BoundedQemState, Rules};
+use super::input_surface::InputSurface;
+use super::sample_tracker::{LimitKind, SampleLimits, SampleLists};
 use crate::base::errors::KernelError;
-use crate::base::geometry::position;
+use crate::base::geometry::position_of;
 use crate::base::progress::Progress;
 use crate::certify::{self, Certificate, Deviation, Surface, Verdict};
+use crate::collapse::collapse_log::CollapseSequence;
 use crate::collapse::engine::{Refusal, Stop};
-use crate::collapse::logs::Way;
 use crate::collapse::rounds::{Goal, collapse};
-use crate::collapse::whole::Whole;
-use crate::mesh::triangle_mesh::Compact;
+use crate::collapse::whole_mesh::WholeMesh;
+use crate::mesh::triangle_mesh::CompactMesh;
 
-use super::history::History;
-use super::ledger::{Apart, Ledger, Open};
-use super::retreat::Retreat;
-use super::watched::Watched;
+use super::collapse_history::History;
+use super::collapse_undo::CollapseUndo;
+use super::proof_cache::{ProofCache, SeparatePartitions, UnprovenSet};
+use super::sample_owners::SampleOwners;
 
 /// Ratio of the bounds that samples may use; the rest is a margin for the points between samples.
-const SHARE: f64 = 0.9;
+const SAMPLE_RATIO: f64 = 0.9;
 
 /// Factor on the limits of the samples around a failed proof.
-const TIGHTER: f32 = 0.6;
+const TIGHTENING_FACTOR: f32 = 0.6;
 
 /// Average number of pieces per triangle that may be spent on undecided triangles.
-const EFFORT: f64 = 8.0;
+const DECISION_EFFORT: f64 = 8.0;
 
 /// Passes before unproven triangles are tested for being provable at all.
-const HOPE: usize = 6;
+const PASSES_BEFORE_PROVABILITY_CHECK: usize = 6;
 
 /// Failures at a vertex before its surroundings are locked for good. Locked vertices cause failures next to
 /// them, so the neighbours need a few attempts, too.
-const PATIENCE: usize = 8;
+const FAILURES_BEFORE_LOCKING: usize = 8;
 
 /// Failures at a vertex before the proof there is given up.
-const END: usize = 20;
+const FAILURES_BEFORE_GIVING_UP: usize = 20;
 
 /// After `IMPATIENCE × PATIENCE` passes, the surroundings of all unproven triangles are locked. After
 /// `IMPATIENCE × END` passes, all remaining proofs are given up.
-const IMPATIENCE: usize = 4;
+const MAX_PASSES_PER_FAILURE: usize = 4;
 
 /// Ratio of triangles below which a round stops the collapse loop, so that a proof follows.
-const LEAST_ROUND: f64 = 1.0 / 2000.0;
+const MIN_COLLAPSE_RATIO: f64 = 1.0 / 2000.0;
 
 /// Smallest provable bound on colour in levels. Colours are stored as whole levels; proofs of closer bounds
 /// cost too much.
-const LEAST_COLOR: f64 = 0.5;
+const MIN_COLOR_BOUND: f64 = 0.5;
 
 /// Parameters of the certified simplification.
 #[derive(Clone, Debug)]
@@ -62,11 +62,11 @@ pub struct Options {
     pub proof: certify::Options,
     /// Bound each triangle to the tolerances of `proof` instead of only proving the requested bounds. If
     /// false and the bound on colour is infinite, only the largest colour difference is bounded.
-    pub close: bool,
+    pub tight_bounds: bool,
     /// Continue until no edge can collapse, not only until hardly any does.
-    pub to_the_end: bool,
+    pub until_exhausted: bool,
     /// Ratio of the bounds that samples may use; the rest is a margin for the points between samples.
-    pub share: f64,
+    pub sample_ratio: f64,
     pub rules: Rules,
 }
 
@@ -77,9 +77,9 @@ impl Options {
             weight: 0.0,
             importance: vec![],
             proof: certify::Options::default(),
-            close: true,
-            to_the_end: true,
-            share: SHARE,
+            tight_bounds: true,
+            until_exhausted: true,
+            sample_ratio: SAMPLE_RATIO,
             rules: Rules::default(),
         }
     }
@@ -98,8 +98,8 @@ pub struct Pass {
 
 /// Result of the certified simplification.
 #[derive(Clone, Debug)]
-pub struct Certified<const D: usize> {
-    pub mesh: Compact<D>,
+pub struct CertifiedMesh<const D: usize> {
+    pub mesh: CompactMesh<D>,
     pub certificate: Certificate,
     /// True if the bounds are proven. False if the caller stopped the work, or if the bounds do not even hold
     /// between the input and itself. The latter happens where sheets of different colours touch.
@@ -107,17 +107,20 @@ pub struct Certified<const D: usize> {
     pub stop: Stop,
     pub passes: Vec<Pass>,
     /// For each edge that cannot collapse: the reason.
-    pub refused: Vec<Refusal<Bound>>,
-    /// Collapses that were not undone; empty unless `Goal::record` is set.
-    pub way: Way<D>,
+    pub refused: Vec<Refusal<LimitKind>>,
+    /// Collapses that were not undone; empty unless `SeamGoal::record` is set.
+    pub collapse_sequence: CollapseSequence<D>,
 }
 
 /// Compute the smallest provable bounds for a surface of this size.
 ///
 /// A proof needs twice the slack of single precision.
-pub fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
-    let corners = original.triangles.iter().flatten().map(|&v| position(&original.points[v as usize]));
-    Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: LEAST_COLOR }
+pub fn min_provable_bounds<const D: usize>(
+    original: &InputSurface<D>,
+    options: &certify::Options,
+) -> Deviation {
+    let corners = original.triangles.iter().flatten().map(|&v| position_of(&original.points[v as usize]));
+    Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: MIN_COLOR_BOUND }
 }
 
 /// Simplify as far as the bounds can be proven.
@@ -133,51 +136,54 @@ pub fn simplify<const D: usize, const K: usize>(
     options: &Options,
     goal: &Goal,
     progress: &mut Progress,
-) -> Result<Certified<D>, KernelError> {
+) -> Result<CertifiedMesh<D>, KernelError> {
     let given = triangles.len();
-    let whole = Whole::<D, Bound>::new(points, triangles, locked)?;
+    let whole = WholeMesh::<D, LimitKind>::new(points, triangles, locked)?;
     let locked = whole.locked;
     let proper = (whole.triangles.len() < given).then_some(whole.triangle_source);
     progress.check()?;
-    let original = Original::new(whole.points, whole.triangles);
+    let original = InputSurface::new(whole.points, whole.triangles);
     progress.check()?;
-    let start = State::of_input(&original, goal.record)?;
+    let start = LoopState::of_input(&original, goal.record_positions)?;
     // Without a bound on colour, the largest colour difference is bounded along with the proof of shape.
-    let of_all = D > 3 && options.bounds.color == f64::INFINITY && !options.close;
+    let of_all = D > 3 && options.bounds.color == f64::INFINITY && !options.tight_bounds;
     let part = vec![0; if of_all { original.triangles.len() } else { 0 }];
-    let apart = of_all.then_some(Apart { part: &part, close: &options.proof });
-    let Reached { state, mut ledger, proven, stop, mut passes } =
-        go_on::<D, K>(&original, start, locked, apart.as_ref(), options, goal, progress)?;
+    let apart = of_all.then_some(SeparatePartitions { partition_index: &part, tolerances: &options.proof });
+    let LoopResult { state, mut ledger, proven, stop, mut passes } =
+        run_loop::<D, K>(&original, start, locked, apart.as_ref(), options, goal, progress)?;
     let refused = state.mesh.refused_edges();
     let colors = match apart {
-        Some(_) => ledger.bounds_of_parts(&state.mesh, |_| true, progress)?.first().copied(),
+        Some(_) => ledger.bound_partitions(&state.mesh, |_| true, progress)?.first().copied(),
         None => None,
     };
     let mut mesh = state.mesh.into_compact();
     let mut certificate =
-        certificate_of(&mesh, &mut ledger, proven, options, goal.threads, &mut progress.silent())?;
+        create_certificate(&mesh, &mut ledger, proven, options, goal.threads, &mut progress.silent())?;
     if let Some(Verdict { bound, attained, .. }) = colors {
-        let bound =
-            Deviation { color: bound.color.min(farthest_colors(&mesh.points, &original.points)), ..bound };
+        let bound = Deviation {
+            color: bound.color.min(bound_color_difference(&mesh.points, &original.points)),
+            ..bound
+        };
         certificate.bound.color = bound.color;
         certificate.attained.color = attained.color;
-        let Certificate { result, own, original, .. } = &mut certificate;
+        let Certificate { result, from_result: own, original, .. } = &mut certificate;
         [result, own, original].into_iter().flatten().for_each(|d| d.color = bound.color);
     }
     // The certificate is computed with more effort than the decisions, so it may prove the rest.
-    let proven = proven || certificate.bound.within(ledger.bounds());
+    let proven = proven || certificate.bound.is_within(ledger.bounds());
     if let Some(last) = passes.last_mut().filter(|_| proven) {
         last.unproven = [0, 0];
     }
-    let way = if goal.record { state.history.way() } else { Way::default() };
+    let way =
+        if goal.record_positions { state.history.replay_sequence() } else { CollapseSequence::default() };
     if let Some(proper) = proper {
         mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
     }
-    Ok(Certified { mesh, certificate, proven, stop, passes, refused, way })
+    Ok(CertifiedMesh { mesh, certificate, proven, stop, passes, refused, collapse_sequence: way })
 }
 
 /// Bound the difference between any two colours.
-fn farthest_colors<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> f64 {
+fn bound_color_difference<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> f64 {
     let extent = |i: usize| {
         let all = || a.iter().chain(b).map(|p| p[i]);
         all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min)
@@ -186,9 +192,9 @@ fn farthest_colors<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> f64 {
 }
 
 /// Final state of the loop.
-pub struct Reached<'a, const D: usize> {
-    pub state: State<'a, D>,
-    pub ledger: Ledger<'a, D>,
+pub struct LoopResult<'a, const D: usize> {
+    pub state: LoopState<'a, D>,
+    pub ledger: ProofCache<'a, D>,
     pub proven: bool,
     pub stop: Stop,
     pub passes: Vec<Pass>,
@@ -201,112 +207,126 @@ pub struct Reached<'a, const D: usize> {
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
-pub fn go_on<'a, const D: usize, const K: usize>(
-    original: &'a Original<D>,
-    start: State<'a, D>,
+pub fn run_loop<'a, const D: usize, const K: usize>(
+    original: &'a InputSurface<D>,
+    start: LoopState<'a, D>,
     locked: Vec<bool>,
-    apart: Option<&Apart<'_>>,
+    apart: Option<&SeparatePartitions<'_>>,
     options: &Options,
     goal: &Goal,
     progress: &mut Progress,
-) -> Result<Reached<'a, D>, KernelError> {
-    let least = least_bounds(original, &options.proof);
+) -> Result<LoopResult<'a, D>, KernelError> {
+    let least = min_provable_bounds(original, &options.proof);
     let bounds = options.bounds.max(least);
-    let mut limits = limits_of(options, bounds, least, original.points.len());
-    let decision =
-        certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
-    let mut goal = Goal { least: LEAST_ROUND, record: true, ..*goal };
+    let mut limits = initial_limits(options, bounds, least, original.points.len());
+    let decision = certify::Options {
+        limit: Some(bounds),
+        threads: goal.threads,
+        effort: DECISION_EFFORT,
+        ..options.proof
+    };
+    let mut goal = Goal { min_collapse_ratio: MIN_COLLAPSE_RATIO, record_positions: true, ..*goal };
     let to_go = original.triangles.len().saturating_sub(goal.triangles) as u64;
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
-    let mut lost = Lost { failures: vec![0; original.points.len()], locked };
+    let mut lost = FailureTracker { failures: vec![0; original.points.len()], locked };
     let mut ledger = None;
     let mut state = start.with_locks(&lost.locked);
     loop {
-        let State { mesh, lists, mut history } = state;
-        let importance = importance_of(&mesh, &history, &options.importance);
+        let LoopState { mesh, sample_lists: lists, mut history } = state;
+        let importance = compute_importance(&mesh, &history, &options.importance);
         let records =
-            TrackedRecords::<D, K>::new(original, &limits, options.weight, importance, lists, options.rules);
+            BoundedQemState::<D, K>::new(original, &limits, options.weight, importance, lists, options.rules);
         // Undone triangles have to go again, and proofs have no comparable unit: only collapses report
         // progress.
         let gone = original.triangles.len() - mesh.triangles.len();
-        let outcome = collapse(mesh, records, &goal, &mut progress.part(gone as u64, to_go))?;
+        let outcome = collapse(mesh, records, &goal, &mut progress.for_part(gone as u64, to_go))?;
         let proving = &mut progress.silent();
         let (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
         history.append(outcome.logs);
         let mut known = match ledger.take() {
             Some(known) => known,
-            None => Ledger::new(original, decision, apart)?,
+            None => ProofCache::new(original, decision, apart)?,
         };
-        let unproven = known.look(&mesh, proving)?;
-        passes.push(Pass { triangles: mesh.triangles.len(), unproven, collapses: history.kept(), attempts });
+        let unproven = known.update(&mesh, proving)?;
+        passes.push(Pass {
+            triangles: mesh.triangles.len(),
+            unproven,
+            collapses: history.active_count(),
+            attempts,
+        });
         let proven = unproven == [0, 0];
-        let news = if passes.len() >= HOPE { known.look_for_hopeless(proving)? } else { 0 };
-        let open = known.open();
-        let settled = open.is_empty() && (proven || passes.len() >= HOPE && news == 0);
-        state = State { mesh, lists, history };
-        let is_rest_left = options.to_the_end && outcome.stop == Stop::Few;
-        let settled = settled || state.history.is_settled();
-        if (settled && !is_rest_left) || outcome.stop == Stop::Enough {
-            return Ok(Reached { state, ledger: known, proven, stop: outcome.stop, passes });
+        let news = if passes.len() >= PASSES_BEFORE_PROVABILITY_CHECK {
+            known.find_unprovable(proving)?
+        } else {
+            0
+        };
+        let open = known.unproven_set();
+        let settled =
+            open.is_empty() && (proven || passes.len() >= PASSES_BEFORE_PROVABILITY_CHECK && news == 0);
+        state = LoopState { mesh, sample_lists: lists, history };
+        let is_rest_left = options.until_exhausted && outcome.stop == Stop::Stalled;
+        let settled = settled || state.history.has_nothing_to_undo();
+        if (settled && !is_rest_left) || outcome.stop == Stop::StoppedByCaller {
+            return Ok(LoopResult { state, ledger: known, proven, stop: outcome.stop, passes });
         }
         progress.check()?;
         if settled {
             // Everything is proven: now try the remaining single edges, too.
-            goal.least = 0.0;
+            goal.min_collapse_ratio = 0.0;
         } else {
-            state = state.step_back(original, &mut known, &open, &mut limits, &mut lost, passes.len());
+            state = state.undo_unproven(original, &mut known, &open, &mut limits, &mut lost, passes.len());
         }
         ledger = Some(known);
     }
 }
 
 /// Compute the initial limits of the samples.
-fn limits_of(options: &Options, bounds: Deviation, least: Deviation, vertices: usize) -> Limits {
+fn initial_limits(options: &Options, bounds: Deviation, least: Deviation, vertices: usize) -> SampleLimits {
     let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
-    Limits {
-        shape: options.share * (bounds.shape - 0.5 * least.shape),
-        color: options.share * (bounds.color - certify::COLOR_SLACK),
+    SampleLimits {
+        shape: options.sample_ratio * (bounds.shape - 0.5 * least.shape),
+        color: options.sample_ratio * (bounds.color - certify::COLOR_SLACK),
         factors: (0..vertices).map(|v| 1.0 / factor(v)).collect(),
-        needle: options.rules.needle,
+        min_needle_ratio: options.rules.min_needle_ratio,
     }
 }
 
 /// Compute the certificate of a result: bounds per triangle, or only the requested bounds.
-fn certificate_of<const D: usize>(
-    mesh: &Compact<D>,
-    ledger: &mut Ledger<'_, D>,
+fn create_certificate<const D: usize>(
+    mesh: &CompactMesh<D>,
+    ledger: &mut ProofCache<'_, D>,
     proven: bool,
     options: &Options,
     threads: usize,
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    if !options.close {
+    if !options.tight_bounds {
         return ledger.certificate(mesh, &options.proof, progress);
     }
     let result = Surface::new(&mesh.points, &mesh.triangles, threads)?;
     let proof = certify::Options { limit: None, threads, ..options.proof };
     let close = certify::certify(&result, ledger.surface(), &proof, progress)?;
-    Ok(if proven { ledger.closer(close) } else { close })
+    Ok(if proven { ledger.combine_with(close) } else { close })
 }
 
 /// The mesh between two passes, with the samples of its triangles and its history.
-pub struct State<'a, const D: usize> {
-    pub mesh: Whole<D, Bound>,
-    pub lists: Lists,
+pub struct LoopState<'a, const D: usize> {
+    pub mesh: WholeMesh<D, LimitKind>,
+    pub sample_lists: SampleLists,
     pub history: History<'a, D>,
 }
 
-impl<'a, const D: usize> State<'a, D> {
+impl<'a, const D: usize> LoopState<'a, D> {
     /// Create the state of the unchanged input; `in_order` if the collapse order is needed.
     ///
     /// # Errors
     /// As [`Whole::new`].
-    pub fn of_input(original: &'a Original<D>, in_order: bool) -> Result<Self, KernelError> {
+    pub fn of_input(original: &'a InputSurface<D>, in_order: bool) -> Result<Self, KernelError> {
         Ok(Self {
-            mesh: Whole::new(original.points.clone(), original.triangles.clone(), vec![])?,
-            lists: Lists::of_input(original),
+            mesh: WholeMesh::new(original.points.clone(), original.triangles.clone(), vec![])?,
+            sample_lists: SampleLists::of_input(original),
             history: History::new(original, in_order),
         })
     }
@@ -322,51 +342,51 @@ impl<'a, const D: usize> State<'a, D> {
 }
 
 /// Failed proofs by input vertex.
-struct Lost {
+struct FailureTracker {
     /// Number of failures, saturating.
     failures: Vec<u8>,
     locked: Vec<bool>,
 }
 
-impl<'a, const D: usize> State<'a, D> {
+impl<'a, const D: usize> LoopState<'a, D> {
     /// Undo collapses around unproven triangles, and tighten the limits there.
     ///
     /// `passes` is the number of passes so far.
-    fn step_back(
+    fn undo_unproven(
         self,
-        original: &'a Original<D>,
-        ledger: &mut Ledger<'_, D>,
-        open: &Open,
-        limits: &mut Limits,
-        lost: &mut Lost,
+        original: &'a InputSurface<D>,
+        ledger: &mut ProofCache<'_, D>,
+        open: &UnprovenSet,
+        limits: &mut SampleLimits,
+        lost: &mut FailureTracker,
         passes: usize,
     ) -> Self {
-        let Self { mesh, lists, history } = self;
-        let watched = Watched::new(original, &mesh.triangle_source, &lists);
-        let mut retreat = Retreat::new(original, history, watched);
-        let Lost { failures, locked } = lost;
-        for v in retreat.samples_around(&mesh, open) {
-            limits.factors[v as usize] *= TIGHTER;
+        let Self { mesh, sample_lists: lists, history } = self;
+        let watched = SampleOwners::new(original, &mesh.triangle_source, &lists);
+        let mut retreat = CollapseUndo::new(original, history, watched);
+        let FailureTracker { failures, locked } = lost;
+        for v in retreat.collect_samples_around(&mesh, open) {
+            limits.factors[v as usize] *= TIGHTENING_FACTOR;
             failures[v as usize] = failures[v as usize].saturating_add(1);
         }
         let stubborn = |times: usize| {
-            let times = if passes < IMPATIENCE * times { times as u8 } else { 0 };
-            retreat.stubborn(open, failures, times)
+            let times = if passes < MAX_PASSES_PER_FAILURE * times { times as u8 } else { 0 };
+            retreat.repeatedly_failed(open, failures, times)
         };
-        let mut for_good = retreat.vertices_around(&stubborn(PATIENCE));
-        for_good.extend(ledger.hopeless.iter().flat_map(|&t| original.triangles[t as usize]));
-        let given_up = stubborn(END);
-        ledger.give_up(retreat.take_back(open, failures));
-        ledger.give_up([given_up.of_result, given_up.of_input].concat());
-        retreat.lock(&for_good, locked);
-        let (mesh, lists, history) = retreat.mesh(mesh, locked);
-        Self { mesh, lists, history }
+        let mut for_good = retreat.collect_vertices_around(&stubborn(FAILURES_BEFORE_LOCKING));
+        for_good.extend(ledger.unprovable.iter().flat_map(|&t| original.triangles[t as usize]));
+        let given_up = stubborn(FAILURES_BEFORE_GIVING_UP);
+        ledger.mark_unprovable(retreat.undo_unproven(open, failures));
+        ledger.mark_unprovable([given_up.mesh_triangles, given_up.input_triangles].concat());
+        retreat.restore_and_lock(&for_good, locked);
+        let (mesh, lists, history) = retreat.into_state(mesh, locked);
+        Self { mesh, sample_lists: lists, history }
     }
 }
 
 /// Compute the importance of each vertex of the current mesh: the maximum of the input vertices it contains.
-fn importance_of<const D: usize>(
-    mesh: &Whole<D, Bound>,
+fn compute_importance<const D: usize>(
+    mesh: &WholeMesh<D, LimitKind>,
     history: &History<'_, D>,
     importance: &[f64],
 ) -> Vec<f64> {

@@ -23,27 +23,28 @@
 //! | file | content |
 //! | --- | --- |
 //! | `proof` | bounds between two surfaces, or decisions about given bounds |
-//! | `side` | one direction: triangles of one surface against the other |
-//! | `refine`, `decide` | cutting a triangle into pieces until its bound is tight, or the decision is made |
-//! | `piece`, `cover` | bounds of a piece on shape and colour; the fast proof for a whole triangle |
-//! | `view` | coordinates in the plane of a triangle |
+//! | `one_sided_proof` | one direction: triangles of one surface against the other |
+//! | `refinement`, `decision` | cutting a triangle into pieces until its bound is tight, or the decision is made |
+//! | `piece_bounds`, `coverage_proof` | bounds of a piece on shape and colour; the fast proof for a whole triangle |
+//! | `triangle_frame` | coordinates in the plane of a triangle |
 //! | `facet`, `polygon` | nearest points on a triangle; convex pieces |
 //! | `surface` | a surface with a search tree |
 
-mod cover;
-mod decide;
+mod coverage_proof;
+mod decision;
 mod facet;
-mod piece;
+mod one_sided_proof;
+mod piece_bounds;
 mod polygon;
 mod proof;
-mod refine;
-mod side;
+mod refinement;
 mod surface;
-mod view;
+mod triangle_frame;
 
-pub use piece::Deviation;
+pub use one_sided_proof::Verdict;
+pub use piece_bounds::Deviation;
 pub use proof::{
-    COLOR_SLACK, Certificate, Options, certify, certify_some, decide, decide_within, greatest, slack,
+    COLOR_SLACK, Certificate, Options, bound_whole, certify, certify_triangles, decide, decide_with_limit,
+    slack,
 };
-pub use side::Verdict;
-pub use surface::{NEEDLE, Surface};
+pub use surface::{NEEDLE_RATIO, Surface};

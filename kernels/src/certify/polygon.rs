@@ -8,7 +8,7 @@ use std::ops::Deref;
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
 /// Maximum number of corners. Each cut of a convex polygon adds at most one.
-pub const MOST: usize = 16;
+pub const MAX_CORNERS: usize = 16;
 
 /// Corner of a polygon: position, colour, and upper bound on the distance of the other surface.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +21,7 @@ pub struct Corner {
 /// Convex polygon with a fixed maximum number of corners.
 #[derive(Clone, Copy, Debug)]
 pub struct Polygon {
-    corners: [Corner; MOST],
+    corners: [Corner; MAX_CORNERS],
     count: usize,
 }
 
@@ -35,7 +35,7 @@ impl Deref for Polygon {
 
 impl Polygon {
     pub fn new(corners: [Corner; 3]) -> Self {
-        let mut all = [corners[0]; MOST];
+        let mut all = [corners[0]; MAX_CORNERS];
         all[..3].copy_from_slice(&corners);
         Self { corners: all, count: 3 }
     }
@@ -90,7 +90,7 @@ impl Polygon {
     ///
     /// If the result would have too many corners because of rounding, the polygon stays whole.
     pub fn clip(&mut self, level: impl Fn(&Vec3) -> f64) {
-        self.keep(|corner| level(&corner.at));
+        self.clip_convex(|corner| level(&corner.at));
     }
 
     /// Return a copy after [`Self::clip`].
@@ -101,8 +101,8 @@ impl Polygon {
     }
 
     /// As [`Self::clip`] for a convex function; the result contains all points at which it is not negative.
-    pub fn keep(&mut self, level: impl Fn(&Corner) -> f64) {
-        let mut levels = [0.0; MOST];
+    pub fn clip_convex(&mut self, level: impl Fn(&Corner) -> f64) {
+        let mut levels = [0.0; MAX_CORNERS];
         let (mut inside, mut crossings) = (0, 0);
         let count = self.count;
         for (here, corner) in levels.iter_mut().zip(self.iter()) {
@@ -123,7 +123,7 @@ impl Polygon {
             (a < 0.0) != (b < 0.0) && a != 0.0 && b != 0.0
         };
         (0..count).for_each(|i| crossings += usize::from(is_crossed(i)));
-        if inside + crossings > MOST {
+        if inside + crossings > MAX_CORNERS {
             return;
         }
         let whole = self.corners;
@@ -131,7 +131,7 @@ impl Polygon {
         for i in 0..count {
             if is_crossed(i) {
                 let (a, b) = (levels[before(i)], levels[i]);
-                self.push(between(&whole[before(i)], &whole[i], a / (a - b)));
+                self.push(interpolate_corners(&whole[before(i)], &whole[i], a / (a - b)));
             }
             if levels[i] >= 0.0 {
                 self.push(whole[i]);
@@ -146,7 +146,7 @@ impl Polygon {
 }
 
 /// Interpolate between two corners. A convex `reach` is at most its linear interpolation.
-fn between(a: &Corner, b: &Corner, t: f64) -> Corner {
+fn interpolate_corners(a: &Corner, b: &Corner, t: f64) -> Corner {
     let mix = |x: f64, y: f64| x + t * (y - x);
     Corner {
         at: [0, 1, 2].map(|i| mix(a.at[i], b.at[i])),
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_left_beyond_and_all_before_the_line() {
+    fn clipping_keeps_all_or_nothing_off_the_line() {
         assert!(triangle().clipped(|p| -1.0 - p[0]).is_empty());
         assert_eq!(area(&triangle().clipped(|p| p[0] + 1.0)), 8.0);
         // The line only touches a corner.

@@ -1,31 +1,31 @@
 //! Bounds between two surfaces in both directions: for every triangle, or only to decide a given limit.
 
-use super::piece::{Against, Deviation, Wanted};
-use super::refine::{Goal, Outcome};
-use super::side::{Run, Side, Verdict};
+use super::one_sided_proof::{OneSidedProof, ProofRun, Verdict};
+use super::piece_bounds::{AttributionMode, BoundContext, Deviation};
+use super::refinement::{Goal, Outcome};
 use super::surface::Surface;
 
 use crate::base::errors::KernelError;
-use crate::base::geometry::{Vec3, around, diagonal, norm2};
+use crate::base::geometry::{Vec3, bounding_box, diagonal, norm2};
 use crate::base::progress::Progress;
 
 /// Error of colours that are measured, interpolated and compared in single precision, in levels.
 pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Maximum pieces per triangle before the largest bound is known; most triangles need fewer than ten.
-const FIRST_PIECES: usize = 64;
+const FIRST_ROUND_PIECES: usize = 64;
 /// Maximum pieces per triangle in the first round of a decision; few undecided triangles are decided later.
-const DECISION_PIECES: usize = super::decide::FIRST;
+const DECISION_PIECES: usize = super::decision::DECISION_FIRST_PIECES;
 /// Triangles added to the budget, so that small meshes get enough pieces.
-const AT_LEAST: usize = 4096;
+const EXTRA_BUDGET_TRIANGLES: usize = 4096;
 /// Factor on the pieces per triangle from round to round.
-const GROWTH: usize = 8;
+const PIECES_GROWTH: usize = 8;
 /// Maximum excess of the bound of a single triangle over its measured deviation, as a ratio.
-const TRIANGLE_EXCESS: f64 = 0.2;
+const MAX_TRIANGLE_EXCESS_RATIO: f64 = 0.2;
 /// Triangles below this ratio of the largest deviation are not bounded more tightly.
-const UNIMPORTANT: f64 = 0.02;
+const UNIMPORTANT_RATIO: f64 = 0.02;
 
 /// Infinite deviation.
-const EVERYTHING: Deviation = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
+const INFINITE_DEVIATION: Deviation = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
 
 /// Parameters of a proof.
 #[derive(Clone, Copy, Debug)]
@@ -60,8 +60,8 @@ impl Default for Options {
 
 impl Options {
     /// Compute the bound that is tight enough, given the largest measured deviation.
-    pub fn enough(&self, attained: Deviation) -> Deviation {
-        worth_all(attained, self.tolerance, self.absolute_tolerance)
+    pub fn sufficient_bound(&self, attained: Deviation) -> Deviation {
+        tolerance_bound(attained, self.tolerance, self.absolute_tolerance)
     }
 }
 
@@ -72,7 +72,7 @@ pub struct Certificate {
     /// whose nearest point may be on it.
     pub result: Vec<Deviation>,
     /// By triangle of the result: deviation of its points only.
-    pub own: Vec<Deviation>,
+    pub from_result: Vec<Deviation>,
     /// By triangle of the original: deviation of its points from the result.
     pub original: Vec<Deviation>,
     pub bound: Deviation,
@@ -109,14 +109,14 @@ pub fn certify(
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
-pub fn certify_some(
+pub fn certify_triangles(
     result: &Surface,
     original: &Surface,
     options: &Options,
     asked: [&[u32]; 2],
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    certify_slots(result, original, options, slots_of([result, original], asked), progress)
+    certify_slots(result, original, options, sorted_slots([result, original], asked), progress)
 }
 
 fn certify_slots(
@@ -126,39 +126,40 @@ fn certify_slots(
     slots: [Vec<u32>; 2],
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    let slack = slack_of([result, original], options);
+    let slack = compute_slack([result, original], options);
     // Bounds include the slack, but measured deviations do not.
     let least = Deviation { shape: 2.0 * slack, color: 0.0 };
-    let limit = options.limit.map(without_slack);
+    let limit = options.limit.map(subtract_color_slack);
     let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
     let absolute = options.absolute_tolerance;
-    let wanted = limit.map_or(Wanted::All, Wanted::Beyond);
+    let wanted = limit.map_or(AttributionMode::All, AttributionMode::Beyond);
     let all = slots.iter().map(Vec::len).sum();
-    let mut sides = both_sides(result, original, slots, options, wanted);
+    let mut sides = create_both_sides(result, original, slots, options, wanted);
     if result.is_empty() || original.is_empty() {
-        return Ok(one_sided(&sides, slack));
+        return Ok(empty_surface_certificate(&sides, slack));
     }
-    let mut run = Run::new(options.threads, all, progress);
+    let mut run = ProofRun::new(options.threads, all, progress);
     for side in &mut sides {
-        side.look_at_vertices(&run)?;
+        side.measure_vertices(&run)?;
     }
-    let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
+    let attained = |sides: &[OneSidedProof; 2]| sides[0].attained.max(sides[1].attained);
     let first = options.limit.map_or_else(
         || Goal {
             at_most: Deviation::default(),
-            times_attained: 1.0 + TRIANGLE_EXCESS,
-            above_attained: unimportant(attained(&sides), absolute),
-            pieces: FIRST_PIECES,
+            times_attained: 1.0 + MAX_TRIANGLE_EXCESS_RATIO,
+            above_attained: unimportant_excess(attained(&sides), absolute),
+            pieces: FIRST_ROUND_PIECES,
             decide: false,
         },
         |limit| Goal::decision(limit, DECISION_PIECES),
     );
-    let keep = options.limit.unwrap_or_else(|| worth_all(attained(&sides), options.tolerance, absolute));
+    let keep =
+        options.limit.unwrap_or_else(|| tolerance_bound(attained(&sides), options.tolerance, absolute));
     for side in &mut sides {
-        side.bound(&first, keep, &mut run)?;
+        side.bound_all(&first, keep, &mut run)?;
     }
     tighten(&mut sides, options, all, &mut run)?;
-    Ok(finished(&sides, attained(&sides), slack, limit, run.pieces))
+    Ok(assemble_certificate(&sides, attained(&sides), slack, limit, run.pieces))
 }
 
 /// As [`certify`], but bound only the surfaces as a whole, which is faster.
@@ -167,7 +168,7 @@ fn certify_slots(
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
-pub fn greatest(
+pub fn bound_whole(
     result: &Surface,
     original: &Surface,
     options: &Options,
@@ -176,28 +177,28 @@ pub fn greatest(
     let surfaces = [result, original];
     if surfaces.iter().any(|surface| surface.is_empty()) {
         let none = surfaces.iter().all(|surface| surface.is_empty());
-        let all = if none { Deviation::default() } else { EVERYTHING };
+        let all = if none { Deviation::default() } else { INFINITE_DEVIATION };
         return Ok(Verdict { bound: all, attained: all, reach: all.shape });
     }
     // Bounds include the slack, but measured deviations do not.
-    let least = Deviation { shape: 2.0 * slack_of(surfaces, options), color: 0.0 };
+    let least = Deviation { shape: 2.0 * compute_slack(surfaces, options), color: 0.0 };
     let absolute_tolerance = options.absolute_tolerance.max(least);
     let options = &Options { absolute_tolerance, limit: None, ..*options };
     let slots = surfaces.map(|surface| (0..surface.len() as u32).collect());
-    let mut sides = both_sides(result, original, slots, options, Wanted::None);
+    let mut sides = create_both_sides(result, original, slots, options, AttributionMode::None);
     let all = result.len() + original.len();
-    let mut run = Run::new(options.threads, all, progress);
+    let mut run = ProofRun::new(options.threads, all, progress);
     for side in &mut sides {
-        side.look_at_vertices(&run)?;
+        side.measure_vertices(&run)?;
     }
-    let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
+    let attained = |sides: &[OneSidedProof; 2]| sides[0].attained.max(sides[1].attained);
     // The largest deviation is usually at a vertex, so the remaining question is if any point exceeds it.
-    let enough = worth_all(attained(&sides), options.tolerance, absolute_tolerance);
+    let enough = tolerance_bound(attained(&sides), options.tolerance, absolute_tolerance);
     for side in &mut sides {
-        side.bound(&Goal::decision(enough, FIRST_PIECES), enough, &mut run)?;
+        side.bound_all(&Goal::decision(enough, FIRST_ROUND_PIECES), enough, &mut run)?;
     }
     tighten(&mut sides, options, all, &mut run)?;
-    let found = sides.iter().flat_map(|side| &side.found);
+    let found = sides.iter().flat_map(|side| &side.verdicts);
     let mut bound = found.fold(Deviation::default(), |most, found| most.max(found.bound));
     bound.color = if sides[0].against.with_color { bound.color + COLOR_SLACK } else { 0.0 };
     Ok(Verdict { bound, attained: attained(&sides), reach: bound.shape })
@@ -217,17 +218,17 @@ pub fn decide(
     asked: [&[u32]; 2],
     progress: &mut Progress,
 ) -> Result<[Vec<Verdict>; 2], KernelError> {
-    let limit = options.limit.unwrap_or(EVERYTHING);
-    decide_within(result, original, options, asked, |_| limit, progress).map(|(_, verdicts)| verdicts)
+    let limit = options.limit.unwrap_or(INFINITE_DEVIATION);
+    decide_with_limit(result, original, options, asked, |_| limit, progress).map(|(_, verdicts)| verdicts)
 }
 
-/// As [`decide`], with a limit computed from the largest deviation at the corners.
+/// As [`decision`], with a limit computed from the largest deviation at the corners.
 ///
 /// Also returns that limit. `options.limit` only states if colours matter.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
-pub fn decide_within(
+pub fn decide_with_limit(
     result: &Surface,
     original: &Surface,
     options: &Options,
@@ -236,22 +237,22 @@ pub fn decide_within(
     progress: &mut Progress,
 ) -> Result<(Deviation, [Vec<Verdict>; 2]), KernelError> {
     if result.is_empty() || original.is_empty() {
-        let verdicts =
-            asked.map(|asked| vec![Verdict { attained: EVERYTHING, ..Verdict::UNKNOWN }; asked.len()]);
-        return Ok((limit(EVERYTHING), verdicts));
+        let verdicts = asked
+            .map(|asked| vec![Verdict { attained: INFINITE_DEVIATION, ..Verdict::UNKNOWN }; asked.len()]);
+        return Ok((limit(INFINITE_DEVIATION), verdicts));
     }
-    let slots = slots_of([result, original], asked);
-    let mut sides = both_sides(result, original, slots, options, Wanted::None);
+    let slots = sorted_slots([result, original], asked);
+    let mut sides = create_both_sides(result, original, slots, options, AttributionMode::None);
     let all = asked[0].len() + asked[1].len();
-    let mut run = Run::new(options.threads, all, progress);
+    let mut run = ProofRun::new(options.threads, all, progress);
     for side in &mut sides {
-        side.look_at_vertices(&run)?;
+        side.measure_vertices(&run)?;
     }
     let within = limit(sides[0].attained.max(sides[1].attained));
-    let limit = without_slack(within);
+    let limit = subtract_color_slack(within);
     let options = &Options { limit: Some(limit), ..*options };
     for side in &mut sides {
-        side.bound(&Goal::decision(limit, DECISION_PIECES), limit, &mut run)?;
+        side.bound_all(&Goal::decision(limit, DECISION_PIECES), limit, &mut run)?;
     }
     tighten(&mut sides, options, all, &mut run)?;
     let with_color = sides[0].against.with_color;
@@ -261,9 +262,9 @@ pub fn decide_within(
         true => found + COLOR_SLACK,
         false => 0.0,
     };
-    let verdict = |side: &Side<'_>, t: u32| {
+    let verdict = |side: &OneSidedProof<'_>, t: u32| {
         let Verdict { bound, attained, reach } =
-            side.found_in(side.mesh.slots[t as usize]).unwrap_or(Verdict::UNKNOWN);
+            side.verdict_of_slot(side.mesh.slot_of_triangle[t as usize]).unwrap_or(Verdict::UNKNOWN);
         let bound = Deviation { shape: bound.shape.max(within.shape), color: color(bound.color) };
         Verdict { bound, attained, reach }
     };
@@ -271,9 +272,10 @@ pub fn decide_within(
 }
 
 /// Map triangles to sorted slots: neighbours follow each other, and each occurs once.
-fn slots_of(surfaces: [&Surface; 2], asked: [&[u32]; 2]) -> [Vec<u32>; 2] {
+fn sorted_slots(surfaces: [&Surface; 2], asked: [&[u32]; 2]) -> [Vec<u32>; 2] {
     [0, 1].map(|i| {
-        let mut slots: Vec<u32> = asked[i].iter().map(|&t| surfaces[i].slots[t as usize]).collect();
+        let mut slots: Vec<u32> =
+            asked[i].iter().map(|&t| surfaces[i].slot_of_triangle[t as usize]).collect();
         slots.sort_unstable();
         slots.dedup();
         slots
@@ -281,61 +283,62 @@ fn slots_of(surfaces: [&Surface; 2], asked: [&[u32]; 2]) -> [Vec<u32>; 2] {
 }
 
 /// Reserve the error of single-precision colours.
-fn without_slack(limit: Deviation) -> Deviation {
+fn subtract_color_slack(limit: Deviation) -> Deviation {
     Deviation { color: limit.color - COLOR_SLACK, ..limit }
 }
 
 /// Create both directions for the triangles in these slots. For the second one, `wanted` selects which
 /// deviations are attributed to the result.
-fn both_sides<'a>(
+fn create_both_sides<'a>(
     result: &'a Surface,
     original: &'a Surface,
     [of_result, of_original]: [Vec<u32>; 2],
     options: &Options,
-    wanted: Wanted,
-) -> [Side<'a>; 2] {
+    wanted: AttributionMode,
+) -> [OneSidedProof<'a>; 2] {
     let with_color = !result.colors.is_empty()
         && !original.colors.is_empty()
         && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
-    let slack = slack_of([result, original], options);
-    let color_range = color_range(result, original);
-    let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
+    let slack = compute_slack([result, original], options);
+    let color_range = bound_color_range(result, original);
+    let against =
+        |target, wanted| BoundContext { target, slack, color_range, with_color, attribution: wanted };
     [
-        Side::new(result, of_result, against(original, Wanted::None)),
-        Side::new(original, of_original, against(result, wanted)),
+        OneSidedProof::new(result, of_result, against(original, AttributionMode::None)),
+        OneSidedProof::new(original, of_original, against(result, wanted)),
     ]
 }
 
 /// Spend pieces on the triangles whose bounds exceed the largest measured deviation too much.
 fn tighten(
-    sides: &mut [Side<'_>; 2],
+    sides: &mut [OneSidedProof<'_>; 2],
     options: &Options,
     triangles: usize,
-    run: &mut Run<'_>,
+    run: &mut ProofRun<'_>,
 ) -> Result<(), KernelError> {
     let absolute = options.absolute_tolerance;
-    let budget = run.pieces + (options.effort * (triangles + AT_LEAST) as f64) as u64;
-    let first = if options.limit.is_some() { DECISION_PIECES } else { FIRST_PIECES };
+    let budget = run.pieces + (options.effort * (triangles + EXTRA_BUDGET_TRIANGLES) as f64) as u64;
+    let first = if options.limit.is_some() { DECISION_PIECES } else { FIRST_ROUND_PIECES };
     let mut pieces = first;
     loop {
         let attained = sides[0].attained.max(sides[1].attained);
-        let at_most = options.limit.unwrap_or_else(|| worth_all(attained, options.tolerance, absolute));
+        let at_most = options.limit.unwrap_or_else(|| tolerance_bound(attained, options.tolerance, absolute));
         let decide = options.limit.is_some();
         // A triangle that did not use all its pieces cannot be bounded better. The first round stops earlier,
         // so it does not count.
         let settled = |outcome: &Outcome| {
-            outcome.bound.within(at_most)
+            outcome.bound.is_within(at_most)
                 || pieces > first && outcome.pieces < pieces
-                || decide && !outcome.attained.within(at_most)
+                || decide && !outcome.attained.is_within(at_most)
         };
-        sides.iter_mut().for_each(|side| side.settle(settled));
+        sides.iter_mut().for_each(|side| side.remove_finished(settled));
         let pending = (sides[0].pending.len() + sides[1].pending.len()) as u64;
         if pending == 0 {
             return Ok(());
         }
-        let more = (pieces * GROWTH).min((budget.saturating_sub(run.pieces) / pending) as usize);
+        let more = (pieces * PIECES_GROWTH).min((budget.saturating_sub(run.pieces) / pending) as usize);
         if more <= pieces {
-            sides.iter_mut().for_each(|side| side.settle(|_| true));
+            sides.iter_mut().for_each(|side| side.remove_finished(|_| true));
             return Ok(());
         }
         pieces = more;
@@ -354,7 +357,7 @@ fn tighten(
 }
 
 /// Compute the bound that is tight enough; the larger one of both tolerances applies.
-fn worth_all(attained: Deviation, share: Deviation, absolute: Deviation) -> Deviation {
+fn tolerance_bound(attained: Deviation, share: Deviation, absolute: Deviation) -> Deviation {
     let one = |attained: f64, share: f64, absolute: f64| attained + (share * attained).max(absolute);
     Deviation {
         shape: one(attained.shape, share.shape, absolute.shape),
@@ -363,10 +366,10 @@ fn worth_all(attained: Deviation, share: Deviation, absolute: Deviation) -> Devi
 }
 
 /// Compute the excess below which no single triangle is bounded more tightly.
-fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
+fn unimportant_excess(attained: Deviation, absolute: Deviation) -> Deviation {
     Deviation {
-        shape: (UNIMPORTANT * attained.shape).max(absolute.shape),
-        color: (UNIMPORTANT * attained.color).max(absolute.color),
+        shape: (UNIMPORTANT_RATIO * attained.shape).max(absolute.shape),
+        color: (UNIMPORTANT_RATIO * attained.color).max(absolute.color),
     }
 }
 
@@ -377,7 +380,7 @@ fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
 /// few rounding errors of the sizes it works with. `places` are corners of the surfaces, or of boxes around
 /// them.
 pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
-    let [low, high] = around(places);
+    let [low, high] = bounding_box(places);
     let largest = (0..3).map(|i| low[i].abs().max(high[i].abs())).fold(0.0, f64::max);
     if largest == f64::INFINITY {
         return 0.0;
@@ -389,12 +392,12 @@ pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
 }
 
 /// Compute the slack for two surfaces.
-fn slack_of(surfaces: [&Surface; 2], options: &Options) -> f64 {
+fn compute_slack(surfaces: [&Surface; 2], options: &Options) -> f64 {
     slack(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack)
 }
 
 /// Bound the difference between any two colours of the surfaces.
-fn color_range(a: &Surface, b: &Surface) -> f64 {
+fn bound_color_range(a: &Surface, b: &Surface) -> f64 {
     if a.colors.is_empty() || b.colors.is_empty() {
         return 0.0;
     }
@@ -406,12 +409,13 @@ fn color_range(a: &Surface, b: &Surface) -> f64 {
 }
 
 /// Create the certificate if at least one surface has no triangles.
-fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
-    let all = |side: &Side<'_>| vec![EVERYTHING; side.mesh.len()];
-    let bound = if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { EVERYTHING };
+fn empty_surface_certificate(sides: &[OneSidedProof<'_>; 2], slack: f64) -> Certificate {
+    let all = |side: &OneSidedProof<'_>| vec![INFINITE_DEVIATION; side.mesh.len()];
+    let bound =
+        if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { INFINITE_DEVIATION };
     Certificate {
         result: all(&sides[0]),
-        own: all(&sides[0]),
+        from_result: all(&sides[0]),
         original: all(&sides[1]),
         bound,
         attained: bound,
@@ -422,8 +426,8 @@ fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
 }
 
 /// Create the certificate from the results of both directions.
-fn finished(
-    sides: &[Side<'_>; 2],
+fn assemble_certificate(
+    sides: &[OneSidedProof<'_>; 2],
     attained: Deviation,
     slack: f64,
     limit: Option<Deviation>,
@@ -436,16 +440,16 @@ fn finished(
         let d = d.max(least);
         Deviation { shape: d.shape, color: if with_color { d.color + COLOR_SLACK } else { 0.0 } }
     };
-    let in_order = |side: &Side<'_>, of: &dyn Fn(usize) -> Deviation| -> Vec<Deviation> {
-        side.mesh.slots.iter().map(|&slot| sure(&of(slot as usize))).collect()
+    let in_order = |side: &OneSidedProof<'_>, of: &dyn Fn(usize) -> Deviation| -> Vec<Deviation> {
+        side.mesh.slot_of_triangle.iter().map(|&slot| sure(&of(slot as usize))).collect()
     };
     let [own, other] = sides;
-    let found = |side: &Side, slot| side.found_in(slot as u32).unwrap_or_default().bound;
-    let all = own.found.iter().chain(&other.found);
+    let found = |side: &OneSidedProof, slot| side.verdict_of_slot(slot as u32).unwrap_or_default().bound;
+    let all = own.verdicts.iter().chain(&other.verdicts);
     let bound = all.fold(Deviation::default(), |most, found| most.max(found.bound));
     Certificate {
         result: in_order(own, &|slot| found(own, slot).max(other.on_target(slot))),
-        own: in_order(own, &|slot| found(own, slot)),
+        from_result: in_order(own, &|slot| found(own, slot)),
         original: in_order(other, &|slot| found(other, slot)),
         bound: sure(&bound),
         attained,

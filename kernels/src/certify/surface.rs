@@ -2,29 +2,29 @@
 
 use std::ops::Range;
 
-use super::facet::{Nearest, distance2, nearest};
+use super::facet::{NearestWeights, distance2, nearest_point};
 use crate::base::errors::KernelError;
-use crate::base::geometry::{Vec3, around, cross, norm2, position, segment_distance2, sub};
+use crate::base::geometry::{Vec3, bounding_box, cross, norm2, position_of, segment_distance2, sub};
 use crate::base::parallel;
 use crate::mesh::bvh::Bvh;
 
 /// Maximum coordinate in metres: products of four lengths must not overflow in double precision.
-const LARGEST: f64 = 1e60;
+const MAX_COORDINATE: f64 = 1e60;
 /// Maximum attribute: stored in single precision, squared in double.
-const LARGEST_ATTRIBUTE: f64 = 1e30;
+const MAX_ATTRIBUTE: f64 = 1e30;
 
 /// Ratio of height to longest side below which a single-precision search may miss a triangle. On a scan,
 /// Embree missed triangles up to 1.2e-3, and by more than the slack up to 0.7e-3.
-pub const NEEDLE: f64 = 4e-3;
+pub const NEEDLE_RATIO: f64 = 4e-3;
 
 /// Triangles in BVH order; a *slot* is an index in that order.
 #[derive(Clone, Debug)]
 pub struct Surface {
     pub bvh: Bvh,
     /// Input triangle in each slot.
-    pub order: Vec<u32>,
+    pub triangle_of_slot: Vec<u32>,
     /// Slot of each input triangle.
-    pub slots: Vec<u32>,
+    pub slot_of_triangle: Vec<u32>,
     /// Vertices of the triangle in each slot, numbered by first use: neighbours are close in memory.
     pub vertices: Vec<[u32; 3]>,
     /// By vertex, without unused vertices.
@@ -40,7 +40,7 @@ pub struct Surface {
 
 /// Result of a nearest-triangle query.
 #[derive(Clone, Copy, Debug)]
-pub struct Found {
+pub struct NearestTriangle {
     pub slot: u32,
     pub distance: f64,
 }
@@ -59,34 +59,36 @@ impl Surface {
         threads: usize,
     ) -> Result<Self, KernelError> {
         const { assert!(D >= 3 && D <= 6, "a point has three coordinates and up to three attributes") };
-        check(points, triangles)?;
-        let threads = parallel::threads(threads);
+        check_input(points, triangles)?;
+        let threads = parallel::resolve_thread_count(threads);
         let (bvh, order) = Bvh::new(triangles.len(), threads, |t| {
-            around(triangles[t].iter().map(|&v| position(&points[v as usize])))
+            bounding_box(triangles[t].iter().map(|&v| position_of(&points[v as usize])))
         });
         let mut slots = vec![0; order.len()];
         order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
-        let (vertices, source) = numbered_by_use(order.iter().map(|&t| triangles[t as usize]), points.len());
+        let (vertices, source) =
+            renumber_by_first_use(order.iter().map(|&t| triangles[t as usize]), points.len());
         let color =
             |v: &u32| [0, 1, 2].map(|i| points[*v as usize].get(3 + i).copied().unwrap_or(0.0) as f32);
         let mut surface = Self {
             bvh,
-            order,
-            slots,
+            triangle_of_slot: order,
+            slot_of_triangle: slots,
             vertices,
-            points: source.iter().map(|&v| position(&points[v as usize])).collect(),
+            points: source.iter().map(|&v| position_of(&points[v as usize])).collect(),
             colors: if D == 3 { vec![] } else { source.iter().map(color).collect() },
             color_boxes: vec![],
-            bounds: around([].into_iter()),
-            color_bounds: around([].into_iter()),
+            bounds: bounding_box([].into_iter()),
+            color_bounds: bounding_box([].into_iter()),
         };
-        surface.bounds = around(surface.points.iter().copied());
-        surface.color_bounds = around(surface.colors.iter().map(|c| c.map(f64::from)));
+        surface.bounds = bounding_box(surface.points.iter().copied());
+        surface.color_bounds = bounding_box(surface.colors.iter().map(|c| c.map(f64::from)));
         if D > 3 {
             let below = |slots: Range<usize>| {
                 color_box(surface.vertices[slots].iter().flatten().map(|&v| &surface.colors[v as usize]))
             };
-            surface.color_boxes = surface.bvh.gathered(below, |[a, b], [c, d]| color_box(&[a, b, c, d]));
+            surface.color_boxes =
+                surface.bvh.gather_bottom_up(below, |[a, b], [c, d]| color_box(&[a, b, c, d]));
         }
         Ok(surface)
     }
@@ -97,7 +99,7 @@ impl Surface {
     ///
     /// # Errors
     /// As [`Surface::new`].
-    pub fn of_some<const D: usize>(
+    pub fn of_triangles<const D: usize>(
         points: &[[f64; D]],
         triangles: &[[u32; 3]],
         some: &[u32],
@@ -116,11 +118,11 @@ impl Surface {
     }
 
     pub fn len(&self) -> usize {
-        self.order.len()
+        self.triangle_of_slot.len()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.order.is_empty()
+        self.triangle_of_slot.is_empty()
     }
 
     /// Return the corners of the triangle in `slot`.
@@ -131,20 +133,20 @@ impl Surface {
 
     /// Find the triangle nearest to `p`; a `hint` slot near it shortens the search.
     #[inline]
-    pub fn nearest(&self, p: &Vec3, hint: u32) -> Found {
+    pub fn nearest(&self, p: &Vec3, hint: u32) -> NearestTriangle {
         let first = (hint, self.distance2(hint, p));
-        let (slot, least) = self.bvh.nearest(p, first, |slot| self.distance2(slot, p));
-        Found { slot, distance: least.sqrt() }
+        let (slot, least) = self.bvh.find_nearest(p, first, |slot| self.distance2(slot, p));
+        NearestTriangle { slot, distance: least.sqrt() }
     }
 
     /// Visit every triangle (input index) whose bounding box intersects the box `low`–`high`.
-    pub fn triangles_meeting(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32)) {
-        self.bvh.meeting(
+    pub fn visit_triangles_in_box(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32)) {
+        self.bvh.visit_overlapping(
             low,
             high,
             |_, _| false,
             |slot| {
-                visit(self.order[slot as usize]);
+                visit(self.triangle_of_slot[slot as usize]);
                 true
             },
         );
@@ -159,12 +161,12 @@ impl Surface {
     /// Create a convex upper bound on the distance to the surface: the distance to the triangle in `slot`.
     ///
     /// A single-precision search may miss needles, so only the longest side of a needle counts.
-    pub fn reach(&self, slot: u32) -> impl Fn(&Vec3) -> f64 {
+    pub fn distance_bound(&self, slot: u32) -> impl Fn(&Vec3) -> f64 {
         let [a, b, c] = self.corners(slot);
         let sides = [[a, b], [b, c], [c, a]];
         let longest = sides.into_iter().max_by(|s, t| length2(s).total_cmp(&length2(t))).unwrap_or([a, b]);
         let area2 = norm2(&cross(&sub(&b, &a), &sub(&c, &a)));
-        let needle = area2 < (NEEDLE * length2(&longest)).powi(2);
+        let needle = area2 < (NEEDLE_RATIO * length2(&longest)).powi(2);
         move |p: &Vec3| {
             let least = if needle {
                 segment_distance2(p, &longest[0], &longest[1])
@@ -189,7 +191,7 @@ impl Surface {
 
     /// Bound the difference between colours in a box and below a branch.
     #[inline]
-    pub fn colors_apart(&self, node: u32, branch: usize, [low, high]: &[Vec3; 2]) -> f64 {
+    pub fn bound_color_difference_below(&self, node: u32, branch: usize, [low, high]: &[Vec3; 2]) -> f64 {
         let [from, to] = &self.color_boxes[node as usize][branch];
         let most = |i: usize| (high[i] - f64::from(from[i])).max(f64::from(to[i]) - low[i]);
         norm2(&[0, 1, 2].map(most)).sqrt()
@@ -197,26 +199,26 @@ impl Surface {
 
     /// Bound the difference between colours in a box and in a slot.
     #[inline]
-    pub fn color_range(&self, slot: u32, [low, high]: &[Vec3; 2]) -> f64 {
-        let [from, to] = around(self.corner_colors(slot).into_iter());
+    pub fn bound_color_difference(&self, slot: u32, [low, high]: &[Vec3; 2]) -> f64 {
+        let [from, to] = bounding_box(self.corner_colors(slot).into_iter());
         norm2(&[0, 1, 2].map(|i| (high[i] - from[i]).max(to[i] - low[i]))).sqrt()
     }
 
     /// Interpolate the colour at the nearest point of the triangle in `slot`.
-    pub fn color(&self, slot: u32, p: &Vec3) -> Vec3 {
-        blend(&nearest(p, &self.corners(slot)), &self.corner_colors(slot))
+    pub fn color_at(&self, slot: u32, p: &Vec3) -> Vec3 {
+        interpolate_colors(&nearest_point(p, &self.corners(slot)), &self.corner_colors(slot))
     }
 }
 
 /// Interpolate colours at a nearest point.
 #[inline]
-pub fn blend(at: &Nearest, colors: &[Vec3; 3]) -> Vec3 {
-    combine(&at.weights, colors)
+pub fn interpolate_colors(at: &NearestWeights, colors: &[Vec3; 3]) -> Vec3 {
+    weighted_sum(&at.weights, colors)
 }
 
 /// Compute the weighted sum of three vectors.
 #[inline]
-pub fn combine(weights: &Vec3, values: &[Vec3; 3]) -> Vec3 {
+pub fn weighted_sum(weights: &Vec3, values: &[Vec3; 3]) -> Vec3 {
     [0, 1, 2].map(|i| weights[0] * values[0][i] + weights[1] * values[1][i] + weights[2] * values[2][i])
 }
 
@@ -227,7 +229,10 @@ pub fn difference(a: &Vec3, b: &Vec3) -> f64 {
 }
 
 /// Renumber vertices by first use; also returns the old index of each new one.
-fn numbered_by_use(triangles: impl Iterator<Item = [u32; 3]>, vertices: usize) -> (Vec<[u32; 3]>, Vec<u32>) {
+fn renumber_by_first_use(
+    triangles: impl Iterator<Item = [u32; 3]>,
+    vertices: usize,
+) -> (Vec<[u32; 3]>, Vec<u32>) {
     let mut number = vec![u32::MAX; vertices];
     let mut source = vec![];
     let mut numbered = |v: u32| {
@@ -252,10 +257,10 @@ fn color_box<'a>(colors: impl IntoIterator<Item = &'a [f32; 3]>) -> [[f32; 3]; 2
     })
 }
 
-fn check<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<(), KernelError> {
+fn check_input<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<(), KernelError> {
     // Written so that NaN fails.
     let sound = |p: &[f64; D]| {
-        p[..3].iter().all(|x| x.abs() <= LARGEST) && p[3..].iter().all(|x| x.abs() <= LARGEST_ATTRIBUTE)
+        p[..3].iter().all(|x| x.abs() <= MAX_COORDINATE) && p[3..].iter().all(|x| x.abs() <= MAX_ATTRIBUTE)
     };
     if let Some(vertex) = points.iter().position(|p| !sound(p)) {
         return Err(KernelError::NotFinite { vertex });

@@ -1,6 +1,6 @@
 //! Edge-collapse engine: queue, legality and bookkeeping.
 //!
-//! The cost of a collapse, the new position and further constraints come from a [`Measure`].
+//! The cost of a collapse, the new position and further constraints come from a [`PixelMeasure`].
 //!
 //! ```text
 //! queue ← every edge, by measure.priority
@@ -16,12 +16,14 @@
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, VertexId};
 use crate::base::progress::Progress;
-use crate::collapse::queue::Queue;
-use crate::mesh::legality::{Illegal, Marks, can_collapse, keeps_triangles, new_chord};
-use crate::mesh::star::Star;
-use crate::mesh::triangle_mesh::{Lock, Mesh};
+use crate::collapse::edge_queue::EdgeQueue;
+use crate::mesh::collapse_legality::{
+    IllegalCollapse, VertexMarks, can_collapse, check_triangles, find_new_chord,
+};
+use crate::mesh::edge_star::EdgeStar;
+use crate::mesh::triangle_mesh::{Mesh, VertexLock};
 
-pub use crate::mesh::connectivity::Collapsed;
+pub use crate::mesh::connectivity::CollapseChange;
 
 /// A proposed collapse of an edge.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +38,7 @@ pub struct Proposal<const D: usize, C> {
 
 /// The edges whose priorities a collapse changes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Reach {
+pub enum PriorityScope {
     /// Edges from the survivor.
     Spokes,
     /// Edges of the new star.
@@ -52,32 +54,36 @@ pub enum Reach {
 /// `propose`, `judge` and `commit` in this order, and stops at the first refusal.
 pub trait Measure<const D: usize> {
     /// Reason for a refusal by the measure.
-    type Bound: Copy + Eq + Send + Sync + std::fmt::Debug;
+    type Reason: Copy + Eq + Send + Sync + std::fmt::Debug;
     /// Data passed from `propose` to `commit`.
     type Change;
 
     /// The edges whose priorities a collapse changes.
-    const REACH: Reach = Reach::Star;
+    const PRIORITY_SCOPE: PriorityScope = PriorityScope::Star;
 
     /// Compute the priority of an edge; the smallest is tried first.
     ///
     /// May depend only on the edge, its ends and the state stored for them: only edges of the new star are
     /// updated after a collapse.
-    fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Self::Bound>;
+    fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Self::Reason>;
 
     /// Propose a survivor and its new position. Refusals that are cheap to find belong here.
-    fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, Self::Change>, Self::Bound>;
+    fn propose(
+        &mut self,
+        mesh: &Mesh<D>,
+        star: &EdgeStar<D>,
+    ) -> Result<Proposal<D, Self::Change>, Self::Reason>;
 
     /// Check the bounds of a proposal that folds no triangle; may complete its `change`.
     fn judge(
         &mut self,
         mesh: &Mesh<D>,
-        star: &Star<D>,
+        star: &EdgeStar<D>,
         proposal: &mut Proposal<D, Self::Change>,
-    ) -> Result<(), Self::Bound>;
+    ) -> Result<(), Self::Reason>;
 
-    /// Refuse collapses that would create an edge between locked vertices: see [`new_chord`].
-    fn without_chords(&self) -> bool {
+    /// Refuse collapses that would create an edge between locked vertices: see [`find_new_chord`].
+    fn forbids_chords(&self) -> bool {
         false
     }
 
@@ -92,19 +98,25 @@ pub trait Measure<const D: usize> {
     ///
     /// `mesh` is the mesh after the collapse. `star` is the star before it, with the triangles that vanished
     /// and those that moved to the survivor.
-    fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Self::Change);
+    fn commit(
+        &mut self,
+        mesh: &Mesh<D>,
+        star: &EdgeStar<D>,
+        collapsed: &CollapseChange,
+        change: Self::Change,
+    );
 }
 
 /// Reason why an edge cannot collapse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Refusal<B> {
-    Illegal(Illegal),
+    Illegal(IllegalCollapse),
     /// The priority was refused: only a change of the edge itself can help.
-    Barred(B),
+    PriorityRefused(B),
     /// The proposal was refused: any change of the star can help.
-    Bound(B),
+    ProposalRefused(B),
     /// The edge costs more than the next one and is in the queue again.
-    Later,
+    Postponed,
     /// The star reaches the rim of the region, so another region must decide.
     Rim,
 }
@@ -112,7 +124,7 @@ pub enum Refusal<B> {
 /// Result of one step of the engine.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Step<B> {
-    Collapsed(Collapsed),
+    Collapsed(CollapseChange),
     Refused(EdgeId, Refusal<B>),
     /// The queue is empty.
     Finished,
@@ -126,14 +138,14 @@ pub enum Stop {
     /// The requested number of triangles or collapses, or the priority limit, is reached.
     Target,
     /// A round collapsed fewer edges than the minimum of the goal.
-    Few,
+    Stalled,
     /// The caller asked to keep the mesh simplified so far.
-    Enough,
+    StoppedByCaller,
 }
 
 /// Stop criteria of a run; the first one that is met applies.
 #[derive(Clone, Copy, PartialEq, Debug)]
-pub struct Until {
+pub struct StopCriteria {
     /// At most this many triangles are left.
     pub triangles: usize,
     /// This many collapses have taken place.
@@ -142,7 +154,7 @@ pub struct Until {
     pub priority: f64,
 }
 
-impl Until {
+impl StopCriteria {
     /// Run until no edge can collapse.
     pub const EXHAUSTED: Self = Self { triangles: 0, collapses: usize::MAX, priority: f64::INFINITY };
 }
@@ -162,18 +174,18 @@ pub struct Merge {
 pub struct Engine<const D: usize, M: Measure<D>> {
     mesh: Mesh<D>,
     measure: M,
-    queue: Queue,
-    refusals: Vec<Option<Refusal<M::Bound>>>,
+    queue: EdgeQueue,
+    refusals: Vec<Option<Refusal<M::Reason>>>,
     /// Vertices with an edge that was refused since they were last updated. Most vertices have none, and
     /// their edges need not be fetched from memory.
-    stuck: Vec<bool>,
-    marks: Marks,
-    changes: Changes,
-    star: Star<D>,
+    has_refused_edge: Vec<bool>,
+    marks: VertexMarks,
+    changes: StalePriorities,
+    star: EdgeStar<D>,
     ring: Vec<VertexId>,
     merges: Vec<Merge>,
     /// Positions of the survivors, if they are recorded.
-    path: Option<Vec<[f64; D]>>,
+    survivor_points: Option<Vec<[f64; D]>>,
     attempts: u64,
 }
 
@@ -181,8 +193,8 @@ pub struct Engine<const D: usize, M: Measure<D>> {
 pub type Refusals<B> = Vec<Option<Refusal<B>>>;
 
 /// Mesh, measure, refusals, merges, and survivor positions if they were recorded.
-pub type Parts<const D: usize, M> =
-    (Mesh<D>, M, Refusals<<M as Measure<D>>::Bound>, Vec<Merge>, Option<Vec<[f64; D]>>);
+pub type EngineParts<const D: usize, M> =
+    (Mesh<D>, M, Refusals<<M as Measure<D>>::Reason>, Vec<Merge>, Option<Vec<[f64; D]>>);
 
 impl<const D: usize, M: Measure<D>> Engine<D, M> {
     pub fn new(mesh: Mesh<D>, measure: M) -> Self {
@@ -191,7 +203,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
     }
 
     /// Continue with known refusals: refused edges wait until their surroundings change.
-    pub fn resume(mesh: Mesh<D>, measure: M, mut refusals: Refusals<M::Bound>) -> Self {
+    pub fn resume(mesh: Mesh<D>, measure: M, mut refusals: Refusals<M::Reason>) -> Self {
         let slots = mesh.connectivity.edge_slots();
         let vertices = mesh.connectivity.vertex_slots();
         let mut stuck = vec![false; vertices];
@@ -206,85 +218,89 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         let entries = open.into_iter().filter_map(|edge| match measure.priority(&mesh, edge) {
             Ok(priority) => Some((edge, priority)),
             Err(bound) => {
-                refusals[edge.index()] = Some(Refusal::Barred(bound));
+                refusals[edge.index()] = Some(Refusal::PriorityRefused(bound));
                 None
             }
         });
-        let queue = Queue::new(slots, entries);
+        let queue = EdgeQueue::new(slots, entries);
         Self {
             mesh,
             measure,
             queue,
             refusals,
-            stuck,
-            marks: Marks::new(vertices),
-            changes: if M::REACH == Reach::Ring { Changes::new(vertices, slots) } else { Changes::new(0, 0) },
-            star: Star::default(),
+            has_refused_edge: stuck,
+            marks: VertexMarks::new(vertices),
+            changes: if M::PRIORITY_SCOPE == PriorityScope::Ring {
+                StalePriorities::new(vertices, slots)
+            } else {
+                StalePriorities::new(0, 0)
+            },
+            star: EdgeStar::default(),
             ring: vec![],
             merges: vec![],
-            path: None,
+            survivor_points: None,
             attempts: 0,
         }
     }
 
     /// Record the positions of survivors from now on.
-    pub fn record_path(&mut self) {
-        self.path = Some(vec![]);
+    pub fn record_survivor_points(&mut self) {
+        self.survivor_points = Some(vec![]);
     }
 
     /// Collapse edges until a stop criterion is met.
     ///
     /// # Errors
     /// [`KernelError::Interrupted`] when `progress` requests it.
-    pub fn run(&mut self, until: Until, progress: &mut Progress) -> Result<Stop, KernelError> {
+    pub fn run(&mut self, until: StopCriteria, progress: &mut Progress) -> Result<Stop, KernelError> {
         loop {
             let few = self.mesh.connectivity.triangle_count() <= until.triangles;
             if few || self.merges.len() >= until.collapses {
                 return Ok(Stop::Target);
             }
-            self.refresh_first();
+            self.update_first();
             match self.queue.first() {
                 None => return Ok(Stop::Exhausted),
                 Some((_, priority)) if priority > until.priority => return Ok(Stop::Target),
                 Some(_) => self.step(),
             };
-            progress.check_now_and_then()?;
-            if progress.is_enough() {
-                return Ok(Stop::Enough);
+            progress.check_periodically()?;
+            if progress.is_stopping_early() {
+                return Ok(Stop::StoppedByCaller);
             }
         }
     }
 
     /// Update the first edge of the queue until its priority is current.
-    fn refresh_first(&mut self) {
-        if M::REACH != Reach::Ring {
+    fn update_first(&mut self) {
+        if M::PRIORITY_SCOPE != PriorityScope::Ring {
             return;
         }
         while let Some((edge, _)) = self.queue.first() {
             if !self.changes.is_stale(edge, self.mesh.connectivity.ends(edge)) {
                 break;
             }
-            self.changes.freshen(edge);
-            offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+            self.changes.mark_current(edge);
+            requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
         }
     }
 
     /// Try the first edge of the queue.
-    pub fn step(&mut self) -> Step<M::Bound> {
-        self.refresh_first();
+    pub fn step(&mut self) -> Step<M::Reason> {
+        self.update_first();
         let Some((edge, priority)) = self.queue.first() else {
             return Step::Finished;
         };
-        self.queue.discard(edge);
+        self.queue.remove(edge);
         self.attempts += 1;
         match self.attempt(edge, priority) {
             Ok(collapsed) => Step::Collapsed(collapsed),
             Err(refusal) => {
                 // Another region may allow an edge at the rim, so it stays open.
-                if !matches!(refusal, Refusal::Rim | Refusal::Later) {
+                if !matches!(refusal, Refusal::Rim | Refusal::Postponed) {
                     self.refusals[edge.index()] = Some(refusal);
                     for v in self.mesh.connectivity.ends(edge) {
-                        self.stuck[v.index()] = true;
+                        self.has_refused_edge[v.index()] = true;
                     }
                 }
                 Step::Refused(edge, refusal)
@@ -292,30 +308,30 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         }
     }
 
-    fn attempt(&mut self, edge: EdgeId, priority: f64) -> Result<Collapsed, Refusal<M::Bound>> {
+    fn attempt(&mut self, edge: EdgeId, priority: f64) -> Result<CollapseChange, Refusal<M::Reason>> {
         can_collapse(&self.mesh.connectivity, edge, &mut self.marks).map_err(Refusal::Illegal)?;
         self.star.gather(&self.mesh, edge);
-        if self.star.end_stays == [true, true] {
-            return Err(Refusal::Illegal(Illegal::Locked));
+        if self.star.end_is_fixed == [true, true] {
+            return Err(Refusal::Illegal(IllegalCollapse::Locked));
         }
-        let on_rim = |v: VertexId| self.mesh.lock(v) == Lock::Rim;
-        if self.star.wings.iter().any(|w| on_rim(w.from) && on_rim(w.to)) {
+        let on_rim = |v: VertexId| self.mesh.lock(v) == VertexLock::Rim;
+        if self.star.remaining.iter().any(|w| on_rim(w.side_start) && on_rim(w.side_end)) {
             return Err(Refusal::Rim);
         }
-        if self.measure.without_chords() {
-            match new_chord(&self.mesh, &self.star) {
-                Some(Lock::Rim) => return Err(Refusal::Rim),
-                Some(_) => return Err(Refusal::Illegal(Illegal::Locked)),
+        if self.measure.forbids_chords() {
+            match find_new_chord(&self.mesh, &self.star) {
+                Some(VertexLock::Rim) => return Err(Refusal::Rim),
+                Some(_) => return Err(Refusal::Illegal(IllegalCollapse::Locked)),
                 None => {}
             }
         }
-        let mut proposal = self.measure.propose(&self.mesh, &self.star).map_err(Refusal::Bound)?;
-        keeps_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;
-        self.measure.judge(&self.mesh, &self.star, &mut proposal).map_err(Refusal::Bound)?;
+        let mut proposal = self.measure.propose(&self.mesh, &self.star).map_err(Refusal::ProposalRefused)?;
+        check_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;
+        self.measure.judge(&self.mesh, &self.star, &mut proposal).map_err(Refusal::ProposalRefused)?;
         let cost = self.measure.cost(&proposal);
         if cost > priority && self.queue.first().is_some_and(|(_, next)| next < cost) {
             self.queue.set(edge, cost);
-            return Err(Refusal::Later);
+            return Err(Refusal::Postponed);
         }
         let priority = priority.max(cost);
 
@@ -328,53 +344,57 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             priority: highest,
             triangles: collapsed.merged.iter().flatten().count() as u8,
         });
-        if let Some(path) = &mut self.path {
+        if let Some(path) = &mut self.survivor_points {
             path.push(proposal.point);
         }
         self.measure.commit(&self.mesh, &self.star, &collapsed, proposal.change);
         for (_, gone) in collapsed.merged.into_iter().flatten() {
-            self.queue.discard(gone);
+            self.queue.remove(gone);
         }
-        self.offer_around(survivor);
+        self.requeue_around(survivor);
         Ok(collapsed)
     }
 
     /// Update the queue around a vertex that has moved.
-    fn offer_around(&mut self, centre: VertexId) {
+    fn requeue_around(&mut self, centre: VertexId) {
         let connectivity = &self.mesh.connectivity;
         self.ring.clear();
-        self.ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
-        match M::REACH {
-            Reach::Spokes => {
-                for (edge, _) in connectivity.spokes(centre).filter(|(edge, _)| !on_rim(&self.mesh, *edge)) {
-                    offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+        self.ring.extend(connectivity.vertex_edges(centre).map(|(_, v)| v));
+        match M::PRIORITY_SCOPE {
+            PriorityScope::Spokes => {
+                for (edge, _) in
+                    connectivity.vertex_edges(centre).filter(|(edge, _)| !on_rim(&self.mesh, *edge))
+                {
+                    requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                 }
             }
-            Reach::Star => {
+            PriorityScope::Star => {
                 let live = |edge: &&EdgeId| connectivity.is_edge(**edge) && !on_rim(&self.mesh, **edge);
-                for &edge in self.star.others.iter().filter(live) {
-                    offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                for &edge in self.star.other_edges.iter().filter(live) {
+                    requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                 }
             }
-            Reach::Ring => {
-                self.changes.next();
-                for (edge, v) in connectivity.spokes(centre) {
-                    self.changes.around(v);
-                    self.changes.freshen(edge);
+            PriorityScope::Ring => {
+                self.changes.start_change();
+                for (edge, v) in connectivity.vertex_edges(centre) {
+                    self.changes.mark_vertex(v);
+                    self.changes.mark_current(edge);
                     if !on_rim(&self.mesh, edge) {
-                        offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                        requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                     }
                 }
             }
         }
         // Other edges from the ring: refused ones may be legal now, because their stars have changed.
         for &v in &self.ring {
-            if std::mem::replace(&mut self.stuck[v.index()], false) {
-                for (edge, _) in connectivity.spokes(v) {
-                    let refused =
-                        matches!(self.refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_)));
+            if std::mem::replace(&mut self.has_refused_edge[v.index()], false) {
+                for (edge, _) in connectivity.vertex_edges(v) {
+                    let refused = matches!(
+                        self.refusals[edge.index()],
+                        Some(Refusal::Illegal(_) | Refusal::ProposalRefused(_))
+                    );
                     if refused && !on_rim(&self.mesh, edge) {
-                        offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                        requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                     }
                 }
             }
@@ -395,12 +415,12 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
     }
 
     /// Iterate over the priorities of the queued edges, unordered.
-    pub fn waiting(&self) -> impl Iterator<Item = f64> + '_ {
+    pub fn queued_priorities(&self) -> impl Iterator<Item = f64> + '_ {
         self.queue.keys()
     }
 
     /// Return the reason why an edge cannot collapse; `None` while it is untried.
-    pub fn refusal(&self, edge: EdgeId) -> Option<Refusal<M::Bound>> {
+    pub fn refusal(&self, edge: EdgeId) -> Option<Refusal<M::Reason>> {
         self.refusals[edge.index()]
     }
 
@@ -410,60 +430,60 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
     }
 
     /// Return the mesh and all state.
-    pub fn into_parts(self) -> Parts<D, M> {
-        (self.mesh, self.measure, self.refusals, self.merges, self.path)
+    pub fn into_parts(self) -> EngineParts<D, M> {
+        (self.mesh, self.measure, self.refusals, self.merges, self.survivor_points)
     }
 }
 
 /// Tracks which queued priorities are out of date. Marking vertices is cheaper than visiting all edges around
 /// each of them after every collapse.
-struct Changes {
+struct StalePriorities {
     /// Number of changes so far.
     count: u32,
     /// By vertex: the last change next to it.
-    beside: Vec<u32>,
+    last_change_at_vertex: Vec<u32>,
     /// By edge: the last change that its priority includes.
-    known: Vec<u32>,
+    last_change_of_edge: Vec<u32>,
 }
 
-impl Changes {
+impl StalePriorities {
     fn new(vertices: usize, edges: usize) -> Self {
-        Self { count: 0, beside: vec![0; vertices], known: vec![0; edges] }
+        Self { count: 0, last_change_at_vertex: vec![0; vertices], last_change_of_edge: vec![0; edges] }
     }
 
     /// Start the next change.
-    fn next(&mut self) {
+    fn start_change(&mut self) {
         self.count += 1;
     }
 
     /// Mark that the current change affects the edges of a vertex.
-    fn around(&mut self, v: VertexId) {
-        self.beside[v.index()] = self.count;
+    fn mark_vertex(&mut self, v: VertexId) {
+        self.last_change_at_vertex[v.index()] = self.count;
     }
 
     /// Mark the priority of an edge as current.
-    fn freshen(&mut self, edge: EdgeId) {
-        self.known[edge.index()] = self.count;
+    fn mark_current(&mut self, edge: EdgeId) {
+        self.last_change_of_edge[edge.index()] = self.count;
     }
 
     fn is_stale(&self, edge: EdgeId, ends: [VertexId; 2]) -> bool {
-        ends.iter().any(|v| self.beside[v.index()] > self.known[edge.index()])
+        ends.iter().any(|v| self.last_change_at_vertex[v.index()] > self.last_change_of_edge[edge.index()])
     }
 }
 
 /// Test if an edge has an end on the rim of the region.
 #[inline]
 fn on_rim<const D: usize>(mesh: &Mesh<D>, edge: EdgeId) -> bool {
-    mesh.connectivity.ends(edge).iter().any(|&v| mesh.lock(v) == Lock::Rim)
+    mesh.connectivity.ends(edge).iter().any(|&v| mesh.lock(v) == VertexLock::Rim)
 }
 
 /// Requeue an edge with its current priority, or record its refusal.
-fn offer<const D: usize, M: Measure<D>>(
+fn requeue_edge<const D: usize, M: Measure<D>>(
     edge: EdgeId,
     mesh: &Mesh<D>,
     measure: &M,
-    queue: &mut Queue,
-    refusals: &mut [Option<Refusal<M::Bound>>],
+    queue: &mut EdgeQueue,
+    refusals: &mut [Option<Refusal<M::Reason>>],
 ) {
     match measure.priority(mesh, edge) {
         Ok(priority) => {
@@ -471,8 +491,8 @@ fn offer<const D: usize, M: Measure<D>>(
             queue.set(edge, priority);
         }
         Err(bound) => {
-            refusals[edge.index()] = Some(Refusal::Barred(bound));
-            queue.discard(edge);
+            refusals[edge.index()] = Some(Refusal::PriorityRefused(bound));
+            queue.remove(edge);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Partition of a mesh into compact regions of equal size, along planes that rotate from partition to
 //! partition.
 
-use crate::base::parallel::{both, fill};
+use crate::base::parallel::{fill, run_concurrently};
 
 /// Triangles by region: region `p` is `triangles[starts[p]..starts[p + 1]]`, unordered.
 pub struct Partition {
@@ -25,7 +25,7 @@ fn rank(x: f32) -> u32 {
 }
 
 /// Invert [`rank`].
-fn ranked(rank: u32) -> f32 {
+fn unrank(rank: u32) -> f32 {
     f32::from_bits(if rank >> 31 == 1 { rank & !(1 << 31) } else { !rank })
 }
 
@@ -46,7 +46,7 @@ impl Partition {
                 starts: vec![0, triangles.len()],
             };
         }
-        let frame = frame(turn);
+        let frame = rotated_frame(turn);
         let mut items = vec![Item::default(); triangles.len()];
         fill(&mut items, threads, |t| {
             let sum: [f64; 3] =
@@ -57,7 +57,7 @@ impl Partition {
         });
         let mut starts = vec![0];
         leaf_sizes(items.len(), regions, &mut |size| starts.push(starts.last().unwrap_or(&0) + size));
-        halve(&mut items, regions, threads);
+        halve_recursively(&mut items, regions, threads);
         let order = items.iter().map(|item| item.triangle).collect();
         Self { triangles: order, starts }
     }
@@ -77,7 +77,7 @@ impl Partition {
 }
 
 /// Number of triangles in the first half of the regions.
-fn share(count: usize, regions: usize) -> usize {
+fn first_half_count(count: usize, regions: usize) -> usize {
     (count as u128 * (regions / 2) as u128 / regions as u128) as usize
 }
 
@@ -85,13 +85,13 @@ fn leaf_sizes(count: usize, regions: usize, leaf: &mut impl FnMut(usize)) {
     if regions == 1 {
         return leaf(count);
     }
-    let first = share(count, regions);
+    let first = first_half_count(count, regions);
     leaf_sizes(first, regions / 2, leaf);
     leaf_sizes(count - first, regions - regions / 2, leaf);
 }
 
-fn halve(items: &mut [Item], regions: usize, threads: usize) {
-    let first = share(items.len(), regions);
+fn halve_recursively(items: &mut [Item], regions: usize, threads: usize) {
+    let first = first_half_count(items.len(), regions);
     if regions == 1 || first == 0 {
         return;
     }
@@ -100,10 +100,10 @@ fn halve(items: &mut [Item], regions: usize, threads: usize) {
         u64::from(item.centre[axis]) << 32 | u64::from(item.triangle)
     });
     let (near, far) = items.split_at_mut(first);
-    both(
+    run_concurrently(
         threads,
-        || halve(near, regions / 2, threads / 2),
-        || halve(far, regions - regions / 2, threads - threads / 2),
+        || halve_recursively(near, regions / 2, threads / 2),
+        || halve_recursively(far, regions - regions / 2, threads - threads / 2),
     );
 }
 
@@ -115,12 +115,12 @@ fn longest_side(items: &[Item]) -> usize {
             high[i] = high[i].max(item.centre[i]);
         }
     }
-    let side = |i: usize| ranked(high[i]) - ranked(low[i]);
+    let side = |i: usize| unrank(high[i]) - unrank(low[i]);
     (1..3).fold(0, |longest, i| if side(i) > side(longest) { i } else { longest })
 }
 
 /// Compute the orthonormal frame of a turn: rotations by the golden angle and by one radian about two axes.
-fn frame(turn: usize) -> [[f64; 3]; 3] {
+fn rotated_frame(turn: usize) -> [[f64; 3]; 3] {
     let (a, b) = (2.399_963 * turn as f64, turn as f64);
     let ((sa, ca), (sb, cb)) = (a.sin_cos(), b.sin_cos());
     [[ca, sa, 0.0], [-sa * cb, ca * cb, sb], [sa * sb, -ca * sb, cb]]
@@ -152,13 +152,13 @@ mod tests {
     fn ranks_are_in_the_order_of_the_numbers() {
         let numbers = [f32::NEG_INFINITY, -2.5, -1e-40, -0.0, 0.0, 1e-40, 3.0, f32::INFINITY];
         assert!(numbers.windows(2).all(|w| rank(w[0]) < rank(w[1])));
-        assert!(numbers.iter().all(|&x| ranked(rank(x)).to_bits() == x.to_bits()));
+        assert!(numbers.iter().all(|&x| unrank(rank(x)).to_bits() == x.to_bits()));
     }
 
     #[test]
     fn frames_are_orthonormal() {
         for turn in 0..9 {
-            let f = frame(turn);
+            let f = rotated_frame(turn);
             for i in 0..3 {
                 for j in 0..3 {
                     let dot: f64 = (0..3).map(|k| f[i][k] * f[j][k]).sum();

@@ -7,15 +7,15 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
-use crate::base::parallel::{each, map};
+use crate::base::parallel::{for_each_part, map};
 use crate::collapse::engine::{Merge, Refusal, Refusals};
+use crate::collapse::method_state::MethodState;
 use crate::collapse::partition::Partition;
-use crate::collapse::records::Records;
-use crate::collapse::whole::{CornerRefusals, Whole};
+use crate::collapse::whole_mesh::{CornerRefusals, WholeMesh};
 use crate::mesh::connectivity::Connectivity;
-use crate::mesh::triangle_mesh::{Lock, Mesh};
+use crate::mesh::triangle_mesh::{Mesh, VertexLock};
 
-const NOBODY: u32 = u32::MAX;
+const NO_REGION: u32 = u32::MAX;
 /// Owner of a vertex that belongs to several regions.
 pub const SHARED: u32 = u32::MAX - 1;
 
@@ -30,7 +30,7 @@ pub fn find_owners(
         return vec![0; vertices];
     }
     // In any thread order, a vertex of two regions ends up shared.
-    let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NOBODY)).collect();
+    let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NO_REGION)).collect();
     let claim = |(): &mut (), p: usize| {
         for &v in partition.region(p).iter().flat_map(|&t| &triangles[t as usize]) {
             let slot = &owner[v as usize];
@@ -38,7 +38,7 @@ pub fn find_owners(
             if seen == p as u32 || seen == SHARED {
                 continue;
             }
-            if seen != NOBODY || slot.compare_exchange(NOBODY, p as u32, Relaxed, Relaxed).is_err() {
+            if seen != NO_REGION || slot.compare_exchange(NO_REGION, p as u32, Relaxed, Relaxed).is_err() {
                 slot.store(SHARED, Relaxed);
             }
         }
@@ -54,16 +54,16 @@ pub struct Scratch {
 
 impl Scratch {
     pub fn new(vertices: usize) -> Self {
-        Self { local: vec![NOBODY; vertices] }
+        Self { local: vec![NO_REGION; vertices] }
     }
 }
 
-impl<const D: usize, B: Copy> Whole<D, B> {
+impl<const D: usize, B: Copy> WholeMesh<D, B> {
     /// Cut out the mesh of a region, with the refusals of its edges.
     ///
     /// # Errors
     /// As [`Connectivity::from_region`], with vertex indices of the region.
-    pub fn cut(
+    pub fn cut_region(
         &self,
         region: &[u32],
         rim: &[bool],
@@ -77,7 +77,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         for &t in &triangle_source {
             triangles.push(self.triangles[t as usize].map(|v| {
                 let local = &mut scratch.local[v as usize];
-                if *local == NOBODY {
+                if *local == NO_REGION {
                     *local = vertex_source.len() as u32;
                     vertex_source.push(v);
                 }
@@ -85,14 +85,14 @@ impl<const D: usize, B: Copy> Whole<D, B> {
             }));
         }
         for &v in &vertex_source {
-            scratch.local[v as usize] = NOBODY;
+            scratch.local[v as usize] = NO_REGION;
         }
         let is_rim = |v: VertexId| rim[vertex_source[v.index()] as usize];
         let connectivity = Connectivity::from_region(vertex_source.len(), &triangles, is_rim)?;
         let lock = |&v: &u32| match (rim[v as usize], self.locked.get(v as usize)) {
-            (true, _) => Lock::Rim,
-            (false, Some(true)) => Lock::Locked,
-            _ => Lock::Free,
+            (true, _) => VertexLock::Rim,
+            (false, Some(true)) => VertexLock::Locked,
+            _ => VertexLock::Free,
         };
         let mut refusals = vec![None; connectivity.edge_slots()];
         if !self.refused.is_empty() {
@@ -115,13 +115,13 @@ impl<const D: usize, B: Copy> Whole<D, B> {
 }
 
 /// A simplified region, ready to be joined.
-pub struct Remains<const D: usize, B, R> {
+pub struct SimplifiedRegion<const D: usize, B, R> {
     /// Vertices that are not on the rim.
     points: Vec<[f64; D]>,
     vertex_source: Vec<u32>,
     /// Empty if the whole mesh has no locked vertices.
     locked: Vec<bool>,
-    /// Corners: a vertex on the rim as its index in the whole mesh plus `ON_RIM`, others as index in
+    /// Corners: a vertex on the rim as its index in the whole mesh plus `RIM_FLAG`, others as index in
     /// `points`.
     triangles: Vec<[u32; 3]>,
     triangle_source: Vec<u32>,
@@ -130,12 +130,12 @@ pub struct Remains<const D: usize, B, R> {
     records: Option<R>,
     /// In vertex indices of the whole mesh.
     pub merges: Vec<Merge>,
-    path: Option<Vec<[f64; D]>>,
+    survivor_points: Option<Vec<[f64; D]>>,
 }
 
-const ON_RIM: u32 = 1 << 31;
+const RIM_FLAG: u32 = 1 << 31;
 
-impl<const D: usize, B: Copy, R> Remains<D, B, R> {
+impl<const D: usize, B: Copy, R> SimplifiedRegion<D, B, R> {
     /// Take out the merges and the recorded positions of the survivors.
     ///
     /// `source` renumbers the vertices of the merges.
@@ -144,7 +144,7 @@ impl<const D: usize, B: Copy, R> Remains<D, B, R> {
         for vertex in merges.iter_mut().flat_map(|m| [&mut m.removed, &mut m.survivor]) {
             *vertex = VertexId(source[vertex.index()]);
         }
-        let mut path = self.path.take().unwrap_or_default();
+        let mut path = self.survivor_points.take().unwrap_or_default();
         path.shrink_to_fit();
         (merges, path)
     }
@@ -154,25 +154,25 @@ impl<const D: usize, B: Copy, R> Remains<D, B, R> {
         self.triangles.len()
     }
 
-    /// Extract the result of a simplified region of `whole`.
+    /// Extract the result of a simplified region of `whole_mesh`.
     pub fn new(
         mesh: &Mesh<D>,
-        whole: &Whole<D, B>,
+        whole: &WholeMesh<D, B>,
         refusal: impl Fn(EdgeId) -> Option<Refusal<B>>,
         merges: &[Merge],
         path: Option<Vec<[f64; D]>>,
         records: R,
     ) -> Self {
         let connectivity = &mesh.connectivity;
-        let inside = connectivity.vertices().filter(|&v| mesh.lock(v) != Lock::Rim).count();
+        let inside = connectivity.vertices().filter(|&v| mesh.lock(v) != VertexLock::Rim).count();
         let mut number = vec![0; connectivity.vertex_slots()];
         let mut points = Vec::with_capacity(inside);
         let mut vertex_source = Vec::with_capacity(inside);
         let mut locked = Vec::with_capacity(if whole.locked.is_empty() { 0 } else { inside });
         for v in connectivity.vertices() {
             let here = mesh.vertex_source[v.index()];
-            if mesh.lock(v) == Lock::Rim {
-                number[v.index()] = here | ON_RIM;
+            if mesh.lock(v) == VertexLock::Rim {
+                number[v.index()] = here | RIM_FLAG;
             } else {
                 number[v.index()] = points.len() as u32;
                 points.push(*mesh.point(v));
@@ -197,11 +197,21 @@ impl<const D: usize, B: Copy, R> Remains<D, B, R> {
             .map(|m| Merge { removed: here(m.removed), survivor: here(m.survivor), ..*m })
             .collect();
         let records = Some(records);
-        Self { points, vertex_source, locked, triangles, triangle_source, refused, records, merges, path }
+        Self {
+            points,
+            vertex_source,
+            locked,
+            triangles,
+            triangle_source,
+            refused,
+            records,
+            merges,
+            survivor_points: path,
+        }
     }
 }
 
-impl<const D: usize, B: Copy> Whole<D, B> {
+impl<const D: usize, B: Copy> WholeMesh<D, B> {
     /// Test if no edge of a region can collapse: each is refused or has an end on the rim.
     pub fn is_idle(&self, region: &[u32], rim: &[bool]) -> bool {
         let is_open = |t: usize, side: usize| {
@@ -214,46 +224,46 @@ impl<const D: usize, B: Copy> Whole<D, B> {
     /// Compute the result of a region without collapses.
     ///
     /// It has the same order as if the region had been cut out. `None` if its records have to be loaded.
-    pub fn untouched<R: Records<D>>(
+    pub fn unchanged_region<R: MethodState<D>>(
         &self,
         region: &[u32],
         rim: &[bool],
         records: &R,
         scratch: &mut Scratch,
-    ) -> Option<Remains<D, B, R::Remains>> {
+    ) -> Option<SimplifiedRegion<D, B, R::RegionState>> {
         let mut of = region.to_vec();
         of.sort_unstable();
         let mut inside: Vec<u32> = vec![];
         let mut number = |v: u32| {
             let local = &mut scratch.local[v as usize];
             if rim[v as usize] {
-                return v | ON_RIM;
+                return v | RIM_FLAG;
             }
-            if *local == NOBODY {
+            if *local == NO_REGION {
                 *local = inside.len() as u32;
                 inside.push(v);
             }
             *local
         };
         let triangles = of.iter().map(|&t| self.triangles[t as usize].map(&mut number)).collect();
-        inside.iter().for_each(|&v| scratch.local[v as usize] = NOBODY);
+        inside.iter().for_each(|&v| scratch.local[v as usize] = NO_REGION);
         let locked = if self.locked.is_empty() { &[][..] } else { &inside };
-        Some(Remains {
+        Some(SimplifiedRegion {
             points: inside.iter().map(|&v| self.points[v as usize]).collect(),
             vertex_source: inside.iter().map(|&v| self.vertex_source[v as usize]).collect(),
             locked: locked.iter().map(|&v| self.locked[v as usize]).collect(),
             triangles,
             triangle_source: of.iter().map(|&t| self.triangle_source[t as usize]).collect(),
             refused: of.iter().map(|&t| self.refused[t as usize]).collect(),
-            records: Some(records.untouched(&of, &inside)?),
+            records: Some(records.unchanged_region(&of, &inside)?),
             merges: vec![],
-            path: None,
+            survivor_points: None,
         })
     }
 }
 
 /// Slices of the next whole mesh for one region.
-struct Place<'a, const D: usize, B> {
+struct RegionSlices<'a, const D: usize, B> {
     /// Index of its first vertex.
     first: u32,
     points: &'a mut [[f64; D]],
@@ -264,15 +274,15 @@ struct Place<'a, const D: usize, B> {
     refused: &'a mut [CornerRefusals<B>],
 }
 
-impl<const D: usize, B: Copy> Place<'_, D, B> {
-    fn take<R>(self, left: Remains<D, B, R>, rim_number: &[u32]) {
+impl<const D: usize, B: Copy> RegionSlices<'_, D, B> {
+    fn copy_from<R>(self, left: SimplifiedRegion<D, B, R>, rim_number: &[u32]) {
         self.points.copy_from_slice(&left.points);
         self.vertex_source.copy_from_slice(&left.vertex_source);
         self.locked.copy_from_slice(&left.locked);
         self.triangle_source.copy_from_slice(&left.triangle_source);
         self.refused.copy_from_slice(&left.refused);
         let number = |v: u32| {
-            if v & ON_RIM != 0 { rim_number[(v & !ON_RIM) as usize] } else { self.first + v }
+            if v & RIM_FLAG != 0 { rim_number[(v & !RIM_FLAG) as usize] } else { self.first + v }
         };
         for (corners, own) in self.triangles.iter_mut().zip(&left.triangles) {
             *corners = own.map(number);
@@ -280,17 +290,17 @@ impl<const D: usize, B: Copy> Place<'_, D, B> {
     }
 }
 
-impl<const D: usize, B: Copy + Send> Whole<D, B> {
+impl<const D: usize, B: Copy + Send> WholeMesh<D, B> {
     /// Join all regions in the memory of this mesh, which is never smaller. Vertices of the rim come first.
-    pub fn join<R: Records<D>>(
+    pub fn join_regions<R: MethodState<D>>(
         mut self,
         rim: &[bool],
         records: R,
-        mut remains: Vec<Remains<D, B, R::Remains>>,
+        mut remains: Vec<SimplifiedRegion<D, B, R::RegionState>>,
         threads: usize,
     ) -> (Self, R) {
         let rim_vertices: Vec<u32> = (0..rim.len() as u32).filter(|&v| rim[v as usize]).collect();
-        let mut rim_number = vec![NOBODY; rim.len()];
+        let mut rim_number = vec![NO_REGION; rim.len()];
         for (number, &v) in (0..).zip(&rim_vertices) {
             rim_number[v as usize] = number;
             // An index is never larger than the one it replaces, so moving in place is safe.
@@ -303,22 +313,26 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
         }
         let vertices = rim_vertices.len() + remains.iter().map(|p| p.points.len()).sum::<usize>();
         let triangles = remains.iter().map(|p| p.triangles.len()).sum();
-        shorten(&mut self.points, vertices);
-        shorten(&mut self.vertex_source, vertices);
-        shorten(&mut self.locked, vertices);
-        shorten(&mut self.triangles, triangles);
-        shorten(&mut self.triangle_source, triangles);
+        truncate_and_release(&mut self.points, vertices);
+        truncate_and_release(&mut self.vertex_source, vertices);
+        truncate_and_release(&mut self.locked, vertices);
+        truncate_and_release(&mut self.triangles, triangles);
+        truncate_and_release(&mut self.triangle_source, triangles);
         self.refused.resize(triangles, [None; 3]);
         let kept = remains.iter_mut().filter_map(|left| left.records.take()).collect();
-        let places = self.places(rim_vertices.len(), &remains);
+        let places = self.split_into_slices(rim_vertices.len(), &remains);
         let parts: Vec<_> = places.into_iter().zip(remains).collect();
-        each(parts, threads, |(place, left)| place.take(left, &rim_number));
-        let records = records.join(&rim_vertices, kept);
+        for_each_part(parts, threads, |(place, left)| place.copy_from(left, &rim_number));
+        let records = records.join_regions(&rim_vertices, kept);
         (self, records)
     }
 
     /// Divide the arrays into consecutive slices, after the vertices of the rim.
-    fn places<R>(&mut self, rim: usize, remains: &[Remains<D, B, R>]) -> Vec<Place<'_, D, B>> {
+    fn split_into_slices<R>(
+        &mut self,
+        rim: usize,
+        remains: &[SimplifiedRegion<D, B, R>],
+    ) -> Vec<RegionSlices<'_, D, B>> {
         let mut points = &mut self.points[rim..];
         let mut vertex_source = &mut self.vertex_source[rim..];
         let mut locked = if self.locked.is_empty() { &mut [][..] } else { &mut self.locked[rim..] };
@@ -329,7 +343,7 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
         let mut places = Vec::with_capacity(remains.len());
         for left in remains {
             let (vertices, count) = (left.points.len(), left.triangles.len());
-            places.push(Place {
+            places.push(RegionSlices {
                 first,
                 points: split_off(&mut points, vertices),
                 vertex_source: split_off(&mut vertex_source, vertices),
@@ -345,7 +359,7 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
 }
 
 /// Truncate, and release the memory of the rest.
-fn shorten<T>(values: &mut Vec<T>, length: usize) {
+fn truncate_and_release<T>(values: &mut Vec<T>, length: usize) {
     values.truncate(length);
     values.shrink_to_fit();
 }

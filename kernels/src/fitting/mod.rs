@@ -1,3 +1,3 @@
 //! Least-squares fit of a result to its input.
 
-pub mod fit;
+pub mod least_squares;

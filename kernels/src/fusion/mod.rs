@@ -2,31 +2,31 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | [`field`] | interface of a signed distance field for surface extraction |
-//! | [`order`] | Z-order of blocks |
-//! | [`voxel`] | voxel data, 12 bytes per voxel |
-//! | [`blocks`] | storage of blocks in slots |
-//! | [`filter`] | surface normals and discontinuities of a depth map |
-//! | [`flatness`] | planarity of a depth map |
-//! | [`view`] | a frame prepared for integration |
-//! | [`touch`] | blocks near the surface in a frame |
-//! | [`integrate`] | integration of a frame |
+//! | [`distance_field`] | interface of a signed distance field for surface extraction |
+//! | [`block_order`] | Z-order of blocks |
+//! | [`voxel_data`] | voxel data, 12 bytes per voxel |
+//! | [`block_storage`] | storage of blocks in slots |
+//! | [`depth_filter`] | surface normals and discontinuities of a depth map |
+//! | [`planarity`] | planarity of a depth map |
+//! | [`frame_view`] | a frame prepared for integration |
+//! | [`touched_blocks`] | blocks near the surface in a frame |
+//! | [`integration`] | integration of a frame |
 //! | [`volume`] | the TSDF volume |
-//! | [`cubes`], [`surface`] | extraction of the zero surface |
+//! | [`cube_table`], [`surface_extraction`] | extraction of the zero surface |
 //!
 //! The set of touched blocks and the voxel values depend only on the frames, their order and the block
 //! coordinates, not on other blocks, the thread count or the instruction set. Space can therefore be split
 //! into bricks that are fused independently.
 
-pub mod blocks;
-pub mod cubes;
-pub mod field;
-pub mod filter;
-pub mod flatness;
-pub mod integrate;
-pub mod order;
-pub mod surface;
-pub mod touch;
-pub mod view;
+pub mod block_order;
+pub mod block_storage;
+pub mod cube_table;
+pub mod depth_filter;
+pub mod distance_field;
+pub mod frame_view;
+pub mod integration;
+pub mod planarity;
+pub mod surface_extraction;
+pub mod touched_blocks;
 pub mod volume;
-pub mod voxel;
+pub mod voxel_data;

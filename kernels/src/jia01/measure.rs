@@ -4,21 +4,21 @@
 //! midpoint is in the plane of the triangle. The foot of the perpendicular on the plane of e1, e2 is the same
 //! point and always exists.
 
-use super::contrast::{contrast_around, texture_change};
+use super::attribute_contrast::{compute_vertex_contrast, texture_change};
 use super::options::{Limits, Options};
-use super::shape::{Overlay, boundary_change, shape_change};
+use super::shape_change::{StarOverlay, boundary_change, shape_change};
 use crate::base::geometry::{add_scaled, distance2, sub};
 use crate::base::ids::EdgeId;
-use crate::collapse::engine::{Collapsed, Measure, Proposal};
-use crate::mesh::star::Star;
+use crate::collapse::engine::{CollapseChange, Measure, Proposal};
+use crate::mesh::edge_star::EdgeStar;
 use crate::mesh::triangle_mesh::Mesh;
 
 /// Minimum squared ratio of height to base; a flatter triangle has no plane to project on.
-const LEAST_HEIGHT2: f64 = 1e-20;
+const MIN_HEIGHT_RATIO2: f64 = 1e-20;
 
 /// The three stop rules.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Bound {
+pub enum StopRule {
     Length,
     Shape,
     Texture,
@@ -31,12 +31,12 @@ pub struct Change {
     pub texture: f64,
     /// Minimum S_A for the spokes of the new star. Any point of an old triangle may now be in any new one,
     /// and brings its accumulated change. 0 under the paper's rule.
-    pub least_sum: f64,
+    pub min_spoke_sum: f64,
 }
 
 /// Sums of changes accumulated on an edge.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Accumulated {
+pub struct AccumulatedChange {
     /// S_A
     pub shape: f64,
     /// Part of T_A that collapses added.
@@ -45,7 +45,7 @@ pub struct Accumulated {
     pub contrast: f64,
 }
 
-impl Accumulated {
+impl AccumulatedChange {
     /// Return T_A, the sum of both parts.
     #[inline]
     pub fn total_texture(&self) -> f64 {
@@ -70,45 +70,45 @@ pub struct Jia01<const D: usize> {
     /// Weight of the attributes in the inner product of R^D: the square of the attribute scale.
     attribute_weight: f64,
     paper_rule: bool,
-    accumulated: Vec<Accumulated>,
-    overlay: Overlay,
-    pub(super) largest: Change,
+    accumulated: Vec<AccumulatedChange>,
+    overlay: StarOverlay,
+    pub(super) largest_change: Change,
 }
 
 impl<const D: usize> Jia01<D> {
     pub fn new(mesh: &Mesh<D>, options: &Options) -> Self {
         let triangles = mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0));
-        let around = contrast_around(&mesh.points, triangles);
+        let around = compute_vertex_contrast(&mesh.points, triangles);
         let contrast = |edge| {
             let [a, b] = mesh.connectivity.ends(edge);
             around[a.index()].max(around[b.index()])
         };
-        let mut accumulated = vec![Accumulated::default(); mesh.connectivity.edge_slots()];
+        let mut accumulated = vec![AccumulatedChange::default(); mesh.connectivity.edge_slots()];
         for edge in mesh.connectivity.edges() {
             accumulated[edge.index()].contrast = contrast(edge);
         }
-        Self::with(options, accumulated)
+        Self::from_accumulated(options, accumulated)
     }
 
-    pub(super) fn with(options: &Options, accumulated: Vec<Accumulated>) -> Self {
+    pub(super) fn from_accumulated(options: &Options, accumulated: Vec<AccumulatedChange>) -> Self {
         Self {
             bounds: options.bounds,
             scales: options.scales,
             attribute_weight: options.attribute_scale * options.attribute_scale,
             paper_rule: options.paper_rule,
             accumulated,
-            overlay: Overlay::default(),
-            largest: Change::default(),
+            overlay: StarOverlay::default(),
+            largest_change: Change::default(),
         }
     }
 
     /// Return the sums of an edge.
-    pub fn accumulated(&self, edge: EdgeId) -> &Accumulated {
+    pub fn accumulated(&self, edge: EdgeId) -> &AccumulatedChange {
         &self.accumulated[edge.index()]
     }
 
     /// Compute the new vertex (4)–(6): the mean projection of the midpoint onto the planes of the star.
-    fn mean_projection(&self, star: &Star<D>) -> [f64; D] {
+    fn mean_projection(&self, star: &EdgeStar<D>) -> [f64; D] {
         let mut sum = [0.0; D];
         let mut count = 0.0;
         let mut add = |p: &[f64; D], q: &[f64; D], r: &[f64; D]| {
@@ -117,7 +117,7 @@ impl<const D: usize> Jia01<D> {
                 count += 1.0;
             }
         };
-        for wing in &star.wings {
+        for wing in &star.remaining {
             add(star.end_point(wing.end), &wing.from_point, &wing.to_point);
         }
         for (_, _, apex) in &star.vanishing {
@@ -137,7 +137,7 @@ impl<const D: usize> Jia01<D> {
         let e2 = add_scaled(&k, -self.inner(&h, &k) / hh, &h);
         let ee = self.inner(&e2, &e2);
         // Two equal corners give NaN, for which the comparison is false.
-        let has_area = ee > LEAST_HEIGHT2 * self.inner(&k, &k).max(hh);
+        let has_area = ee > MIN_HEIGHT_RATIO2 * self.inner(&k, &k).max(hh);
         if !has_area {
             return None;
         }
@@ -146,7 +146,7 @@ impl<const D: usize> Jia01<D> {
     }
 
     /// As [`Self::mean_projection`] for a boundary edge, with the lines of three consecutive boundary edges.
-    fn mean_projection_on_boundary(&self, star: &Star<D>, [before, after]: [&[f64; D]; 2]) -> [f64; D] {
+    fn mean_projection_on_boundary(&self, star: &EdgeStar<D>, [before, after]: [&[f64; D]; 2]) -> [f64; D] {
         // The midpoint is its own projection onto its own edge.
         let mut sum = [0.0; D];
         let mut count = 1.0;
@@ -171,22 +171,22 @@ impl<const D: usize> Jia01<D> {
 }
 
 impl<const D: usize> Measure<D> for Jia01<D> {
-    type Bound = Bound;
+    type Reason = StopRule;
     type Change = Change;
 
     /// Order (7), or the stop rule that refuses the edge.
     #[inline]
-    fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Bound> {
+    fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, StopRule> {
         let [a, b] = mesh.connectivity.ends(edge);
         let length = distance2(mesh.point(a), mesh.point(b)).sqrt();
         let sums = &self.accumulated[edge.index()];
         let texture = sums.total_texture();
         if length > self.bounds.length {
-            Err(Bound::Length)
+            Err(StopRule::Length)
         } else if sums.shape > self.bounds.shape {
-            Err(Bound::Shape)
+            Err(StopRule::Shape)
         } else if texture > self.bounds.texture {
-            Err(Bound::Texture)
+            Err(StopRule::Texture)
         } else {
             Ok((sums.shape / self.scales.shape + 1.0)
                 * (texture / self.scales.texture + 1.0)
@@ -194,17 +194,17 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         }
     }
 
-    fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, Change>, Bound> {
+    fn propose(&mut self, mesh: &Mesh<D>, star: &EdgeStar<D>) -> Result<Proposal<D, Change>, StopRule> {
         let texture = texture_change(star);
         if !self.paper_rule {
             let sum = |edge: &EdgeId| self.accumulated[edge.index()].texture;
-            let largest = star.others.iter().map(sum).fold(0.0, f64::max);
+            let largest = star.other_edges.iter().map(sum).fold(0.0, f64::max);
             let total = self.accumulated[star.edge.index()].total_texture();
             if largest.max(total) + texture > self.bounds.texture {
-                return Err(Bound::Texture);
+                return Err(StopRule::Texture);
             }
         }
-        let point = match (star.end_stays, star.boundary_neighbours) {
+        let point = match (star.end_is_fixed, star.boundary_neighbours) {
             ([true, false], _) => star.end_points[0],
             ([false, true], _) => star.end_points[1],
             (_, Some([before, after])) => {
@@ -214,51 +214,51 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         };
         let [first, second] = star.end_points.map(|end| distance2(&end, &point));
         let survivor = usize::from(second < first);
-        Ok(Proposal { survivor, point, change: Change { shape: 0.0, texture, least_sum: 0.0 } })
+        Ok(Proposal { survivor, point, change: Change { shape: 0.0, texture, min_spoke_sum: 0.0 } })
     }
 
     fn judge(
         &mut self,
         mesh: &Mesh<D>,
-        star: &Star<D>,
+        star: &EdgeStar<D>,
         proposal: &mut Proposal<D, Change>,
-    ) -> Result<(), Bound> {
+    ) -> Result<(), StopRule> {
         let mut shape = match star.boundary_neighbours {
             Some(neighbours) => boundary_change(star, neighbours.map(|v| mesh.point(v)), &proposal.point),
             None => shape_change(star, &proposal.point),
         };
         if !self.paper_rule {
             let sum = |edge: &EdgeId| self.accumulated[edge.index()].shape;
-            let largest = star.others.iter().map(sum).fold(sum(&star.edge), f64::max);
+            let largest = star.other_edges.iter().map(sum).fold(sum(&star.edge), f64::max);
             if largest + shape > self.bounds.shape {
-                return Err(Bound::Shape);
+                return Err(StopRule::Shape);
             }
             shape = shape.max(self.overlay.crossing_gap(star, &proposal.point));
             if largest + shape > self.bounds.shape {
-                return Err(Bound::Shape);
+                return Err(StopRule::Shape);
             }
-            proposal.change.least_sum = largest + shape;
+            proposal.change.min_spoke_sum = largest + shape;
         }
         proposal.change.shape = shape;
         Ok(())
     }
 
-    fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Change) {
-        for edge in &star.others {
+    fn commit(&mut self, mesh: &Mesh<D>, star: &EdgeStar<D>, collapsed: &CollapseChange, change: Change) {
+        for edge in &star.other_edges {
             let sums = &mut self.accumulated[edge.index()];
             sums.shape += change.shape;
             sums.texture += change.texture;
-            self.largest.shape = self.largest.shape.max(sums.shape);
-            self.largest.texture = self.largest.texture.max(sums.texture);
+            self.largest_change.shape = self.largest_change.shape.max(sums.shape);
+            self.largest_change.texture = self.largest_change.texture.max(sums.texture);
         }
         for (kept, gone) in collapsed.merged.into_iter().flatten() {
             self.accumulated[kept.index()] =
                 self.accumulated[kept.index()].larger(&self.accumulated[gone.index()]);
         }
-        for (spoke, _) in mesh.connectivity.spokes(collapsed.survivor) {
+        for (spoke, _) in mesh.connectivity.vertex_edges(collapsed.survivor) {
             let sums = &mut self.accumulated[spoke.index()];
-            sums.shape = sums.shape.max(change.least_sum);
-            self.largest.shape = self.largest.shape.max(sums.shape);
+            sums.shape = sums.shape.max(change.min_spoke_sum);
+            self.largest_change.shape = self.largest_change.shape.max(sums.shape);
         }
     }
 }

@@ -8,19 +8,19 @@
 //! | --- | --- |
 //! | [`simplify`](simplify()) | the whole method: split, then collapse |
 //! | `options` | parameters |
-//! | [`split`] | splitting long edges |
-//! | `measure`, `records` | cost and constraints of a collapse; accumulated sums |
-//! | [`shape`], `contrast` | change of the surface and of its attributes by a collapse |
+//! | [`edge_splitting`] | splitting long edges |
+//! | `measure`, `accumulated_sums` | cost and constraints of a collapse; accumulated sums |
+//! | [`shape_change`], `attribute_contrast` | change of the surface and of its attributes by a collapse |
 
-mod contrast;
+mod accumulated_sums;
+mod attribute_contrast;
+pub mod edge_splitting;
 mod measure;
 mod options;
-mod records;
-pub mod shape;
+pub mod shape_change;
 mod simplify;
-pub mod split;
 
-pub use contrast::texture_change;
-pub use measure::{Accumulated, Bound, Change, Jia01};
+pub use attribute_contrast::texture_change;
+pub use measure::{AccumulatedChange, Change, Jia01, StopRule};
 pub use options::{Limits, Options};
-pub use simplify::{Refused, Simplified, simplify};
+pub use simplify::{JiaRefusals, JiaResult, simplify};

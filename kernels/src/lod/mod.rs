@@ -6,16 +6,16 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | [`dual`] | dual graph of triangles, with links between separate components |
-//! | [`cluster`] | clustering of triangles to cells, and of cells to larger cells |
-//! | [`cells`] | initial cells, from small clusters built in blocks |
-//! | [`ladder`] | levels: simplify within a bound with locked cell borders, prove, join cells, repeat |
-//! | [`forest`] | collapses as vertex splits, ordered so that every prefix is a mesh |
-//! | [`assemble`] | mesh of a front of the tree |
+//! | [`dual_graph`] | dual graph of triangles, with links between separate components |
+//! | [`clustering`] | clustering of triangles to cells, and of cells to larger cells |
+//! | [`initial_cells`] | initial cells, from small clusters built in blocks |
+//! | [`hierarchy`] | levels: simplify within a bound with locked cell borders, prove, join cells, repeat |
+//! | [`vertex_forest`] | collapses as vertex splits, ordered so that every prefix is a mesh |
+//! | [`front_assembly`] | mesh of a front of the tree |
 
-pub mod assemble;
-pub mod cells;
-pub mod cluster;
-pub mod dual;
-pub mod forest;
-pub mod ladder;
+pub mod clustering;
+pub mod dual_graph;
+pub mod front_assembly;
+pub mod hierarchy;
+pub mod initial_cells;
+pub mod vertex_forest;

@@ -26,7 +26,7 @@ pub struct Connectivity {
 
 /// Changes of the connectivity by a collapse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Collapsed {
+pub struct CollapseChange {
     pub survivor: VertexId,
     pub removed: VertexId,
     /// For each side with a triangle: the remaining edge, and the edge merged into it.
@@ -35,7 +35,7 @@ pub struct Collapsed {
 
 impl Connectivity {
     /// Maximum number of triangles: halfedges have 32-bit indices, and one index means NONE.
-    pub const MOST_TRIANGLES: usize = (u32::MAX as usize - 1) / 3;
+    pub const MAX_TRIANGLES: usize = (u32::MAX as usize - 1) / 3;
 
     /// Return the number of remaining triangles.
     pub fn triangle_count(&self) -> usize {
@@ -164,11 +164,11 @@ impl Connectivity {
     /// Iterate over the edges of a vertex and their other ends, counter-clockwise; at a boundary vertex one
     /// more than triangles.
     #[inline]
-    pub fn spokes(&self, v: VertexId) -> Spokes<'_> {
-        Spokes { fan: self.fan(v), last: HalfedgeId::NONE }
+    pub fn vertex_edges(&self, v: VertexId) -> VertexEdges<'_> {
+        VertexEdges { fan: self.fan(v), last: HalfedgeId::NONE }
     }
 
-    /// Collapse `edge` into its end `survivor`; ask `legality::can_collapse` first.
+    /// Collapse `edge` into its end `survivor`; ask `collapse_legality::can_collapse` first.
     ///
     /// ```text
     ///        a                   a
@@ -179,7 +179,7 @@ impl Connectivity {
     ///      \ | /                 |
     ///        b                   b
     /// ```
-    pub fn collapse(&mut self, edge: EdgeId, survivor: VertexId) -> Collapsed {
+    pub fn collapse(&mut self, edge: EdgeId, survivor: VertexId) -> CollapseChange {
         let first = self.halfedge(edge);
         let second = self.twin(first);
         let [v1, v2] = self.ends(edge);
@@ -198,10 +198,10 @@ impl Connectivity {
 
         let (merged_first, spoke) = self.close_triangle(first);
         let merged_second = second.is_some().then(|| self.close_triangle(second).0);
-        self.outgoing[survivor.index()] = if on_boundary { self.clockwise_most(spoke) } else { spoke };
+        self.outgoing[survivor.index()] = if on_boundary { self.first_of_fan(spoke) } else { spoke };
         self.outgoing[removed.index()] = HalfedgeId::NONE;
         self.edges[edge.index()] = HalfedgeId::NONE;
-        Collapsed { survivor, removed, merged: [Some(merged_first), merged_second] }
+        CollapseChange { survivor, removed, merged: [Some(merged_first), merged_second] }
     }
 
     /// Remove the triangle of `h`, whose edge has shrunk to a point, and merge its other two sides. Returns
@@ -232,7 +232,7 @@ impl Connectivity {
         ((kept, gone), if leaving.is_some() { leaving } else { Self::next(arriving) })
     }
 
-    fn clockwise_most(&self, outgoing: HalfedgeId) -> HalfedgeId {
+    fn first_of_fan(&self, outgoing: HalfedgeId) -> HalfedgeId {
         let mut h = outgoing;
         loop {
             let twin = self.twin(h);
@@ -336,13 +336,13 @@ impl Iterator for Fan<'_> {
     }
 }
 
-/// See [`Connectivity::spokes`].
-pub struct Spokes<'a> {
+/// See [`Connectivity::vertex_edges`].
+pub struct VertexEdges<'a> {
     fan: Fan<'a>,
     last: HalfedgeId,
 }
 
-impl Iterator for Spokes<'_> {
+impl Iterator for VertexEdges<'_> {
     type Item = (EdgeId, VertexId);
 
     #[inline]

@@ -2,21 +2,21 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | [`connectivity`], `connect` | halfedge structure; collapse and split; construction from triangles |
+//! | [`connectivity`], `connectivity_builder` | halfedge structure; collapse and split; construction from triangles |
 //! | [`triangle_mesh`] | connectivity, points, and the input element of every element |
-//! | [`star`] | neighbourhood of an edge |
-//! | [`legality`] | legality of edge collapses |
+//! | [`edge_star`] | neighbourhood of an edge |
+//! | [`collapse_legality`] | legality of edge collapses |
 //! | [`bvh`] | bounding volume hierarchy |
-//! | [`intersections`] | self-intersections |
-//! | [`spatial`] | Z-order of vertices and triangles |
-//! | [`validate`] | checks of all invariants of the connectivity, for tests |
+//! | [`self_intersections`] | self-intersections |
+//! | [`spatial_order`] | Z-order of vertices and triangles |
+//! | [`validation`] | checks of all invariants of the connectivity, for tests |
 
 pub mod bvh;
-pub mod connect;
+pub mod collapse_legality;
 pub mod connectivity;
-pub mod intersections;
-pub mod legality;
-pub mod spatial;
-pub mod star;
+pub mod connectivity_builder;
+pub mod edge_star;
+pub mod self_intersections;
+pub mod spatial_order;
 pub mod triangle_mesh;
-pub mod validate;
+pub mod validation;

@@ -6,11 +6,11 @@ use crate::mesh::connectivity::Connectivity;
 
 /// Maximum absolute value. Above it, products of four lengths in the area and fold tests could overflow
 /// double precision.
-const LARGEST: f64 = 1e60;
+const MAX_COORDINATE: f64 = 1e60;
 
 /// Restriction on the movement of a vertex.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub enum Lock {
+pub enum VertexLock {
     #[default]
     Free,
     /// The vertex is fixed; others may collapse into it.
@@ -29,12 +29,12 @@ pub struct Mesh<const D: usize> {
     pub vertex_source: Vec<u32>,
     /// Input triangle of each triangle.
     pub triangle_source: Vec<u32>,
-    pub locks: Vec<Lock>,
+    pub locks: Vec<VertexLock>,
 }
 
 /// Remaining elements of a mesh, numbered without gaps in input order.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Compact<const D: usize> {
+pub struct CompactMesh<const D: usize> {
     pub points: Vec<[f64; D]>,
     pub triangles: Vec<[u32; 3]>,
     pub vertex_source: Vec<u32>,
@@ -43,14 +43,14 @@ pub struct Compact<const D: usize> {
 
 /// Input vertices and triangles of a mesh's elements.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sources {
+pub struct ElementSources {
     pub vertices: Vec<u32>,
     pub triangles: Vec<u32>,
 }
 
-impl<const D: usize> Compact<D> {
+impl<const D: usize> CompactMesh<D> {
     /// Replace the sources by the sources of `origin`, if given.
-    pub fn traced_to(mut self, origin: &Option<Sources>) -> Self {
+    pub fn with_sources_of(mut self, origin: &Option<ElementSources>) -> Self {
         if let Some(origin) = origin {
             self.vertex_source.iter_mut().for_each(|v| *v = origin.vertices[*v as usize]);
             self.triangle_source.iter_mut().for_each(|t| *t = origin.triangles[*t as usize]);
@@ -66,10 +66,10 @@ impl<const D: usize> Compact<D> {
 pub fn check_points<const D: usize>(points: &[[f64; D]]) -> Result<(), KernelError> {
     // NaN fails the comparison, too. Testing all values without an early exit is faster, because the loop is
     // vectorised.
-    if points.as_flattened().iter().fold(true, |sound, x| sound & (x.abs() <= LARGEST)) {
+    if points.as_flattened().iter().fold(true, |sound, x| sound & (x.abs() <= MAX_COORDINATE)) {
         return Ok(());
     }
-    match points.iter().position(|p| !p.iter().all(|x| x.abs() <= LARGEST)) {
+    match points.iter().position(|p| !p.iter().all(|x| x.abs() <= MAX_COORDINATE)) {
         Some(vertex) => Err(KernelError::NotFinite { vertex }),
         None => Ok(()),
     }
@@ -102,24 +102,24 @@ impl<const D: usize> Mesh<D> {
             (Connectivity::from_triangles_on(threads, points.len(), &proper)?, kept)
         };
         let vertex_source = (0..points.len() as u32).collect();
-        let locks = vec![Lock::Free; points.len()];
+        let locks = vec![VertexLock::Free; points.len()];
         Ok(Self { connectivity, points, vertex_source, triangle_source: kept, locks })
     }
 
     /// Return the lock of a vertex.
     #[inline]
-    pub fn lock(&self, v: VertexId) -> Lock {
+    pub fn lock(&self, v: VertexId) -> VertexLock {
         self.locks[v.index()]
     }
 
     /// Return for each end of an edge whether a collapse must keep it in place: locked vertices, and boundary
     /// vertices of an interior edge.
     #[inline]
-    pub fn staying_ends(&self, edge: EdgeId) -> [bool; 2] {
+    pub fn fixed_ends(&self, edge: EdgeId) -> [bool; 2] {
         let inside = !self.connectivity.is_boundary_edge(edge);
-        self.connectivity
-            .ends(edge)
-            .map(|v| self.lock(v) == Lock::Locked || (inside && self.connectivity.is_boundary_vertex(v)))
+        self.connectivity.ends(edge).map(|v| {
+            self.lock(v) == VertexLock::Locked || (inside && self.connectivity.is_boundary_vertex(v))
+        })
     }
 
     /// Return the point of a vertex.
@@ -134,7 +134,7 @@ impl<const D: usize> Mesh<D> {
         edge: EdgeId,
         survivor: VertexId,
         point: [f64; D],
-    ) -> crate::mesh::connectivity::Collapsed {
+    ) -> crate::mesh::connectivity::CollapseChange {
         self.points[survivor.index()] = point;
         self.connectivity.collapse(edge, survivor)
     }
@@ -147,7 +147,7 @@ impl<const D: usize> Mesh<D> {
         let (pa, pb) = (*self.point(a), *self.point(b));
         self.points.push(std::array::from_fn(|i| 0.5 * (pa[i] + pb[i])));
         self.vertex_source.push(self.vertex_source[a.index()]);
-        self.locks.push(Lock::Free);
+        self.locks.push(VertexLock::Free);
         for h in beside.into_iter().filter(|h| h.is_some()) {
             self.triangle_source.push(self.triangle_source[Connectivity::triangle(h).index()]);
         }
@@ -155,10 +155,10 @@ impl<const D: usize> Mesh<D> {
     }
 
     /// Extract the remaining elements, numbered without gaps; unused vertices are dropped.
-    pub fn compact(&self) -> Compact<D> {
+    pub fn compact(&self) -> CompactMesh<D> {
         let mut number = vec![0u32; self.points.len()];
         let mut out =
-            Compact { points: vec![], triangles: vec![], vertex_source: vec![], triangle_source: vec![] };
+            CompactMesh { points: vec![], triangles: vec![], vertex_source: vec![], triangle_source: vec![] };
         for v in self.connectivity.vertices() {
             number[v.index()] = out.points.len() as u32;
             out.points.push(*self.point(v));

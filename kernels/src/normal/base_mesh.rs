@@ -1,7 +1,7 @@
 //! Base mesh with the parts of the input that its triangles and boundary edges represent.
 
-use super::associated::Sets;
-use super::parameters::Parameter;
+use super::associated_sets::AssociatedSets;
+use super::base_parametrization::BasePoint;
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::collapse::engine::Merge;
 use crate::subdivision::topology::NONE;
@@ -13,10 +13,10 @@ pub struct Base {
     pub vertex_source: Vec<u32>,
     pub triangles: Vec<[u32; 3]>,
     /// Associated set of each base triangle: original triangles, in the caller's numbering.
-    pub sets: Sets,
+    pub sets: AssociatedSets,
     pub chains: Vec<Chain>,
-    /// Position of each input vertex on the base; [`Parameter::NOWHERE`] for unused vertices.
-    pub parameters: Vec<Parameter>,
+    /// Position of each input vertex on the base; [`BasePoint::UNDEFINED`] for unused vertices.
+    pub base_points: Vec<BasePoint>,
     /// Collapses that produced the base, in order.
     pub collapses: Vec<Collapse>,
 }
@@ -46,25 +46,25 @@ pub struct Chain {
 impl Base {
     /// Renumber vertices and triangles. `vertices` and `triangles` give the old index of each new one.
     /// `corners` gives the new triangles, which may start from another corner.
-    pub fn reordered(self, vertices: &[u32], triangles: &[u32], corners: &[[u32; 3]]) -> Self {
+    pub fn renumber(self, vertices: &[u32], triangles: &[u32], corners: &[[u32; 3]]) -> Self {
         let mut new_vertex = vec![NONE; self.vertex_source.len()];
         vertices.iter().enumerate().for_each(|(new, &old)| new_vertex[old as usize] = new as u32);
         let mut new_triangle = vec![NONE; self.triangles.len()];
         triangles.iter().enumerate().for_each(|(new, &old)| new_triangle[old as usize] = new as u32);
-        let moved = |parameter: &Parameter| {
+        let moved = |parameter: &BasePoint| {
             if parameter.triangle == NONE {
-                return Parameter::NOWHERE;
+                return BasePoint::UNDEFINED;
             }
             let was = self.triangles[parameter.triangle as usize].map(|v| new_vertex[v as usize]);
             let triangle = new_triangle[parameter.triangle as usize];
             let first = corners[triangle as usize].map(|v| was.iter().position(|&w| w == v).unwrap_or(0));
-            Parameter { triangle, barycentric: first.map(|i| parameter.barycentric[i]) }
+            BasePoint { triangle, barycentric: first.map(|i| parameter.barycentric[i]) }
         };
         Self {
-            parameters: self.parameters.iter().map(moved).collect(),
+            base_points: self.base_points.iter().map(moved).collect(),
             vertex_source: vertices.iter().map(|&v| self.vertex_source[v as usize]).collect(),
             triangles: corners.to_vec(),
-            sets: self.sets.reordered(triangles),
+            sets: self.sets.permute(triangles),
             collapses: self.collapses,
             chains: self
                 .chains

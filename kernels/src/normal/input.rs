@@ -1,14 +1,14 @@
 //! Input mesh, prepared for the vertex search.
 
-use super::carried::Carried;
 use super::rounding::Samples;
 use super::settings::Settings;
-use super::surface::{Place, Surface};
+use super::surface::{Surface, SurfacePoint};
+use super::vertex_attributes::VertexAttributes;
 use crate::base::geometry::{Vec3, sub};
 
 /// Original surface that a simplified input mesh approximates.
 #[derive(Clone, Copy, Debug)]
-pub struct Simplified<'a> {
+pub struct OriginalSurface<'a> {
     pub from_points: &'a [Vec3],
     pub from_triangles: &'a [[u32; 3]],
 }
@@ -17,17 +17,17 @@ pub struct Simplified<'a> {
 pub struct Input<'a> {
     pub points: Vec<Vec3>,
     pub triangles: &'a [[u32; 3]],
-    pub carried: &'a Carried,
+    pub attributes: &'a VertexAttributes,
     pub surface: Surface,
     pub slots: Vec<u32>,
     /// Surface point of each vertex: a corner of any triangle that uses it.
-    pub places: Vec<Place>,
+    pub surface_points: Vec<SurfacePoint>,
     /// Samples of the surface to approximate if no levels follow, and their mean squared distance from the
     /// input mesh.
     pub samples: Samples,
-    pub apart2: f64,
+    pub sample_distance2: f64,
     /// True if that surface is another mesh, that is, the input is simplified.
-    pub is_light: bool,
+    pub is_simplified: bool,
 }
 
 impl<'a> Input<'a> {
@@ -36,35 +36,45 @@ impl<'a> Input<'a> {
     pub fn new(
         points: Vec<Vec3>,
         triangles: &'a [[u32; 3]],
-        carried: &'a Carried,
-        simplified: Option<Simplified<'_>>,
+        carried: &'a VertexAttributes,
+        simplified: Option<OriginalSurface<'_>>,
         shift: &Vec3,
         settings: &Settings,
     ) -> Self {
         let surface = Surface::new(&points, triangles, settings.threads);
         let samples = match simplified {
-            _ if !settings.is_alone() => Samples::default(),
+            _ if !settings.is_base_only() => Samples::default(),
             None => Samples::new(&points, triangles, triangles.len()),
-            Some(Simplified { from_points, from_triangles }) => {
+            Some(OriginalSurface { from_points, from_triangles }) => {
                 let from: Vec<Vec3> = from_points.iter().map(|p| sub(p, shift)).collect();
                 Samples::new(&from, from_triangles, triangles.len())
             }
         };
         let is_light = simplified.is_some();
-        let apart2 = if is_light { samples.mean_square(&surface, settings.threads) } else { 0.0 };
-        let (slots, places) = (surface.slots(), at_vertices(points.len(), &surface));
-        Self { points, triangles, carried, surface, slots, places, samples, apart2, is_light }
+        let apart2 = if is_light { samples.measure_mean_square(&surface, settings.threads) } else { 0.0 };
+        let (slots, places) = (surface.slots(), locate_vertices(points.len(), &surface));
+        Self {
+            points,
+            triangles,
+            attributes: carried,
+            surface,
+            slots,
+            surface_points: places,
+            samples,
+            sample_distance2: apart2,
+            is_simplified: is_light,
+        }
     }
 }
 
 /// Compute a surface point for each input vertex. Entries of unused vertices are meaningless.
-fn at_vertices(count: usize, surface: &Surface) -> Vec<Place> {
-    let mut places = vec![Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] }; count];
+fn locate_vertices(count: usize, surface: &Surface) -> Vec<SurfacePoint> {
+    let mut places = vec![SurfacePoint { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] }; count];
     for slot in (0..surface.len() as u32).rev() {
         for (i, v) in surface.vertices(slot).into_iter().enumerate() {
             let mut barycentric = [0.0; 3];
             barycentric[i] = 1.0;
-            places[v as usize] = surface.place(slot, barycentric);
+            places[v as usize] = surface.point_at(slot, barycentric);
         }
     }
     places

@@ -9,17 +9,18 @@
 use crate::base::geometry::{Vec3, add_scaled, dot, sub};
 
 /// Ratio of the standard deviation to the median magnitude of a normal distribution.
-const OF_MEDIAN: f64 = 1.4826;
+const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Gain of the filter for independent noise if every vertex has six neighbours. It is the root of the sum of
 /// squared weights: 7/6 for the vertex itself, −5/18 six times, 1/18 six times and 1/36 six times.
-const GAIN: f64 = 1.359;
+const FILTER_GAIN: f64 = 1.359;
 
 /// Estimate the standard deviation of the noise, in mesh units. `normals` are unit vertex normals.
-pub fn noise(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> f64 {
-    let middles = around(points, triangles, |sum, p, weight| add_scaled(&sum, weight, p), [0.0; 3]);
+pub fn estimate_noise(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> f64 {
+    let middles =
+        compute_neighbour_means(points, triangles, |sum, p, weight| add_scaled(&sum, weight, p), [0.0; 3]);
     let off = |v: usize| middles[v].map(|middle| dot(&sub(&middle, &points[v]), &normals[v]));
     let offs: Vec<f64> = (0..points.len()).map(|v| off(v).unwrap_or(0.0)).collect();
-    let means = around(&offs, triangles, |sum, off, weight| sum + weight * off, 0.0);
+    let means = compute_neighbour_means(&offs, triangles, |sum, off, weight| sum + weight * off, 0.0);
     let mut left: Vec<f64> =
         means.iter().zip(&offs).filter_map(|(mean, off)| Some((off - (*mean)?).abs())).collect();
     let half = left.len() / 2;
@@ -27,11 +28,11 @@ pub fn noise(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> f64 {
         return 0.0;
     }
     let (_, median, _) = left.select_nth_unstable_by(half, f64::total_cmp);
-    OF_MEDIAN / GAIN * *median
+    SIGMA_PER_MEDIAN / FILTER_GAIN * *median
 }
 
 /// Compute the mean of a value over the neighbours of each vertex. None for vertices without triangles.
-fn around<T: Copy>(
+fn compute_neighbour_means<T: Copy>(
     values: &[T],
     triangles: &[[u32; 3]],
     add: impl Fn(T, &T, f64) -> T,
@@ -55,7 +56,7 @@ fn around<T: Copy>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::normal::surface::vertex_normals;
+    use crate::normal::surface::compute_vertex_normals;
 
     /// Build a height field of n × n squares over the unit square.
     fn sheet(n: u32, height: impl Fn(f64, f64) -> f64) -> (Vec<Vec3>, Vec<[u32; 3]>) {
@@ -72,7 +73,7 @@ mod tests {
     }
 
     fn of((points, triangles): (Vec<Vec3>, Vec<[u32; 3]>)) -> f64 {
-        noise(&points, &triangles, &vertex_normals(&points, &triangles))
+        estimate_noise(&points, &triangles, &compute_vertex_normals(&points, &triangles))
     }
 
     #[test]
@@ -98,6 +99,6 @@ mod tests {
     fn a_smooth_sheet_has_next_to_none_and_a_flat_one_none() {
         assert!(of(sheet(120, |x, y| 0.1 * (4.0 * x).sin() * y)) < 1e-6);
         assert!(of(sheet(20, |x, y| 0.5 * x - y)) < 1e-15);
-        assert_eq!(noise(&[], &[], &[]), 0.0);
+        assert_eq!(estimate_noise(&[], &[], &[]), 0.0);
     }
 }

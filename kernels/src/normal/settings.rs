@@ -1,7 +1,7 @@
 //! Settings of a normal mesh.
 
 use super::coarsening::Target;
-use crate::subdivision::contents::Scheme;
+use crate::subdivision::snm_contents::Scheme;
 
 /// Settings of [`remesh`](super::remesh::remesh).
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +27,7 @@ pub struct Settings {
 
 impl Settings {
     /// True if no levels follow the base.
-    pub fn is_alone(&self) -> bool {
+    pub fn is_base_only(&self) -> bool {
         self.levels == Some(0)
     }
 }

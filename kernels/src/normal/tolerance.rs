@@ -8,20 +8,20 @@
 /// Finest tolerance, in diagonals of the bounding box: the precision of 32-bit floats. All others are
 /// power-of-two multiples up to the given number of doublings. Points of a coarser grid are thus points of
 /// the finest grid.
-pub const FINEST: f64 = 5e-8;
-pub const MOST_DOUBLINGS: u32 = 14;
+pub const FINEST_TOLERANCE: f64 = 5e-8;
+pub const MAX_DOUBLINGS: u32 = 14;
 
 /// Tolerance as a fraction of: the finest level's RMS distance; the same as upper limit with noise; the
 /// noise; and the maximum error. The noise term is limited because large triangles pass for noise, and an
 /// exact fit must stay exact.
-const OF_DISTANCE: f64 = 1.0 / 3.0;
-const MOST_OF_DISTANCE: f64 = 1.0 / 2.0;
-const OF_NOISE: f64 = 0.1;
-const OF_BOUND: f64 = 1.0 / 16.0;
+const DISTANCE_RATIO: f64 = 1.0 / 3.0;
+const MAX_DISTANCE_RATIO: f64 = 1.0 / 2.0;
+const NOISE_RATIO: f64 = 0.1;
+const BOUND_RATIO: f64 = 1.0 / 16.0;
 
 /// Origin of a tolerance.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Source {
+pub enum ToleranceSource {
     Given,
     /// Derived from the distance between the finest level and the input.
     Distance,
@@ -37,33 +37,36 @@ pub enum Source {
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Tolerance {
     pub relative: f64,
-    pub source: Source,
+    pub source: ToleranceSource,
 }
 
 impl Tolerance {
-    /// Double the finest tolerance `doublings` times.
-    pub fn doubled(doublings: u32, source: Source) -> Self {
-        let source = if doublings == 0 { Source::Precision } else { source };
-        Self { relative: FINEST * f64::from(1u32 << doublings), source }
+    /// Double the finest tolerance `choose_doublings` times.
+    pub fn from_doublings(doublings: u32, source: ToleranceSource) -> Self {
+        let source = if doublings == 0 { ToleranceSource::Precision } else { source };
+        Self { relative: FINEST_TOLERANCE * f64::from(1u32 << doublings), source }
     }
 }
 
 /// Derive the number of doublings of the finest tolerance, and the reason for it. All lengths are in
 /// diagonals; a `bound` of 0 means no limit.
-pub fn doublings(distance: f64, noise: f64, bound: f64) -> (u32, Source) {
-    let by_noise = (OF_NOISE * noise).min(MOST_OF_DISTANCE * distance);
-    let (wanted, source) = if by_noise > OF_DISTANCE * distance {
-        (by_noise, Source::Noise)
+pub fn choose_doublings(distance: f64, noise: f64, bound: f64) -> (u32, ToleranceSource) {
+    let by_noise = (NOISE_RATIO * noise).min(MAX_DISTANCE_RATIO * distance);
+    let (wanted, source) = if by_noise > DISTANCE_RATIO * distance {
+        (by_noise, ToleranceSource::Noise)
     } else {
-        (OF_DISTANCE * distance, Source::Distance)
+        (DISTANCE_RATIO * distance, ToleranceSource::Distance)
     };
     // Round to the nearest power of two, but never above the bound.
     let nearest = |most: f64, slack: f64| {
-        (0..=MOST_DOUBLINGS).rev().find(|&k| FINEST * f64::from(1u32 << k) <= slack * most).unwrap_or(0)
+        (0..=MAX_DOUBLINGS)
+            .rev()
+            .find(|&k| FINEST_TOLERANCE * f64::from(1u32 << k) <= slack * most)
+            .unwrap_or(0)
     };
     let wanted = nearest(wanted, std::f64::consts::SQRT_2);
-    let most = if bound > 0.0 { nearest(OF_BOUND * bound, 1.0) } else { MOST_DOUBLINGS };
-    if most < wanted { (most, Source::Bound) } else { (wanted, source) }
+    let most = if bound > 0.0 { nearest(BOUND_RATIO * bound, 1.0) } else { MAX_DOUBLINGS };
+    if most < wanted { (most, ToleranceSource::Bound) } else { (wanted, source) }
 }
 
 #[cfg(test)]
@@ -73,24 +76,26 @@ mod tests {
     #[test]
     fn it_is_about_a_third_of_the_distance_and_never_beyond_the_bound() {
         for distance in [1e-6, 3e-5, 1e-4, 2e-3] {
-            let (doublings, source) = doublings(distance, 0.0, 0.0);
-            assert_eq!(source, Source::Distance);
-            assert!((0.23..0.48).contains(&(Tolerance::doubled(doublings, source).relative / distance)));
+            let (doublings, source) = choose_doublings(distance, 0.0, 0.0);
+            assert_eq!(source, ToleranceSource::Distance);
+            assert!(
+                (0.23..0.48).contains(&(Tolerance::from_doublings(doublings, source).relative / distance))
+            );
         }
-        assert_eq!(doublings(1e-6, 1e-3, 0.0).1, Source::Noise);
-        let (few, source) = doublings(1e-2, 1e-3, 1e-4);
-        assert_eq!(source, Source::Bound);
-        assert!(Tolerance::doubled(few, source).relative <= 1e-4 / 16.0);
+        assert_eq!(choose_doublings(1e-6, 1e-3, 0.0).1, ToleranceSource::Noise);
+        let (few, source) = choose_doublings(1e-2, 1e-3, 1e-4);
+        assert_eq!(source, ToleranceSource::Bound);
+        assert!(Tolerance::from_doublings(few, source).relative <= 1e-4 / 16.0);
     }
 
     #[test]
     fn what_is_exact_stays_exact_and_nothing_is_ruined() {
-        let (none, source) = doublings(0.0, 1e-3, 0.0);
+        let (none, source) = choose_doublings(0.0, 1e-3, 0.0);
         assert_eq!(
-            Tolerance::doubled(none, source),
-            Tolerance { relative: FINEST, source: Source::Precision }
+            Tolerance::from_doublings(none, source),
+            Tolerance { relative: FINEST_TOLERANCE, source: ToleranceSource::Precision }
         );
-        let (all, source) = doublings(1.0, 0.0, 0.0);
-        assert!(Tolerance::doubled(all, source).relative < 1e-3);
+        let (all, source) = choose_doublings(1.0, 0.0, 0.0);
+        assert!(Tolerance::from_doublings(all, source).relative < 1e-3);
     }
 }

@@ -8,10 +8,10 @@ use crate::base::progress::Progress;
 use crate::mesh::connectivity::Connectivity;
 
 /// Halfedges per parallel batch.
-const BATCH: u32 = 1 << 16;
+const BATCH_HALFEDGES: u32 = 1 << 16;
 
 /// Patches per parallel batch.
-const PATCHES: usize = 16;
+const BATCH_PATCHES: usize = 16;
 
 /// Borders of all patches; each border halfedge has its patch on the left.
 #[derive(Clone, Debug)]
@@ -19,39 +19,39 @@ pub struct Borders {
     halfedges: Vec<HalfedgeId>,
     /// Start of each loop in `halfedges`, plus the end.
     loops: Vec<u32>,
-    /// Start of each patch's loops in `loops`, plus the end.
+    /// Start of each patch's loops in `trace_patch_loops`, plus the end.
     patches: Vec<u32>,
     /// Number of border edges at each vertex.
-    pub degree: Vec<u32>,
+    pub border_degree: Vec<u32>,
     /// Number of interior vertices of each patch.
-    pub inside: Vec<u32>,
+    pub interior_counts: Vec<u32>,
 }
 
 impl Borders {
     /// Return all border halfedges.
-    pub fn all(&self) -> &[HalfedgeId] {
+    pub fn all_halfedges(&self) -> &[HalfedgeId] {
         &self.halfedges
     }
 
     /// Return the loops of a patch, each as its halfedges in order.
-    pub fn loops(&self, patch: usize) -> impl ExactSizeIterator<Item = &[HalfedgeId]> {
+    pub fn trace_patch_loops(&self, patch: usize) -> impl ExactSizeIterator<Item = &[HalfedgeId]> {
         let range = self.patches[patch] as usize..self.patches[patch + 1] as usize;
         range.map(|i| &self.halfedges[self.loops[i] as usize..self.loops[i + 1] as usize])
     }
 
     /// Check whether a patch is a disc, possibly with holes, by its Euler characteristic: V − E + F = 2 −
     /// loops.
-    pub fn is_planar(&self, patch: usize, faces: u32) -> bool {
-        let loops = self.loops(patch).len() as i64;
-        let border: i64 = self.loops(patch).map(|l| l.len() as i64).sum();
+    pub fn is_disc_with_holes(&self, patch: usize, faces: u32) -> bool {
+        let loops = self.trace_patch_loops(patch).len() as i64;
+        let border: i64 = self.trace_patch_loops(patch).map(|l| l.len() as i64).sum();
         // A loop has equally many vertices and edges if repeated vertices count twice. E = (3F + border) / 2.
-        let twice_euler = 2 * i64::from(self.inside[patch]) + border - i64::from(faces);
+        let twice_euler = 2 * i64::from(self.interior_counts[patch]) + border - i64::from(faces);
         loops > 0 && twice_euler == 2 * (2 - loops)
     }
 }
 
 /// Find the border halfedge that follows `h` around the same patch.
-pub fn next_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> HalfedgeId {
+pub fn find_next_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> HalfedgeId {
     let mut next = Connectivity::next(h);
     while !is_border(connectivity, of, next) {
         next = Connectivity::next(connectivity.twin(next));
@@ -63,46 +63,51 @@ pub fn next_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> Ha
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
-pub fn trace(
+pub fn trace_borders(
     connectivity: &Connectivity,
     patches: &Patches,
     threads: usize,
     progress: &Progress,
 ) -> Result<Borders, KernelError> {
-    let of = &patches.of;
+    let of = &patches.patch_of_triangle;
     let count = 3 * connectivity.triangle_slots() as u32;
     let mut borders = Borders {
         halfedges: vec![],
         loops: vec![0],
         patches: Vec::with_capacity(patches.patches.len() + 1),
-        degree: vec![0; connectivity.vertex_slots()],
-        inside: vec![],
+        border_degree: vec![0; connectivity.vertex_slots()],
+        interior_counts: vec![],
     };
     let all = parallel::map(
-        count.div_ceil(BATCH) as usize,
+        count.div_ceil(BATCH_HALFEDGES) as usize,
         threads,
         || (),
         |_, batch| {
-            let from = batch as u32 * BATCH;
-            let halfedges = (from..count.min(from + BATCH)).map(HalfedgeId);
+            let from = batch as u32 * BATCH_HALFEDGES;
+            let halfedges = (from..count.min(from + BATCH_HALFEDGES)).map(HalfedgeId);
             halfedges.filter(|&h| is_border(connectivity, of, h)).collect::<Vec<_>>()
         },
     )
     .concat();
     for &h in &all {
-        borders.degree[connectivity.origin(h).index()] += 1;
+        borders.border_degree[connectivity.origin(h).index()] += 1;
         if connectivity.twin(h).is_none() {
-            borders.degree[connectivity.target(h).index()] += 1;
+            borders.border_degree[connectivity.target(h).index()] += 1;
         }
     }
     progress.check()?;
-    borders.inside = inside(connectivity, patches, &borders.degree, threads);
-    borders.trace_loops(connectivity, of, &by_patch(&all, patches), threads, progress)?;
+    borders.interior_counts = count_interior(connectivity, patches, &borders.border_degree, threads);
+    borders.trace_loops(connectivity, of, &group_by_patch(&all, patches), threads, progress)?;
     Ok(borders)
 }
 
 /// Count the interior vertices of each patch.
-fn inside(connectivity: &Connectivity, patches: &Patches, degree: &[u32], threads: usize) -> Vec<u32> {
+fn count_interior(
+    connectivity: &Connectivity,
+    patches: &Patches,
+    degree: &[u32],
+    threads: usize,
+) -> Vec<u32> {
     let part = degree.len().div_ceil(threads.max(1)).max(1);
     let parts = degree.len().div_ceil(part);
     let counted = parallel::map(
@@ -113,7 +118,7 @@ fn inside(connectivity: &Connectivity, patches: &Patches, degree: &[u32], thread
             let mut inside = vec![0u32; patches.patches.len()];
             for v in (number * part..degree.len().min((number + 1) * part)).filter(|&v| degree[v] == 0) {
                 if let Some(h) = connectivity.fan(VertexId::from_index(v)).next() {
-                    inside[patches.of[Connectivity::triangle(h).index()] as usize] += 1;
+                    inside[patches.patch_of_triangle[Connectivity::triangle(h).index()] as usize] += 1;
                 }
             }
             inside
@@ -136,12 +141,13 @@ impl Borders {
     ) -> Result<(), KernelError> {
         let count = starts.len() - 1;
         let found: Vec<Result<Loops, KernelError>> = parallel::map(
-            count.div_ceil(PATCHES),
+            count.div_ceil(BATCH_PATCHES),
             threads,
             || (),
             |(), batch| {
                 progress.check()?;
-                let patches = starts[batch * PATCHES..=count.min((batch + 1) * PATCHES)].windows(2);
+                let patches =
+                    starts[batch * BATCH_PATCHES..=count.min((batch + 1) * BATCH_PATCHES)].windows(2);
                 let borders = patches.map(|range| &all[range[0] as usize..range[1] as usize]);
                 Ok(loops(connectivity, of, borders))
             },
@@ -189,7 +195,7 @@ fn loops<'a>(
                     is_done[place] = true;
                 }
                 traced.push(h);
-                h = next_border(connectivity, of, h);
+                h = find_next_border(connectivity, of, h);
                 if h == start {
                     break;
                 }
@@ -203,8 +209,8 @@ fn loops<'a>(
 }
 
 /// Sort halfedges by patch with a counting sort. Returns them with the start of each patch.
-fn by_patch(all: &[HalfedgeId], patches: &Patches) -> (Vec<HalfedgeId>, Vec<u32>) {
-    let patch = |h: HalfedgeId| patches.of[Connectivity::triangle(h).index()] as usize;
+fn group_by_patch(all: &[HalfedgeId], patches: &Patches) -> (Vec<HalfedgeId>, Vec<u32>) {
+    let patch = |h: HalfedgeId| patches.patch_of_triangle[Connectivity::triangle(h).index()] as usize;
     let mut starts = vec![0u32; patches.patches.len() + 1];
     all.iter().for_each(|&h| starts[patch(h) + 1] += 1);
     (0..patches.patches.len()).for_each(|p| starts[p + 1] += starts[p]);

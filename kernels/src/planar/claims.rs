@@ -13,18 +13,18 @@ use crate::base::parallel::{collect, update};
 const FREE: u32 = u32::MAX;
 
 /// Triangle of a fixed patch. Other settled triangles store their patch index plus one.
-const TAKEN: u32 = 0;
+const FIXED: u32 = 0;
 
 /// Offset of claims: a claim stores its turn plus this, which exceeds all patch indices.
-const CLAIM: u32 = 1 << 31;
+const CLAIM_OFFSET: u32 = 1 << 31;
 
 /// Number of releases after which a triangle only joins patches that never release triangles. It keeps the
 /// run time linear.
-const MOST_RELEASES: u8 = 3;
+const MAX_RELEASES: u8 = 3;
 
 /// Ownership of a triangle, from the point of view of a growing patch.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Whose {
+pub enum ClaimState {
     /// Unowned, or claimed by a later turn.
     Free,
     /// Claimed by this patch, or settled.
@@ -35,7 +35,7 @@ pub enum Whose {
 
 /// Ownership state of all triangles.
 pub struct Claims {
-    of: Vec<AtomicU32>,
+    owners: Vec<AtomicU32>,
     releases: Vec<AtomicU8>,
     /// Spoiled flag of each turn. Empty for sequential growth, which needs no atomic claims.
     spoiled: Vec<AtomicBool>,
@@ -44,22 +44,22 @@ pub struct Claims {
 impl Claims {
     /// Create the state of `count` triangles; those selected by `is_taken` are fixed.
     pub fn new(count: usize, threads: usize, is_taken: impl Fn(usize) -> bool + Sync) -> Self {
-        let whose = |t| AtomicU32::new(if is_taken(t) { TAKEN } else { FREE });
+        let whose = |t| AtomicU32::new(if is_taken(t) { FIXED } else { FREE });
         Self {
-            of: collect(count, threads, whose),
+            owners: collect(count, threads, whose),
             releases: collect(count, threads, |_| AtomicU8::new(0)),
             spoiled: vec![],
         }
     }
 
     /// Enable concurrent growth of `turns` patches; 0 selects sequential growth.
-    pub fn share(&mut self, turns: usize) {
+    pub fn enable_turns(&mut self, turns: usize) {
         self.spoiled = (0..turns).map(|_| AtomicBool::new(false)).collect();
     }
 
     /// Return the claim of a turn.
     pub fn of_turn(turn: usize) -> u32 {
-        CLAIM + turn as u32
+        CLAIM_OFFSET + turn as u32
     }
 
     /// Return the claim of a patch with nothing before it, which is settled as soon as it has grown.
@@ -70,46 +70,46 @@ impl Claims {
     /// Return the settled patch of a triangle. None if it has no patch or belongs to a fixed one.
     #[inline]
     pub fn patch(&self, t: u32) -> Option<u32> {
-        let of = self.of[t as usize].load(Relaxed);
-        (of != TAKEN && of < CLAIM).then(|| of - 1)
+        let of = self.owners[t as usize].load(Relaxed);
+        (of != FIXED && of < CLAIM_OFFSET).then(|| of - 1)
     }
 
     /// Check whether a triangle belongs to a settled patch.
     #[inline]
     pub fn is_settled(&self, t: u32) -> bool {
-        self.of[t as usize].load(Relaxed) < CLAIM
+        self.owners[t as usize].load(Relaxed) < CLAIM_OFFSET
     }
 
     /// Check whether a triangle is neither settled nor claimed.
     #[inline]
     pub fn is_free(&self, t: u32) -> bool {
-        self.of[t as usize].load(Relaxed) == FREE
+        self.owners[t as usize].load(Relaxed) == FREE
     }
 
     /// Return the ownership of a triangle, as viewed by the patch with this claim.
     #[inline]
-    pub fn whose(&self, t: u32, claim: u32) -> Whose {
-        let of = self.of[t as usize].load(Relaxed);
+    pub fn claim_state(&self, t: u32, claim: u32) -> ClaimState {
+        let of = self.owners[t as usize].load(Relaxed);
         if of > claim {
-            Whose::Free
-        } else if of == claim || of < CLAIM {
-            Whose::Settled
+            ClaimState::Free
+        } else if of == claim || of < CLAIM_OFFSET {
+            ClaimState::Settled
         } else {
-            Whose::Earlier
+            ClaimState::Earlier
         }
     }
 
     /// Claim a free triangle. Returns false if an earlier patch has claimed it meanwhile.
     #[inline]
     pub fn claim(&self, t: u32, claim: u32) -> bool {
-        let slot = &self.of[t as usize];
+        let slot = &self.owners[t as usize];
         if self.spoiled.is_empty() {
             slot.store(claim, Relaxed);
             return true;
         }
         let was = slot.fetch_min(claim, Relaxed);
         if was > claim && was != FREE {
-            self.spoiled[(was - CLAIM) as usize].store(true, Relaxed);
+            self.spoiled[(was - CLAIM_OFFSET) as usize].store(true, Relaxed);
         }
         was > claim
     }
@@ -117,18 +117,18 @@ impl Claims {
     /// Release a claim.
     pub fn release(&self, t: u32, claim: u32) {
         // Has no effect if another patch has taken the triangle over.
-        let _ = self.of[t as usize].compare_exchange(claim, FREE, Relaxed, Relaxed);
+        let _ = self.owners[t as usize].compare_exchange(claim, FREE, Relaxed, Relaxed);
     }
 
     /// Assign a claimed triangle to a settled patch.
     #[inline]
     pub fn settle(&self, t: u32, patch: u32) {
-        self.of[t as usize].store(patch + 1, Relaxed);
+        self.owners[t as usize].store(patch + 1, Relaxed);
     }
 
     /// Release a settled triangle.
-    pub fn unsettle(&self, t: u32) {
-        self.of[t as usize].store(FREE, Relaxed);
+    pub fn release_settled(&self, t: u32) {
+        self.owners[t as usize].store(FREE, Relaxed);
     }
 
     /// Mark the patch of a turn as spoiled.
@@ -144,7 +144,7 @@ impl Claims {
     }
 
     /// Clear the spoiled flag of a turn that starts again.
-    pub fn start(&self, turn: usize) {
+    pub fn restart(&self, turn: usize) {
         if let Some(spoiled) = self.spoiled.get(turn) {
             spoiled.store(false, Relaxed);
         }
@@ -152,8 +152,8 @@ impl Claims {
 
     /// Check whether a triangle was released so often that it no longer joins patches that may release it.
     #[inline]
-    pub fn is_restless(&self, t: u32) -> bool {
-        self.releases[t as usize].load(Relaxed) >= MOST_RELEASES
+    pub fn is_release_limited(&self, t: u32) -> bool {
+        self.releases[t as usize].load(Relaxed) >= MAX_RELEASES
     }
 
     /// Count a release of a triangle.
@@ -164,9 +164,9 @@ impl Claims {
 
     /// Renumber the settled patches.
     pub fn renumber(&mut self, threads: usize, number: &[u32]) {
-        update(&mut self.of, threads, |_, of| {
+        update(&mut self.owners, threads, |_, of| {
             let of = of.get_mut();
-            if *of != TAKEN && *of < CLAIM {
+            if *of != FIXED && *of < CLAIM_OFFSET {
                 *of = number[*of as usize - 1] + 1;
             }
         });

@@ -1,8 +1,8 @@
 //! Conflicts between patches that make an assembly non-manifold: repeated edges and pairs of identical
 //! triangles.
 
-use super::assembly::{Assembly, BATCH, Edge, Kind, sorted};
-use super::attempt::{MOST_TRIES, Outcome};
+use super::assembly_state::{Assembly, BATCH, EdgeKind, ResultEdge, sort_pair};
+use super::patch_triangulation::{MAX_ATTEMPTS, Outcome};
 use crate::base::errors::KernelError;
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::base::parallel;
@@ -10,30 +10,30 @@ use crate::mesh::connectivity::Connectivity;
 
 impl<const D: usize> Assembly<'_, D> {
     /// Resolve conflicts. Returns the patches that must be triangulated again.
-    pub(super) fn conflicts(&mut self) -> Vec<u32> {
-        let edges = self.gathered_edges();
+    pub(super) fn resolve_conflicts(&mut self) -> Vec<u32> {
+        let edges = self.gather_edges();
         let mut again = vec![];
         for same in edges.chunk_by(|e, f| e.0 == f.0) {
             // The first edge may stay; it occurs once from each side.
             let first = (same[0].1, same[0].2);
             for edge in same.iter().filter(|e| (e.1, e.2) != first) {
-                self.resolve(edge, &mut again);
+                self.resolve_edge(edge, &mut again);
             }
         }
         self.edges = edges;
         self.forbidden.sort_unstable();
         self.forbidden.dedup();
         if again.is_empty() {
-            self.look_at_whole(&mut again);
+            self.check_connectivity(&mut again);
         }
-        self.once_each(again)
+        self.sort_unique(again)
     }
 
     /// Gather all edges, sorted. Edges of unchanged patches are reused.
-    fn gathered_edges(&mut self) -> Vec<Edge> {
+    fn gather_edges(&mut self) -> Vec<ResultEdge> {
         let count = self.has_changed.len();
         let changed: Vec<u32> = (0..count as u32).filter(|&p| self.has_changed[p as usize]).collect();
-        let mut fresh: Vec<Edge> = parallel::map(
+        let mut fresh: Vec<ResultEdge> = parallel::map(
             changed.len().div_ceil(BATCH),
             self.options.threads,
             || (),
@@ -53,14 +53,14 @@ impl<const D: usize> Assembly<'_, D> {
         edges
     }
 
-    fn edges(&self, patch: u32) -> Vec<Edge> {
+    fn edges(&self, patch: u32) -> Vec<ResultEdge> {
         let connectivity = &self.mesh.connectivity;
         let mut edges = vec![];
-        if self.kept[patch as usize] {
+        if self.keeps_triangles[patch as usize] {
             for &t in self.members(patch) {
                 for h in (3 * t..3 * t + 3).map(HalfedgeId) {
-                    let ends = sorted(connectivity.origin(h), connectivity.target(h));
-                    edges.push((ends, Kind::Own, connectivity.edge(h).0, patch));
+                    let ends = sort_pair(connectivity.origin(h), connectivity.target(h));
+                    edges.push((ends, EdgeKind::Input, connectivity.edge(h).0, patch));
                 }
             }
             return edges;
@@ -68,12 +68,12 @@ impl<const D: usize> Assembly<'_, D> {
         let polygon = self.polygon(patch);
         let mut border: Vec<[VertexId; 2]> = vec![];
         for (c, corner) in polygon.corners.iter().enumerate() {
-            let ends = sorted(corner.vertex, polygon.corners[corner.next].vertex);
+            let ends = sort_pair(corner.vertex, polygon.corners[corner.next].vertex);
             let (mut length, mut least) = (0, u32::MAX);
-            for h in polygon.chord(c) {
+            for h in polygon.chord_edges(c) {
                 (length, least) = (length + 1, least.min(connectivity.edge(h).0));
             }
-            edges.push((ends, if length == 1 { Kind::Own } else { Kind::Chord }, least, patch));
+            edges.push((ends, if length == 1 { EdgeKind::Input } else { EdgeKind::Chord }, least, patch));
             border.push(ends);
         }
         border.sort_unstable();
@@ -82,40 +82,40 @@ impl<const D: usize> Assembly<'_, D> {
                 let [a, b] = [triangle[side], triangle[(side + 1) % 3]].map(VertexId);
                 // Both sides list the edge; take it once.
                 if a < b && border.binary_search(&[a, b]).is_err() {
-                    edges.push(([a, b], Kind::Inner, patch, patch));
+                    edges.push(([a, b], EdgeKind::Inner, patch, patch));
                 }
             }
         }
         edges
     }
 
-    fn resolve(&mut self, &(ends, kind, least, patch): &Edge, again: &mut Vec<u32>) {
-        self.tries[patch as usize] = self.tries[patch as usize].saturating_add(1);
-        if self.tries[patch as usize] > 2 * MOST_TRIES {
-            return self.keep(patch, again);
+    fn resolve_edge(&mut self, &(ends, kind, least, patch): &ResultEdge, again: &mut Vec<u32>) {
+        self.attempt_counts[patch as usize] = self.attempt_counts[patch as usize].saturating_add(1);
+        if self.attempt_counts[patch as usize] > 2 * MAX_ATTEMPTS {
+            return self.keep_patch(patch, again);
         }
         match kind {
-            Kind::Own => {}
-            Kind::Inner => {
+            EdgeKind::Input => {}
+            EdgeKind::Inner => {
                 self.forbidden.push((patch, ends));
                 again.push(patch);
             }
-            Kind::Chord => {
+            EdgeKind::Chord => {
                 let polygon = self.polygon(patch);
                 let edge = |h| self.mesh.connectivity.edge(h).0;
-                let chord =
-                    (0..polygon.corners.len()).find(|&c| polygon.chord(c).map(edge).min() == Some(least));
-                let vertex = chord.and_then(|c| polygon.farthest(self.mesh, c));
+                let chord = (0..polygon.corners.len())
+                    .find(|&c| polygon.chord_edges(c).map(edge).min() == Some(least));
+                let vertex = chord.and_then(|c| polygon.find_farthest(self.mesh, c));
                 if let Some((v, _)) = vertex {
-                    self.put_back(v, again);
+                    self.restore_vertex(v, again);
                 }
             }
         }
     }
 
     /// Check the connectivity of the whole result. Edges are valid by now; identical triangles may remain.
-    fn look_at_whole(&mut self, again: &mut Vec<u32>) {
-        let (vertices, triangles, _, patch) = self.output();
+    fn check_connectivity(&mut self, again: &mut Vec<u32>) {
+        let (vertices, triangles, _, patch) = self.build_output();
         let wrong = match Connectivity::from_triangles(vertices.len(), &triangles) {
             Ok(_) => return,
             Err(KernelError::SameVertices(pairs)) => pairs.into_iter().flatten().collect::<Vec<u32>>(),
@@ -127,21 +127,21 @@ impl<const D: usize> Assembly<'_, D> {
         let mut concerned: Vec<u32> = wrong.iter().map(|&t| patch[t as usize]).collect();
         concerned.sort_unstable();
         concerned.dedup();
-        concerned.retain(|&p| !self.kept[p as usize]);
+        concerned.retain(|&p| !self.keeps_triangles[p as usize]);
         for number in concerned {
-            let relief = self.relieved(number, &self.polygon(number), &[]);
+            let relief = self.select_vertices_to_restore(number, &self.polygon(number), &[]);
             match relief {
-                Outcome::PutBack(vertices) => {
-                    self.tries[number as usize] += 1;
-                    vertices.into_iter().for_each(|v| self.put_back(v, again));
+                Outcome::Restore(vertices) => {
+                    self.attempt_counts[number as usize] += 1;
+                    vertices.into_iter().for_each(|v| self.restore_vertex(v, again));
                 }
-                _ => self.keep(number, again),
+                _ => self.keep_patch(number, again),
             }
             again.push(number);
         }
         // Keeping patches changed the result, so check again even if no patch is left to triangulate.
-        if self.once_each(again.clone()).is_empty() {
-            self.look_at_whole(again);
+        if self.sort_unique(again.clone()).is_empty() {
+            self.check_connectivity(again);
         }
     }
 }

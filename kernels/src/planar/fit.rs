@@ -1,18 +1,18 @@
 //! Plane and linear colour function of a patch, fitted from incrementally updated moments.
 
-use crate::base::geometry::{Vec3, cross, dot, norm2, sub, unit};
+use crate::base::geometry::{Vec3, cross, dot, norm2, normalize, sub};
 
 /// Moments of the vertices and triangles of a patch; positions are relative to `origin`.
 #[derive(Clone, Debug)]
 pub struct Moments<const D: usize, const K: usize> {
     origin: Vec3,
     count: f64,
-    places: Vec3,
-    squares: [Vec3; 3],
-    colors: [f64; K],
-    products: [Vec3; K],
+    position_sum: Vec3,
+    position_products: [Vec3; 3],
+    color_sum: [f64; K],
+    color_products: [Vec3; K],
     /// Sum of area-weighted normals.
-    normal: Vec3,
+    normal_sum: Vec3,
 }
 
 impl<const D: usize, const K: usize> Moments<D, K> {
@@ -21,18 +21,18 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         Self {
             origin,
             count: 0.0,
-            places: [0.0; 3],
-            squares: [[0.0; 3]; 3],
-            colors: [0.0; K],
-            products: [[0.0; 3]; K],
-            normal: [0.0; 3],
+            position_sum: [0.0; 3],
+            position_products: [[0.0; 3]; 3],
+            color_sum: [0.0; K],
+            color_products: [[0.0; 3]; K],
+            normal_sum: [0.0; 3],
         }
     }
 
     /// Add the area-weighted normal of a triangle.
     #[inline]
     pub fn add_normal(&mut self, (normal, area): &(Vec3, f64)) {
-        (0..3).for_each(|i| self.normal[i] += normal[i] * area);
+        (0..3).for_each(|i| self.normal_sum[i] += normal[i] * area);
     }
 
     /// Add the position and colour of a vertex.
@@ -41,14 +41,14 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         let at: Vec3 = [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]];
         self.count += 1.0;
         for i in 0..3 {
-            self.places[i] += at[i];
+            self.position_sum[i] += at[i];
             if K > 0 {
-                (0..3).for_each(|j| self.squares[i][j] += at[i] * at[j]);
+                (0..3).for_each(|j| self.position_products[i][j] += at[i] * at[j]);
             }
         }
         for k in 0..K {
-            self.colors[k] += p[3 + k];
-            (0..3).for_each(|i| self.products[k][i] += at[i] * p[3 + k]);
+            self.color_sum[k] += p[3 + k];
+            (0..3).for_each(|i| self.color_products[k][i] += at[i] * p[3 + k]);
         }
     }
 
@@ -59,12 +59,12 @@ impl<const D: usize, const K: usize> Moments<D, K> {
 
     /// Fit the plane through the vertex centroid with the mean normal, and the colour function on it.
     pub fn fit(&self) -> Fit<K> {
-        let normal = unit(&self.normal);
-        let middle = self.places.map(|x| x / self.count);
+        let normal = normalize(&self.normal_sum);
+        let middle = self.position_sum.map(|x| x / self.count);
         let mut fit = Fit {
             normal,
             origin: std::array::from_fn(|i| self.origin[i] + middle[i]),
-            mean: self.colors.map(|c| c / self.count),
+            mean_color: self.color_sum.map(|c| c / self.count),
             gradients: [[0.0; 3]; K],
         };
         if K > 0 {
@@ -74,9 +74,9 @@ impl<const D: usize, const K: usize> Moments<D, K> {
     }
 
     fn fit_gradients(&self, middle: &Vec3, fit: &mut Fit<K>) {
-        let [e, f] = frame(&fit.normal);
+        let [e, f] = complete_frame(&fit.normal);
         let covariance: [Vec3; 3] = std::array::from_fn(|i| {
-            std::array::from_fn(|j| self.squares[i][j] / self.count - middle[i] * middle[j])
+            std::array::from_fn(|j| self.position_products[i][j] / self.count - middle[i] * middle[j])
         });
         let form = |a: &Vec3, b: &Vec3| dot(a, &[0, 1, 2].map(|i| dot(&covariance[i], b)));
         let (ee, ef, ff) = (form(&e, &e), form(&e, &f), form(&f, &f));
@@ -85,8 +85,9 @@ impl<const D: usize, const K: usize> Moments<D, K> {
             return;
         }
         for k in 0..K {
-            let along: Vec3 =
-                std::array::from_fn(|i| self.products[k][i] / self.count - fit.mean[k] * middle[i]);
+            let along: Vec3 = std::array::from_fn(|i| {
+                self.color_products[k][i] / self.count - fit.mean_color[k] * middle[i]
+            });
             let (u, v) = (dot(&along, &e), dot(&along, &f));
             let (a, b) = ((u * ff - v * ef) / determinant, (v * ee - u * ef) / determinant);
             fit.gradients[k] = std::array::from_fn(|i| a * e[i] + b * f[i]);
@@ -99,7 +100,7 @@ impl<const D: usize, const K: usize> Moments<D, K> {
 pub struct Fit<const K: usize> {
     pub normal: Vec3,
     pub origin: Vec3,
-    mean: [f64; K],
+    mean_color: [f64; K],
     gradients: [Vec3; K],
 }
 
@@ -107,21 +108,21 @@ impl<const K: usize> Fit<K> {
     /// Compute the signed height of a vertex over the plane.
     #[inline]
     pub fn height<const D: usize>(&self, p: &[f64; D]) -> f64 {
-        dot(&self.normal, &self.seen_from_origin(p))
+        dot(&self.normal, &self.relative_to_origin(p))
     }
 
     #[inline]
-    fn seen_from_origin<const D: usize>(&self, p: &[f64; D]) -> Vec3 {
+    fn relative_to_origin<const D: usize>(&self, p: &[f64; D]) -> Vec3 {
         [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]]
     }
 
     /// Compute the squared difference between a vertex colour and the linear function.
     #[inline]
     pub fn residual2<const D: usize>(&self, p: &[f64; D]) -> f64 {
-        let at = self.seen_from_origin(p);
+        let at = self.relative_to_origin(p);
         (0..K)
             .map(|k| {
-                let off = p[3 + k] - self.mean[k] - dot(&self.gradients[k], &at);
+                let off = p[3 + k] - self.mean_color[k] - dot(&self.gradients[k], &at);
                 off * off
             })
             .sum()
@@ -129,23 +130,23 @@ impl<const K: usize> Fit<K> {
 
     /// Compute the squared difference between a vertex colour and the mean colour.
     #[inline]
-    pub fn residual2_of_mean<const D: usize>(&self, p: &[f64; D]) -> f64 {
-        (0..K).map(|k| (p[3 + k] - self.mean[k]).powi(2)).sum()
+    pub fn mean_residual2<const D: usize>(&self, p: &[f64; D]) -> f64 {
+        (0..K).map(|k| (p[3 + k] - self.mean_color[k]).powi(2)).sum()
     }
 
     /// Frobenius norm of the gradients, an upper bound of the colour change per length.
-    pub fn gradient(&self) -> f64 {
+    pub fn gradient_norm(&self) -> f64 {
         self.gradients.iter().map(norm2).sum::<f64>().sqrt()
     }
 }
 
 /// Complete a unit normal to a right-handed frame; returns the two tangents.
-pub fn frame(normal: &Vec3) -> [Vec3; 2] {
+pub fn complete_frame(normal: &Vec3) -> [Vec3; 2] {
     // The axis least aligned with the normal gives the most stable projection.
     let axis = (0..3).fold(0, |least, i| if normal[i].abs() < normal[least].abs() { i } else { least });
     let mut across = [0.0; 3];
     across[axis] = 1.0;
     let along = dot(normal, &across);
-    let e = unit(&sub(&across, &normal.map(|x| x * along)));
+    let e = normalize(&sub(&across, &normal.map(|x| x * along)));
     [e, cross(normal, &e)]
 }

@@ -16,42 +16,42 @@
 //! | [`simplify`](simplify()) | main loop |
 //! | [`patches`] | patches, options and result |
 //! | [`fit`] | plane and linear colour function of a patch |
-//! | [`propagate`] | patches of a mesh, grown from the flattest triangles first |
-//! | [`ground`] | shared context and criteria of growth |
+//! | [`segmentation`] | patches of a mesh, grown from the flattest triangles first |
+//! | [`growth_context`] | shared context and criteria of growth |
 //! | [`claims`] | ownership of triangles while patches grow |
-//! | [`growth`] | growth of one patch, layer by layer |
-//! | [`ahead`] | speculative parallel growth of all patches |
-//! | [`absorb`] | absorption of tiny patches by their neighbours |
+//! | [`patch_growth`] | growth of one patch, layer by layer |
+//! | [`speculative_growth`] | speculative parallel growth of all patches |
+//! | [`absorption`] | absorption of tiny patches by their neighbours |
 //! | [`overlap`] | detection of patches that overlap themselves |
 //! | [`border`] | borders as loops of halfedges; border edges per vertex |
-//! | [`straighten`] | straightening of borders |
+//! | [`border_straightening`] | straightening of borders |
 //! | [`polygon`] | straightened loops of a patch, projected along its normal |
-//! | [`retriangulate`] | triangulation of a polygon with holes |
-//! | [`assemble`] | assembly of all patches to a manifold mesh |
-//! | [`assembly`] | state of the assembly |
-//! | [`attempt`] | triangulation of one patch, or the vertices to restore first |
+//! | [`polygon_triangulation`] | triangulation of a polygon with holes |
+//! | [`assembly_loop`] | assembly of all patches to a manifold mesh |
+//! | [`assembly_state`] | state of the assembly |
+//! | [`patch_triangulation`] | triangulation of one patch, or the vertices to restore first |
 //! | [`conflicts`] | conflicts between patches that make the result non-manifold |
-//! | [`reasons`] | reasons why adjacent patches stay separate |
+//! | [`separation_reasons`] | reasons why adjacent patches stay separate |
 
-mod absorb;
-mod ahead;
-pub mod assemble;
-mod assembly;
-mod attempt;
+mod absorption;
+pub mod assembly_loop;
+mod assembly_state;
 pub mod border;
+pub mod border_straightening;
 mod claims;
 mod conflicts;
 pub mod fit;
-mod ground;
-mod growth;
+mod growth_context;
 pub mod overlap;
+mod patch_growth;
+mod patch_triangulation;
 pub mod patches;
 pub mod polygon;
-pub mod propagate;
-pub mod reasons;
-pub mod retriangulate;
+pub mod polygon_triangulation;
+pub mod segmentation;
+pub mod separation_reasons;
 mod simplify;
-pub mod straighten;
+mod speculative_growth;
 
-pub use patches::{Facet, Options, Patch, Patches, Planar, facets, is_border};
+pub use patches::{Facet, Options, Patch, Patches, PlanarMesh, compute_facets, is_border};
 pub use simplify::simplify;

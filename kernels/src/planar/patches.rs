@@ -1,6 +1,6 @@
 //! Patches, the options that limit them, and the simplified mesh.
 
-use crate::base::geometry::{Vec3, cross, norm2, position, sub};
+use crate::base::geometry::{Vec3, cross, norm2, position_of, sub};
 use crate::base::ids::{HalfedgeId, TriangleId};
 use crate::base::parallel::collect;
 use crate::mesh::connectivity::Connectivity;
@@ -55,9 +55,9 @@ impl Patch {
 pub struct Patches {
     pub patches: Vec<Patch>,
     /// Patch of each triangle.
-    pub of: Vec<u32>,
+    pub patch_of_triangle: Vec<u32>,
     /// Number of faces visited during growth, as a measure of cost.
-    pub looks: u64,
+    pub visited_faces: u64,
 }
 
 /// Check whether a halfedge is on the border of its patch.
@@ -69,7 +69,7 @@ pub fn is_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> bool
 
 /// Simplified mesh.
 #[derive(Clone, Debug)]
-pub struct Planar {
+pub struct PlanarMesh {
     pub triangles: Vec<[u32; 3]>,
     /// Input vertex of each vertex, ascending. Positions and attributes are unchanged.
     pub vertex_source: Vec<u32>,
@@ -80,10 +80,10 @@ pub struct Planar {
     /// Upper bounds of the deviation in each patch: distance and colour difference.
     pub bounds: Vec<[f64; 2]>,
     /// True for patches that kept all their triangles.
-    pub kept: Vec<bool>,
+    pub keeps_triangles: Vec<bool>,
     /// Number of input edges between two patches, by the reason that separates them
-    /// ([`super::reasons::REASONS`]).
-    pub refused: [u64; 4],
+    /// ([`super::separation_reasons::REASONS`]).
+    pub separation_counts: [u64; 4],
     pub rounds: usize,
 }
 
@@ -91,9 +91,9 @@ pub struct Planar {
 pub type Facet = (Vec3, f64);
 
 /// Compute the normal and area of each triangle.
-pub fn facets<const D: usize>(mesh: &Mesh<D>, threads: usize) -> Vec<Facet> {
+pub fn compute_facets<const D: usize>(mesh: &Mesh<D>, threads: usize) -> Vec<Facet> {
     collect(mesh.connectivity.triangle_slots(), threads, |t| {
-        let [a, b, c] = mesh.triangle_points(TriangleId::from_index(t)).map(|p| position(&p));
+        let [a, b, c] = mesh.triangle_points(TriangleId::from_index(t)).map(|p| position_of(&p));
         let normal = cross(&sub(&b, &a), &sub(&c, &a));
         let twice = norm2(&normal).sqrt();
         let inverse = if twice > 0.0 { 1.0 / twice } else { 0.0 };

@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::border::Borders;
-use super::fit::frame;
+use super::fit::complete_frame;
 use super::patches::Patch;
-use crate::base::geometry::{Vec3, dot, position, segment_distance2, sub};
+use crate::base::geometry::{Vec3, dot, position_of, segment_distance2, sub};
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
@@ -16,11 +16,11 @@ pub struct Corner {
     pub vertex: VertexId,
     pub halfedge: HalfedgeId,
     /// Position in the plane of the patch, relative to the extent of the loops.
-    pub at: [f64; 2],
+    pub position: [f64; 2],
     pub next: usize,
     /// Index among the halfedges of its loop.
-    place: usize,
-    in_loop: usize,
+    loop_position: usize,
+    loop_index: usize,
 }
 
 /// Corners of a patch, loop by loop, with the patch on the left.
@@ -41,18 +41,29 @@ impl<'a> Polygon<'a> {
         stays: &[bool],
     ) -> Self {
         let connectivity = &mesh.connectivity;
-        let [e, f] = frame(&patch.normal);
-        let mut polygon =
-            Self { connectivity, corners: vec![], loops: vec![], halfedges: borders.loops(number).collect() };
-        for (in_loop, halfedges) in borders.loops(number).enumerate() {
+        let [e, f] = complete_frame(&patch.normal);
+        let mut polygon = Self {
+            connectivity,
+            corners: vec![],
+            loops: vec![],
+            halfedges: borders.trace_patch_loops(number).collect(),
+        };
+        for (in_loop, halfedges) in borders.trace_patch_loops(number).enumerate() {
             let first = polygon.corners.len();
             for (place, &halfedge) in halfedges.iter().enumerate() {
                 let vertex = connectivity.origin(halfedge);
                 if stays[vertex.index()] {
-                    let from = sub(&position(mesh.point(vertex)), &patch.origin);
+                    let from = sub(&position_of(mesh.point(vertex)), &patch.origin);
                     let at = [dot(&e, &from), dot(&f, &from)];
                     let next = polygon.corners.len() + 1;
-                    polygon.corners.push(Corner { vertex, halfedge, at, next, place, in_loop });
+                    polygon.corners.push(Corner {
+                        vertex,
+                        halfedge,
+                        position: at,
+                        next,
+                        loop_position: place,
+                        loop_index: in_loop,
+                    });
                 }
             }
             let end = polygon.corners.len();
@@ -61,36 +72,36 @@ impl<'a> Polygon<'a> {
             }
             polygon.loops.push(first..end);
         }
-        polygon.scale();
+        polygon.scale_to_unit();
         polygon
     }
 
     /// Scale to unit extent, because the triangulator rejects coordinates near the limits of double
     /// precision.
-    fn scale(&mut self) {
-        let extent = self.corners.iter().flat_map(|c| c.at).fold(0.0f64, |most, x| most.max(x.abs()));
+    fn scale_to_unit(&mut self) {
+        let extent = self.corners.iter().flat_map(|c| c.position).fold(0.0f64, |most, x| most.max(x.abs()));
         let settled = |x: f64| if x.abs() < 1e-30 { 0.0 } else { x };
         if extent > 0.0 {
-            self.corners.iter_mut().for_each(|c| c.at = c.at.map(|x| settled(x / extent)));
+            self.corners.iter_mut().for_each(|c| c.position = c.position.map(|x| settled(x / extent)));
         }
     }
 
     /// List the input edges that the chord from a corner to the next one replaces.
-    pub fn chord(&self, corner: usize) -> impl Iterator<Item = HalfedgeId> + '_ {
-        let Corner { place, in_loop, next, .. } = self.corners[corner];
+    pub fn chord_edges(&self, corner: usize) -> impl Iterator<Item = HalfedgeId> + '_ {
+        let Corner { loop_position: place, loop_index: in_loop, next, .. } = self.corners[corner];
         let halfedges = self.halfedges[in_loop];
-        let to = self.corners[next].place;
+        let to = self.corners[next].loop_position;
         let length = if to > place { to - place } else { halfedges.len() + to - place };
         (place..place + length).map(move |i| halfedges[i % halfedges.len()])
     }
 
     /// Find the removed vertex farthest from the chord at a corner, and its distance.
-    pub fn farthest<const D: usize>(&self, mesh: &Mesh<D>, corner: usize) -> Option<(VertexId, f64)> {
-        let point = |v: VertexId| -> Vec3 { position(mesh.point(v)) };
+    pub fn find_farthest<const D: usize>(&self, mesh: &Mesh<D>, corner: usize) -> Option<(VertexId, f64)> {
+        let point = |v: VertexId| -> Vec3 { position_of(mesh.point(v)) };
         let a = point(self.corners[corner].vertex);
         let b = point(self.corners[self.corners[corner].next].vertex);
         let mut best: Option<(VertexId, f64)> = None;
-        for h in self.chord(corner).skip(1) {
+        for h in self.chord_edges(corner).skip(1) {
             let v = self.connectivity.origin(h);
             let away = segment_distance2(&point(v), &a, &b);
             // Break ties by index, so that both sides of the border choose the same vertex.
@@ -102,22 +113,22 @@ impl<'a> Polygon<'a> {
     }
 
     /// List all vertices of loops without corners.
-    pub fn all_of_bare_loops(&self) -> Vec<VertexId> {
+    pub fn vertices_of_empty_loops(&self) -> Vec<VertexId> {
         let bare = self.loops.iter().zip(&self.halfedges).filter(|(range, _)| range.is_empty());
         bare.flat_map(|(_, halfedges)| halfedges.iter().map(|&h| self.connectivity.origin(h))).collect()
     }
 
     /// Check whether all vertices of the loops are kept.
-    pub fn is_whole(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.corners.len() == self.halfedges.iter().map(|l| l.len()).sum::<usize>()
     }
 
     /// Compute twice the signed area of a loop.
-    pub fn area(&self, in_loop: usize) -> f64 {
+    pub fn twice_signed_area(&self, in_loop: usize) -> f64 {
         self.loops[in_loop]
             .clone()
             .map(|i| {
-                let (a, b) = (self.corners[i].at, self.corners[self.corners[i].next].at);
+                let (a, b) = (self.corners[i].position, self.corners[self.corners[i].next].position);
                 a[0] * b[1] - a[1] * b[0]
             })
             .sum()

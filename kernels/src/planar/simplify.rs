@@ -1,8 +1,8 @@
 //! Main loop: grow patches, assemble them, and split folded patches.
 
-use super::assemble::{self, Assembled, Known};
-use super::patches::{Options, Planar, facets};
-use super::propagate;
+use super::assembly_loop::{self, AssemblyResult, EarlierAssembly};
+use super::patches::{Options, PlanarMesh, compute_facets};
+use super::segmentation;
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 use crate::mesh::triangle_mesh::Mesh;
@@ -15,18 +15,19 @@ pub fn simplify<const D: usize, const K: usize>(
     mesh: &Mesh<D>,
     options: &Options,
     progress: &mut Progress,
-) -> Result<Planar, KernelError> {
-    let facets = facets(mesh, options.threads);
-    let mut patches = propagate::propagate::<D, K>(mesh, &facets, options, progress)?;
+) -> Result<PlanarMesh, KernelError> {
+    let facets = compute_facets(mesh, options.threads);
+    let mut patches = segmentation::segment_patches::<D, K>(mesh, &facets, options, progress)?;
     let mut known = None;
     loop {
-        match assemble::assemble(mesh, patches, options, known, progress)? {
-            Assembled::Whole(planar) => return Ok(*planar),
-            Assembled::Folded { patches: found, is_folded, first } => {
+        match assembly_loop::assemble(mesh, patches, options, known, progress)? {
+            AssemblyResult::Complete(planar) => return Ok(*planar),
+            AssemblyResult::Folded { patches: found, is_folded, first } => {
                 let was;
-                (patches, was) =
-                    propagate::separate::<D, K>(mesh, &facets, &found, &is_folded, options, progress)?;
-                known = Some(Known { was, first });
+                (patches, was) = segmentation::split_folded_patches::<D, K>(
+                    mesh, &facets, &found, &is_folded, options, progress,
+                )?;
+                known = Some(EarlierAssembly { earlier_index: was, first_round: first });
             }
         }
     }

@@ -30,32 +30,32 @@ impl Attributes<'_> {
 }
 
 /// Arrays of a mesh, as passed from Python.
-pub struct Inputs<'py> {
+pub struct MeshInputs<'py> {
     pub vertices: PyReadonlyArray2<'py, f64>,
     pub attributes: Attributes<'py>,
     pub triangles: PyReadonlyArray2<'py, i32>,
 }
 
-impl Inputs<'_> {
-    /// Return the attributes per vertex: 0, 1 (intensity) or 3 (RGB) are valid, else [`unknown_attributes`].
+impl MeshInputs<'_> {
+    /// Return the attributes per vertex: 0, 1 (intensity) or 3 (RGB) are valid, else [`unsupported_attributes`].
     pub fn attribute_count(&self) -> usize {
         self.attributes.shape()[1]
     }
 
     /// Return the number of vertices plus triangles.
-    pub fn rows(&self) -> usize {
+    pub fn row_count(&self) -> usize {
         self.vertices.as_array().nrows() + self.triangles.as_array().nrows()
     }
 
     /// Copy points and triangles; checks their shapes and signs.
-    pub fn copied<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
-        let points = points_from::<D>(&self.vertices, &self.attributes)?;
-        let triangles = triangles_from(&self.triangles, points.len())?;
+    pub fn copy_mesh<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
+        let points = copy_points::<D>(&self.vertices, &self.attributes)?;
+        let triangles = copy_triangles(&self.triangles, points.len())?;
         Ok((points, triangles))
     }
 
     /// Copy an array with one value per vertex, or an empty one.
-    pub fn by_vertex<T: Element + Copy>(
+    pub fn per_vertex<T: Element + Copy>(
         &self,
         name: &str,
         values: &PyReadonlyArray1<'_, T>,
@@ -69,22 +69,22 @@ impl Inputs<'_> {
 }
 
 /// Make the error for an unsupported number of attributes.
-pub fn unknown_attributes(k: usize) -> PyErr {
+pub fn unsupported_attributes(k: usize) -> PyErr {
     PyValueError::new_err(format!("{k} attributes per vertex; 0, 1 (intensity) or 3 (RGB) are supported"))
 }
 
 /// Copy vertices and attributes into points; checks their shapes.
-pub fn points_from<const D: usize>(
+pub fn copy_points<const D: usize>(
     vertices: &PyReadonlyArray2<'_, f64>,
     attributes: &Attributes<'_>,
 ) -> PyResult<Vec<[f64; D]>> {
     match attributes {
-        Attributes::Levels(levels) => joined(vertices.as_array(), levels.as_array()),
-        Attributes::Numbers(numbers) => joined(vertices.as_array(), numbers.as_array()),
+        Attributes::Levels(levels) => join_columns(vertices.as_array(), levels.as_array()),
+        Attributes::Numbers(numbers) => join_columns(vertices.as_array(), numbers.as_array()),
     }
 }
 
-fn joined<T: Copy + Into<f64>, const D: usize>(
+fn join_columns<T: Copy + Into<f64>, const D: usize>(
     vertices: ArrayView2<'_, f64>,
     attributes: ArrayView2<'_, T>,
 ) -> PyResult<Vec<[f64; D]>> {
@@ -106,7 +106,7 @@ fn joined<T: Copy + Into<f64>, const D: usize>(
 }
 
 /// Copy triangles; rejects negative indices.
-pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
+pub fn copy_triangles(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
     let triangles = triangles.as_array();
     if triangles.ncols() != 3 {
         return Err(PyValueError::new_err(format!(
@@ -124,7 +124,7 @@ pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) ->
 }
 
 /// Copy some columns of a table. For points, columns 0..3 are the position, and attributes follow.
-pub fn columns<const D: usize>(
+pub fn column_array<const D: usize>(
     py: Python<'_>,
     rows: &[[f64; D]],
     columns: Range<usize>,

@@ -7,16 +7,16 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{rows, triangles_from};
-use super::detached::detached;
-use super::guarded::guarded;
-use crate::atlas::cut::cut;
-use crate::atlas::neighbours::NONE;
-use crate::atlas::pack::pack;
+use super::arrays::{copy_triangles, rows};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use crate::atlas::packing::pack_charts;
+use crate::atlas::segmentation::segment_surface;
 use crate::atlas::texels as under;
+use crate::atlas::triangle_adjacency::NO_TRIANGLE;
 
 /// Pixel indices of texels, their triangles, and barycentric weights.
-type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
+type TexelArrays = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
 
 /// Surface flattened into atlas images.
 #[pyclass(frozen, get_all, module = "scanloom.stages._kernels")]
@@ -46,25 +46,33 @@ pub fn lay_out(
         ));
     }
     let count = vertices.as_array().nrows() + triangles.as_array().nrows();
-    guarded(count + side * side / 64, || {
+    with_memory_reserve(count + side * side / 64, || {
         let points = rows::<f64, 3>(&vertices)?;
-        let triangles = triangles_from(&triangles, points.len())?;
+        let triangles = copy_triangles(&triangles, points.len())?;
         let density = density.as_array().to_vec();
         if density.len() != triangles.len() {
             return Err(PyValueError::new_err("density must have one value for each triangle"));
         }
-        let (charts, packed) = detached(py, Some(&progress), false, |progress| {
-            crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            let charts = cut(&points, &triangles, &density, side, padding, progress)?;
-            let packed = pack(&charts, side, padding, progress)?;
+        let (charts, packed) = run_detached(py, Some(&progress), false, |progress| {
+            crate::mesh::connectivity_builder::check_indices(points.len(), &triangles)?;
+            let charts = segment_surface(&points, &triangles, &density, side, padding, progress)?;
+            let packed = pack_charts(&charts, side, padding, progress)?;
             Ok((charts, packed))
         })?;
         let numbers = |values: Vec<i32>| PyArray1::from_vec(py, values).unbind();
         let corners = packed.corners.into_flattened().into_flattened();
-        let corners = Array3::from_shape_vec((triangles.len(), 3, 2), corners).map_err(shape)?;
+        let corners = Array3::from_shape_vec((triangles.len(), 3, 2), corners).map_err(shape_error)?;
         Ok(LaidOut {
-            charts: numbers(charts.of.iter().map(|&c| if c == NONE { -1 } else { c as i32 }).collect()),
-            pages: numbers(packed.pages.iter().map(|&p| if p == u16::MAX { -1 } else { p.into() }).collect()),
+            charts: numbers(
+                charts
+                    .chart_of_triangle
+                    .iter()
+                    .map(|&c| if c == NO_TRIANGLE { -1 } else { c as i32 })
+                    .collect(),
+            ),
+            pages: numbers(
+                packed.page_of_triangle.iter().map(|&p| if p == u16::MAX { -1 } else { p.into() }).collect(),
+            ),
             corners: corners.into_pyarray(py).unbind(),
             heights: packed.heights,
         })
@@ -81,16 +89,17 @@ pub fn texels(
     page: i32,
     width: usize,
     height: usize,
-) -> PyResult<Found> {
-    guarded(width * height, || {
-        let corners = triangle_corners(&corners)?;
+) -> PyResult<TexelArrays> {
+    with_memory_reserve(width * height, || {
+        let corners = copy_corners(&corners)?;
         let pages = pages.as_array().to_vec();
         if pages.len() != corners.len() {
             return Err(PyValueError::new_err("pages must have one value for each triangle"));
         }
-        let found = py.detach(|| under::texels(&corners, |t| pages[t] == page, width, height));
+        let found = py.detach(|| under::rasterize_texels(&corners, |t| pages[t] == page, width, height));
         let count = found.pixels.len();
-        let shares = Array2::from_shape_vec((count, 3), found.shares.into_flattened()).map_err(shape)?;
+        let shares =
+            Array2::from_shape_vec((count, 3), found.weights.into_flattened()).map_err(shape_error)?;
         Ok((
             PyArray1::from_vec(py, found.pixels).unbind(),
             PyArray1::from_vec(py, found.triangles).unbind(),
@@ -100,7 +109,7 @@ pub fn texels(
 }
 
 /// Copy 2-D triangle corners, m × 3 × 2.
-pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f64; 2]; 3]>> {
+pub fn copy_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f64; 2]; 3]>> {
     let corners = corners.as_array();
     if corners.shape()[1..] != [3, 2] {
         return Err(PyValueError::new_err(format!(
@@ -113,6 +122,6 @@ pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f
 }
 
 /// Convert a shape error to ValueError.
-pub fn shape(error: numpy::ndarray::ShapeError) -> PyErr {
+pub fn shape_error(error: numpy::ndarray::ShapeError) -> PyErr {
     PyValueError::new_err(error.to_string())
 }

@@ -4,15 +4,15 @@ use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
-use super::simplified::{Running, Simplified};
+use super::arrays::{Attributes, MeshInputs, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use super::simplification_result::{Running, Simplified};
+use crate::certified::sample_tracker::LimitKind;
 use crate::certified::simplify::{Options, simplify};
-use crate::certified::tracker::Bound;
 use crate::certify::{self, Deviation};
 use crate::collapse::engine::Refusal;
-use crate::mesh::legality::Illegal;
+use crate::mesh::collapse_legality::IllegalCollapse;
 
 /// Simplified mesh with proven bounds. Pairs are (shape in metres, colour in levels).
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -56,15 +56,15 @@ pub fn simplify_certified(
             "bounds, weight, tolerance and effort must not be negative, and share must be above 0 and at most 1",
         ));
     }
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || {
-        let locked = inputs.by_vertex("locked", &locked)?;
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || {
+        let locked = inputs.per_vertex("locked", &locked)?;
         let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
         let options = Options {
             weight,
-            importance: inputs.by_vertex("importance", &importance)?,
-            share,
-            close,
+            importance: inputs.per_vertex("importance", &importance)?,
+            sample_ratio: share,
+            tight_bounds: close,
             proof: certify::Options { tolerance, effort, ..certify::Options::default() },
             ..Options::new(Deviation { shape: bounds.0, color: bounds.1 })
         };
@@ -72,32 +72,32 @@ pub fn simplify_certified(
             0 => simplify_points::<3, 0>(py, &inputs, locked, &options, &running, &progress),
             1 => simplify_points::<4, 1>(py, &inputs, locked, &options, &running, &progress),
             3 => simplify_points::<6, 3>(py, &inputs, locked, &options, &running, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn simplify_points<const D: usize, const K: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     locked: Vec<bool>,
     options: &Options,
     running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Py<Proven>> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    let result = detached(py, Some(progress), running.partial, |progress| {
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
+    let result = run_detached(py, Some(progress), running.partial, |progress| {
         simplify::<D, K>(points, triangles, locked, options, &running.goal(), progress)
     })?;
     let count = |wanted| result.refused.iter().filter(|r| **r == wanted).count();
     let refused = [
-        ("shape", count(Refusal::Bound(Bound::Shape))),
-        ("color", count(Refusal::Bound(Bound::Color))),
-        ("needle", count(Refusal::Bound(Bound::Needle))),
-        ("topology", count(Refusal::Illegal(Illegal::Topology))),
-        ("bridge", count(Refusal::Illegal(Illegal::Bridge))),
-        ("locked", count(Refusal::Illegal(Illegal::Locked))),
-        ("fold", count(Refusal::Illegal(Illegal::Fold))),
+        ("shape", count(Refusal::ProposalRefused(LimitKind::Shape))),
+        ("color", count(Refusal::ProposalRefused(LimitKind::Color))),
+        ("needle", count(Refusal::ProposalRefused(LimitKind::Needle))),
+        ("topology", count(Refusal::Illegal(IllegalCollapse::Topology))),
+        ("bridge", count(Refusal::Illegal(IllegalCollapse::Bridge))),
+        ("locked", count(Refusal::Illegal(IllegalCollapse::Locked))),
+        ("fold", count(Refusal::Illegal(IllegalCollapse::Fold))),
     ];
     // Certification runs at least once; its last pass checked the result.
     let ([own, original], collapses, attempts) =
@@ -118,7 +118,14 @@ fn simplify_points<const D: usize, const K: usize>(
         iterations: result.passes.len(),
         unproven: (own, original),
     };
-    let simplified =
-        Simplified::new(py, &result.mesh, result.stop, refused, collapses, attempts, &result.way)?;
+    let simplified = Simplified::new(
+        py,
+        &result.mesh,
+        result.stop,
+        refused,
+        collapses,
+        attempts,
+        &result.collapse_sequence,
+    )?;
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(proven))
 }

@@ -4,9 +4,9 @@ use numpy::{PyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, points_from, triangles_from};
-use super::detached::detached;
-use super::guarded::guarded;
+use super::arrays::{Attributes, copy_points, copy_triangles};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
 use crate::certify::{Certificate, Deviation, Options, Surface};
 
 /// Result of `certify`.
@@ -23,7 +23,7 @@ pub struct Certified {
     pieces: u64,
 }
 
-type Soup<'py> = (PyReadonlyArray2<'py, f64>, Attributes<'py>, PyReadonlyArray2<'py, i32>);
+type TriangleSoup<'py> = (PyReadonlyArray2<'py, f64>, Attributes<'py>, PyReadonlyArray2<'py, i32>);
 
 /// Bound the distance between two meshes (vertices, attributes, triangles).
 #[pyfunction]
@@ -31,8 +31,8 @@ type Soup<'py> = (PyReadonlyArray2<'py, f64>, Attributes<'py>, PyReadonlyArray2<
 #[allow(clippy::too_many_arguments)]
 pub fn certify(
     py: Python<'_>,
-    result: Soup<'_>,
-    original: Soup<'_>,
+    result: TriangleSoup<'_>,
+    original: TriangleSoup<'_>,
     tolerance: (f64, f64),
     absolute_tolerance: (f64, f64),
     limit: Option<(f64, f64)>,
@@ -54,37 +54,40 @@ pub fn certify(
         slack,
         threads,
     };
-    let rows = |soup: &Soup<'_>| soup.0.as_array().nrows() + soup.2.as_array().nrows();
-    guarded(rows(&result) + rows(&original), || match (result.1.shape()[1], original.1.shape()[1]) {
-        (0, 0) => certify_points::<3>(py, &result, &original, &options, &progress),
-        (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
-        (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
-        (a, b) => Err(PyValueError::new_err(format!(
-            "{a} and {b} attributes per vertex; 0, 1 (intensity) or 3 (RGB) in both meshes are supported"
-        ))),
+    let rows = |soup: &TriangleSoup<'_>| soup.0.as_array().nrows() + soup.2.as_array().nrows();
+    with_memory_reserve(rows(&result) + rows(&original), || {
+        match (result.1.shape()[1], original.1.shape()[1]) {
+            (0, 0) => certify_points::<3>(py, &result, &original, &options, &progress),
+            (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
+            (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
+            (a, b) => Err(PyValueError::new_err(format!(
+                "{a} and {b} attributes per vertex; 0, 1 (intensity) or 3 (RGB) in both meshes are supported"
+            ))),
+        }
     })
 }
 
 fn certify_points<const D: usize>(
     py: Python<'_>,
-    result: &Soup<'_>,
-    original: &Soup<'_>,
+    result: &TriangleSoup<'_>,
+    original: &TriangleSoup<'_>,
     options: &Options,
     progress: &Py<PyAny>,
 ) -> PyResult<Certified> {
-    let soup = |(vertices, attributes, triangles): &Soup<'_>| {
-        let points = points_from::<D>(vertices, attributes)?;
-        let triangles = triangles_from(triangles, points.len())?;
+    let soup = |(vertices, attributes, triangles): &TriangleSoup<'_>| {
+        let points = copy_points::<D>(vertices, attributes)?;
+        let triangles = copy_triangles(triangles, points.len())?;
         PyResult::Ok((points, triangles))
     };
     let (result, original) = (soup(result)?, soup(original)?);
-    let certificate = detached(py, Some(progress), false, |progress| {
+    let certificate = run_detached(py, Some(progress), false, |progress| {
         let surface = |(points, triangles): (Vec<[f64; D]>, Vec<[u32; 3]>)| {
             Surface::new(&points, &triangles, options.threads)
         };
         crate::certify::certify(&surface(result)?, &surface(original)?, options, progress)
     })?;
-    let Certificate { result, own: _, original, bound, attained, slack, color_slack, pieces } = certificate;
+    let Certificate { result, from_result: _, original, bound, attained, slack, color_slack, pieces } =
+        certificate;
     let array = |bounds: &[Deviation], of: fn(&Deviation) -> f64| {
         PyArray1::from_vec(py, bounds.iter().map(of).collect()).unbind()
     };

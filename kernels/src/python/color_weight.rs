@@ -3,14 +3,14 @@
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
-use crate::base::parallel::threads;
-use crate::mesh::connect::check_indices;
+use super::arrays::{Attributes, MeshInputs, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use crate::base::parallel::resolve_thread_count;
+use crate::mesh::connectivity_builder::check_indices;
 use crate::mesh::triangle_mesh::check_points;
-use crate::quadric::balance::balanced;
-use crate::quadric::trial::affordable;
+use crate::quadric::color_weight::estimate_color_weight;
+use crate::quadric::weight_trial::find_max_color_weight;
 
 /// Compute the length in metres that is equivalent to one attribute level in a result of `target` triangles.
 /// The weight is balanced; with `tried`, it is reduced by a trial simplification to what the triangle count
@@ -26,30 +26,30 @@ pub fn color_weight(
     tried: bool,
     wanted_threads: usize,
 ) -> PyResult<f64> {
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || match inputs.attribute_count() {
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || match inputs.attribute_count() {
         0 => Ok(0.0),
         1 => weight_of_points::<4, 1>(py, &inputs, target, tried, wanted_threads),
         3 => weight_of_points::<6, 3>(py, &inputs, target, tried, wanted_threads),
-        k => Err(unknown_attributes(k)),
+        k => Err(unsupported_attributes(k)),
     })
 }
 
 fn weight_of_points<const D: usize, const K: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     target: usize,
     tried: bool,
     wanted_threads: usize,
 ) -> PyResult<f64> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    let threads = threads(wanted_threads);
-    detached(py, None, false, |progress| {
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
+    let threads = resolve_thread_count(wanted_threads);
+    run_detached(py, None, false, |progress| {
         check_points(&points)?;
         check_indices(points.len(), &triangles)?;
-        let weight = balanced(&points, &triangles, target, threads);
+        let weight = estimate_color_weight(&points, &triangles, target, threads);
         if tried {
-            affordable::<D, K>(&points, &triangles, target, weight, threads, progress)
+            find_max_color_weight::<D, K>(&points, &triangles, target, weight, threads, progress)
         } else {
             Ok(weight)
         }

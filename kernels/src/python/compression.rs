@@ -11,21 +11,21 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use super::arrays::triangle_array;
-use super::guarded::guarded;
+use super::memory_guard::with_memory_reserve;
 use crate::base::errors::KernelError;
-use crate::base::reserve::is_there;
-use crate::mesh::connect::check_indices;
+use crate::base::memory_reserve::is_allocatable;
+use crate::mesh::connectivity_builder::check_indices;
 
 /// Version of the vertex codec that the extension specifies; the index codec uses the default of the library.
-const VERSION: i32 = 0;
+const CODEC_VERSION: i32 = 0;
 /// Without effect in that version.
-const LEVEL: i32 = 2;
+const CODEC_LEVEL: i32 = 2;
 /// Maximum decoded bytes (vertex codec) and indices (index codec) per encoded byte. A block of 256 equal rows
 /// takes a quarter of a byte per column; a triangle takes a byte.
-const MOST_IN_A_BYTE: usize = 1024;
-const INDICES_IN_A_BYTE: usize = 3;
+const MAX_BYTES_PER_BYTE: usize = 1024;
+const MAX_INDICES_PER_BYTE: usize = 3;
 /// Bytes per vertex and triangle for the ordering: lists of the triangles around vertices, and marks.
-const NEEDED: usize = 64;
+const BYTES_PER_ELEMENT: usize = 64;
 
 /// Reorder triangles (m, 3) and their first corners for compression: each is adjacent to the one before, if
 /// possible.
@@ -36,9 +36,9 @@ pub fn strip_order(
     vertices: usize,
 ) -> PyResult<Py<PyArray2<i32>>> {
     let count = triangles.as_array().nrows();
-    guarded(count.saturating_add(vertices), || {
-        let indices = checked(&triangles, vertices)?;
-        if !is_there(count.saturating_add(vertices).saturating_mul(NEEDED)) {
+    with_memory_reserve(count.saturating_add(vertices), || {
+        let indices = copy_indices(&triangles, vertices)?;
+        if !is_allocatable(count.saturating_add(vertices).saturating_mul(BYTES_PER_ELEMENT)) {
             return Err(KernelError::OutOfMemory.into());
         }
         let ordered = py.detach(|| {
@@ -68,7 +68,7 @@ pub fn encode_rows(py: Python<'_>, rows: PyReadonlyArray2<'_, u8>) -> PyResult<P
             "a row has {size} bytes; it must have a multiple of 4 up to 256"
         )));
     }
-    guarded(count.saturating_mul(size) / 8, || {
+    with_memory_reserve(count.saturating_mul(size) / 8, || {
         let bytes: Vec<u8> = rows.as_array().iter().copied().collect();
         let packed = py.detach(|| {
             // SAFETY: the function only computes with two integers.
@@ -81,14 +81,14 @@ pub fn encode_rows(py: Python<'_>, rows: PyReadonlyArray2<'_, u8>) -> PyResult<P
                     bytes.as_ptr().cast(),
                     count,
                     size,
-                    LEVEL,
-                    VERSION,
+                    CODEC_LEVEL,
+                    CODEC_VERSION,
                 )
             };
             packed.truncate(used);
             packed
         });
-        bytes_of(py, &packed)
+        copy_to_bytes(py, &packed)
     })
 }
 
@@ -99,8 +99,8 @@ pub fn encode_triangles(
     triangles: PyReadonlyArray2<'_, i32>,
     vertices: usize,
 ) -> PyResult<Py<PyBytes>> {
-    guarded(triangles.as_array().nrows(), || {
-        let indices = checked(&triangles, vertices)?;
+    with_memory_reserve(triangles.as_array().nrows(), || {
+        let indices = copy_indices(&triangles, vertices)?;
         let packed = py.detach(|| {
             // SAFETY: the function only computes with two integers.
             let bound = unsafe { ffi::meshopt_encodeIndexBufferBound(indices.len(), vertices) };
@@ -117,7 +117,7 @@ pub fn encode_triangles(
             packed.truncate(used);
             packed
         });
-        bytes_of(py, &packed)
+        copy_to_bytes(py, &packed)
     })
 }
 
@@ -137,8 +137,8 @@ pub fn decode_rows(
             "a row has {size} bytes; it must have a multiple of 4 up to 256"
         )));
     }
-    let undo = undoing(filtered, size)?;
-    require_held(count.saturating_mul(size), packed.len(), MOST_IN_A_BYTE)?;
+    let undo = filter_decoder(filtered, size)?;
+    check_decoded_size(count.saturating_mul(size), packed.len(), MAX_BYTES_PER_BYTE)?;
     let filled = PyBytes::new_with(py, count * size, |rows| {
         // SAFETY: the output has `count` rows of `size` bytes, and the decoder reads at most `packed.len()`
         // bytes.
@@ -152,10 +152,10 @@ pub fn decode_rows(
             )
         };
         if code != 0 {
-            return Err(damaged());
+            return Err(damaged_error());
         }
         if let Some(undo) = undo {
-            // SAFETY: as above; `undoing` has checked that the filter accepts `size`.
+            // SAFETY: as above; `filter_decoder` has checked that the filter accepts `size`.
             unsafe { undo(rows.as_mut_ptr().cast(), count, size) };
         }
         Ok(())
@@ -184,12 +184,12 @@ pub fn decode_indices(
             )));
         }
     };
-    require_held(count, packed.len(), INDICES_IN_A_BYTE)?;
+    check_decoded_size(count, packed.len(), MAX_INDICES_PER_BYTE)?;
     let filled = PyBytes::new_with(py, count * size, |indices| {
         // SAFETY: the output has `count` indices of `size` bytes, and the decoder reads at most
         // `packed.len()` bytes.
         let code = unsafe { decode(indices.as_mut_ptr().cast(), count, size, packed.as_ptr(), packed.len()) };
-        if code == 0 { Ok(()) } else { Err(damaged()) }
+        if code == 0 { Ok(()) } else { Err(damaged_error()) }
     })?;
     Ok(filled.unbind())
 }
@@ -197,7 +197,7 @@ pub fn decode_indices(
 type Filter = unsafe extern "C" fn(*mut std::os::raw::c_void, usize, usize);
 
 /// Return the function that undoes a filter in place; None for "NONE".
-fn undoing(filter: &str, size: usize) -> PyResult<Option<Filter>> {
+fn filter_decoder(filter: &str, size: usize) -> PyResult<Option<Filter>> {
     let (undo, fits): (Filter, bool) = match filter {
         "NONE" => return Ok(None),
         "OCTAHEDRAL" => (ffi::meshopt_decodeFilterOct, size == 4 || size == 8),
@@ -213,18 +213,18 @@ fn undoing(filter: &str, size: usize) -> PyResult<Option<Filter>> {
 
 /// Reject a decoded size that the encoded data cannot produce, so that a few bytes cannot request any amount
 /// of memory.
-fn require_held(asked: usize, held: usize, most: usize) -> PyResult<()> {
+fn check_decoded_size(asked: usize, held: usize, most: usize) -> PyResult<()> {
     if asked > held.saturating_mul(most) {
-        return Err(damaged());
+        return Err(damaged_error());
     }
     Ok(())
 }
 
-fn damaged() -> PyErr {
+fn damaged_error() -> PyErr {
     PyValueError::new_err("the data is damaged or truncated")
 }
 
-fn checked(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<u32>> {
+fn copy_indices(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<u32>> {
     let rows = triangles.as_array();
     if rows.ncols() != 3 {
         return Err(PyValueError::new_err("triangles must be m × 3"));
@@ -237,7 +237,7 @@ fn checked(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<V
 }
 
 /// Copy to Python bytes; raises MemoryError if Python cannot allocate them.
-fn bytes_of(py: Python<'_>, packed: &[u8]) -> PyResult<Py<PyBytes>> {
+fn copy_to_bytes(py: Python<'_>, packed: &[u8]) -> PyResult<Py<PyBytes>> {
     let filled = PyBytes::new_with(py, packed.len(), |bytes| {
         bytes.copy_from_slice(packed);
         Ok(())

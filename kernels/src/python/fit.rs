@@ -4,14 +4,14 @@ use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, columns, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
+use super::arrays::{Attributes, MeshInputs, column_array, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
 use crate::base::ids::VertexId;
-use crate::base::parallel::threads;
-use crate::collapse::whole::Whole;
-use crate::fitting::fit::Input;
-use crate::mesh::connect::check_indices;
+use crate::base::parallel::resolve_thread_count;
+use crate::collapse::whole_mesh::WholeMesh;
+use crate::fitting::least_squares::FitInput;
+use crate::mesh::connectivity_builder::check_indices;
 use crate::mesh::triangle_mesh::check_points;
 
 /// Vertices and attributes.
@@ -36,34 +36,34 @@ pub fn fit(
     threads: usize,
     progress: Py<PyAny>,
 ) -> PyResult<Points> {
-    let result = Inputs { vertices, attributes, triangles };
-    let original = Inputs {
+    let result = MeshInputs { vertices, attributes, triangles };
+    let original = MeshInputs {
         vertices: original_vertices,
         attributes: original_attributes,
         triangles: original_triangles,
     };
-    guarded(result.rows() + original.rows(), || {
-        let locked = result.by_vertex("locked", &locked)?;
+    with_memory_reserve(result.row_count() + original.row_count(), || {
+        let locked = result.per_vertex("locked", &locked)?;
         match result.attribute_count() {
             0 => fit_points::<3>(py, &result, locked, &original, &became, threads, &progress),
             1 => fit_points::<4>(py, &result, locked, &original, &became, threads, &progress),
             3 => fit_points::<6>(py, &result, locked, &original, &became, threads, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn fit_points<const D: usize>(
     py: Python<'_>,
-    result: &Inputs<'_>,
+    result: &MeshInputs<'_>,
     locked: Vec<bool>,
-    original: &Inputs<'_>,
+    original: &MeshInputs<'_>,
     became: &PyReadonlyArray1<'_, i32>,
     wanted_threads: usize,
     progress: &Py<PyAny>,
 ) -> PyResult<Points> {
-    let (points, triangles) = result.copied::<D>()?;
-    let (original_points, original_triangles) = original.copied::<D>()?;
+    let (points, triangles) = result.copy_mesh::<D>()?;
+    let (original_points, original_triangles) = original.copy_mesh::<D>()?;
     let vertices = points.len();
     let became: Vec<VertexId> = became
         .as_array()
@@ -73,14 +73,20 @@ fn fit_points<const D: usize>(
     if became.len() != original_points.len() {
         return Err(PyValueError::new_err("became must have one value for each original vertex"));
     }
-    let points = detached(py, Some(progress), false, |progress| {
-        let whole = Whole::<D, ()>::new(points, triangles, locked)?;
+    let points = run_detached(py, Some(progress), false, |progress| {
+        let whole = WholeMesh::<D, ()>::new(points, triangles, locked)?;
         check_points(&original_points)?;
         check_indices(original_points.len(), &original_triangles)?;
-        let mut mesh = whole.connected()?;
-        let input = Input { points: &original_points, triangles: &original_triangles, became: &became };
-        crate::fitting::fit::fit(&mut mesh, &input, threads(wanted_threads), progress)?;
+        let mut mesh = whole.into_connected()?;
+        let input =
+            FitInput { points: &original_points, triangles: &original_triangles, vertex_map: &became };
+        crate::fitting::least_squares::fit(
+            &mut mesh,
+            &input,
+            resolve_thread_count(wanted_threads),
+            progress,
+        )?;
         Ok(mesh.points)
     })?;
-    Ok((columns(py, &points, 0..3)?, columns(py, &points, 3..D)?))
+    Ok((column_array(py, &points, 0..3)?, column_array(py, &points, 3..D)?))
 }

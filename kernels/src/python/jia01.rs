@@ -4,16 +4,16 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
-use super::simplified::{Running, Simplified};
+use super::arrays::{Attributes, MeshInputs, column_array, id_array, triangle_array, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use super::simplification_result::{Running, Simplified};
 use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
-use crate::base::parallel::{fill, threads};
-use crate::collapse::whole::Whole;
-use crate::jia01::{self, Limits, Options, Refused};
-use crate::mesh::triangle_mesh::Compact;
+use crate::base::parallel::{fill, resolve_thread_count};
+use crate::collapse::whole_mesh::WholeMesh;
+use crate::jia01::{self, JiaRefusals, Limits, Options};
+use crate::mesh::triangle_mesh::CompactMesh;
 
 /// Mesh simplified with JIA01, with the largest accumulated changes.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -22,11 +22,12 @@ pub struct BySums {
     largest_shape_change: f64,
     largest_texture_change: f64,
     /// Input of the collapses after edge splitting, if collapses were recorded and edges were split.
-    split: Option<Split>,
+    split: Option<SplitMesh>,
 }
 
 /// Vertices, attributes and triangles of a mesh, and the input vertex and input triangle of each.
-type Split = (Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<i32>>, Py<PyArray1<i32>>);
+type SplitMesh =
+    (Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<i32>>, Py<PyArray1<i32>>);
 
 /// Simplify a mesh with JIA01. Infinity disables a bound.
 #[pyfunction]
@@ -64,31 +65,31 @@ pub fn simplify(
             "bounds and attribute_scale must not be negative, and the length bound must be above 0",
         ));
     }
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || {
-        let locked = inputs.by_vertex("locked", &locked)?;
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || {
+        let locked = inputs.per_vertex("locked", &locked)?;
         match inputs.attribute_count() {
             0 => simplify_points::<3>(py, &inputs, locked, &options, &running, &progress),
             1 => simplify_points::<4>(py, &inputs, locked, &options, &running, &progress),
             3 => simplify_points::<6>(py, &inputs, locked, &options, &running, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn simplify_points<const D: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     locked: Vec<bool>,
     options: &Options,
     running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Py<BySums>> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    let result = detached(py, Some(progress), running.partial, |progress| {
-        jia01::simplify(Whole::new(points, triangles, locked)?, options, &running.goal(), progress)
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
+    let result = run_detached(py, Some(progress), running.partial, |progress| {
+        jia01::simplify(WholeMesh::new(points, triangles, locked)?, options, &running.goal(), progress)
     })?;
-    let Refused { length, shape, texture, topology, bridge, locked, fold } = result.refused;
+    let JiaRefusals { length, shape, texture, topology, bridge, locked, fold } = result.refused;
     let refused = [
         ("length", length),
         ("shape", shape),
@@ -105,12 +106,12 @@ fn simplify_points<const D: usize>(
         refused,
         result.collapses,
         result.attempts,
-        &result.way,
+        &result.collapse_sequence,
     )?;
-    let split = |mesh: Compact<D>| -> PyResult<Split> {
+    let split = |mesh: CompactMesh<D>| -> PyResult<SplitMesh> {
         Ok((
-            columns(py, &mesh.points, 0..3)?,
-            columns(py, &mesh.points, 3..D)?,
+            column_array(py, &mesh.points, 0..3)?,
+            column_array(py, &mesh.points, 3..D)?,
             triangle_array(py, &mesh.triangles)?,
             id_array(py, mesh.vertex_source.into_iter()),
             id_array(py, mesh.triangle_source.into_iter()),
@@ -120,7 +121,7 @@ fn simplify_points<const D: usize>(
         splits: result.splits,
         largest_shape_change: result.largest_shape_change,
         largest_texture_change: result.largest_texture_change,
-        split: result.split.map(split).transpose()?,
+        split: result.split_mesh.map(split).transpose()?,
     };
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(sums))
 }
@@ -139,7 +140,7 @@ pub fn side_lengths(
     if vertices.ncols() != 3 || triangles.ncols() != 3 {
         return Err(PyValueError::new_err("vertices must be n × 3 and triangles m × 3"));
     }
-    guarded(vertices.nrows() + triangles.nrows(), || {
+    with_memory_reserve(vertices.nrows() + triangles.nrows(), || {
         let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());
         let (points, corners) = (vertices.as_slice().unwrap_or_default(), triangles.as_standard_layout());
         let corners = corners.as_slice().unwrap_or_default();
@@ -152,7 +153,7 @@ pub fn side_lengths(
             [points[first], points[first + 1], points[first + 2]]
         };
         let mut lengths = vec![[0.0; 3]; triangles.nrows()];
-        fill(&mut lengths, threads(wanted_threads), |t| {
+        fill(&mut lengths, resolve_thread_count(wanted_threads), |t| {
             let [a, b, c] = [0, 1, 2].map(|k| point(3 * t + k));
             [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
         });

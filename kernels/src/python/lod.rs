@@ -4,19 +4,19 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
-use super::simplified::Running;
+use super::arrays::{Attributes, MeshInputs, column_array, id_array, triangle_array, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use super::simplification_result::Running;
+use crate::certified::bounded_qem::Rules;
 use crate::certified::simplify;
-use crate::certified::tracked::Rules;
 use crate::certify::{self, Deviation};
-use crate::lod::assemble::{Open, assemble};
-use crate::lod::ladder::{Hierarchy, Options, build};
+use crate::lod::front_assembly::{FrontNode, build_front_mesh};
+use crate::lod::hierarchy::{Hierarchy, Options, build_hierarchy};
 
 /// Minimum ratio of height to longest side for triangles of levels. Above [`certify::NEEDLE`], because other
 /// programs drop thinner triangles: Open3D up to 0.007.
-const THIN: f64 = 0.01;
+const MIN_NEEDLE_RATIO: f64 = 0.01;
 
 /// Hierarchy of levels, nodes from the root down. Pairs are (shape in metres, colour in levels).
 #[pyclass(frozen, get_all)]
@@ -81,39 +81,51 @@ pub fn build_levels(
             "most must be at least 4 triangles, and share above 0 and at most 1",
         ));
     }
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || {
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || {
         let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
         let within = Deviation { shape: first, color: f64::INFINITY };
         let simplify = simplify::Options {
             weight,
-            share,
-            rules: Rules { without_chords: true, single, needle: THIN },
+            sample_ratio: share,
+            rules: Rules {
+                forbid_chords: true,
+                single_precision: single,
+                min_needle_ratio: MIN_NEEDLE_RATIO,
+            },
             ..simplify::Options::new(within)
         };
         let close = certify::Options { tolerance, effort, ..certify::Options::default() };
-        let locked = inputs.by_vertex("locked", &locked)?;
-        let options = Options { first, ratio, most, root, locked, simplify, close };
+        let locked = inputs.per_vertex("locked", &locked)?;
+        let options = Options {
+            first_bound: first,
+            bound_ratio: ratio,
+            max_cell_triangles: most,
+            max_root_triangles: root,
+            locked,
+            simplify,
+            bounding: close,
+        };
         match inputs.attribute_count() {
             0 => build_points::<3, 0>(py, &inputs, &options, &running, &progress),
             1 => build_points::<4, 1>(py, &inputs, &options, &running, &progress),
             3 => build_points::<6, 3>(py, &inputs, &options, &running, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn build_points<const D: usize, const K: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     options: &Options,
     running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Levels> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    let Hierarchy { nodes, forest, stopped, unproven } =
-        detached(py, Some(progress), running.partial, |progress| {
-            build::<D, K>(points, triangles, options, &running.goal(), progress)
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
+    let Hierarchy { nodes, forest, stopped, unproven_count: unproven } =
+        run_detached(py, Some(progress), running.partial, |progress| {
+            build_hierarchy::<D, K>(points, triangles, options, &running.goal(), progress)
         })?;
     let last = nodes.len() as u32;
     let down = || nodes.iter().rev();
@@ -129,13 +141,13 @@ fn build_points<const D: usize, const K: usize>(
         color_bound: numbers(&|n| nodes[n].bound.color),
         shape_attained: numbers(&|n| nodes[n].attained.shape),
         color_attained: numbers(&|n| nodes[n].attained.color),
-        coarse: id_array(py, down().map(|n| n.coarse as u32)),
+        coarse: id_array(py, down().map(|n| n.triangle_count as u32)),
         roots: forest.roots,
-        vertices: columns(py, &forest.points, 0..3)?,
-        attributes: columns(py, &forest.points, 3..D)?,
+        vertices: column_array(py, &forest.points, 0..3)?,
+        attributes: column_array(py, &forest.points, 3..D)?,
         origin: id_array(py, forest.origin.iter().copied()),
-        made: PyArray1::from_vec(py, forest.made).unbind(),
-        born: PyArray1::from_vec(py, forest.born).unbind(),
+        made: PyArray1::from_vec(py, forest.vertices_per_split).unbind(),
+        born: PyArray1::from_vec(py, forest.triangles_per_split).unbind(),
         first_split: offsets(&forest.splits),
         first_triangle: offsets(&forest.starts),
         triangles: triangle_array(py, &forest.triangles)?,
@@ -182,11 +194,11 @@ pub fn assemble_front(
         if !within || below < i64::from(roots) || below > vertices as i64 {
             return Err(PyValueError::new_err("a node of the front is out of range"));
         }
-        front.push(Open { start: start as usize, count: count as usize, below: below as u32 });
+        front.push(FrontNode { start: start as usize, count: count as usize, vertex_limit: below as u32 });
     }
     let rows: usize = front.iter().map(|open| open.count).sum();
-    guarded(rows + vertices, || {
-        let mesh = detached(py, None, false, |_| Ok(assemble(corners, origin, roots, &front)))?;
+    with_memory_reserve(rows + vertices, || {
+        let mesh = run_detached(py, None, false, |_| Ok(build_front_mesh(corners, origin, roots, &front)))?;
         Ok(Front {
             vertices: id_array(py, mesh.vertices.into_iter()),
             triangles: triangle_array(py, &mesh.triangles)?,

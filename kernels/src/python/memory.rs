@@ -1,9 +1,9 @@
-//! `scanloom.stages._kernels.give_back`.
+//! `scanloom.stages._kernels.release_free_memory`.
 
 use pyo3::prelude::*;
 
 /// Return free memory of the allocator to the system.
 #[pyfunction]
 pub fn give_back(py: Python<'_>) {
-    py.detach(crate::base::memory::give_back);
+    py.detach(crate::base::memory::release_free_memory);
 }

@@ -1,21 +1,21 @@
 //! Python bindings, imported as `scanloom.stages._kernels`; one file per kernel.
 //!
-//! Arrays are checked and copied while the GIL is held; the work runs without it (see [`detached`]).
+//! Arrays are checked and copied while the GIL is held; the work runs without it (see [`background_work`]).
 
 mod arrays;
 mod atlas;
+mod background_work;
 mod certified;
 mod certify;
 mod color_weight;
 mod compression;
-mod detached;
 mod fit;
 mod fusion;
-mod guarded;
 mod intersections;
 mod jia01;
 mod lod;
 mod memory;
+mod memory_guard;
 mod nearest;
 mod normal_mesh;
 mod order;
@@ -23,7 +23,7 @@ mod planar;
 mod quadric;
 mod recognition;
 mod seams;
-mod simplified;
+mod simplification_result;
 mod stereo;
 mod texel_sources;
 mod texture;
@@ -33,13 +33,13 @@ use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::base::errors::KernelError;
-use crate::base::reserve::{Allocator, Reserve};
+use crate::base::memory_reserve::{Allocator, Reserve};
 
 #[global_allocator]
 static ALLOCATOR: Allocator = Allocator;
 
 /// Bytes reserved for the lifetime of the module, for exceptions and the like.
-const ALWAYS: usize = 1 << 20;
+const MODULE_RESERVE_BYTES: usize = 1 << 20;
 
 create_exception!(
     scanloom.stages._kernels,
@@ -60,7 +60,7 @@ impl From<KernelError> for PyErr {
             KernelError::OutOfMemory => PyMemoryError::new_err(error.to_string()),
             KernelError::TooManyTriangles { .. }
             | KernelError::TooManyBlocks { .. }
-            | KernelError::BeyondReach { .. } => LimitError::new_err(error.to_string()),
+            | KernelError::OutOfBlockRange { .. } => LimitError::new_err(error.to_string()),
             _ => InvalidMeshError::new_err(error.to_string()),
         }
     }
@@ -68,12 +68,12 @@ impl From<KernelError> for PyErr {
 
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    std::mem::forget(Reserve::new(ALWAYS)?);
+    std::mem::forget(Reserve::new(MODULE_RESERVE_BYTES)?);
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
-    module.add("NEEDLE", crate::certify::NEEDLE)?;
-    module.add_class::<simplified::Running>()?;
-    module.add_class::<simplified::Simplified>()?;
+    module.add("NEEDLE", crate::certify::NEEDLE_RATIO)?;
+    module.add_class::<simplification_result::Running>()?;
+    module.add_class::<simplification_result::Simplified>()?;
     module.add_class::<quadric::ByQuadrics>()?;
     module.add_function(wrap_pyfunction!(quadric::simplify_by_quadrics, module)?)?;
     module.add_class::<seams::BySeams>()?;

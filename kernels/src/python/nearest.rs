@@ -5,19 +5,19 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{rows, triangles_from};
-use super::atlas::shape;
-use super::guarded::guarded;
+use super::arrays::{copy_triangles, rows};
+use super::atlas::shape_error;
+use super::memory_guard::with_memory_reserve;
 use crate::base::geometry::Vec3;
-use crate::base::parallel::threads;
-use crate::texture::nearest::{Located, Surface};
+use crate::base::parallel::resolve_thread_count;
+use crate::texture::nearest_points::{SearchableSurface, SurfacePoint};
 
 /// Triangles, barycentric weights, and distances or flags of replaced points.
-type Found<T> = (Py<PyArray1<i32>>, Py<PyArray2<f64>>, Py<PyArray1<T>>);
+type NearestArrays<T> = (Py<PyArray1<i32>>, Py<PyArray2<f64>>, Py<PyArray1<T>>);
 
 /// Surface with a search tree for nearest-point queries.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
-pub struct NearestSurface(Surface);
+pub struct NearestSurface(SearchableSurface);
 
 #[pymethods]
 impl NearestSurface {
@@ -29,14 +29,16 @@ impl NearestSurface {
         triangles: PyReadonlyArray2<'_, i32>,
         wanted_threads: usize,
     ) -> PyResult<Self> {
-        guarded(vertices.as_array().nrows() + triangles.as_array().nrows(), || {
-            let points = positions(&vertices)?;
-            let triangles = triangles_from(&triangles, points.len())?;
-            crate::mesh::connect::check_indices(points.len(), &triangles)?;
+        with_memory_reserve(vertices.as_array().nrows() + triangles.as_array().nrows(), || {
+            let points = copy_positions(&vertices)?;
+            let triangles = copy_triangles(&triangles, points.len())?;
+            crate::mesh::connectivity_builder::check_indices(points.len(), &triangles)?;
             if triangles.is_empty() {
                 return Err(PyValueError::new_err("a surface needs a triangle"));
             }
-            Ok(Self(py.detach(|| Surface::new(&points, &triangles, threads(wanted_threads)))))
+            Ok(Self(py.detach(|| {
+                SearchableSurface::new(&points, &triangles, resolve_thread_count(wanted_threads))
+            })))
         })
     }
 
@@ -48,11 +50,12 @@ impl NearestSurface {
         py: Python<'_>,
         points: PyReadonlyArray2<'_, f64>,
         wanted_threads: usize,
-    ) -> PyResult<Found<f64>> {
-        guarded(points.as_array().nrows(), || {
-            let points = positions(&points)?;
-            let found = py.detach(|| self.0.closest(&points, threads(wanted_threads)));
-            arrays(py, &found, |one| one.distance)
+    ) -> PyResult<NearestArrays<f64>> {
+        with_memory_reserve(points.as_array().nrows(), || {
+            let points = copy_positions(&points)?;
+            let found =
+                py.detach(|| self.0.find_nearest_points(&points, resolve_thread_count(wanted_threads)));
+            to_arrays(py, &found, |one| one.distance)
         })
     }
 
@@ -67,19 +70,21 @@ impl NearestSurface {
         normals: PyReadonlyArray2<'_, f64>,
         reach: f64,
         wanted_threads: usize,
-    ) -> PyResult<Found<bool>> {
-        guarded(points.as_array().nrows(), || {
-            let (points, normals) = (positions(&points)?, positions(&normals)?);
+    ) -> PyResult<NearestArrays<bool>> {
+        with_memory_reserve(points.as_array().nrows(), || {
+            let (points, normals) = (copy_positions(&points)?, copy_positions(&normals)?);
             if points.len() != normals.len() {
                 return Err(PyValueError::new_err("normals must have one row for each point"));
             }
-            let found = py.detach(|| self.0.facing(&points, &normals, reach, threads(wanted_threads)));
-            arrays(py, &found, |one| one.is_turned)
+            let found = py.detach(|| {
+                self.0.find_facing_points(&points, &normals, reach, resolve_thread_count(wanted_threads))
+            });
+            to_arrays(py, &found, |one| one.replaced)
         })
     }
 }
 
-fn positions(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vec3>> {
+fn copy_positions(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vec3>> {
     let found = rows::<f64, 3>(array)?;
     if !found.iter().flatten().all(|x| x.is_finite()) {
         return Err(PyValueError::new_err("an array has values that are not finite"));
@@ -87,15 +92,15 @@ fn positions(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vec3>> {
     Ok(found)
 }
 
-fn arrays<T: numpy::Element>(
+fn to_arrays<T: numpy::Element>(
     py: Python<'_>,
-    found: &[Located],
-    value: impl Fn(&Located) -> T,
-) -> PyResult<Found<T>> {
+    found: &[SurfacePoint],
+    value: impl Fn(&SurfacePoint) -> T,
+) -> PyResult<NearestArrays<T>> {
     let weights: Vec<f64> = found.iter().flat_map(|one| one.weights).collect();
     Ok((
         PyArray1::from_iter(py, found.iter().map(|one| one.triangle as i32)).unbind(),
-        Array2::from_shape_vec((found.len(), 3), weights).map_err(shape)?.into_pyarray(py).unbind(),
+        Array2::from_shape_vec((found.len(), 3), weights).map_err(shape_error)?.into_pyarray(py).unbind(),
         PyArray1::from_iter(py, found.iter().map(value)).unbind(),
     ))
 }

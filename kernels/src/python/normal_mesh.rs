@@ -6,24 +6,24 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use super::arrays::{columns, id_array, rows, triangle_array, triangles_from};
-use super::detached::detached;
-use super::guarded::guarded;
+use super::arrays::{column_array, copy_triangles, id_array, rows, triangle_array};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
 use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
-use crate::base::parallel::threads;
-use crate::normal::carried::{Carried, to_levels};
+use crate::base::parallel::resolve_thread_count;
 use crate::normal::coarsening::Target;
 use crate::normal::decode::decode;
-use crate::normal::grid::Steps;
-use crate::normal::input::Simplified;
+use crate::normal::input::OriginalSurface;
 use crate::normal::level::Level;
-use crate::normal::normal_mesh::{NormalMesh as Made, Step};
+use crate::normal::normal_mesh::{NormalMesh as Made, RefinementStep};
+use crate::normal::quantization::QuantizationSteps;
 use crate::normal::remesh::remesh as make;
 use crate::normal::settings::Settings;
-use crate::normal::tolerance::Source;
+use crate::normal::tolerance::ToleranceSource;
+use crate::normal::vertex_attributes::{VertexAttributes, to_rgb};
 use crate::snm::SnmError as DecodeError;
-use crate::subdivision::contents::{Offset, Scheme};
+use crate::subdivision::snm_contents::{Offset, Scheme};
 
 create_exception!(
     scanloom.stages._kernels,
@@ -54,22 +54,22 @@ impl NormalMesh {
 
     #[getter]
     fn folded(&self) -> Vec<usize> {
-        self.made.origin.as_ref().map_or(vec![], |origin| origin.unsound.clone())
+        self.made.encoder_info.as_ref().map_or(vec![], |origin| origin.fold_counts.clone())
     }
 
     #[getter]
     fn tolerance(&self) -> Option<f64> {
-        self.made.origin.as_ref().map(|origin| origin.tolerance.relative)
+        self.made.encoder_info.as_ref().map(|origin| origin.tolerance.relative)
     }
 
     #[getter]
     fn tolerance_source(&self) -> Option<&'static str> {
-        self.made.origin.as_ref().map(|origin| match origin.tolerance.source {
-            Source::Given => "given",
-            Source::Distance => "distance",
-            Source::Noise => "noise",
-            Source::Bound => "bound",
-            Source::Precision => "precision",
+        self.made.encoder_info.as_ref().map(|origin| match origin.tolerance.source {
+            ToleranceSource::Given => "given",
+            ToleranceSource::Distance => "distance",
+            ToleranceSource::Noise => "noise",
+            ToleranceSource::Bound => "bound",
+            ToleranceSource::Precision => "precision",
         })
     }
 
@@ -90,17 +90,21 @@ impl NormalMesh {
 
     #[getter]
     fn base_source(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray1<i32>>>> {
-        let Some(origin) = &self.made.origin else { return Ok(None) };
-        guarded(origin.base_source.len(), || Ok(Some(id_array(py, origin.base_source.iter().copied()))))
+        let Some(origin) = &self.made.encoder_info else { return Ok(None) };
+        with_memory_reserve(origin.base_source.len(), || {
+            Ok(Some(id_array(py, origin.base_source.iter().copied())))
+        })
     }
 
     #[getter]
     fn reached(&self) -> Vec<f64> {
-        self.made.origin.as_ref().map_or(vec![], |origin| origin.reached.clone())
+        self.made.encoder_info.as_ref().map_or(vec![], |origin| origin.max_distances.clone())
     }
 
     fn vertices(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
-        self.guarded(level, || columns(py, &self.placed(&self.level(level)?.points), 0..3))
+        self.guarded(level, || {
+            column_array(py, &self.to_caller_coordinates(&self.level(level)?.points), 0..3)
+        })
     }
 
     fn triangles(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<i32>>> {
@@ -113,7 +117,7 @@ impl NormalMesh {
             if self.made.header.channels < 3 {
                 return Ok(None);
             }
-            let values: Vec<u8> = channels.iter().flat_map(|&[y, o, g, _]| to_levels([y, o, g])).collect();
+            let values: Vec<u8> = channels.iter().flat_map(|&[y, o, g, _]| to_rgb([y, o, g])).collect();
             Ok(Some(PyArray1::from_vec(py, values).reshape([channels.len(), 3])?.unbind()))
         })
     }
@@ -133,8 +137,8 @@ impl NormalMesh {
     fn hit_triangle(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray1<i32>>>> {
         self.guarded(level, || {
             let count = self.level(level)?.points.len();
-            let Some(origin) = &self.made.origin else { return Ok(None) };
-            Ok(Some(id_array(py, origin.triangles[..count].iter().copied())))
+            let Some(origin) = &self.made.encoder_info else { return Ok(None) };
+            Ok(Some(id_array(py, origin.vertex_triangles[..count].iter().copied())))
         })
     }
 
@@ -154,13 +158,13 @@ impl NormalMesh {
     fn offsets(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
         self.guarded(level, || {
             let (_, step) = self.step(level)?;
-            let steps = Steps::of(&self.made.header, level - 1);
+            let steps = QuantizationSteps::for_level(&self.made.header, level - 1);
             let metres = |offset: &Offset| match offset {
                 Offset::Scalar(d) | Offset::Unrelaxed(d) => [f64::from(*d) * steps.scalar, 0.0, 0.0],
                 Offset::Vector(d) => d.map(|d| f64::from(d) * steps.vector),
             };
             let rows: Vec<Vec3> = step.refinement.offsets.iter().map(metres).collect();
-            columns(py, &rows, 0..3)
+            column_array(py, &rows, 0..3)
         })
     }
 
@@ -172,7 +176,7 @@ impl NormalMesh {
                 Offset::Unrelaxed(_) => step.predicted.unrelaxed[edge],
                 _ => step.predicted.points[edge],
             });
-            columns(py, &self.placed(&from.collect::<Vec<_>>()), 0..3)
+            column_array(py, &self.to_caller_coordinates(&from.collect::<Vec<_>>()), 0..3)
         })
     }
 
@@ -180,7 +184,7 @@ impl NormalMesh {
         self.guarded(level, || {
             let (_, step) = self.step(level)?;
             let normals: Vec<Vec3> = step.predicted.frames.iter().map(|frame| frame[0]).collect();
-            columns(py, &normals, 0..3)
+            column_array(py, &normals, 0..3)
         })
     }
 }
@@ -189,7 +193,7 @@ impl NormalMesh {
     /// Run `work` with a memory reserve for the output of a level.
     fn guarded<R>(&self, level: usize, work: impl FnOnce() -> PyResult<R>) -> PyResult<R> {
         let level = self.level(level)?;
-        guarded(level.points.len() + level.topology.triangles.len(), work)
+        with_memory_reserve(level.points.len() + level.topology.triangles.len(), work)
     }
 
     fn level(&self, level: usize) -> PyResult<&Level> {
@@ -200,7 +204,7 @@ impl NormalMesh {
     }
 
     /// Return the previous level, and the step from it to this level.
-    fn step(&self, level: usize) -> PyResult<(&Level, &Step)> {
+    fn step(&self, level: usize) -> PyResult<(&Level, &RefinementStep)> {
         let none = || PyIndexError::new_err(format!("level {level} has no refinement step"));
         let before = level.checked_sub(1).ok_or_else(none)?;
         let step = self.made.steps.get(before).ok_or_else(none)?;
@@ -208,7 +212,7 @@ impl NormalMesh {
     }
 
     /// Convert points to the caller's coordinates.
-    fn placed(&self, points: &[Vec3]) -> Vec<Vec3> {
+    fn to_caller_coordinates(&self, points: &[Vec3]) -> Vec<Vec3> {
         let header = &self.made.header;
         let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));
         points.iter().map(|p| [0, 1, 2].map(|i| p[i] + shift[i])).collect()
@@ -237,13 +241,13 @@ pub fn remesh(
     tolerance: Option<f64>,
     color_tolerance: f64,
     up: Option<[f64; 3]>,
-    #[pyo3(from_py_with = threads_from)] threads: usize,
+    #[pyo3(from_py_with = extract_thread_count)] threads: usize,
     progress: Py<PyAny>,
 ) -> PyResult<NormalMesh> {
     let (vertices, colors) = (vertices.as_array(), colors.as_array());
     let colored = colors.ncols() > 0;
     let count = vertices.nrows();
-    guarded(count + triangles.as_array().nrows(), || {
+    with_memory_reserve(count + triangles.as_array().nrows(), || {
         let confidence = confidence.as_array().to_vec();
         if vertices.ncols() != 3
             || (colored && colors.dim() != (count, 3))
@@ -262,11 +266,11 @@ pub fn remesh(
         let points: Vec<Vec3> = vertices.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect();
         let colors =
             if colored { colors.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect() } else { vec![] };
-        let triangles = triangles_from(&triangles, points.len())?;
-        let carried = Carried { colors, confidence };
+        let triangles = copy_triangles(&triangles, points.len())?;
+        let carried = VertexAttributes { colors, confidence };
         let settings = Settings {
             levels,
-            target: Target { triangles: base_triangles, error: base_error, at_any_price },
+            target: Target { triangles: base_triangles, error: base_error, ignore_cost_limit: at_any_price },
             max_error,
             scheme: if butterfly { Scheme::Butterfly } else { Scheme::Linear },
             relaxations,
@@ -278,23 +282,24 @@ pub fn remesh(
         let original = match &original {
             Some((vertices, triangles)) => {
                 let points = rows(vertices)?;
-                let triangles = triangles_from(triangles, points.len())?;
+                let triangles = copy_triangles(triangles, points.len())?;
                 Some((points, triangles))
             }
             None => None,
         };
-        let made = detached(py, Some(&progress), false, |progress| {
-            let simplified = original
-                .as_ref()
-                .map(|(points, triangles)| Simplified { from_points: points, from_triangles: triangles });
+        let made = run_detached(py, Some(&progress), false, |progress| {
+            let simplified = original.as_ref().map(|(points, triangles)| OriginalSurface {
+                from_points: points,
+                from_triangles: triangles,
+            });
             make(&points, &triangles, &carried, simplified, &settings, progress)
         })?;
         Ok(NormalMesh { made, damage: None })
     })
 }
 
-fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
-    Ok(threads(wanted.extract()?))
+fn extract_thread_count(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
+    Ok(resolve_thread_count(wanted.extract()?))
 }
 
 /// Decode a file up to a level, −1 for all. Damaged levels after the base mesh are dropped, and `damage`
@@ -302,7 +307,7 @@ fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
 #[pyfunction]
 pub fn decode_normal_mesh(py: Python<'_>, data: &[u8], level: i64) -> PyResult<NormalMesh> {
     let wanted = usize::try_from(level).unwrap_or(usize::MAX);
-    guarded(data.len(), || {
+    with_memory_reserve(data.len(), || {
         let (made, damage) = py.detach(|| decode(data, wanted)).map_err(|error| match error {
             DecodeError::Mesh(KernelError::OutOfMemory) => KernelError::OutOfMemory.into(),
             _ => SnmError::new_err(error.to_string()),

@@ -6,12 +6,14 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
-use crate::base::parallel::threads;
-use crate::mesh::triangle_mesh::{Lock, Mesh};
-use crate::planar::{Options, Patches, Planar, facets, propagate, reasons, simplify};
+use super::arrays::{Attributes, MeshInputs, column_array, id_array, triangle_array, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use crate::base::parallel::resolve_thread_count;
+use crate::mesh::triangle_mesh::{Mesh, VertexLock};
+use crate::planar::{
+    Options, Patches, PlanarMesh, compute_facets, segmentation, separation_reasons, simplify,
+};
 
 /// Near-planar patches of a mesh, largest area first.
 #[pyclass(frozen, get_all, subclass)]
@@ -35,7 +37,7 @@ impl PlanarPatches {
         patches: &Patches,
     ) -> PyResult<Self> {
         let mut input_patch = vec![-1; input_triangles];
-        for (&t, &patch) in mesh.triangle_source.iter().zip(&patches.of) {
+        for (&t, &patch) in mesh.triangle_source.iter().zip(&patches.patch_of_triangle) {
             input_patch[t as usize] = patch as i32;
         }
         let all = &patches.patches;
@@ -43,12 +45,12 @@ impl PlanarPatches {
         let origins: Vec<[f64; 3]> = all.iter().map(|p| p.origin).collect();
         Ok(Self {
             input_patch: PyArray1::from_vec(py, input_patch).unbind(),
-            normals: columns(py, &normals, 0..3)?,
-            origins: columns(py, &origins, 0..3)?,
+            normals: column_array(py, &normals, 0..3)?,
+            origins: column_array(py, &origins, 0..3)?,
             areas: PyArray1::from_vec(py, all.iter().map(|p| p.area).collect()).unbind(),
             thickness: PyArray1::from_vec(py, all.iter().map(|p| p.thickness()).collect()).unbind(),
             faces: id_array(py, all.iter().map(|p| p.faces)),
-            looks: patches.looks,
+            looks: patches.visited_faces,
         })
     }
 }
@@ -70,7 +72,7 @@ pub struct ByPatches {
     is_partial: bool,
 }
 
-fn options(
+fn planar_options(
     labels: &PyReadonlyArray1<'_, i32>,
     triangles: usize,
     cosines: (f64, f64, f64),
@@ -91,11 +93,19 @@ fn options(
     if !labels.is_empty() && labels.len() != triangles {
         return Err(PyValueError::new_err("labels must have one value for each triangle, or be empty"));
     }
-    Ok(Options { labels, fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
+    Ok(Options {
+        labels,
+        fidelity,
+        detail,
+        noise,
+        max_distance,
+        max_color,
+        threads: resolve_thread_count(wanted_threads),
+    })
 }
 
 /// Build a mesh with locked vertices.
-fn mesh_of<const D: usize>(
+fn mesh_with_locks<const D: usize>(
     threads: usize,
     points: Vec<[f64; D]>,
     triangles: &[[u32; 3]],
@@ -103,7 +113,7 @@ fn mesh_of<const D: usize>(
 ) -> Result<Mesh<D>, crate::base::errors::KernelError> {
     let mut mesh = Mesh::<D>::new_on(threads, points, triangles)?;
     for (lock, _) in mesh.locks.iter_mut().zip(locked).filter(|(_, locked)| **locked) {
-        *lock = Lock::Locked;
+        *lock = VertexLock::Locked;
     }
     Ok(mesh)
 }
@@ -126,33 +136,33 @@ pub fn simplify_planar(
     partial: bool,
     progress: Py<PyAny>,
 ) -> PyResult<Py<ByPatches>> {
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || {
-        let locked = inputs.by_vertex("locked", &locked)?;
-        let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || {
+        let locked = inputs.per_vertex("locked", &locked)?;
+        let options = planar_options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
         match inputs.attribute_count() {
             0 => simplify_points::<3, 0>(py, &inputs, &locked, &options, partial, &progress),
             1 => simplify_points::<4, 1>(py, &inputs, &locked, &options, partial, &progress),
             3 => simplify_points::<6, 3>(py, &inputs, &locked, &options, partial, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn simplify_points<const D: usize, const K: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     locked: &[bool],
     options: &Options,
     partial: bool,
     progress: &Py<PyAny>,
 ) -> PyResult<Py<ByPatches>> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    let (mesh, result, is_partial): (Mesh<D>, Planar, bool) =
-        detached(py, Some(progress), partial, |progress| {
-            let mesh = mesh_of(options.threads, points, &triangles, locked)?;
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
+    let (mesh, result, is_partial): (Mesh<D>, PlanarMesh, bool) =
+        run_detached(py, Some(progress), partial, |progress| {
+            let mesh = mesh_with_locks(options.threads, points, &triangles, locked)?;
             let result = simplify::<D, K>(&mesh, options, progress)?;
-            Ok((mesh, result, progress.is_enough()))
+            Ok((mesh, result, progress.is_stopping_early()))
         })?;
     let patches = PlanarPatches::new(py, triangles.len(), &mesh, &result.patches)?;
     let by_patches = ByPatches {
@@ -160,10 +170,10 @@ fn simplify_points<const D: usize, const K: usize>(
         vertex_source: id_array(py, result.vertex_source.iter().copied()),
         triangle_source: id_array(py, result.triangle_source.iter().copied()),
         triangle_patch: id_array(py, result.triangle_patch.iter().copied()),
-        kept: PyArray1::from_vec(py, result.kept).unbind(),
+        kept: PyArray1::from_vec(py, result.keeps_triangles).unbind(),
         bounds: PyArray2::from_vec2(py, &result.bounds.iter().map(|b| b.to_vec()).collect::<Vec<_>>())?
             .unbind(),
-        refused: reasons::REASONS.into_iter().zip(result.refused).collect(),
+        refused: separation_reasons::REASONS.into_iter().zip(result.separation_counts).collect(),
         rounds: result.rounds,
         is_partial,
     };
@@ -185,29 +195,33 @@ pub fn planar_patches(
     threads: usize,
     progress: Py<PyAny>,
 ) -> PyResult<PlanarPatches> {
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || {
-        let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || {
+        let options = planar_options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
         match inputs.attribute_count() {
             0 => patches_of_points::<3, 0>(py, &inputs, &options, &progress),
             1 => patches_of_points::<4, 1>(py, &inputs, &options, &progress),
             3 => patches_of_points::<6, 3>(py, &inputs, &options, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn patches_of_points<const D: usize, const K: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     options: &Options,
     progress: &Py<PyAny>,
 ) -> PyResult<PlanarPatches> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    let (mesh, patches) = detached(py, Some(progress), false, |progress| {
-        let mesh = mesh_of(options.threads, points, &triangles, &[])?;
-        let patches =
-            propagate::propagate::<D, K>(&mesh, &facets(&mesh, options.threads), options, progress)?;
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
+    let (mesh, patches) = run_detached(py, Some(progress), false, |progress| {
+        let mesh = mesh_with_locks(options.threads, points, &triangles, &[])?;
+        let patches = segmentation::segment_patches::<D, K>(
+            &mesh,
+            &compute_facets(&mesh, options.threads),
+            options,
+            progress,
+        )?;
         Ok((mesh, patches))
     })?;
     PlanarPatches::new(py, triangles.len(), &mesh, &patches)

@@ -4,16 +4,16 @@ use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, unknown_attributes};
-use super::detached::detached;
-use super::guarded::guarded;
-use super::simplified::{Running, Simplified};
+use super::arrays::{Attributes, MeshInputs, unsupported_attributes};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use super::simplification_result::{Running, Simplified};
+use crate::collapse::collapse_log::{CollapseSequence, RegionLog};
 use crate::collapse::engine::Refusal;
-use crate::collapse::logs::{Log, Way};
 use crate::collapse::rounds::collapse;
-use crate::collapse::whole::Whole;
-use crate::mesh::legality::Illegal;
-use crate::quadric::qem::QemRecords;
+use crate::collapse::whole_mesh::WholeMesh;
+use crate::mesh::collapse_legality::IllegalCollapse;
+use crate::quadric::qem::QemState;
 
 /// Mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -42,46 +42,46 @@ pub fn simplify_by_quadrics(
     if !(weight >= 0.0 && weight.is_finite()) {
         return Err(PyValueError::new_err("weight must be finite and not negative"));
     }
-    let inputs = Inputs { vertices, attributes, triangles };
-    guarded(inputs.rows(), || {
-        let locked = inputs.by_vertex("locked", &locked)?;
-        let importance = inputs.by_vertex("importance", &importance)?;
+    let inputs = MeshInputs { vertices, attributes, triangles };
+    with_memory_reserve(inputs.row_count(), || {
+        let locked = inputs.per_vertex("locked", &locked)?;
+        let importance = inputs.per_vertex("importance", &importance)?;
         match inputs.attribute_count() {
             0 => simplify_points::<3, 0>(py, &inputs, locked, importance, weight, &running, &progress),
             1 => simplify_points::<4, 1>(py, &inputs, locked, importance, weight, &running, &progress),
             3 => simplify_points::<6, 3>(py, &inputs, locked, importance, weight, &running, &progress),
-            k => Err(unknown_attributes(k)),
+            k => Err(unsupported_attributes(k)),
         }
     })
 }
 
 fn simplify_points<const D: usize, const K: usize>(
     py: Python<'_>,
-    inputs: &Inputs<'_>,
+    inputs: &MeshInputs<'_>,
     locked: Vec<bool>,
     importance: Vec<f64>,
     weight: f64,
     running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Py<ByQuadrics>> {
-    let (points, triangles) = inputs.copied::<D>()?;
+    let (points, triangles) = inputs.copy_mesh::<D>()?;
     let vertices = points.len();
     let (mesh, refused, stop, collapses, became, way, attempts) =
-        detached(py, Some(progress), running.partial, |progress| {
-            let whole = Whole::new(points, triangles, locked)?;
-            let records = QemRecords::<K> { weight, importance };
+        run_detached(py, Some(progress), running.partial, |progress| {
+            let whole = WholeMesh::new(points, triangles, locked)?;
+            let records = QemState::<K> { weight, importance };
             let outcome = collapse(whole, records, &running.goal(), progress)?;
             let refused = outcome.mesh.refused_edges();
             let count = |wanted| refused.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
             let refused = [
-                ("topology", count(Illegal::Topology)),
-                ("bridge", count(Illegal::Bridge)),
-                ("locked", count(Illegal::Locked)),
-                ("fold", count(Illegal::Fold)),
+                ("topology", count(IllegalCollapse::Topology)),
+                ("bridge", count(IllegalCollapse::Bridge)),
+                ("locked", count(IllegalCollapse::Locked)),
+                ("fold", count(IllegalCollapse::Fold)),
             ];
             let mesh = outcome.mesh.into_compact();
-            let became = follow(vertices, &mesh.vertex_source, &outcome.logs);
-            let way = Way::new(&outcome.logs);
+            let became = follow_merges(vertices, &mesh.vertex_source, &outcome.logs);
+            let way = CollapseSequence::new(&outcome.logs);
             Ok((mesh, refused, outcome.stop, outcome.collapses, became, way, outcome.attempts))
         })?;
     let became = PyArray1::from_vec(py, became).unbind();
@@ -90,7 +90,7 @@ fn simplify_points<const D: usize, const K: usize>(
 }
 
 /// Follow the merges in reverse order: a removed vertex ends in the final vertex of its survivor.
-fn follow<const D: usize>(vertices: usize, left: &[u32], logs: &[Log<D>]) -> Vec<i32> {
+fn follow_merges<const D: usize>(vertices: usize, left: &[u32], logs: &[RegionLog<D>]) -> Vec<i32> {
     let mut became = vec![-1; vertices];
     for (new, &v) in left.iter().enumerate() {
         became[v as usize] = new as i32;

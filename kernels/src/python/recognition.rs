@@ -5,15 +5,15 @@ use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::atlas::shape;
-use super::guarded::guarded;
-use crate::recognition::matching::{Descriptor, VALUES, matches};
+use super::atlas::shape_error;
+use super::memory_guard::with_memory_reserve;
+use crate::recognition::matching::{DESCRIPTOR_LENGTH, Descriptor, match_mutual_nearest};
 
 fn descriptors(values: &PyReadonlyArray2<'_, u8>) -> PyResult<Vec<Descriptor>> {
     let values = values.as_array();
-    if values.ncols() != VALUES {
+    if values.ncols() != DESCRIPTOR_LENGTH {
         return Err(PyValueError::new_err(format!(
-            "descriptors have shape {:?}; n × {VALUES} is expected",
+            "descriptors have shape {:?}; n × {DESCRIPTOR_LENGTH} is expected",
             values.shape()
         )));
     }
@@ -34,11 +34,11 @@ pub fn match_descriptors(
     }
     // Per descriptor: bytes, RootSIFT values and the best match, 2.5 rows of 192 bytes.
     let rows = source.as_array().nrows().saturating_add(target.as_array().nrows()).saturating_mul(3);
-    guarded(rows, || {
+    with_memory_reserve(rows, || {
         let (source, target) = (descriptors(&source)?, descriptors(&target)?);
-        let found = py.detach(|| matches(&source, &target, distinct));
+        let found = py.detach(|| match_mutual_nearest(&source, &target, distinct));
         let count = found.len();
         let places = found.into_iter().flatten().map(|place| place as i64).collect();
-        Ok(Array2::from_shape_vec((count, 2), places).map_err(shape)?.into_pyarray(py).unbind())
+        Ok(Array2::from_shape_vec((count, 2), places).map_err(shape_error)?.into_pyarray(py).unbind())
     })
 }

@@ -6,17 +6,17 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{columns, id_array, triangle_array, triangles_from};
-use super::detached::detached;
-use super::guarded::guarded;
-use super::simplified::{Running, stopped_by};
-use crate::certified::along_seams::{self, Within};
-use crate::seams::weld::{TOUCHES_NONE, weld};
-use crate::seams::{Goal, Knobs, Outcome, Refused, Surface, simplify};
+use super::arrays::{column_array, copy_triangles, id_array, triangle_array};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use super::simplification_result::{Running, stop_reason};
+use crate::certified::bounded_seams::{self, SampleBound};
+use crate::seams::welding::{NO_SET, weld};
+use crate::seams::{CostParameters, SeamGoal, SeamRefusals, SeamSurface, SimplifiedSurface, simplify};
 
-/// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::Knobs`.
+/// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::CostParameters`.
 #[pyclass(frozen)]
-pub struct SeamKnobs(Knobs);
+pub struct SeamKnobs(CostParameters);
 
 #[pymethods]
 impl SeamKnobs {
@@ -34,7 +34,7 @@ impl SeamKnobs {
         if !knobs.iter().all(|&x| x >= 0.0) {
             return Err(PyValueError::new_err("penalties and weights must not be negative"));
         }
-        Ok(Self(Knobs { across_materials, across_parts, valence, wedges, shape, seam_drift }))
+        Ok(Self(CostParameters { across_materials, across_parts, valence, wedges, shape, seam_drift }))
     }
 }
 
@@ -61,7 +61,7 @@ pub struct BySeams {
     log: Option<Py<SeamLog>>,
 }
 
-/// Log of all collapses; see `scanloom_kernels::seams::record::Log`.
+/// Log of all collapses; see `scanloom_kernels::seams::progressive_record::Log`.
 #[pyclass(frozen, get_all)]
 pub struct SeamLog {
     removed: Py<PyArray1<i32>>,
@@ -105,9 +105,9 @@ pub fn simplify_seams(
 ) -> PyResult<BySeams> {
     // Each corner counts as a row.
     let count = vertices.as_array().nrows() + 4 * triangles.as_array().nrows();
-    guarded(count, || {
-        let points = rows::<3>(&vertices)?;
-        let triangles = triangles_from(&triangles, points.len())?;
+    with_memory_reserve(count, || {
+        let points = copy_table::<3>(&vertices)?;
+        let triangles = copy_triangles(&triangles, points.len())?;
         let sets = sets.as_array();
         let lengths = [
             (sets.len(), points.len()),
@@ -130,15 +130,15 @@ pub fn simplify_seams(
                 "importance must have one value for each triangle, or be empty",
             ));
         }
-        let within = within.map(|(shape, share, factors)| Within {
+        let within = within.map(|(shape, share, factors)| SampleBound {
             shape,
-            share,
+            sample_ratio: share,
             factors: factors.as_array().iter().map(|&factor| factor as f32).collect(),
         });
         if within.as_ref().is_some_and(|within| within.factors.len() != points.len()) {
             return Err(PyValueError::new_err("within must have one factor for each vertex"));
         }
-        let light = Light {
+        let light = BareSurface {
             points,
             sets: sets.iter().map(|&s| s as u32).collect(),
             triangles,
@@ -148,7 +148,7 @@ pub fn simplify_seams(
             importance,
             locked: locked.as_array().to_vec(),
         };
-        let how = How { knobs: knobs.0, within, fit, running: &running };
+        let how = SeamSettings { knobs: knobs.0, within, fit, running: &running };
         match corners.as_array().ncols() {
             2 => light.simplify::<5, 2>(py, &corners, &how, &progress),
             5 => light.simplify::<8, 5>(py, &corners, &how, &progress),
@@ -158,7 +158,7 @@ pub fn simplify_seams(
     })
 }
 
-/// Manifold sheets of a surface; see `scanloom_kernels::seams::weld`.
+/// Manifold sheets of a surface; see `scanloom_kernels::seams::welding`.
 #[pyclass(frozen, get_all)]
 pub struct WeldedSheets {
     triangles: Py<PyArray2<i32>>,
@@ -174,9 +174,9 @@ pub fn weld_sheets(
     sets: PyReadonlyArray1<'_, i32>,
     triangles: PyReadonlyArray2<'_, i32>,
 ) -> PyResult<WeldedSheets> {
-    guarded(sets.as_array().len() + triangles.as_array().nrows(), || {
+    with_memory_reserve(sets.as_array().len() + triangles.as_array().nrows(), || {
         let sets = sets.as_array();
-        let triangles = triangles_from(&triangles, sets.len())?;
+        let triangles = copy_triangles(&triangles, sets.len())?;
         if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
             return Err(PyValueError::new_err("sets must be vertex indices"));
         }
@@ -184,7 +184,7 @@ pub fn weld_sheets(
         let welded = py.detach(|| weld(&sets, &triangles))?;
         let corners: Vec<[u32; 3]> =
             welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
-        let touches = welded.touching.iter().map(|&set| set != TOUCHES_NONE).collect();
+        let touches = welded.touching.iter().map(|&set| set != NO_SET).collect();
         Ok(WeldedSheets {
             triangles: triangle_array(py, &corners)?,
             triangle_source: id_array(py, welded.triangle_source.into_iter()),
@@ -194,15 +194,15 @@ pub fn weld_sheets(
 }
 
 /// Simplification settings.
-struct How<'a> {
-    knobs: Knobs,
-    within: Option<Within>,
+struct SeamSettings<'a> {
+    knobs: CostParameters,
+    within: Option<SampleBound>,
     fit: bool,
     running: &'a Running,
 }
 
 /// Surface without corner attributes.
-struct Light {
+struct BareSurface {
     points: Vec<[f64; 3]>,
     sets: Vec<u32>,
     triangles: Vec<[u32; 3]>,
@@ -213,39 +213,43 @@ struct Light {
     locked: Vec<bool>,
 }
 
-impl Light {
+impl BareSurface {
     fn simplify<const D: usize, const K: usize>(
         self,
         py: Python<'_>,
         corners: &PyReadonlyArray2<'_, f64>,
-        how: &How<'_>,
+        how: &SeamSettings<'_>,
         progress: &Py<PyAny>,
     ) -> PyResult<BySeams> {
-        let surface = Surface {
+        let surface = SeamSurface {
             points: self.points,
-            sets: self.sets,
+            coincident_sets: self.sets,
             triangles: self.triangles,
-            corners: rows::<K>(corners)?,
+            corners: copy_table::<K>(corners)?,
             textured: self.textured,
             materials: self.materials,
             parts: self.parts,
             importance: self.importance,
             locked: self.locked,
         };
-        let goal = Goal { rounds: how.running.goal(), fit: how.fit };
-        let (outcome, provable) = detached(py, Some(progress), how.running.partial, |progress| {
+        let goal = SeamGoal { rounds: how.running.goal(), fit: how.fit };
+        let (outcome, provable) = run_detached(py, Some(progress), how.running.partial, |progress| {
             let Some(within) = &how.within else {
                 return Ok((simplify::<D, K>(&surface, how.knobs, goal, progress)?, None));
             };
             let (outcome, provable) =
-                along_seams::simplify::<D, K>(&surface, how.knobs, within, goal, progress)?;
+                bounded_seams::simplify::<D, K>(&surface, how.knobs, within, goal, progress)?;
             Ok((outcome, Some(provable)))
         })?;
-        returned(py, outcome, provable)
+        to_result(py, outcome, provable)
     }
 }
 
-fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Option<f64>) -> PyResult<BySeams> {
+fn to_result<const K: usize>(
+    py: Python<'_>,
+    outcome: SimplifiedSurface<K>,
+    provable: Option<f64>,
+) -> PyResult<BySeams> {
     let log = outcome.log.map(|log| {
         let ids = |ids: Vec<u32>| id_array(py, ids.into_iter());
         Py::new(
@@ -253,20 +257,20 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Optio
             SeamLog {
                 removed: ids(log.removed),
                 survivor: ids(log.survivor),
-                places: columns(py, &log.places, 0..3)?,
+                places: column_array(py, &log.survivor_points, 0..3)?,
                 wedge_removed: ids(log.wedge_removed),
                 wedge_survivor: ids(log.wedge_survivor),
-                wedge_when: ids(log.wedge_when),
-                changed: ids(log.changed),
-                changed_to: columns(py, &log.changed_to, 0..K)?,
+                wedge_when: ids(log.wedge_collapse_index),
+                changed: ids(log.changed_wedges),
+                changed_to: column_array(py, &log.changed_attributes, 0..K)?,
                 changed_source: ids(log.changed_source),
-                changed_when: ids(log.changed_when),
+                changed_when: ids(log.changed_collapse_index),
                 corner_wedge: ids(log.corner_wedge),
                 corner_vertex: ids(log.corner_vertex),
             },
         )
     });
-    let Refused { topology, bridge, locked, fold, seam, chart, drift, shape, needle } = outcome.refused;
+    let SeamRefusals { topology, bridge, locked, fold, seam, chart, drift, shape, needle } = outcome.refused;
     let refused = [
         ("topology", topology),
         ("bridge", bridge),
@@ -279,13 +283,13 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Optio
         ("needle", needle),
     ];
     Ok(BySeams {
-        vertices: columns(py, &outcome.points, 0..3)?,
+        vertices: column_array(py, &outcome.points, 0..3)?,
         triangles: triangle_array(py, &outcome.triangles)?,
-        corners: columns(py, &outcome.corners, 0..K)?,
+        corners: column_array(py, &outcome.corners, 0..K)?,
         corner_source: id_array(py, outcome.corner_source.into_iter()),
         vertex_source: id_array(py, outcome.vertex_source.into_iter()),
         triangle_source: id_array(py, outcome.triangle_source.into_iter()),
-        stopped_by: stopped_by(outcome.stop),
+        stopped_by: stop_reason(outcome.stop),
         refused: refused.into(),
         collapses: outcome.collapses as u64,
         attempts: outcome.attempts,
@@ -296,7 +300,7 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Optio
     })
 }
 
-fn rows<const K: usize>(table: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; K]>> {
+fn copy_table<const K: usize>(table: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; K]>> {
     let table = table.as_array();
     if table.ncols() != K {
         return Err(PyValueError::new_err(format!(

@@ -1,27 +1,27 @@
-//! `scanloom.stages._kernels.match_pair`, `sweep_planes`, `agreeing`, `inside_all`, `not_before`,
-//! `first_inside` and `weighted_medians`.
+//! `scanloom.stages._kernels.match_stereo_pair`, `sweep_planes`, `agreeing`, `is_inside_all_masks`, `count_unoccluded_views`,
+//! `find_hull_entry` and `compute_weighted_medians`.
 
 use numpy::ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::atlas::shape;
-use super::detached::detached;
-use super::guarded::guarded;
-use crate::base::parallel::threads;
-use crate::stereo::median::weighted_medians as medians_of;
-use crate::stereo::planes::{Bound, Partner, Shown, words};
-use crate::stereo::ranges::Ranges;
-use crate::stereo::seen_by::{Matrix, Other};
-use crate::stereo::volume::{LANES, Search, Size};
+use super::atlas::shape_error;
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use crate::base::parallel::resolve_thread_count;
+use crate::stereo::cost_volume::{DisparityRange, ImageSize, LANES};
+use crate::stereo::cross_view_checks::{OtherView, PixelProjection};
+use crate::stereo::hypothesis_ranges::HypothesisRanges;
+use crate::stereo::plane_sweep::{HullBound, PartnerView, PixelContent, describe_pixels};
+use crate::stereo::weighted_median::compute_weighted_medians as medians_of;
 
-type Image<'py> = PyReadonlyArray3<'py, u8>;
-type Map<T> = Py<PyArray2<T>>;
+type RgbArray<'py> = PyReadonlyArray3<'py, u8>;
+type ImageArray<T> = Py<PyArray2<T>>;
 /// Disparity of the left and of the right image; path sum, margin and cost of the best disparity.
-type Found = (Map<f32>, Map<f32>, Map<i16>, Map<i16>, Map<i16>);
+type MatchArrays = (ImageArray<f32>, ImageArray<f32>, ImageArray<i16>, ImageArray<i16>, ImageArray<i16>);
 
-fn pixels(image: &Image<'_>) -> PyResult<(Vec<[u8; 3]>, Size)> {
+fn copy_image(image: &RgbArray<'_>) -> PyResult<(Vec<[u8; 3]>, ImageSize)> {
     let levels = image.as_array();
     let [height, width, 3] = *levels.shape() else {
         return Err(PyValueError::new_err(format!(
@@ -34,16 +34,19 @@ fn pixels(image: &Image<'_>) -> PyResult<(Vec<[u8; 3]>, Size)> {
     }
     let standard = levels.as_standard_layout();
     let chunks = standard.as_slice().unwrap_or_default().chunks_exact(3);
-    Ok((chunks.map(|c| [c[0], c[1], c[2]]).collect(), Size { width, height }))
+    Ok((chunks.map(|c| [c[0], c[1], c[2]]).collect(), ImageSize { width, height }))
 }
 
-fn map<T: Element>(py: Python<'_>, size: Size, values: Vec<T>) -> PyResult<Map<T>> {
-    Ok(Array2::from_shape_vec((size.height, size.width), values).map_err(shape)?.into_pyarray(py).unbind())
+fn image_array<T: Element>(py: Python<'_>, size: ImageSize, values: Vec<T>) -> PyResult<ImageArray<T>> {
+    Ok(Array2::from_shape_vec((size.height, size.width), values)
+        .map_err(shape_error)?
+        .into_pyarray(py)
+        .unbind())
 }
 
 /// Estimate the memory of a search, in rows of 192 bytes: three volumes of two bytes per value.
-fn rows_of(size: Size, count: usize) -> usize {
-    size.pixels().saturating_mul(count.saturating_mul(6) / 192 + 1)
+fn reserve_rows(size: ImageSize, count: usize) -> usize {
+    size.pixel_count().saturating_mul(count.saturating_mul(6) / 192 + 1)
 }
 
 /// Compute the disparities of a rectified pair by semi-global matching.
@@ -51,12 +54,12 @@ fn rows_of(size: Size, count: usize) -> usize {
 #[pyo3(signature = (left, right, *, lowest, count, wanted_threads))]
 pub fn match_pair(
     py: Python<'_>,
-    left: Image<'_>,
-    right: Image<'_>,
+    left: RgbArray<'_>,
+    right: RgbArray<'_>,
     lowest: i32,
     count: usize,
     wanted_threads: usize,
-) -> PyResult<Found> {
+) -> PyResult<MatchArrays> {
     let [height, width, _] = *left.as_array().shape() else { unreachable!("an array of three dimensions") };
     if left.as_array().shape() != right.as_array().shape() {
         return Err(PyValueError::new_err("the two images have different sizes"));
@@ -66,31 +69,31 @@ pub fn match_pair(
             "{count} disparities from {lowest} on; a multiple of {LANES} up to 16384 is expected"
         )));
     }
-    guarded(rows_of(Size { width, height }, count), || {
-        let ((left, size), (right, _)) = (pixels(&left)?, pixels(&right)?);
-        let threads = threads(wanted_threads);
-        let search = Search { lowest, count };
-        let found = detached(py, None, false, |progress| {
-            crate::stereo::match_pair(&left, &right, size, search, threads, progress)
+    with_memory_reserve(reserve_rows(ImageSize { width, height }, count), || {
+        let ((left, size), (right, _)) = (copy_image(&left)?, copy_image(&right)?);
+        let threads = resolve_thread_count(wanted_threads);
+        let search = DisparityRange { lowest, count };
+        let found = run_detached(py, None, false, |progress| {
+            crate::stereo::match_stereo_pair(&left, &right, size, search, threads, progress)
         })?;
         Ok((
-            map(py, size, found.disparity)?,
-            map(py, size, found.of_right)?,
-            map(py, size, found.sum)?,
-            map(py, size, found.margin)?,
-            map(py, size, found.cost)?,
+            image_array(py, size, found.disparity)?,
+            image_array(py, size, found.right_disparity)?,
+            image_array(py, size, found.sum)?,
+            image_array(py, size, found.margin)?,
+            image_array(py, size, found.cost)?,
         ))
     })
 }
 
 type Grey<'py> = PyReadonlyArray2<'py, u8>;
-/// Warped image of a partner, its mask ([`Shown`]), and the map of each plane.
+/// Warped image of a partner, its mask ([`PixelContent`]), and the map of each plane.
 type WarpedPartner<'py> = (Grey<'py>, Grey<'py>, PyReadonlyArray2<'py, f32>);
 
-fn size_of(shape: &[usize]) -> PyResult<Size> {
+fn image_size(shape: &[usize]) -> PyResult<ImageSize> {
     match *shape {
         [height, width] if width > 0 && height > 0 && width.max(height) < 1 << 20 => {
-            Ok(Size { width, height })
+            Ok(ImageSize { width, height })
         }
         _ => Err(PyValueError::new_err(format!(
             "an image has shape {shape:?}; h × w with sides from 1 to below 2²⁰ is expected"
@@ -98,21 +101,21 @@ fn size_of(shape: &[usize]) -> PyResult<Size> {
     }
 }
 
-fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult<Partner> {
+fn copy_partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult<PartnerView> {
     let (grey, shown, maps) = given;
-    let size = size_of(grey.as_array().shape())?;
+    let size = image_size(grey.as_array().shape())?;
     if shown.as_array().shape() != grey.as_array().shape() || *maps.as_array().shape() != [planes, 3] {
         return Err(PyValueError::new_err("the mask or the maps of a partner do not match its image"));
     }
     let grey: Vec<u8> = grey.as_array().iter().copied().collect();
     let shown: Vec<u8> = shown.as_array().iter().copied().collect();
     let said = |i: usize| match shown[i] {
-        0 => Shown::Nothing,
-        1 => Shown::Scene,
-        _ => Shown::Empty,
+        0 => PixelContent::Outside,
+        1 => PixelContent::Scene,
+        _ => PixelContent::Background,
     };
-    Ok(Partner {
-        words: words(&grey, size, said, threads),
+    Ok(PartnerView {
+        words: describe_pixels(&grey, size, said, threads),
         size,
         maps: maps.as_array().rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect(),
     })
@@ -132,8 +135,8 @@ pub fn sweep_planes(
     bound: Option<(PyReadonlyArray2<'_, f32>, f32)>,
     planes: usize,
     wanted_threads: usize,
-) -> PyResult<(Map<f32>, Map<i16>)> {
-    let size = size_of(grey.as_array().shape())?;
+) -> PyResult<(ImageArray<f32>, ImageArray<i16>)> {
+    let size = image_size(grey.as_array().shape())?;
     if first.as_array().shape() != grey.as_array().shape()
         || count.as_array().shape() != grey.as_array().shape()
         || bound.as_ref().is_some_and(|(nearest, _)| nearest.as_array().shape() != grey.as_array().shape())
@@ -152,37 +155,38 @@ pub fn sweep_planes(
     let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
     let images: usize = partners.iter().map(|one| one.0.as_array().len()).sum();
     // Three volumes of two bytes per value, and the image descriptors, in rows of 192 bytes.
-    guarded(numbers / 32 + (images + size.pixels()) / 8, || {
-        let threads = threads(wanted_threads);
+    with_memory_reserve(numbers / 32 + (images + size.pixel_count()) / 8, || {
+        let threads = resolve_thread_count(wanted_threads);
         let partners =
-            partners.iter().map(|one| partner(one, planes, threads)).collect::<PyResult<Vec<_>>>()?;
-        let ranges = Ranges::new(first.iter().copied().collect(), count.iter().copied().collect());
+            partners.iter().map(|one| copy_partner(one, planes, threads)).collect::<PyResult<Vec<_>>>()?;
+        let ranges = HypothesisRanges::new(first.iter().copied().collect(), count.iter().copied().collect());
         let grey: Vec<u8> = grey.as_array().iter().copied().collect();
-        let bound = bound.as_ref().map(|(nearest, lean)| Bound {
+        let bound = bound.as_ref().map(|(nearest, lean)| HullBound {
             nearest: nearest.as_array().iter().copied().collect(),
-            lean: *lean,
+            cost_per_plane: *lean,
         });
-        let found = detached(py, None, false, |progress| {
-            crate::stereo::sweep(&grey, &partners, size, &ranges, bound.as_ref(), threads, progress)
+        let found = run_detached(py, None, false, |progress| {
+            crate::stereo::sweep_planes(&grey, &partners, size, &ranges, bound.as_ref(), threads, progress)
         })?;
-        Ok((map(py, size, found.plane)?, map(py, size, found.margin)?))
+        Ok((image_array(py, size, found.plane)?, image_array(py, size, found.margin)?))
     })
 }
 
 /// Another view: the 3 × 4 projection from pixels into it, and its map.
-type OtherView<'py, T> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, T>);
+type OtherViewArrays<'py, T> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, T>);
 
-fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
+fn copy_other_view<T: Element + Copy>(given: &OtherViewArrays<'_, T>) -> PyResult<OtherView<T>> {
     let (matrix, map) = (given.0.as_array(), given.1.as_array());
-    let size = size_of(map.shape())?;
+    let size = image_size(map.shape())?;
     if *matrix.shape() != [3, 4] {
         return Err(PyValueError::new_err(format!(
             "a matrix has shape {:?}; 3 × 4 is expected",
             matrix.shape()
         )));
     }
-    let from_pixels: Matrix = std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
-    Ok(Other { from_pixels, size, map: map.iter().copied().collect() })
+    let from_pixels: PixelProjection =
+        std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
+    Ok(OtherView { from_pixels, size, map: map.iter().copied().collect() })
 }
 
 /// Count the other views with a consistent depth, within the first and within the second tolerance.
@@ -191,20 +195,23 @@ fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
 pub fn agreeing(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
-    others: Vec<OtherView<'_, f32>>,
+    others: Vec<OtherViewArrays<'_, f32>>,
     tolerances: [f64; 2],
     wanted_threads: usize,
-) -> PyResult<(Map<u8>, Map<u8>)> {
-    let size = size_of(depth.as_array().shape())?;
+) -> PyResult<(ImageArray<u8>, ImageArray<u8>)> {
+    let size = image_size(depth.as_array().shape())?;
     let images: usize = others.iter().map(|one| one.1.as_array().len()).sum();
-    guarded((images + size.pixels()) / 24, || {
-        let others = others.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+    with_memory_reserve((images + size.pixel_count()) / 24, || {
+        let others = others.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
         let depth: Vec<f32> = depth.as_array().iter().copied().collect();
-        let threads = threads(wanted_threads);
-        let counts =
-            py.detach(|| crate::stereo::seen_by::agreeing(&depth, size, &others, tolerances, threads));
+        let threads = resolve_thread_count(wanted_threads);
+        let counts = py.detach(|| {
+            crate::stereo::cross_view_checks::count_consistent_views(
+                &depth, size, &others, tolerances, threads,
+            )
+        });
         let of = |which: usize| counts.iter().map(|count| count[which]).collect();
-        Ok((map(py, size, of(0))?, map(py, size, of(1))?))
+        Ok((image_array(py, size, of(0))?, image_array(py, size, of(1))?))
     })
 }
 
@@ -214,17 +221,18 @@ pub fn agreeing(
 pub fn inside_all(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
-    masks: Vec<OtherView<'_, bool>>,
+    masks: Vec<OtherViewArrays<'_, bool>>,
     wanted_threads: usize,
-) -> PyResult<Map<bool>> {
-    let size = size_of(depth.as_array().shape())?;
+) -> PyResult<ImageArray<bool>> {
+    let size = image_size(depth.as_array().shape())?;
     let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
-    guarded((images + 4 * size.pixels()) / 96, || {
-        let masks = masks.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+    with_memory_reserve((images + 4 * size.pixel_count()) / 96, || {
+        let masks = masks.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
         let depth: Vec<f32> = depth.as_array().iter().copied().collect();
-        let threads = threads(wanted_threads);
-        let inside = py.detach(|| crate::stereo::seen_by::inside_all(&depth, size, &masks, threads));
-        map(py, size, inside)
+        let threads = resolve_thread_count(wanted_threads);
+        let inside = py
+            .detach(|| crate::stereo::cross_view_checks::is_inside_all_masks(&depth, size, &masks, threads));
+        image_array(py, size, inside)
     })
 }
 
@@ -235,18 +243,20 @@ pub fn inside_all(
 pub fn not_before(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
-    others: Vec<OtherView<'_, f32>>,
+    others: Vec<OtherViewArrays<'_, f32>>,
     share: f64,
     wanted_threads: usize,
-) -> PyResult<Map<u8>> {
-    let size = size_of(depth.as_array().shape())?;
+) -> PyResult<ImageArray<u8>> {
+    let size = image_size(depth.as_array().shape())?;
     let images: usize = others.iter().map(|one| one.1.as_array().len()).sum();
-    guarded((images + size.pixels()) / 24, || {
-        let others = others.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+    with_memory_reserve((images + size.pixel_count()) / 24, || {
+        let others = others.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
         let depth: Vec<f32> = depth.as_array().iter().copied().collect();
-        let threads = threads(wanted_threads);
-        let counts = py.detach(|| crate::stereo::seen_by::not_before(&depth, size, &others, share, threads));
-        map(py, size, counts)
+        let threads = resolve_thread_count(wanted_threads);
+        let counts = py.detach(|| {
+            crate::stereo::cross_view_checks::count_unoccluded_views(&depth, size, &others, share, threads)
+        });
+        image_array(py, size, counts)
     })
 }
 
@@ -256,26 +266,28 @@ pub fn not_before(
 pub fn first_inside(
     py: Python<'_>,
     wanted: PyReadonlyArray2<'_, bool>,
-    masks: Vec<OtherView<'_, bool>>,
+    masks: Vec<OtherViewArrays<'_, bool>>,
     least: usize,
     span: [f64; 2],
     steps: usize,
     wanted_threads: usize,
-) -> PyResult<Map<f32>> {
-    let size = size_of(wanted.as_array().shape())?;
+) -> PyResult<ImageArray<f32>> {
+    let size = image_size(wanted.as_array().shape())?;
     let [near, far] = span;
     if !(near > 0.0 && far > near && far.is_finite() && steps > 0 && steps <= 1 << 20) {
         return Err(PyValueError::new_err("span must be 0 < near < far, and steps 1 to 2²⁰"));
     }
     let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
-    guarded((images + 4 * size.pixels()) / 96, || {
-        let masks = masks.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+    with_memory_reserve((images + 4 * size.pixel_count()) / 96, || {
+        let masks = masks.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
         let wanted: Vec<bool> = wanted.as_array().iter().copied().collect();
-        let threads = threads(wanted_threads);
+        let threads = resolve_thread_count(wanted_threads);
         let found = py.detach(|| {
-            crate::stereo::seen_by::first_inside(&wanted, size, &masks, least, span, steps, threads)
+            crate::stereo::cross_view_checks::find_hull_entry(
+                &wanted, size, &masks, least, span, steps, threads,
+            )
         });
-        map(py, size, found)
+        image_array(py, size, found)
     })
 }
 
@@ -285,7 +297,7 @@ pub fn first_inside(
 #[allow(clippy::too_many_arguments)]
 pub fn weighted_medians(
     py: Python<'_>,
-    image: Image<'_>,
+    image: RgbArray<'_>,
     disparity: PyReadonlyArray2<'_, f32>,
     wanted: PyReadonlyArray2<'_, bool>,
     lowest: i32,
@@ -293,7 +305,7 @@ pub fn weighted_medians(
     radius: usize,
     falloff: f32,
     wanted_threads: usize,
-) -> PyResult<(Map<f32>, Map<f32>, Map<f32>)> {
+) -> PyResult<(ImageArray<f32>, ImageArray<f32>, ImageArray<f32>)> {
     let [height, width, _] = *image.as_array().shape() else { unreachable!("an array of three dimensions") };
     let expected = [height, width];
     if disparity.as_array().shape() != expected || wanted.as_array().shape() != expected {
@@ -304,18 +316,18 @@ pub fn weighted_medians(
             "radius must be at most 64, count at most 16384, and falloff above 0",
         ));
     }
-    guarded(width * height, || {
-        let (image, size) = pixels(&image)?;
+    with_memory_reserve(width * height, || {
+        let (image, size) = copy_image(&image)?;
         let disparity: Vec<f32> = disparity.as_array().iter().copied().collect();
         let wanted: Vec<bool> = wanted.as_array().iter().copied().collect();
-        let threads = threads(wanted_threads);
+        let threads = resolve_thread_count(wanted_threads);
         let medians = py.detach(|| {
             medians_of(&image, &disparity, &wanted, size, lowest, count, radius, falloff, threads)
         });
         Ok((
-            map(py, size, medians.iter().map(|m| m.disparity).collect())?,
-            map(py, size, medians.iter().map(|m| m.agreeing).collect())?,
-            map(py, size, medians.iter().map(|m| m.known).collect())?,
+            image_array(py, size, medians.iter().map(|m| m.disparity).collect())?,
+            image_array(py, size, medians.iter().map(|m| m.inlier_ratio).collect())?,
+            image_array(py, size, medians.iter().map(|m| m.known_ratio).collect())?,
         ))
     })
 }

@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.DrawnMesh`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
+//! `scanloom.stages._kernels.DrawnMesh`, `PhotoPixels`, `View`, `SurfacePoints` and `TexturedSurface`.
 
 use std::sync::{Arc, Mutex};
 
@@ -10,38 +10,38 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{rows, triangles_from};
-use super::atlas::{shape, triangle_corners};
-use super::detached::detached;
-use super::guarded::guarded;
-use crate::base::parallel::{collect, threads};
-use crate::texture::blend::{NO_VIEW, Weights, blend};
-use crate::texture::clusters::Clusters;
-use crate::texture::level::level;
-use crate::texture::neighbours::neighbours;
-use crate::texture::pinhole::Pinhole;
-use crate::texture::pixels::Photo as Pixels;
-use crate::texture::shade::{Textured, shade as shaded};
-use crate::texture::surface_points::{MOST_KEPT, SurfacePoints as Points};
-use crate::texture::view::{Colors, Depths, Look, View as Photographed, Warp};
-use crate::texture::zbuffer::{NOTHING, zbuffer as drawn};
+use super::arrays::{copy_triangles, rows};
+use super::atlas::{copy_corners, shape_error};
+use super::background_work::run_detached;
+use super::memory_guard::with_memory_reserve;
+use crate::base::parallel::{collect, resolve_thread_count};
+use crate::texture::blending::{BlendWeights, NO_VIEW, blend_points};
+use crate::texture::mesh_clusters::MeshClusters;
+use crate::texture::neighbour_colors::collect_neighbours;
+use crate::texture::photo_sampling::PhotoPixels as Pixels;
+use crate::texture::photo_view::{DepthImage, PhotoColors, PhotoView as Photographed, PhotoWarp, ViewKind};
+use crate::texture::pinhole_camera::PinholeCamera;
+use crate::texture::rendering::{TexturedMesh, render_textured as shaded};
+use crate::texture::seam_levelling::level_seams;
+use crate::texture::surface_points::{MAX_SAMPLES, SurfacePoints as Points};
+use crate::texture::zbuffer::{NO_TRIANGLE, render_zbuffer as drawn};
 
 /// fx, fy, cx, cy, width, height; and the (4, 4) world-to-camera matrix.
-type Camera<'py> = ((f64, f64, f64, f64, usize, usize), PyReadonlyArray2<'py, f64>);
-type Map<'py> = PyReadonlyArray2<'py, f32>;
-type Image<'py> = PyReadonlyArray3<'py, u8>;
+type CameraTuple<'py> = ((f64, f64, f64, f64, usize, usize), PyReadonlyArray2<'py, f64>);
+type FloatMap<'py> = PyReadonlyArray2<'py, f32>;
+type RgbArray<'py> = PyReadonlyArray3<'py, u8>;
 /// Depth and triangle at each pixel.
-type Drawn = (Py<PyArray2<f32>>, Py<PyArray2<i32>>);
+type RenderedArrays = (Py<PyArray2<f32>>, Py<PyArray2<i32>>);
 /// Colours of pixels, and mask of textured pixels.
-type Shaded = (Py<PyArray3<u8>>, Py<PyArray2<bool>>);
+type ShadedArrays = (Py<PyArray3<u8>>, Py<PyArray2<bool>>);
 /// Views, colours and scores of samples.
-type Samples = (Py<PyArray2<i32>>, Py<PyArray3<u8>>, Py<PyArray2<f32>>);
+type SampleArrays = (Py<PyArray2<i32>>, Py<PyArray3<u8>>, Py<PyArray2<f32>>);
 /// Pairs of points, and their colours.
-type Neighbours = (Py<PyArray2<u32>>, Py<PyArray3<u8>>);
+type NeighbourArrays = (Py<PyArray2<u32>>, Py<PyArray3<u8>>);
 /// Colours, best views and view counts of points.
-type Blended = (Py<PyArray2<f32>>, Py<PyArray1<i32>>, Py<PyArray1<u8>>);
+type BlendedArrays = (Py<PyArray2<f32>>, Py<PyArray1<i32>>, Py<PyArray1<u8>>);
 
-fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
+fn copy_camera(camera: &CameraTuple<'_>) -> PyResult<PinholeCamera> {
     let ((fx, fy, cx, cy, width, height), ref pose) = *camera;
     let pose = pose.as_array();
     if pose.shape() != [4, 4] || width < 2 || height < 2 {
@@ -49,44 +49,44 @@ fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
             "a camera must have an image of at least 2 × 2 pixels and a 4 × 4 pose",
         ));
     }
-    Ok(Pinhole {
+    Ok(PinholeCamera {
         focal: [fx, fy],
         centre: [cx, cy],
         width,
         height,
-        turn: [0, 1, 2].map(|i| [0, 1, 2].map(|k| pose[[i, k]])),
-        shift: [0, 1, 2].map(|i| pose[[i, 3]]),
+        rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|k| pose[[i, k]])),
+        translation: [0, 1, 2].map(|i| pose[[i, 3]]),
     })
 }
 
 /// Mesh for rendering from many cameras.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
-pub struct DrawnMesh(Clusters);
+pub struct DrawnMesh(MeshClusters);
 
 #[pymethods]
 impl DrawnMesh {
     #[new]
     fn new(vertices: PyReadonlyArray2<'_, f64>, triangles: PyReadonlyArray2<'_, i32>) -> PyResult<Self> {
-        guarded(vertices.as_array().nrows() + triangles.as_array().nrows(), || {
+        with_memory_reserve(vertices.as_array().nrows() + triangles.as_array().nrows(), || {
             let points = rows::<f64, 3>(&vertices)?;
-            let triangles = triangles_from(&triangles, points.len())?;
-            crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            Ok(Self(Clusters::new(&points, &triangles)))
+            let triangles = copy_triangles(&triangles, points.len())?;
+            crate::mesh::connectivity_builder::check_indices(points.len(), &triangles)?;
+            Ok(Self(MeshClusters::new(&points, &triangles)))
         })
     }
 
     /// Render depth and triangle at each pixel of a camera; infinity and −1 where nothing is visible.
     #[pyo3(signature = (camera, *, near))]
-    fn zbuffer(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Drawn> {
-        let camera = pinhole(&camera)?;
-        guarded(camera.width * camera.height / 16, || {
+    fn zbuffer(&self, py: Python<'_>, camera: CameraTuple<'_>, near: f64) -> PyResult<RenderedArrays> {
+        let camera = copy_camera(&camera)?;
+        with_memory_reserve(camera.width * camera.height / 16, || {
             let seen = py.detach(|| drawn(&self.0, &camera, near));
             let size = (camera.height, camera.width);
             let numbers =
-                seen.triangle.into_iter().map(|t| if t == NOTHING { -1 } else { t as i32 }).collect();
+                seen.triangle.into_iter().map(|t| if t == NO_TRIANGLE { -1 } else { t as i32 }).collect();
             Ok((
-                Array2::from_shape_vec(size, seen.depth).map_err(shape)?.into_pyarray(py).unbind(),
-                Array2::from_shape_vec(size, numbers).map_err(shape)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec(size, seen.depth).map_err(shape_error)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec(size, numbers).map_err(shape_error)?.into_pyarray(py).unbind(),
             ))
         })
     }
@@ -94,33 +94,33 @@ impl DrawnMesh {
     /// Return the cluster of each triangle (m,). Clusters are small and compact, and consecutive clusters are
     /// close in space.
     fn parts(&self, py: Python<'_>) -> Py<PyArray1<u32>> {
-        PyArray1::from_vec(py, self.0.of_triangles()).unbind()
+        PyArray1::from_vec(py, self.0.triangle_clusters()).unbind()
     }
 }
 
 /// Photo of a camera.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
-pub struct Photo(Arc<Colors>);
+pub struct Photo(Arc<PhotoColors>);
 
 #[pymethods]
 impl Photo {
     #[new]
     #[pyo3(signature = (camera, photo, blurred, *, warp))]
     fn new(
-        camera: Camera<'_>,
-        photo: Image<'_>,
-        blurred: Image<'_>,
+        camera: CameraTuple<'_>,
+        photo: RgbArray<'_>,
+        blurred: RgbArray<'_>,
         warp: Option<PyReadonlyArray3<'_, f32>>,
     ) -> PyResult<Self> {
-        let camera = pinhole(&camera)?;
-        let (photo, blurred) = (image(&photo)?, image(&blurred)?);
+        let camera = copy_camera(&camera)?;
+        let (photo, blurred) = (copy_image(&photo)?, copy_image(&blurred)?);
         for picture in [&photo, &blurred] {
             if (picture.width, picture.height) != (camera.width, camera.height) {
                 return Err(PyValueError::new_err("the size of a photo differs from its camera's"));
             }
         }
-        let warp = warp.map(|warp| shifts(&warp)).transpose()?;
-        Ok(Self(Arc::new(Colors { camera, photo, blurred, warp })))
+        let warp = warp.map(|warp| copy_warp(&warp)).transpose()?;
+        Ok(Self(Arc::new(PhotoColors { camera, photo, blurred, warp })))
     }
 }
 
@@ -135,31 +135,39 @@ impl View {
     #[allow(clippy::too_many_arguments)]
     fn new(
         photo: &Photo,
-        mesh_camera: Camera<'_>,
-        mesh_nearest: Map<'_>,
-        mesh_depth: Map<'_>,
+        mesh_camera: CameraTuple<'_>,
+        mesh_nearest: FloatMap<'_>,
+        mesh_depth: FloatMap<'_>,
         mesh_triangles: PyReadonlyArray2<'_, i32>,
         reach: (f64, f64),
-        measured: Option<(Camera<'_>, Map<'_>, Map<'_>)>,
+        measured: Option<(CameraTuple<'_>, FloatMap<'_>, FloatMap<'_>)>,
         worth: f32,
         flattest: f64,
     ) -> PyResult<Self> {
-        let mesh = depths(&mesh_camera, &mesh_nearest, &mesh_depth, reach.0)?;
+        let mesh = copy_depths(&mesh_camera, &mesh_nearest, &mesh_depth, reach.0)?;
         let triangles: Vec<u32> =
-            mesh_triangles.as_array().iter().map(|&t| if t < 0 { NOTHING } else { t as u32 }).collect();
+            mesh_triangles.as_array().iter().map(|&t| if t < 0 { NO_TRIANGLE } else { t as u32 }).collect();
         let measured = measured
-            .map(|(camera, nearest, depth)| depths(&camera, &nearest, &depth, reach.1))
+            .map(|(camera, nearest, depth)| copy_depths(&camera, &nearest, &depth, reach.1))
             .transpose()?;
         let colors = Arc::clone(&photo.0);
-        let place = colors.camera.place();
-        let is_drawn_in_size = mesh.camera.is_same_but_for_its_place(&colors.camera);
-        let view =
-            Photographed { colors, place, mesh, triangles, is_drawn_in_size, measured, worth, flattest };
+        let place = colors.camera.camera_center();
+        let is_drawn_in_size = mesh.camera.has_same_intrinsics(&colors.camera);
+        let view = Photographed {
+            colors,
+            camera_center: place,
+            mesh,
+            triangles,
+            is_rendered_at_photo_size: is_drawn_in_size,
+            measured,
+            weight: worth,
+            min_cosine: flattest,
+        };
         Ok(Self(view))
     }
 }
 
-fn image(image: &Image<'_>) -> PyResult<Pixels> {
+fn copy_image(image: &RgbArray<'_>) -> PyResult<Pixels> {
     let pixels = image.as_array();
     let [height, width, channels] = *pixels.shape() else { unreachable!("an array of three dimensions") };
     if channels != 3 || width < 2 || height < 2 {
@@ -173,18 +181,23 @@ fn image(image: &Image<'_>) -> PyResult<Pixels> {
     Ok(Pixels { width, height, pixels: levels.map(|c| [c[0], c[1], c[2], 0]).collect() })
 }
 
-fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -> PyResult<Depths> {
-    let camera = pinhole(camera)?;
+fn copy_depths(
+    camera: &CameraTuple<'_>,
+    nearest: &FloatMap<'_>,
+    exact: &FloatMap<'_>,
+    reach: f64,
+) -> PyResult<DepthImage> {
+    let camera = copy_camera(camera)?;
     let [nearest, exact] = [nearest, exact].map(|map| map.as_array());
     if [&nearest, &exact].iter().any(|map| map.shape() != [camera.height, camera.width]) {
         return Err(PyValueError::new_err("the size of a depth map differs from its camera's"));
     }
     let [nearest, exact] = [nearest, exact]
         .map(|map| map.as_slice().map_or_else(|| map.iter().copied().collect(), <[f32]>::to_vec));
-    Ok(Depths { camera, nearest, exact, reach })
+    Ok(DepthImage { camera, nearest, exact, reach })
 }
 
-fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
+fn copy_warp(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<PhotoWarp> {
     let warp = warp.as_array();
     let [rows, columns, 2] = *warp.shape() else {
         return Err(PyValueError::new_err("warp must be h × w × 2"));
@@ -193,7 +206,7 @@ fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
         return Err(PyValueError::new_err("warp must have at least two rows and columns"));
     }
     let shifts = (0..rows * columns).map(|i| [0, 1].map(|k| warp[[i / columns, i % columns, k]])).collect();
-    Ok(Warp { columns, rows, shifts })
+    Ok(PhotoWarp { columns, rows, shifts })
 }
 
 /// Points of a surface, grouped by triangle, each with the few views that show it best.
@@ -201,10 +214,10 @@ fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
 pub struct SurfacePoints(Mutex<Points>);
 
 /// Maximum number of pixels of an image, and maximum reach in texels, for levelling.
-const MOST_PIXELS: usize = 1 << 30;
-const MOST_REACH: f32 = 100.0;
+const MAX_PIXELS: usize = 1 << 30;
+const MAX_REACH: f32 = 100.0;
 /// Reserve rows for the working memory of a few threads.
-const GRIDS: usize = 100_000;
+const BASE_RESERVE_ROWS: usize = 100_000;
 
 #[pymethods]
 impl SurfacePoints {
@@ -217,19 +230,19 @@ impl SurfacePoints {
         normals: PyReadonlyArray2<'_, f64>,
         triangles: PyReadonlyArray2<'_, i32>,
         of: PyReadonlyArray1<'_, u32>,
-        shares: Map<'_>,
+        shares: FloatMap<'_>,
         kept: usize,
     ) -> PyResult<Self> {
-        guarded(of.as_array().len(), || {
+        with_memory_reserve(of.as_array().len(), || {
             let (points, normals) = (rows::<f64, 3>(&vertices)?, rows::<f64, 3>(&normals)?);
-            let triangles = triangles_from(&triangles, points.len())?;
-            crate::mesh::connect::check_indices(points.len(), &triangles)?;
+            let triangles = copy_triangles(&triangles, points.len())?;
+            crate::mesh::connectivity_builder::check_indices(points.len(), &triangles)?;
             let (of, shares) = (of.as_array().to_vec(), rows::<f32, 3>(&shares)?);
             let is_sorted = of.is_sorted() && of.last().is_none_or(|&t| (t as usize) < triangles.len());
             if !is_sorted
                 || of.len() != shares.len()
                 || normals.len() != points.len()
-                || !(1..=MOST_KEPT).contains(&kept)
+                || !(1..=MAX_SAMPLES).contains(&kept)
             {
                 return Err(PyValueError::new_err("points do not match their mesh, or kept is out of range"));
             }
@@ -240,18 +253,18 @@ impl SurfacePoints {
             }
             let at = |values: &[[f64; 3]], i: usize| {
                 let corners = triangles[of[i] as usize].map(|v| values[v as usize]);
-                crate::atlas::texels::mixed(&shares[i], &corners)
+                crate::atlas::texels::interpolate(&shares[i], &corners)
             };
-            let places = collect(of.len(), threads(0), |i| at(&points, i));
-            let normals = collect(of.len(), threads(0), |i| {
-                crate::base::geometry::unit(&at(&normals, i)).map(|x| x as f32)
+            let places = collect(of.len(), resolve_thread_count(0), |i| at(&points, i));
+            let normals = collect(of.len(), resolve_thread_count(0), |i| {
+                crate::base::geometry::normalize(&at(&normals, i)).map(|x| x as f32)
             });
             Ok(Self(Mutex::new(Points::new(&places, normals, first, triangles, points.len(), kept)?)))
         })
     }
 
     /// Add the samples of one more view, and return the triangles that it may show. View indices are below
-    /// 65,535. With `remember`, `see_again` can update the view later.
+    /// 65,535. With `remember`, `update_view_colors` can update the view later.
     #[pyo3(signature = (view, number, *, remember, wanted_threads))]
     fn see(
         &self,
@@ -261,9 +274,15 @@ impl SurfacePoints {
         remember: bool,
         wanted_threads: usize,
     ) -> PyResult<Py<PyArray1<u32>>> {
-        guarded(0, || {
-            let found = detached(py, None, false, |progress| {
-                self.locked().see(&view.0, number, remember, threads(wanted_threads), progress)
+        with_memory_reserve(0, || {
+            let found = run_detached(py, None, false, |progress| {
+                self.lock().add_view(
+                    &view.0,
+                    number,
+                    remember,
+                    resolve_thread_count(wanted_threads),
+                    progress,
+                )
             })?;
             Ok(PyArray1::from_vec(py, found).unbind())
         })
@@ -272,18 +291,23 @@ impl SurfacePoints {
     /// Update the colours of a view's samples at the points for which it is one of the best.
     #[pyo3(signature = (photo, number, *, wanted_threads))]
     fn see_again(&self, py: Python<'_>, photo: &Photo, number: u16, wanted_threads: usize) -> PyResult<()> {
-        guarded(0, || {
-            detached(py, None, false, |progress| {
-                self.locked().see_again(&photo.0, number, threads(wanted_threads), progress)
+        with_memory_reserve(0, || {
+            run_detached(py, None, false, |progress| {
+                self.lock().update_view_colors(
+                    &photo.0,
+                    number,
+                    resolve_thread_count(wanted_threads),
+                    progress,
+                )
             })
         })
     }
 
     /// Return views (n, k) by descending score, −1 for none; colours (n, k, 3) and scores (n, k).
-    fn samples(&self, py: Python<'_>) -> PyResult<Samples> {
-        let points = self.locked();
-        let (n, k) = (points.len(), points.kept());
-        guarded(n * k, || {
+    fn samples(&self, py: Python<'_>) -> PyResult<SampleArrays> {
+        let points = self.lock();
+        let (n, k) = (points.len(), points.samples_per_point());
+        with_memory_reserve(n * k, || {
             let (mut views, mut colors, mut scores) = (vec![-1; n * k], vec![0; n * k * 3], vec![0.0; n * k]);
             let mut order = Vec::with_capacity(k);
             for point in 0..n {
@@ -297,22 +321,22 @@ impl SurfacePoints {
                 }
             }
             Ok((
-                Array2::from_shape_vec((n, k), views).map_err(shape)?.into_pyarray(py).unbind(),
-                Array3::from_shape_vec((n, k, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
-                Array2::from_shape_vec((n, k), scores).map_err(shape)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec((n, k), views).map_err(shape_error)?.into_pyarray(py).unbind(),
+                Array3::from_shape_vec((n, k, 3), colors).map_err(shape_error)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec((n, k), scores).map_err(shape_error)?.into_pyarray(py).unbind(),
             ))
         })
     }
 
     /// Return the maximum resolution over all views in pixels per metre (n,); 0 where no view shows a point.
     fn density(&self, py: Python<'_>) -> Py<PyArray1<f32>> {
-        PyArray1::from_slice(py, &self.locked().density).unbind()
+        PyArray1::from_slice(py, &self.lock().density).unbind()
     }
 
     /// Return the mask (n,) of points that are only seen at grazing angles.
     fn flat(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
-        let points = self.locked();
-        PyArray1::from_vec(py, points.looks.iter().map(|&look| look == Look::Flat).collect()).unbind()
+        let points = self.lock();
+        PyArray1::from_vec(py, points.looks.iter().map(|&look| look == ViewKind::Grazing).collect()).unbind()
     }
 
     /// Blend the samples: colours (n, 3), the best inlier view (n,), −1 for none, and the number of inlier
@@ -326,17 +350,25 @@ impl SurfacePoints {
         deviations: f32,
         levels: f32,
         wanted_threads: usize,
-    ) -> PyResult<Blended> {
-        let weights = Weights { blurred, details, deviations, levels };
-        let points = self.locked();
-        guarded(points.len(), || {
-            let found = detached(py, None, false, |progress| {
-                blend(&points, &weights, threads(wanted_threads), progress)
+    ) -> PyResult<BlendedArrays> {
+        let weights = BlendWeights {
+            low_exponent: blurred,
+            detail_exponent: details,
+            max_deviations: deviations,
+            min_levels: levels,
+        };
+        let points = self.lock();
+        with_memory_reserve(points.len(), || {
+            let found = run_detached(py, None, false, |progress| {
+                blend_points(&points, &weights, resolve_thread_count(wanted_threads), progress)
             })?;
             let colors = found.colors.into_flattened();
             let labels = found.labels.into_iter().map(|l| if l == NO_VIEW { -1 } else { l.into() }).collect();
             Ok((
-                Array2::from_shape_vec((points.len(), 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec((points.len(), 3), colors)
+                    .map_err(shape_error)?
+                    .into_pyarray(py)
+                    .unbind(),
                 PyArray1::from_vec(py, labels).unbind(),
                 PyArray1::from_vec(py, found.views).unbind(),
             ))
@@ -355,19 +387,27 @@ impl SurfacePoints {
         reach: f32,
         wanted_threads: usize,
     ) -> PyResult<()> {
-        let points = self.locked();
-        guarded(points.len() + GRIDS, || {
+        let points = self.lock();
+        with_memory_reserve(points.len() + BASE_RESERVE_ROWS, || {
             let (colors, pixels) = (colors.as_slice_mut()?.as_chunks_mut::<3>().0, pixels.as_slice()?);
             if [colors.len(), pixels.len()] != [points.len(); 2]
-                || !is_image(pixels, width)
-                || !(1.0..=MOST_REACH).contains(&reach)
+                || !is_valid_image(pixels, width)
+                || !(1.0..=MAX_REACH).contains(&reach)
             {
                 return Err(PyValueError::new_err(
                     "colours or pixels do not match the points or the image, or reach is out of range",
                 ));
             }
-            detached(py, None, false, |progress| {
-                level(&points, colors, pixels, width, reach, threads(wanted_threads), progress)
+            run_detached(py, None, false, |progress| {
+                level_seams(
+                    &points,
+                    colors,
+                    pixels,
+                    width,
+                    reach,
+                    resolve_thread_count(wanted_threads),
+                    progress,
+                )
             })
         })
     }
@@ -382,33 +422,37 @@ impl SurfacePoints {
         pixels: PyReadonlyArray1<'_, u32>,
         width: usize,
         every: usize,
-    ) -> PyResult<Neighbours> {
-        let points = self.locked();
-        guarded(points.len(), || {
+    ) -> PyResult<NeighbourArrays> {
+        let points = self.lock();
+        with_memory_reserve(points.len(), || {
             let (labels, pixels) = (labels.as_slice()?, pixels.as_slice()?);
-            if [labels.len(), pixels.len()] != [points.len(); 2] || !is_image(pixels, width) || every == 0 {
+            if [labels.len(), pixels.len()] != [points.len(); 2]
+                || !is_valid_image(pixels, width)
+                || every == 0
+            {
                 return Err(PyValueError::new_err("labels or pixels do not match the points or the image"));
             }
-            let found = detached(py, None, false, |progress| {
-                neighbours(&points, labels, pixels, width, every, progress)
+            let found = run_detached(py, None, false, |progress| {
+                collect_neighbours(&points, labels, pixels, width, every, progress)
             })?;
             let count = found.pairs.len();
-            let pairs = Array2::from_shape_vec((count, 2), found.pairs.into_flattened()).map_err(shape)?;
+            let pairs =
+                Array2::from_shape_vec((count, 2), found.pairs.into_flattened()).map_err(shape_error)?;
             let shown = found.shown.into_flattened().into_flattened();
-            let shown = Array3::from_shape_vec((count, 2, 3), shown).map_err(shape)?;
+            let shown = Array3::from_shape_vec((count, 2, 3), shown).map_err(shape_error)?;
             Ok((pairs.into_pyarray(py).unbind(), shown.into_pyarray(py).unbind()))
         })
     }
 }
 
 /// Check that pixels (row × width + column) belong to an image that is not too large.
-fn is_image(pixels: &[u32], width: usize) -> bool {
+fn is_valid_image(pixels: &[u32], width: usize) -> bool {
     let last = pixels.iter().copied().max().unwrap_or(0) as usize;
-    width > 0 && last / width < MOST_PIXELS / width
+    width > 0 && last / width < MAX_PIXELS / width
 }
 
 impl SurfacePoints {
-    fn locked(&self) -> std::sync::MutexGuard<'_, Points> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Points> {
         self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }
@@ -416,7 +460,7 @@ impl SurfacePoints {
 /// Mesh with texture images, for rendering.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct TexturedSurface {
-    clusters: Clusters,
+    clusters: MeshClusters,
     points: Vec<[f64; 3]>,
     triangles: Vec<[u32; 3]>,
     corners: Vec<[[f64; 2]; 3]>,
@@ -433,33 +477,33 @@ impl TexturedSurface {
         triangles: PyReadonlyArray2<'_, i32>,
         corners: PyReadonlyArray3<'_, f64>,
         pages: PyReadonlyArray1<'_, i32>,
-        images: Vec<Image<'_>>,
+        images: Vec<RgbArray<'_>>,
     ) -> PyResult<Self> {
         let bytes: usize = images.iter().map(|image| image.as_array().len()).sum();
-        guarded(vertices.as_array().nrows() + triangles.as_array().nrows() + bytes / 64, || {
+        with_memory_reserve(vertices.as_array().nrows() + triangles.as_array().nrows() + bytes / 64, || {
             let points = rows::<f64, 3>(&vertices)?;
-            let triangles = triangles_from(&triangles, points.len())?;
-            crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            let corners = triangle_corners(&corners)?;
+            let triangles = copy_triangles(&triangles, points.len())?;
+            crate::mesh::connectivity_builder::check_indices(points.len(), &triangles)?;
+            let corners = copy_corners(&corners)?;
             let pages: Vec<u16> =
                 pages.as_array().iter().map(|&p| u16::try_from(p).unwrap_or(u16::MAX)).collect();
             if corners.len() != triangles.len() || pages.len() != triangles.len() {
                 return Err(PyValueError::new_err("corners and pages must have one row for each triangle"));
             }
-            let images = images.iter().map(image).collect::<PyResult<Vec<_>>>()?;
-            let clusters = Clusters::new(&points, &triangles);
+            let images = images.iter().map(copy_image).collect::<PyResult<Vec<_>>>()?;
+            let clusters = MeshClusters::new(&points, &triangles);
             Ok(Self { clusters, points, triangles, corners, pages, images })
         })
     }
 
     /// Render the surface from a camera: colours (h, w, 3), and mask of textured pixels.
     #[pyo3(signature = (camera, *, near))]
-    fn seen_by(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Shaded> {
-        let camera = pinhole(&camera)?;
-        guarded(camera.width * camera.height / 16, || {
+    fn seen_by(&self, py: Python<'_>, camera: CameraTuple<'_>, near: f64) -> PyResult<ShadedArrays> {
+        let camera = copy_camera(&camera)?;
+        with_memory_reserve(camera.width * camera.height / 16, || {
             let (colors, shown) = py.detach(|| {
                 let seen = drawn(&self.clusters, &camera, near);
-                let mesh = Textured {
+                let mesh = TexturedMesh {
                     points: &self.points,
                     triangles: &self.triangles,
                     corners: &self.corners,
@@ -471,8 +515,8 @@ impl TexturedSurface {
             let (h, w) = (camera.height, camera.width);
             let colors = colors.into_flattened();
             Ok((
-                Array3::from_shape_vec((h, w, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
-                Array2::from_shape_vec((h, w), shown).map_err(shape)?.into_pyarray(py).unbind(),
+                Array3::from_shape_vec((h, w, 3), colors).map_err(shape_error)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec((h, w), shown).map_err(shape_error)?.into_pyarray(py).unbind(),
             ))
         })
     }

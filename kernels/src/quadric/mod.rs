@@ -3,9 +3,9 @@
 //! | file | content |
 //! | --- | --- |
 //! | [`qem`] | the measure |
-//! | [`balance`] | estimate of the colour weight from the data |
-//! | [`trial`] | limit on the colour weight from its measured shape error |
+//! | [`color_weight`] | estimate of the colour weight from the data |
+//! | [`weight_trial`] | limit on the colour weight from its measured shape error |
 
-pub mod balance;
+pub mod color_weight;
 pub mod qem;
-pub mod trial;
+pub mod weight_trial;

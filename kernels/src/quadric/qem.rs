@@ -6,19 +6,19 @@
 //! errors are a sixth lower than with accumulated quadrics, at an equal weight of the colours. The final
 //! least-squares fit corrects the drift.
 
-use crate::base::geometry::{Vec3, distance2, position};
+use crate::base::geometry::{Vec3, distance2, position_of};
 use crate::base::ids::{EdgeId, VertexId};
-use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
-use crate::collapse::records::Records;
+use crate::collapse::engine::{CollapseChange, Measure, PriorityScope, Proposal};
+use crate::collapse::method_state::MethodState;
 use crate::mesh::connectivity::Connectivity;
-use crate::mesh::star::Star;
-use crate::mesh::triangle_mesh::{Lock, Mesh};
-use crate::quadrics::placement::{best_place, shorter_first};
+use crate::mesh::edge_star::EdgeStar;
+use crate::mesh::triangle_mesh::{Mesh, VertexLock};
+use crate::quadrics::placement::{best_position, length_cost};
 use crate::quadrics::quadric::Quadric;
 
 /// Weight of boundary walls: the squared distance to the wall through each boundary edge, times the squared
 /// length of the edge.
-const BOUNDARY: f64 = 1.0;
+const BOUNDARY_WEIGHT: f64 = 1.0;
 
 /// Measure of the simplification by attribute quadrics.
 pub struct Qem<const D: usize, const K: usize> {
@@ -30,7 +30,7 @@ pub struct Qem<const D: usize, const K: usize> {
 }
 
 /// Parameters from which quadrics are computed.
-pub struct QemRecords<const K: usize> {
+pub struct QemState<const K: usize> {
     pub weight: f64,
     /// Factor on the error by vertex; empty for 1.
     pub importance: Vec<f64>,
@@ -96,20 +96,20 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         let h = mesh.connectivity.halfedge(edge);
         let ends = mesh.connectivity.ends(edge);
         let across = mesh.connectivity.origin(Connectivity::prev(h));
-        let [a, b, c] = [ends[0], ends[1], across].map(|v| position(mesh.point(v)));
+        let [a, b, c] = [ends[0], ends[1], across].map(|v| position_of(mesh.point(v)));
         let importance = 0.5 * (self.importance(ends[0]) + self.importance(ends[1]));
-        quadric.add_wall(BOUNDARY * importance, [&a, &b, &c]);
+        quadric.add_wall(BOUNDARY_WEIGHT * importance, [&a, &b, &c]);
     }
 
     /// Compute the quadric of a vertex from its current triangles and boundary edges.
-    fn afresh(&self, mesh: &Mesh<D>, v: VertexId) -> Quadric<K> {
+    fn recompute_quadric(&self, mesh: &Mesh<D>, v: VertexId) -> Quadric<K> {
         let mut quadric = Quadric::default();
         for h in mesh.connectivity.fan(v) {
             let corners = mesh.connectivity.corners(Connectivity::triangle(h));
             let importance = corners.map(|v| self.importance(v));
             quadric.add(&self.of_triangle(corners.map(|v| mesh.point(v)), importance));
         }
-        for (edge, _) in mesh.connectivity.spokes(v) {
+        for (edge, _) in mesh.connectivity.vertex_edges(v) {
             if mesh.connectivity.is_boundary_edge(edge) {
                 self.add_wall(mesh, edge, &mut quadric);
             }
@@ -118,44 +118,44 @@ impl<const D: usize, const K: usize> Qem<D, K> {
     }
 
     /// Find the best position for the vertex that replaces an edge; also returns the error.
-    fn place(&self, mesh: &Mesh<D>, edge: EdgeId, together: &Quadric<K>) -> (Vec3, f64) {
+    fn best_position(&self, mesh: &Mesh<D>, edge: EdgeId, together: &Quadric<K>) -> (Vec3, f64) {
         let ends = mesh.connectivity.ends(edge);
-        let [a, b] = ends.map(|v| position(mesh.point(v)));
-        let (place, error) = match mesh.staying_ends(edge) {
-            [false, false] => best_place(together, [&a, &b]),
+        let [a, b] = ends.map(|v| position_of(mesh.point(v)));
+        let (place, error) = match mesh.fixed_ends(edge) {
+            [false, false] => best_position(together, [&a, &b]),
             [true, _] => (a, together.error(&a)),
             [_, true] => (b, together.error(&b)),
         };
-        (place, error + shorter_first(together.area, [&a, &b]))
+        (place, error + length_cost(together.area, [&a, &b]))
     }
 
     #[inline]
-    fn together(&self, mesh: &Mesh<D>, edge: EdgeId) -> Quadric<K> {
+    fn summed_quadric(&self, mesh: &Mesh<D>, edge: EdgeId) -> Quadric<K> {
         let [a, b] = mesh.connectivity.ends(edge);
         self.quadrics[a.index()].sum(&self.quadrics[b.index()])
     }
 }
 
 impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
-    type Bound = ();
+    type Reason = ();
     type Change = ();
 
-    const REACH: Reach = Reach::Ring;
+    const PRIORITY_SCOPE: PriorityScope = PriorityScope::Ring;
 
     #[inline]
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, ()> {
-        Ok(self.place(mesh, edge, &self.together(mesh, edge)).1)
+        Ok(self.best_position(mesh, edge, &self.summed_quadric(mesh, edge)).1)
     }
 
-    fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, ()>, ()> {
-        let together = self.together(mesh, star.edge);
-        let (place, _) = self.place(mesh, star.edge, &together);
-        let locked = star.ends.iter().position(|&v| mesh.lock(v) == Lock::Locked);
+    fn propose(&mut self, mesh: &Mesh<D>, star: &EdgeStar<D>) -> Result<Proposal<D, ()>, ()> {
+        let together = self.summed_quadric(mesh, star.edge);
+        let (place, _) = self.best_position(mesh, star.edge, &together);
+        let locked = star.ends.iter().position(|&v| mesh.lock(v) == VertexLock::Locked);
         let point = match locked {
             Some(end) => star.end_points[end],
             None => together.with_attributes(&place, self.weight, &star.middle),
         };
-        let survivor = match star.end_stays {
+        let survivor = match star.end_is_fixed {
             [true, _] => 0,
             [_, true] => 1,
             _ => usize::from(distance2(&star.end_points[1], &point) < distance2(&star.end_points[0], &point)),
@@ -163,12 +163,12 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
         Ok(Proposal { survivor, point, change: () })
     }
 
-    fn judge(&mut self, _: &Mesh<D>, _: &Star<D>, _: &mut Proposal<D, ()>) -> Result<(), ()> {
+    fn judge(&mut self, _: &Mesh<D>, _: &EdgeStar<D>, _: &mut Proposal<D, ()>) -> Result<(), ()> {
         Ok(())
     }
 
     /// Replace the quadrics of all changed triangles at their corners.
-    fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, (): ()) {
+    fn commit(&mut self, mesh: &Mesh<D>, star: &EdgeStar<D>, collapsed: &CollapseChange, (): ()) {
         let ends = star.ends.map(|v| self.importance(v));
         // A boundary edge has only one vanishing triangle, which then fills both lanes.
         let sides = [0, star.vanishing.len() - 1].map(|side| &star.vanishing[side]);
@@ -182,15 +182,15 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
         let survivor = collapsed.survivor;
         let most = ends[0].max(ends[1]);
         let mut own = Quadric::default();
-        for wing in &star.wings {
+        for wing in &star.remaining {
             let (from, to) = (&wing.from_point, &wing.to_point);
             let corners = [star.end_point(wing.end), mesh.point(survivor)].map(|tip| [tip, from, to]);
-            let ring = [self.importance(wing.from), self.importance(wing.to)];
+            let ring = [self.importance(wing.side_start), self.importance(wing.side_end)];
             let importance = [ends[wing.end], most].map(|tip| [tip, ring[0], ring[1]]);
             let [old, new] = self.of_triangles(corners, importance);
             own.add(&new);
-            let difference = new.minus(&old);
-            for v in [wing.from, wing.to] {
+            let difference = new.difference(&old);
+            for v in [wing.side_start, wing.side_end] {
                 self.quadrics[v.index()].add(&difference);
             }
         }
@@ -201,20 +201,20 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
         // A wall also depends on its triangle.
         let on_boundary = |v: VertexId| mesh.connectivity.is_boundary_vertex(v);
         if on_boundary(survivor) {
-            self.quadrics[survivor.index()] = self.afresh(mesh, survivor);
+            self.quadrics[survivor.index()] = self.recompute_quadric(mesh, survivor);
         }
-        for (_, v) in mesh.connectivity.spokes(survivor).filter(|(_, v)| on_boundary(*v)) {
-            self.quadrics[v.index()] = self.afresh(mesh, v);
+        for (_, v) in mesh.connectivity.vertex_edges(survivor).filter(|(_, v)| on_boundary(*v)) {
+            self.quadrics[v.index()] = self.recompute_quadric(mesh, v);
         }
     }
 }
 
-impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
+impl<const D: usize, const K: usize> MethodState<D> for QemState<K> {
     type Measure = Qem<D, K>;
     /// Importance of the vertices that are not on the rim; empty for 1.
-    type Remains = Vec<f64>;
+    type RegionState = Vec<f64>;
 
-    fn load(&self, region: &Mesh<D>) -> Qem<D, K> {
+    fn load_region(&self, region: &Mesh<D>) -> Qem<D, K> {
         let importance = if self.importance.is_empty() {
             vec![]
         } else {
@@ -223,7 +223,7 @@ impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
         Qem::new(region, self.weight, importance)
     }
 
-    fn untouched(&self, _: &[u32], inside: &[u32]) -> Option<Vec<f64>> {
+    fn unchanged_region(&self, _: &[u32], inside: &[u32]) -> Option<Vec<f64>> {
         let importance = &self.importance;
         Some(if importance.is_empty() {
             vec![]
@@ -232,15 +232,15 @@ impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
         })
     }
 
-    fn unload(measure: Qem<D, K>, region: &Mesh<D>) -> Vec<f64> {
+    fn unload_region(measure: Qem<D, K>, region: &Mesh<D>) -> Vec<f64> {
         if measure.importance.is_empty() {
             return vec![];
         }
-        let inside = region.connectivity.vertices().filter(|&v| region.lock(v) != Lock::Rim);
+        let inside = region.connectivity.vertices().filter(|&v| region.lock(v) != VertexLock::Rim);
         inside.map(|v| measure.importance(v)).collect()
     }
 
-    fn join(mut self, rim: &[u32], pieces: Vec<Vec<f64>>) -> Self {
+    fn join_regions(mut self, rim: &[u32], pieces: Vec<Vec<f64>>) -> Self {
         if !self.importance.is_empty() {
             let on_rim = rim.iter().map(|&v| self.importance[v as usize]);
             self.importance = on_rim.chain(pieces.into_iter().flatten()).collect();

@@ -5,23 +5,23 @@ use crate::quadrics::quadric::Quadric;
 
 /// Strength of the spring to the middle of the edge, which determines the position where the error is
 /// constant, as along a plane.
-const TETHER: f64 = 1e-9;
+const TETHER_STRENGTH: f64 = 1e-9;
 
 /// Factor of the length term that orders edges with zero cost.
-const SHORTER_FIRST: f64 = 1e-10;
+const LENGTH_COST_FACTOR: f64 = 1e-10;
 
 /// Find the position of minimum error for the vertex that replaces an edge; also returns the error.
 #[inline]
-pub fn best_place<const K: usize>(together: &Quadric<K>, ends: [&Vec3; 2]) -> (Vec3, f64) {
-    together.minimum(&midpoint(ends[0], ends[1]), TETHER)
+pub fn best_position<const K: usize>(together: &Quadric<K>, ends: [&Vec3; 2]) -> (Vec3, f64) {
+    together.minimum(&midpoint(ends[0], ends[1]), TETHER_STRENGTH)
 }
 
 /// Compute the cost of the length of an edge, which orders edges without other cost.
 ///
 /// `area` is the area of the quadrics of both ends.
 #[inline]
-pub fn shorter_first(area: f64, ends: [&Vec3; 2]) -> f64 {
-    SHORTER_FIRST * area * distance2(ends[0], ends[1])
+pub fn length_cost(area: f64, ends: [&Vec3; 2]) -> f64 {
+    LENGTH_COST_FACTOR * area * distance2(ends[0], ends[1])
 }
 
 #[cfg(test)]
@@ -43,7 +43,7 @@ mod tests {
             let corners = [corner(5.0, 5.0), corner(6.0, 5.0), corner(5.0, 7.0)];
             together.add(&Quadric::of_triangle(corners.each_ref(), 1.0));
         }
-        let (place, error) = best_place(&together, [&[0.0, 0.0, 0.0], &[1.0, 1.0, 2.0]]);
+        let (place, error) = best_position(&together, [&[0.0, 0.0, 0.0], &[1.0, 1.0, 2.0]]);
         assert!(distance2(&place, &[1.0, 2.0, 3.0]) < 1e-12, "{place:?}");
         assert!(error < 1e-6, "{error}");
     }
@@ -52,15 +52,13 @@ mod tests {
     fn on_a_plane_the_best_place_is_above_the_middle() {
         let corners = [[0.0, 0.0, 1.0], [4.0, 0.0, 1.0], [0.0, 4.0, 1.0]];
         let plane = Quadric::<0>::of_triangle(corners.each_ref(), 1.0);
-        let (place, _) = best_place(&plane, [&[8.0, 1.0, 0.0], &[10.0, 3.0, 0.0]]);
+        let (place, _) = best_position(&plane, [&[8.0, 1.0, 0.0], &[10.0, 3.0, 0.0]]);
         assert!(distance2(&place, &[9.0, 2.0, 1.0]) < 1e-12, "{place:?}");
     }
 
     #[test]
-    fn of_edges_that_cost_nothing_the_shorter_goes_first() {
+    fn shorter_edge_without_cost_goes_first() {
         let from = [0.0; 3];
-        assert!(
-            shorter_first(2.0, [&from, &[1.0, 0.0, 0.0]]) < shorter_first(2.0, [&from, &[0.0, 1.1, 0.0]])
-        );
+        assert!(length_cost(2.0, [&from, &[1.0, 0.0, 0.0]]) < length_cost(2.0, [&from, &[0.0, 1.1, 0.0]]));
     }
 }

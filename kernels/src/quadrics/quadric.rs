@@ -17,11 +17,11 @@ use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
 use crate::quadrics::lanes::{self, LaneVec3, Lanes};
 
 /// Symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz.
-pub type Symmetric = [f64; 6];
+pub type SymmetricMatrix = [f64; 6];
 
 /// Add w · v vᵀ.
 #[inline]
-fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
+fn add_outer(m: &mut SymmetricMatrix, w: f64, v: &Vec3) {
     m[0] += w * v[0] * v[0];
     m[1] += w * v[0] * v[1];
     m[2] += w * v[0] * v[2];
@@ -32,7 +32,7 @@ fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
 
 /// Multiply a symmetric matrix by a vector.
 #[inline]
-fn times(m: &Symmetric, v: &Vec3) -> Vec3 {
+fn times(m: &SymmetricMatrix, v: &Vec3) -> Vec3 {
     [
         m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
         m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
@@ -42,7 +42,7 @@ fn times(m: &Symmetric, v: &Vec3) -> Vec3 {
 
 /// Solve M x = r for a positive definite M, by Cramer's rule.
 #[inline]
-fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
+fn solve(m: &SymmetricMatrix, r: &Vec3) -> Option<Vec3> {
     let c0 = m[3] * m[5] - m[4] * m[4];
     let c1 = m[2] * m[4] - m[1] * m[5];
     let c2 = m[1] * m[4] - m[2] * m[3];
@@ -59,7 +59,7 @@ fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
 #[derive(Clone, Copy, Debug)]
 pub struct Quadric<const K: usize> {
     /// Σ area · n nᵀ, plus Σ area · g gᵀ of the attributes
-    shape: Symmetric,
+    shape: SymmetricMatrix,
     /// Σ area · d n, plus the same sum for the attributes
     linear: Vec3,
     /// Σ area · d², plus the same sum for the attributes
@@ -184,12 +184,12 @@ impl<const K: usize> Quadric<K> {
     /// Subtract another quadric.
     #[inline]
     pub fn subtract(&mut self, other: &Self) {
-        self.add(&Self::default().minus(other));
+        self.add(&Self::default().difference(other));
     }
 
     /// Return the difference to another quadric.
     #[inline]
-    pub fn minus(&self, other: &Self) -> Self {
+    pub fn difference(&self, other: &Self) -> Self {
         Self {
             shape: sub(&self.shape, &other.shape),
             linear: sub(&self.linear, &other.linear),
@@ -209,7 +209,7 @@ impl<const K: usize> Quadric<K> {
 
     /// Reduce Q to a function of the position, with optimal attributes.
     #[inline]
-    fn reduced(&self) -> (Symmetric, Vec3, f64) {
+    fn reduce_to_position(&self) -> (SymmetricMatrix, Vec3, f64) {
         let (mut shape, mut linear, mut constant) = (self.shape, self.linear, self.constant);
         if self.area > 0.0 {
             let minus = -1.0 / self.area;
@@ -229,7 +229,7 @@ impl<const K: usize> Quadric<K> {
     /// A spring to `anchor` has strength `tether`, relative to the area of the quadric.
     #[inline]
     pub fn minimum(&self, anchor: &Vec3, tether: f64) -> (Vec3, f64) {
-        let (mut shape, linear, constant) = self.reduced();
+        let (mut shape, linear, constant) = self.reduce_to_position();
         let residual = times(&shape, anchor);
         let slope: Vec3 = std::array::from_fn(|i| residual[i] + linear[i]);
         let at_anchor = dot(anchor, &residual) + 2.0 * dot(anchor, &linear) + constant;
@@ -246,7 +246,7 @@ impl<const K: usize> Quadric<K> {
     /// Compute the error at `p` with the best attributes.
     #[inline]
     pub fn error(&self, p: &Vec3) -> f64 {
-        let (shape, linear, constant) = self.reduced();
+        let (shape, linear, constant) = self.reduce_to_position();
         (dot(p, &times(&shape, p)) + 2.0 * dot(p, &linear) + constant).max(0.0)
     }
 
@@ -291,7 +291,7 @@ mod tests {
 
     /// A triangle without area must not affect the other lanes.
     #[test]
-    fn several_triangles_at_once_have_the_bits_each_has_alone() {
+    fn lanes_equal_single_triangles_bit_for_bit() {
         let points: [[f64; 4]; 5] = [
             [0.1, 0.2, 0.3, 10.0],
             [1.3, 0.1, 0.7, 200.0],
@@ -310,14 +310,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_added_as_a_difference_replaces() {
+    fn adding_a_difference_replaces_a_quadric() {
         let triangle = |x: f64| {
             let corners = [[0.0, 0.0, x, 1.0], [2.0, x, 0.0, 5.0], [0.0, 3.0, 1.0, x]];
             Quadric::<1>::of_triangle(corners.each_ref(), 0.5)
         };
         let (rest, old, new) = (triangle(0.25), triangle(1.0), triangle(2.0));
         let mut replaced = rest.sum(&old);
-        replaced.add(&new.minus(&old));
+        replaced.add(&new.difference(&old));
         let at = [0.3, 0.7, 0.1];
         assert!((replaced.error(&at) - rest.sum(&new).error(&at)).abs() < 1e-12);
     }

@@ -6,24 +6,24 @@
 use crate::base::by_processor::by_processor;
 
 /// Length of a descriptor.
-pub const VALUES: usize = 128;
+pub const DESCRIPTOR_LENGTH: usize = 128;
 /// Norm of a RootSIFT descriptor. Dot products of two of them fit 32 bits; rounding adds at most one per
 /// cent.
-const LENGTH: f32 = 16384.0;
+const ROOTED_NORM: f32 = 16384.0;
 /// Target descriptors per block; the block stays in the L1 cache.
-const TOGETHER: usize = 64;
+const TARGETS_PER_BLOCK: usize = 64;
 
 /// SIFT descriptor.
-pub type Descriptor = [u8; VALUES];
-type Rooted = [i16; VALUES];
+pub type Descriptor = [u8; DESCRIPTOR_LENGTH];
+type RootedDescriptor = [i16; DESCRIPTOR_LENGTH];
 
 /// Best match of a descriptor so far.
 #[derive(Clone, Copy)]
-struct Likest {
+struct BestMatch {
     index: usize,
-    likeness: i32,
+    similarity: i32,
     /// Similarity of the second-best match.
-    second: i32,
+    second_similarity: i32,
 }
 
 /// Match descriptors that are mutual nearest neighbours. Returns index pairs (source, target) in the order of
@@ -31,44 +31,56 @@ struct Likest {
 ///
 /// The distance to the nearest neighbour must be less than `distinct` times the distance to the second
 /// nearest (Lowe's ratio test). A single target therefore has no matches.
-pub fn matches(source: &[Descriptor], target: &[Descriptor], distinct: f32) -> Vec<[usize; 2]> {
+pub fn match_mutual_nearest(source: &[Descriptor], target: &[Descriptor], distinct: f32) -> Vec<[usize; 2]> {
     if target.len() < 2 {
         return Vec::new();
     }
-    let source: Vec<Rooted> = source.iter().map(rooted).collect();
-    let target: Vec<Rooted> = target.iter().map(rooted).collect();
-    let mut likest = vec![Likest { index: 0, likeness: -1, second: -1 }; source.len()];
+    let source: Vec<RootedDescriptor> = source.iter().map(to_rootsift).collect();
+    let target: Vec<RootedDescriptor> = target.iter().map(to_rootsift).collect();
+    let mut likest = vec![BestMatch { index: 0, similarity: -1, second_similarity: -1 }; source.len()];
     let mut most = vec![-1; target.len()];
-    compare_all(&source, &target, &mut likest, &mut most);
-    let is_match = |one: &Likest| {
+    compare_blocks(&source, &target, &mut likest, &mut most);
+    let is_match = |one: &BestMatch| {
         // Vectors of equal norm: the squared distance is 2 (norm² − dot product).
-        let [near, next] = [one.likeness, one.second].map(|likeness| LENGTH * LENGTH - likeness as f32);
-        near < distinct * distinct * next && most[one.index] <= one.likeness
+        let [near, next] = [one.similarity, one.second_similarity]
+            .map(|likeness| ROOTED_NORM * ROOTED_NORM - likeness as f32);
+        near < distinct * distinct * next && most[one.index] <= one.similarity
     };
     likest.iter().enumerate().filter(|(_, one)| is_match(one)).map(|(i, one)| [i, one.index]).collect()
 }
 
-/// Convert a descriptor to RootSIFT with norm `LENGTH`; a zero descriptor stays zero.
-fn rooted(descriptor: &Descriptor) -> Rooted {
+/// Convert a descriptor to RootSIFT with norm `ROOTED_NORM`; a zero descriptor stays zero.
+fn to_rootsift(descriptor: &Descriptor) -> RootedDescriptor {
     let sum: u32 = descriptor.iter().map(|&value| value as u32).sum();
-    descriptor.map(|value| (LENGTH * (value as f32 / sum.max(1) as f32).sqrt()).round() as i16)
+    descriptor.map(|value| (ROOTED_NORM * (value as f32 / sum.max(1) as f32).sqrt()).round() as i16)
 }
 
 by_processor! {
-    fn compare_all(source: &[Rooted], target: &[Rooted], likest: &mut [Likest], most: &mut [i32]) = compare
+    fn compare_blocks(source: &[RootedDescriptor], target: &[RootedDescriptor], likest: &mut [BestMatch], most: &mut [i32]) = compare_blocks_scalar
 }
 
 #[inline(always)]
-fn compare(source: &[Rooted], target: &[Rooted], likest: &mut [Likest], most: &mut [i32]) {
-    for (block, (targets, most)) in target.chunks(TOGETHER).zip(most.chunks_mut(TOGETHER)).enumerate() {
+fn compare_blocks_scalar(
+    source: &[RootedDescriptor],
+    target: &[RootedDescriptor],
+    likest: &mut [BestMatch],
+    most: &mut [i32],
+) {
+    for (block, (targets, most)) in
+        target.chunks(TARGETS_PER_BLOCK).zip(most.chunks_mut(TARGETS_PER_BLOCK)).enumerate()
+    {
         for (one, best) in source.iter().zip(likest.iter_mut()) {
             for (j, (other, most)) in targets.iter().zip(most.iter_mut()).enumerate() {
                 let likeness: i32 = one.iter().zip(other).map(|(&a, &b)| a as i32 * b as i32).sum();
                 *most = likeness.max(*most);
-                if likeness > best.likeness {
-                    *best = Likest { index: block * TOGETHER + j, likeness, second: best.likeness };
-                } else if likeness > best.second {
-                    best.second = likeness;
+                if likeness > best.similarity {
+                    *best = BestMatch {
+                        index: block * TARGETS_PER_BLOCK + j,
+                        similarity: likeness,
+                        second_similarity: best.similarity,
+                    };
+                } else if likeness > best.second_similarity {
+                    best.second_similarity = likeness;
                 }
             }
         }
@@ -97,7 +109,7 @@ mod tests {
             one[5] = one[5].saturating_add(20);
         }
         let expected: Vec<[usize; 2]> = (0..200).map(|i| [i, 199 - i]).collect();
-        assert_eq!(matches(&source, &target, 0.8), expected);
+        assert_eq!(match_mutual_nearest(&source, &target, 0.8), expected);
     }
 
     #[test]
@@ -105,7 +117,7 @@ mod tests {
         let source = some(20, 2);
         let mut target = source.clone();
         target.push(source[7]);
-        let found = matches(&source, &target, 0.8);
+        let found = match_mutual_nearest(&source, &target, 0.8);
         assert_eq!(found.len(), 19);
         assert!(found.iter().all(|&[i, j]| i == j && i != 7));
     }
@@ -116,27 +128,36 @@ mod tests {
         let target = vec![source[0], some(1, 4)[0]];
         source[1] = source[0];
         source[1][0] = source[1][0].wrapping_add(100);
-        assert_eq!(matches(&source, &target, 0.8), [[0, 0]]);
+        assert_eq!(match_mutual_nearest(&source, &target, 0.8), [[0, 0]]);
     }
 
     #[test]
     fn nothing_matches_one_or_none() {
         let few = some(3, 5);
-        assert!(matches(&few, &few[..1], 0.8).is_empty());
-        assert!(matches(&[], &few, 0.8).is_empty());
+        assert!(match_mutual_nearest(&few, &few[..1], 0.8).is_empty());
+        assert!(match_mutual_nearest(&[], &few, 0.8).is_empty());
         // Zero descriptors are all equal, and therefore not distinct.
-        assert!(matches(&[[0; VALUES]; 3], &[[0; VALUES]; 3], 0.8).is_empty());
+        assert!(
+            match_mutual_nearest(&[[0; DESCRIPTOR_LENGTH]; 3], &[[0; DESCRIPTOR_LENGTH]; 3], 0.8).is_empty()
+        );
     }
 
     #[test]
     fn wide_instructions_give_the_same() {
         let (source, target) = (some(70, 6), some(150, 7));
-        let [source, target] = [source, target].map(|all| all.iter().map(rooted).collect::<Vec<_>>());
-        let ends = [compare_all, compare].map(|run| {
-            let mut likest = vec![Likest { index: 0, likeness: -1, second: -1 }; source.len()];
+        let [source, target] = [source, target].map(|all| all.iter().map(to_rootsift).collect::<Vec<_>>());
+        let ends = [compare_blocks, compare_blocks_scalar].map(|run| {
+            let mut likest =
+                vec![BestMatch { index: 0, similarity: -1, second_similarity: -1 }; source.len()];
             let mut most = vec![-1; target.len()];
             run(&source, &target, &mut likest, &mut most);
-            (likest.iter().map(|one| [one.index as i32, one.likeness, one.second]).collect::<Vec<_>>(), most)
+            (
+                likest
+                    .iter()
+                    .map(|one| [one.index as i32, one.similarity, one.second_similarity])
+                    .collect::<Vec<_>>(),
+                most,
+            )
         });
         assert_eq!(ends[0], ends[1]);
     }

@@ -2,30 +2,30 @@
 //!
 //! Feng, Ni and Luo, "Improved surface simplification with multi-attributes", 2012. A file duplicates a
 //! vertex that has two texture coordinates, and collapses that ignore the copies tear the surface open. Here
-//! the copies are one vertex of the connectivity ([`weld`]) with several *wedges* (Hoppe 1999): runs of
+//! the copies are one vertex of the connectivity ([`welding`]) with several *wedges* (Hoppe 1999): runs of
 //! corners with equal attributes ([`wedges`]). All copies therefore move together, and a seam edge collapses
 //! on both sides in one step. Of the two quadrics in the paper, the shape quadric belongs to the vertex and
 //! covers the triangles of all its copies. The quadric of shape and attributes belongs to the wedge
 //! ([`measure`]).
 //!
-//! The constraints on the texture are stricter than in the paper ([`texture`]): no triangle folds in the
+//! The constraints on the texture are stricter than in the paper ([`texture_space`]): no triangle folds in the
 //! texture, a seam stays within a drift bound, and a texture coordinate never leaves its chart.
 
-mod classes;
-mod joined;
-mod legal;
+mod chunked_list;
+mod collapse_planning;
 mod measure;
-mod plan;
+mod merge_plan;
+pub mod progressive_record;
 mod quadrics;
-pub mod record;
-pub mod records;
+pub mod region_state;
 mod simplify;
-pub mod state;
 mod surface;
-pub mod texture;
+pub mod surface_state;
+mod texture_legality;
+pub mod texture_space;
 pub mod wedges;
-pub mod weld;
+pub mod welding;
 
-pub use simplify::{Goal, Outcome, Refused, simplify, simplify_by};
-pub use state::Knobs;
-pub use surface::Surface;
+pub use region_state::CostParameters;
+pub use simplify::{SeamGoal, SeamRefusals, SimplifiedSurface, simplify, simplify_with};
+pub use surface::SeamSurface;

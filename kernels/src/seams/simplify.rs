@@ -1,27 +1,27 @@
 //! Simplification of a surface with seams: weld, collapse, and extract the result.
 
-use super::record::Log;
-use super::records::{Given, SeamRecords, places};
-use super::state::{Knobs, Rule};
-use super::surface::Surface;
-use super::texture::Charts;
-use super::wedges::{NONE, input_corner, seams, wedges};
-use super::weld::{TOUCHES_NONE, Welded, weld};
+use super::progressive_record::ProgressiveRecord;
+use super::region_state::{CostParameters, RefusalReason};
+use super::surface::SeamSurface;
+use super::surface_state::{InitialSurface, SurfaceState, create_vertex_states};
+use super::texture_space::Charts;
+use super::wedges::{ABSENT, create_wedges, find_seams, input_corner};
+use super::welding::{NO_SET, Welded, weld};
 use crate::base::errors::KernelError;
-use crate::base::geometry::{Vec3, around, enlarged};
+use crate::base::geometry::{Vec3, bounding_box, enlarge_box};
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::base::progress::Progress;
+use crate::collapse::collapse_log;
 use crate::collapse::engine::{Refusal, Stop};
-use crate::collapse::logs;
 use crate::collapse::rounds::{self, collapse};
-use crate::collapse::whole::Whole;
-use crate::fitting::fit::{BOX_MARGIN, Input, fit};
-use crate::mesh::legality::Illegal;
-use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
+use crate::collapse::whole_mesh::WholeMesh;
+use crate::fitting::least_squares::{BOX_MARGIN_RATIO, FitInput, fit};
+use crate::mesh::collapse_legality::IllegalCollapse;
+use crate::mesh::triangle_mesh::{CompactMesh, Mesh, VertexLock, check_points};
 
 /// Simplified surface.
 #[derive(Clone, Debug)]
-pub struct Outcome<const K: usize> {
+pub struct SimplifiedSurface<const K: usize> {
     pub points: Vec<Vec3>,
     pub triangles: Vec<[u32; 3]>,
     pub corners: Vec<[f64; K]>,
@@ -31,18 +31,18 @@ pub struct Outcome<const K: usize> {
     pub triangle_source: Vec<u32>,
     pub stop: Stop,
     /// Remaining edges by the last rule that refused each.
-    pub refused: Refused,
+    pub refused: SeamRefusals,
     pub collapses: usize,
     pub attempts: u64,
     /// Largest distance in the texture between a seam and its original, as a length.
     pub seam_drift: f64,
     pub is_fitted: bool,
-    pub log: Option<Log<K>>,
+    pub log: Option<ProgressiveRecord<K>>,
 }
 
 /// Number of edges by the last rule that refused each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Refused {
+pub struct SeamRefusals {
     pub topology: usize,
     pub bridge: usize,
     pub locked: usize,
@@ -54,23 +54,23 @@ pub struct Refused {
     pub needle: usize,
 }
 
-impl Refused {
-    fn count(&mut self, refusal: Refusal<Rule>) {
+impl SeamRefusals {
+    fn count(&mut self, refusal: Refusal<RefusalReason>) {
         let count = match refusal {
-            Refusal::Illegal(Illegal::Topology) => &mut self.topology,
-            Refusal::Illegal(Illegal::Bridge) => &mut self.bridge,
-            Refusal::Illegal(Illegal::Locked) => &mut self.locked,
-            Refusal::Illegal(Illegal::Fold) => &mut self.fold,
-            Refusal::Barred(rule) | Refusal::Bound(rule) => match rule {
-                Rule::Locked => &mut self.locked,
-                Rule::Fold => &mut self.fold,
-                Rule::Seam => &mut self.seam,
-                Rule::Chart => &mut self.chart,
-                Rule::Drift => &mut self.drift,
-                Rule::Shape => &mut self.shape,
-                Rule::Needle => &mut self.needle,
+            Refusal::Illegal(IllegalCollapse::Topology) => &mut self.topology,
+            Refusal::Illegal(IllegalCollapse::Bridge) => &mut self.bridge,
+            Refusal::Illegal(IllegalCollapse::Locked) => &mut self.locked,
+            Refusal::Illegal(IllegalCollapse::Fold) => &mut self.fold,
+            Refusal::PriorityRefused(rule) | Refusal::ProposalRefused(rule) => match rule {
+                RefusalReason::Locked => &mut self.locked,
+                RefusalReason::Fold => &mut self.fold,
+                RefusalReason::Seam => &mut self.seam,
+                RefusalReason::Chart => &mut self.chart,
+                RefusalReason::Drift => &mut self.drift,
+                RefusalReason::Shape => &mut self.shape,
+                RefusalReason::Needle => &mut self.needle,
             },
-            Refusal::Later | Refusal::Rim => return,
+            Refusal::Postponed | Refusal::Rim => return,
         };
         *count += 1;
     }
@@ -78,7 +78,7 @@ impl Refused {
 
 /// Target of a simplification, and optional fit.
 #[derive(Clone, Copy, Debug)]
-pub struct Goal {
+pub struct SeamGoal {
     /// Target, regions and threads of the collapse loop.
     pub rounds: rounds::Goal,
     /// Finally move vertices along their normals to fit the input.
@@ -90,18 +90,18 @@ pub struct Goal {
 /// # Errors
 /// [`KernelError`] for an index out of range, a value that is not finite, or when interrupted.
 pub fn simplify<const D: usize, const K: usize>(
-    surface: &Surface<K>,
-    knobs: Knobs,
-    goal: Goal,
+    surface: &SeamSurface<K>,
+    knobs: CostParameters,
+    goal: SeamGoal,
     progress: &mut Progress,
-) -> Result<Outcome<K>, KernelError> {
-    simplify_by::<D, K>(surface, knobs, goal, progress, |whole, records, _, progress| {
+) -> Result<SimplifiedSurface<K>, KernelError> {
+    simplify_with::<D, K>(surface, knobs, goal, progress, |whole, records, _, progress| {
         collapse(whole, records, &goal.rounds, progress)
     })
 }
 
 /// Result of the collapse loop on a surface with seams.
-pub type Collapsed<'a, const D: usize, const K: usize> = rounds::Outcome<3, SeamRecords<'a, D, K>>;
+pub type CollapseOutcome<'a, const D: usize, const K: usize> = rounds::Outcome<3, SurfaceState<'a, D, K>>;
 
 /// As [`simplify`], with a custom collapse loop that may add constraints.
 ///
@@ -109,54 +109,54 @@ pub type Collapsed<'a, const D: usize, const K: usize> = rounds::Outcome<3, Seam
 ///
 /// # Errors
 /// As [`simplify`].
-pub fn simplify_by<const D: usize, const K: usize>(
-    surface: &Surface<K>,
-    knobs: Knobs,
-    goal: Goal,
+pub fn simplify_with<const D: usize, const K: usize>(
+    surface: &SeamSurface<K>,
+    knobs: CostParameters,
+    goal: SeamGoal,
     progress: &mut Progress,
     collapse: impl for<'a> FnOnce(
-        Whole<3, Rule>,
-        SeamRecords<'a, D, K>,
+        WholeMesh<3, RefusalReason>,
+        SurfaceState<'a, D, K>,
         &[u32],
         &mut Progress,
-    ) -> Result<Collapsed<'a, D, K>, KernelError>,
-) -> Result<Outcome<K>, KernelError> {
+    ) -> Result<CollapseOutcome<'a, D, K>, KernelError>,
+) -> Result<SimplifiedSurface<K>, KernelError> {
     check_points(&surface.points)?;
     check_points(&surface.corners)?;
-    let welded = weld(&surface.sets, &surface.triangles)?;
+    let welded = weld(&surface.coincident_sets, &surface.triangles)?;
     progress.check()?;
     let touching = welded.touching.clone();
-    let mesh = connected(surface, welded);
-    let is_seam = seams(&mesh, surface);
-    let (wedges, of_corner) = wedges(&mesh, surface, &is_seam);
+    let mesh = create_mesh(surface, welded);
+    let is_seam = find_seams(&mesh, surface);
+    let (wedges, of_corner) = create_wedges(&mesh, surface, &is_seam);
     progress.check()?;
     let charts = Charts::new(&mesh, surface, &is_seam, goal.rounds.threads);
-    let places = places(&mesh, surface, &touching);
+    let places = create_vertex_states(&mesh, surface, &touching);
     let corners = of_corner.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
-    let numbered = goal.rounds.record.then(|| numbered(&mesh, surface, &of_corner));
+    let numbered = goal.rounds.record_positions.then(|| map_input_corners(&mesh, surface, &of_corner));
     let of_input = |&t: &u32| surface.importance.get(t as usize).copied();
     let importance = mesh.triangle_source.iter().filter_map(of_input).collect();
-    let bounds = enlarged(&around(mesh.points.iter().copied()), BOX_MARGIN);
-    let (whole, sources) = Whole::from_mesh(mesh);
-    let given = Given { surface, charts: &charts, bounds };
-    let is_recorded = goal.rounds.record;
-    let records = SeamRecords::<D, K>::new(knobs, given, places, wedges, corners, importance, is_recorded);
-    let before = goal.fit.then(|| Before::new(&whole));
+    let bounds = enlarge_box(&bounding_box(mesh.points.iter().copied()), BOX_MARGIN_RATIO);
+    let (whole, sources) = WholeMesh::from_mesh(mesh);
+    let given = InitialSurface { surface, charts: &charts, bounds };
+    let is_recorded = goal.rounds.record_positions;
+    let records = SurfaceState::<D, K>::new(knobs, given, places, wedges, corners, importance, is_recorded);
+    let before = goal.fit.then(|| FitReference::new(&whole));
     let done = collapse(whole, records, &sources.vertices, progress)?;
 
-    let mut refused = Refused::default();
+    let mut refused = SeamRefusals::default();
     done.mesh.refused_edges().into_iter().for_each(|refusal| refused.count(refusal));
-    let (corners, corner_source) = corners_left(&done.mesh, &done.records);
+    let (corners, corner_source) = collect_corners(&done.mesh, &done.records);
     let mut compact = done.mesh.into_compact();
-    let is_fitted = match before.filter(|_| done.collapses > 0 && done.stop != Stop::Enough) {
+    let is_fitted = match before.filter(|_| done.collapses > 0 && done.stop != Stop::StoppedByCaller) {
         Some(before) => before.fit(&mut compact, &done.logs, goal.rounds.threads, progress)?,
         None => false,
     };
     let seam_drift = done.records.largest_drift;
     let log = done.records.changes.zip(numbered);
-    let log = log.map(|(changes, numbered)| Log::new(&done.logs, &changes, numbered));
-    let compact = compact.traced_to(&Some(sources));
-    Ok(Outcome {
+    let log = log.map(|(changes, numbered)| ProgressiveRecord::new(&done.logs, &changes, numbered));
+    let compact = compact.with_sources_of(&Some(sources));
+    Ok(SimplifiedSurface {
         points: compact.points,
         triangles: compact.triangles,
         corners,
@@ -174,17 +174,17 @@ pub fn simplify_by<const D: usize, const K: usize>(
 }
 
 /// Create the mesh of a welded surface, with touching vertices locked.
-fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
+fn create_mesh<const K: usize>(surface: &SeamSurface<K>, welded: Welded) -> Mesh<3> {
     let slots = welded.connectivity.vertex_slots();
     let mut points = vec![[0.0; 3]; slots];
     let mut vertex_source = vec![0; slots];
-    let mut locks = vec![Lock::Free; slots];
+    let mut locks = vec![VertexLock::Free; slots];
     for (h, &v) in welded.corner_vertex.iter().enumerate().rev() {
         let input = surface.triangles[welded.triangle_source[h / 3] as usize][h % 3];
         points[v.index()] = surface.points[input as usize];
         vertex_source[v.index()] = input;
-        if welded.touching[v.index()] != TOUCHES_NONE || surface.locked[input as usize] {
-            locks[v.index()] = Lock::Locked;
+        if welded.touching[v.index()] != NO_SET || surface.locked[input as usize] {
+            locks[v.index()] = VertexLock::Locked;
         }
     }
     let (connectivity, triangle_source) = (welded.connectivity, welded.triangle_source);
@@ -192,8 +192,12 @@ fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
 }
 
 /// Map each corner of the input to its wedge and vertex; `NONE` in dropped triangles.
-fn numbered<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, of_corner: &[u32]) -> [Vec<u32>; 2] {
-    let mut numbered = [0, 1].map(|_| vec![NONE; 3 * surface.triangles.len()]);
+fn map_input_corners<const K: usize>(
+    mesh: &Mesh<3>,
+    surface: &SeamSurface<K>,
+    of_corner: &[u32],
+) -> [Vec<u32>; 2] {
+    let mut numbered = [0, 1].map(|_| vec![ABSENT; 3 * surface.triangles.len()]);
     for (h, &wedge) in of_corner.iter().enumerate() {
         let h = HalfedgeId::from_index(h);
         let corner = input_corner(mesh, h);
@@ -206,27 +210,27 @@ fn numbered<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, of_corner: &[u
 /// Collect the attributes of the remaining corners, and the input corners with equal attributes.
 ///
 /// Triangles are in the order of their sources.
-fn corners_left<const D: usize, const K: usize>(
-    mesh: &Whole<3, Rule>,
-    records: &SeamRecords<'_, D, K>,
+fn collect_corners<const D: usize, const K: usize>(
+    mesh: &WholeMesh<3, RefusalReason>,
+    records: &SurfaceState<'_, D, K>,
 ) -> (Vec<[f64; K]>, Vec<u32>) {
     let mut order: Vec<(u32, u32)> = mesh.triangle_source.iter().copied().zip(0..).collect();
     order.sort_unstable();
     let wedges =
-        order.iter().flat_map(|&(_, t)| records.corners.at(t)).map(|&wedge| records.wedges.at(wedge));
+        order.iter().flat_map(|&(_, t)| records.corners.get(t)).map(|&wedge| records.wedges.get(wedge));
     wedges.map(|wedge| (wedge.attributes, wedge.source)).unzip()
 }
 
 /// The surface before any collapse.
-struct Before {
+struct FitReference {
     points: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
     locked: Vec<bool>,
 }
 
-impl Before {
-    fn new(whole: &Whole<3, Rule>) -> Self {
-        let Whole { points, triangles, locked, .. } = whole;
+impl FitReference {
+    fn new(whole: &WholeMesh<3, RefusalReason>) -> Self {
+        let WholeMesh { points, triangles, locked, .. } = whole;
         Self { points: points.clone(), triangles: triangles.clone(), locked: locked.clone() }
     }
 
@@ -236,8 +240,8 @@ impl Before {
     /// non-manifold.
     fn fit(
         &self,
-        compact: &mut Compact<3>,
-        logs: &[logs::Log<3>],
+        compact: &mut CompactMesh<3>,
+        logs: &[collapse_log::RegionLog<3>],
         threads: usize,
         progress: &Progress,
     ) -> Result<bool, KernelError> {
@@ -248,14 +252,14 @@ impl Before {
         for (number, &v) in compact.vertex_source.iter().enumerate() {
             became[v as usize] = VertexId::from_index(number);
             if self.locked[v as usize] {
-                light.locks[number] = Lock::Locked;
+                light.locks[number] = VertexLock::Locked;
             }
         }
         // Collapses in different regions of a round are independent, so any order of the logs works.
         for merge in logs.iter().flat_map(|log| &log.merges).rev() {
             became[merge.removed.index()] = became[merge.survivor.index()];
         }
-        let input = Input { points: &self.points, triangles: &self.triangles, became: &became };
+        let input = FitInput { points: &self.points, triangles: &self.triangles, vertex_map: &became };
         fit(&mut light, &input, threads, progress)?;
         compact.points = light.points;
         Ok(true)

@@ -4,10 +4,10 @@ use crate::base::geometry::Vec3;
 
 /// A surface as stored in a file.
 #[derive(Clone, Debug)]
-pub struct Surface<const K: usize> {
+pub struct SeamSurface<const K: usize> {
     pub points: Vec<Vec3>,
     /// By vertex: set of coincident vertices; all members have equal points.
-    pub sets: Vec<u32>,
+    pub coincident_sets: Vec<u32>,
     pub triangles: Vec<[u32; 3]>,
     /// Attributes of the three corners of each triangle, as lengths. If a triangle is `textured`, the first
     /// two are the texture coordinate.

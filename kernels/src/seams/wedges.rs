@@ -4,13 +4,13 @@
 //! for simplifying meshes with appearance attributes", 1999). A vertex inside a chart has one wedge, a vertex
 //! on a seam has two or more.
 
-use super::surface::Surface;
+use super::surface::SeamSurface;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
 /// Marks the absence of a corner, a wedge or a triangle.
-pub const NONE: u32 = u32::MAX;
+pub const ABSENT: u32 = u32::MAX;
 
 /// Return the corner of the input at the origin of a halfedge.
 pub fn input_corner(mesh: &Mesh<3>, h: HalfedgeId) -> usize {
@@ -18,7 +18,7 @@ pub fn input_corner(mesh: &Mesh<3>, h: HalfedgeId) -> usize {
 }
 
 /// Mark seams: edges where texture coordinates or materials differ, and boundaries.
-pub fn seams<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>) -> Vec<bool> {
+pub fn find_seams<const K: usize>(mesh: &Mesh<3>, surface: &SeamSurface<K>) -> Vec<bool> {
     let connectivity = &mesh.connectivity;
     let look = |h: HalfedgeId| {
         let corner = input_corner(mesh, h);
@@ -37,12 +37,12 @@ pub fn seams<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>) -> Vec<bool> 
 }
 
 /// Number the charts: connected components of triangles, separated by seams.
-pub fn charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
-    let mut chart = vec![NONE; connectivity.triangle_slots()];
+pub fn label_charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
+    let mut chart = vec![ABSENT; connectivity.triangle_slots()];
     let mut count = 0;
     let mut open = vec![];
     for start in 0..chart.len() {
-        if chart[start] != NONE {
+        if chart[start] != ABSENT {
             continue;
         }
         chart[start] = count;
@@ -50,7 +50,7 @@ pub fn charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
         while let Some(t) = open.pop() {
             for h in (3 * t..3 * t + 3).map(HalfedgeId::from_index) {
                 let beyond = connectivity.twin(h).index() / 3;
-                if !is_seam[connectivity.edge(h).index()] && chart[beyond] == NONE {
+                if !is_seam[connectivity.edge(h).index()] && chart[beyond] == ABSENT {
                     chart[beyond] = count;
                     open.push(beyond);
                 }
@@ -72,29 +72,29 @@ pub fn uv_of<const K: usize>(attributes: &[f64; K]) -> [f64; 2] {
 pub struct Wedge<const K: usize> {
     pub attributes: [f64; K],
     /// Initial index.
-    pub name: u32,
-    /// Corner of the input with exactly equal attributes, or `NONE` once they have changed.
+    pub initial_index: u32,
+    /// Corner of the input with exactly equal attributes, or `ABSENT` once they have changed.
     pub source: u32,
     /// Input triangle that contains the texture coordinate.
-    pub home: u32,
+    pub home_triangle: u32,
     pub chart: u32,
     pub is_textured: bool,
 }
 
 /// Create the wedges of a surface before any collapse; also returns the wedge of each corner.
-pub fn wedges<const K: usize>(
+pub fn create_wedges<const K: usize>(
     mesh: &Mesh<3>,
-    surface: &Surface<K>,
+    surface: &SeamSurface<K>,
     is_seam: &[bool],
 ) -> (Vec<Wedge<K>>, Vec<u32>) {
     let connectivity = &mesh.connectivity;
-    let chart = charts(connectivity, is_seam);
+    let chart = label_charts(connectivity, is_seam);
     let attributes = |h: HalfedgeId| &surface.corners[input_corner(mesh, h)];
     // Test if a corner has the same wedge as the previous one, clockwise.
     let goes_on = |h: HalfedgeId, before: HalfedgeId| {
         !is_seam[connectivity.edge(h).index()] && attributes(h) == attributes(before)
     };
-    let mut of_corner = vec![NONE; 3 * connectivity.triangle_slots()];
+    let mut of_corner = vec![ABSENT; 3 * connectivity.triangle_slots()];
     let mut wedges = Vec::with_capacity(mesh.points.len());
     let mut fan = vec![];
     for v in connectivity.vertices() {
@@ -111,9 +111,9 @@ pub fn wedges<const K: usize>(
                 let source = input_corner(mesh, h);
                 wedges.push(Wedge {
                     attributes: *attributes(h),
-                    name: wedges.len() as u32,
+                    initial_index: wedges.len() as u32,
                     source: source as u32,
-                    home: h.0 / 3,
+                    home_triangle: h.0 / 3,
                     chart: chart[h.index() / 3],
                     is_textured: surface.textured[source / 3],
                 });
@@ -136,13 +136,13 @@ impl<const K: usize> Wedges<K> {
     ///
     /// `merged` are the wedges it was merged from. If one of them has exactly the same attributes, its source
     /// is used.
-    pub fn put(&mut self, wedge: u32, merged: [u32; 2], attributes: [f64; K], home: u32) -> bool {
-        self.all[wedge as usize].home = home;
-        if self.at(wedge).attributes == attributes {
+    pub fn set_attributes(&mut self, wedge: u32, merged: [u32; 2], attributes: [f64; K], home: u32) -> bool {
+        self.all[wedge as usize].home_triangle = home;
+        if self.get(wedge).attributes == attributes {
             return false;
         }
-        let same = merged.into_iter().find(|&w| w != NONE && self.at(w).attributes == attributes);
-        let source = same.map_or(NONE, |w| self.at(w).source);
+        let same = merged.into_iter().find(|&w| w != ABSENT && self.get(w).attributes == attributes);
+        let source = same.map_or(ABSENT, |w| self.get(w).source);
         let wedge = &mut self.all[wedge as usize];
         (wedge.attributes, wedge.source) = (attributes, source);
         true
@@ -150,28 +150,28 @@ impl<const K: usize> Wedges<K> {
 
     /// Return the wedge of a corner, given by its halfedge.
     #[inline]
-    pub fn of(&self, h: HalfedgeId) -> u32 {
+    pub fn wedge_of(&self, h: HalfedgeId) -> u32 {
         self.of_corner[h.index()]
     }
 
     #[inline]
-    pub fn at(&self, wedge: u32) -> &Wedge<K> {
+    pub fn get(&self, wedge: u32) -> &Wedge<K> {
         &self.all[wedge as usize]
     }
 
     /// Return the texture coordinate of a wedge.
     #[inline]
     pub fn uv(&self, wedge: u32) -> [f64; 2] {
-        uv_of(&self.at(wedge).attributes)
+        uv_of(&self.get(wedge).attributes)
     }
 
     /// Test if two wedges are at the same point of one chart.
     #[inline]
-    pub fn is_same_place(&self, a: u32, b: u32) -> bool {
+    pub fn has_same_uv(&self, a: u32, b: u32) -> bool {
         if a == b {
             return true;
         }
-        let (one, other) = (self.at(a), self.at(b));
+        let (one, other) = (self.get(a), self.get(b));
         one.chart == other.chart && (!one.is_textured || self.uv(a) == self.uv(b))
     }
 
@@ -180,13 +180,13 @@ impl<const K: usize> Wedges<K> {
         let h = connectivity.halfedge(edge);
         let twin = connectivity.twin(h);
         twin.is_none()
-            || !self.is_same_place(self.of(h), self.of(Connectivity::next(twin)))
-            || !self.is_same_place(self.of(Connectivity::next(h)), self.of(twin))
+            || !self.has_same_uv(self.wedge_of(h), self.wedge_of(Connectivity::next(twin)))
+            || !self.has_same_uv(self.wedge_of(Connectivity::next(h)), self.wedge_of(twin))
     }
 
     /// Find the wedge of all corners of a vertex; `None` if there are several.
-    pub fn only(&self, connectivity: &Connectivity, v: VertexId) -> Option<u32> {
-        let mut fan = connectivity.fan(v).map(|h| self.of(h));
+    pub fn single_wedge(&self, connectivity: &Connectivity, v: VertexId) -> Option<u32> {
+        let mut fan = connectivity.fan(v).map(|h| self.wedge_of(h));
         let first = fan.next()?;
         fan.all(|wedge| wedge == first).then_some(first)
     }

@@ -13,30 +13,30 @@ pub(super) const NONE: u32 = u32::MAX;
 
 /// Symbol of a gate: the content on the left of a border edge.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Left {
+pub(super) enum GateSymbol {
     /// Mesh boundary.
-    Nothing,
+    MeshBoundary,
     /// Triangle with its tip at the far end of the next edge, or of the previous edge.
     Next,
     Previous,
     /// Triangle with a new tip; the value is its vertex in the mesh to encode.
-    New(VertexId),
+    NewVertex(VertexId),
     /// Triangle with its tip at the origin of this border edge.
-    Other(u32),
+    OtherVertex(u32),
 }
 
 /// Directed edge of the border, with its left side not coded yet.
 #[derive(Clone, Copy)]
-pub(super) struct Edge {
+pub(super) struct BorderEdge {
     pub origin: u32,
     /// Opposite corner of the triangle on its right.
-    pub across: u32,
+    pub opposite: u32,
     pub prev: u32,
     pub next: u32,
     /// True on the mesh boundary, where no triangle will follow.
-    pub closed: bool,
+    pub is_boundary: bool,
     /// Index in [`Border::present`]; [`NONE`] after the edge has left the border.
-    place: u32,
+    list_index: u32,
     /// Halfedge on its left, in the mesh to encode.
     pub halfedge: HalfedgeId,
 }
@@ -44,13 +44,13 @@ pub(super) struct Edge {
 /// Border edges, with linked loops.
 #[derive(Default)]
 pub(super) struct Border {
-    edges: Vec<Edge>,
+    edges: Vec<BorderEdge>,
     /// Indices of the edges on the border, unordered.
     present: Vec<u32>,
 }
 
 impl Border {
-    pub(super) fn edge(&self, edge: u32) -> &Edge {
+    pub(super) fn edge(&self, edge: u32) -> &BorderEdge {
         &self.edges[edge as usize]
     }
 
@@ -61,12 +61,12 @@ impl Border {
 
     /// Check whether an edge is still on the border.
     pub(super) fn is_present(&self, edge: u32) -> bool {
-        self.edge(edge).place != NONE
+        self.edge(edge).list_index != NONE
     }
 
     /// Check whether a triangle may be attached to an edge.
     pub(super) fn is_open(&self, edge: u32) -> bool {
-        self.is_present(edge) && !self.edge(edge).closed
+        self.is_present(edge) && !self.edge(edge).is_boundary
     }
 
     /// Return the edges on the border, unordered.
@@ -75,8 +75,8 @@ impl Border {
     }
 
     /// Mark an edge as mesh boundary.
-    pub(super) fn close(&mut self, edge: u32) {
-        self.edges[edge as usize].closed = true;
+    pub(super) fn mark_boundary(&mut self, edge: u32) {
+        self.edges[edge as usize].is_boundary = true;
     }
 
     /// Add an unlinked edge and return its index.
@@ -85,7 +85,15 @@ impl Border {
         let place = self.present.len() as u32;
         self.present.push(number);
         let (prev, next) = (NONE, NONE);
-        self.edges.push(Edge { origin, across, prev, next, closed: false, place, halfedge });
+        self.edges.push(BorderEdge {
+            origin,
+            opposite: across,
+            prev,
+            next,
+            is_boundary: false,
+            list_index: place,
+            halfedge,
+        });
         number
     }
 
@@ -97,10 +105,10 @@ impl Border {
 
     /// Remove an edge from the border.
     pub(super) fn remove(&mut self, edge: u32) {
-        let place = std::mem::replace(&mut self.edges[edge as usize].place, NONE);
+        let place = std::mem::replace(&mut self.edges[edge as usize].list_index, NONE);
         self.present.swap_remove(place as usize);
         if let Some(&moved) = self.present.get(place as usize) {
-            self.edges[moved as usize].place = place;
+            self.edges[moved as usize].list_index = place;
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Arithmetic coding of binary decisions, with the range coder of `constriction`.
 //!
-//! Encoder and decoder run through the models identically. [`Coder::bit`] receives the decision to encode and
+//! Encoder and decoder run through the models identically. [`Coder::code_bit`] receives the decision to encode and
 //! returns the coded one; a decoder ignores its argument.
 
 use std::borrow::Borrow;
@@ -19,12 +19,12 @@ pub(super) struct Exhausted;
 /// Encoder or decoder of binary decisions.
 pub(super) trait Coder {
     /// Code a decision that is `true` with probability `p`/65536.
-    fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted>;
+    fn code_bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted>;
 
     /// Code a decision with probability 1/2.
-    fn even(&mut self, bit: bool) -> Result<bool, Exhausted> {
+    fn code_even(&mut self, bit: bool) -> Result<bool, Exhausted> {
         const HALF: NonZeroU16 = NonZeroU16::new(1 << 15).unwrap();
-        self.bit(HALF, bit)
+        self.code_bit(HALF, bit)
     }
 }
 
@@ -35,7 +35,7 @@ const PRECISION: usize = 16;
 struct Bernoulli(NonZeroU16);
 
 impl Bernoulli {
-    fn part(self, bit: bool) -> (u16, NonZeroU16) {
+    fn interval(self, bit: bool) -> (u16, NonZeroU16) {
         let p = self.0.get();
         // 65536 − p is within 1..=65535, as p is.
         if bit { (0, self.0) } else { (p, NonZeroU16::new(p.wrapping_neg()).unwrap_or(NonZeroU16::MIN)) }
@@ -49,14 +49,14 @@ impl EntropyModel<PRECISION> for Bernoulli {
 
 impl EncoderModel<PRECISION> for Bernoulli {
     fn left_cumulative_and_probability(&self, symbol: impl Borrow<bool>) -> Option<(u16, NonZeroU16)> {
-        Some(self.part(*symbol.borrow()))
+        Some(self.interval(*symbol.borrow()))
     }
 }
 
 impl DecoderModel<PRECISION> for Bernoulli {
     fn quantile_function(&self, quantile: u16) -> (bool, u16, NonZeroU16) {
         let bit = quantile < self.0.get();
-        let (left, width) = self.part(bit);
+        let (left, width) = self.interval(bit);
         (bit, left, width)
     }
 }
@@ -66,7 +66,7 @@ impl DecoderModel<PRECISION> for Bernoulli {
 pub(super) struct Encoder(RangeEncoder<u16, u64>);
 
 impl Coder for Encoder {
-    fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
+    fn code_bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
         // Cannot fail: both decisions have positive probability, and the output vector grows.
         self.0.encode_symbol(bit, Bernoulli(p)).map_err(|_| Exhausted)?;
         Ok(bit)
@@ -94,12 +94,12 @@ impl Encoder {
 }
 
 /// Bytes as 16-bit words, followed by as many zeros as a decoder reads ahead.
-struct Words<'a> {
+struct WordReader<'a> {
     bytes: &'a [u8],
     zeros: usize,
 }
 
-impl ReadWords<u16, Queue> for Words<'_> {
+impl ReadWords<u16, Queue> for WordReader<'_> {
     type ReadError = Exhausted;
 
     fn read(&mut self) -> Result<Option<u16>, Exhausted> {
@@ -121,25 +121,25 @@ impl ReadWords<u16, Queue> for Words<'_> {
 }
 
 /// Range decoder, the inverse of [`Encoder`].
-pub(super) struct Decoder<'a>(RangeDecoder<u16, u64, Words<'a>>);
+pub(super) struct Decoder<'a>(RangeDecoder<u16, u64, WordReader<'a>>);
 
 impl<'a> Decoder<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Result<Self, Exhausted> {
-        RangeDecoder::with_backend(Words { bytes, zeros: 4 }).map(Self)
+        RangeDecoder::with_backend(WordReader { bytes, zeros: 4 }).map(Self)
     }
 }
 
 impl Coder for Decoder<'_> {
-    fn bit(&mut self, p: NonZeroU16, _: bool) -> Result<bool, Exhausted> {
+    fn code_bit(&mut self, p: NonZeroU16, _: bool) -> Result<bool, Exhausted> {
         self.0.decode_symbol(Bernoulli(p)).map_err(|_| Exhausted)
     }
 }
 
 /// Coder that writes nothing. It determines the order in which the models meet vertices and triangles.
-pub(super) struct Rehearsal;
+pub(super) struct DryRunCoder;
 
-impl Coder for Rehearsal {
-    fn bit(&mut self, _: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
+impl Coder for DryRunCoder {
+    fn code_bit(&mut self, _: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
         Ok(bit)
     }
 }

@@ -10,7 +10,7 @@
 use std::num::NonZeroU16;
 
 use super::coder::{Coder, Exhausted};
-use super::logistic::{logit, probability};
+use super::logistic::{logit, sigmoid};
 
 /// Learning rates of a family of decisions.
 #[derive(Clone, Copy)]
@@ -22,15 +22,15 @@ pub(super) struct Rates {
     /// Window of a context's probability, in decisions.
     pub memory: u16,
     /// Weight of the prior in a new context, in decisions.
-    pub trust: u16,
+    pub prior_weight: u16,
     /// Minimum distance of probabilities from 0 and 1, in units of 1/65536.
-    pub margin: u16,
+    pub min_probability: u16,
 }
 
 #[derive(Clone, Copy)]
-struct Slot {
-    p: f32,
-    seen: u16,
+struct ContextState {
+    probability: f32,
+    decision_count: u16,
 }
 
 /// Logistic regression with online learning (extended Kalman filter on its weights).
@@ -38,23 +38,24 @@ struct Slot {
 struct Regression<const I: usize> {
     weights: [f32; I],
     /// Covariance of the weights.
-    spread: [[f32; I]; I],
+    covariance: [[f32; I]; I],
     rates: [f32; 2],
 }
 
 impl<const I: usize> Regression<I> {
     fn new(weights: [f32; I], rates: [f32; 2]) -> Self {
         let spread = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { rates[0] } else { 0.0 }));
-        Self { weights, spread, rates }
+        Self { weights, covariance: spread, rates }
     }
 
     fn sum(&self, inputs: &[f32; I]) -> f32 {
         (0..I).map(|i| self.weights[i] * inputs[i]).sum()
     }
 
-    /// Update the weights. `error` is the outcome minus the predicted probability `p`.
+    /// Update the weights. `error` is the outcome minus the predicted probability `probability`.
     fn learn(&mut self, inputs: &[f32; I], p: f32, error: f32) {
-        let reach: [f32; I] = std::array::from_fn(|i| (0..I).map(|j| self.spread[i][j] * inputs[j]).sum());
+        let reach: [f32; I] =
+            std::array::from_fn(|i| (0..I).map(|j| self.covariance[i][j] * inputs[j]).sum());
         // Rounding must not make it negative.
         let power = (0..I).map(|i| inputs[i] * reach[i]).sum::<f32>().max(0.0);
         let variance = (p * (1.0 - p)).max(0.003);
@@ -62,11 +63,11 @@ impl<const I: usize> Regression<I> {
         for i in 0..I {
             self.weights[i] += gain * error * reach[i];
             for j in 0..I {
-                self.spread[i][j] -= gain * variance * reach[i] * reach[j];
+                self.covariance[i][j] -= gain * variance * reach[i] * reach[j];
             }
             // The variance of unused weights must not grow without limit.
-            if self.spread[i][i] < self.rates[0] {
-                self.spread[i][i] = self.spread[i][i].max(0.0) + self.rates[1];
+            if self.covariance[i][i] < self.rates[0] {
+                self.covariance[i][i] = self.covariance[i][i].max(0.0) + self.rates[1];
             }
         }
     }
@@ -77,14 +78,14 @@ pub(super) struct Decisions<const F: usize, const N: usize> {
     rates: Rates,
     regressions: Vec<Regression<F>>,
     mixers: Vec<Regression<N>>,
-    slots: [Vec<Slot>; N],
+    slots: [Vec<ContextState>; N],
 }
 
 impl<const F: usize, const N: usize> Decisions<F, N> {
     /// Create one decision per row of `regressions`, with contexts of the given sizes.
     pub(super) fn new(rates: Rates, regressions: &[[f32; F]], sizes: [usize; N]) -> Self {
         let mixer = Regression::new([0.6 / (N as f32 + 1.0); N], rates.mixer);
-        let slot = Slot { p: 0.5, seen: 0 };
+        let slot = ContextState { probability: 0.5, decision_count: 0 };
         Self {
             rates,
             regressions: regressions
@@ -97,7 +98,7 @@ impl<const F: usize, const N: usize> Decisions<F, N> {
     }
 
     /// Code one decision of the family, and update its models.
-    pub(super) fn bit<C: Coder>(
+    pub(super) fn code_bit<C: Coder>(
         &mut self,
         coder: &mut C,
         decision: usize,
@@ -109,32 +110,32 @@ impl<const F: usize, const N: usize> Decisions<F, N> {
         let regression = &mut self.regressions[decision];
         let mixer = &mut self.mixers[decision];
         let guess = regression.sum(features).clamp(-11.0, 11.0);
-        let guessed = probability(guess);
+        let guessed = sigmoid(guess);
         let mut inputs = [0.0; N];
         for i in 0..N {
             let slot = &mut self.slots[i][contexts[i] * count + decision];
-            if slot.seen == 0 {
-                *slot = Slot { p: guessed, seen: self.rates.trust };
+            if slot.decision_count == 0 {
+                *slot = ContextState { probability: guessed, decision_count: self.rates.prior_weight };
             }
             // Difference of the context from the prior, in logits.
-            inputs[i] = logit(slot.p) - guess;
+            inputs[i] = logit(slot.probability) - guess;
         }
-        let p = probability(guess + mixer.sum(&inputs));
-        let bit = coder.bit(scaled(p, self.rates.margin), bit)?;
+        let p = sigmoid(guess + mixer.sum(&inputs));
+        let bit = coder.code_bit(quantize_probability(p, self.rates.min_probability), bit)?;
 
         let outcome = f32::from(u8::from(bit));
         regression.learn(features, guessed, outcome - guessed);
         mixer.learn(&inputs, p, outcome - p);
         for (slots, context) in self.slots.iter_mut().zip(contexts) {
             let slot = &mut slots[context * count + decision];
-            slot.seen = (slot.seen + 1).min(self.rates.memory);
-            slot.p += (outcome - slot.p) / f32::from(slot.seen);
+            slot.decision_count = (slot.decision_count + 1).min(self.rates.memory);
+            slot.probability += (outcome - slot.probability) / f32::from(slot.decision_count);
         }
         Ok(bit)
     }
 }
 
-fn scaled(p: f32, margin: u16) -> NonZeroU16 {
+fn quantize_probability(p: f32, margin: u16) -> NonZeroU16 {
     let p = ((p * 65536.0) as u16).clamp(margin, u16::MAX - margin + 1);
     NonZeroU16::new(p).unwrap_or(NonZeroU16::MIN)
 }

@@ -16,11 +16,11 @@ pub enum SnmError {
     /// A part has a wrong checksum or decodes to invalid data.
     Damaged { part: usize },
     /// Bytes follow the last refinement.
-    Surplus { bytes: usize },
+    TrailingBytes { bytes: usize },
     /// The base mesh to write is not manifold.
     Mesh(KernelError),
     /// The input does not fit the format, or contradicts earlier input.
-    Misfit(&'static str),
+    InvalidInput(&'static str),
 }
 
 impl fmt::Display for SnmError {
@@ -36,9 +36,9 @@ impl fmt::Display for SnmError {
             }
             Self::Truncated { part } => write!(f, "the file is truncated in {}", name(part)),
             Self::Damaged { part } => write!(f, "{} is damaged", name(part)),
-            Self::Surplus { bytes } => write!(f, "{bytes} unexpected bytes follow the last level"),
+            Self::TrailingBytes { bytes } => write!(f, "{bytes} unexpected bytes follow the last level"),
             Self::Mesh(why) => why.fmt(f),
-            Self::Misfit(why) => write!(f, "{why}"),
+            Self::InvalidInput(why) => write!(f, "{why}"),
         }
     }
 }
@@ -50,8 +50,8 @@ impl From<SnmError> for KernelError {
     fn from(error: SnmError) -> Self {
         match error {
             SnmError::Mesh(why) => why,
-            SnmError::Misfit(why) => Self::Unwritable(why),
-            _ => Self::Unwritable("the encoder failed"),
+            SnmError::InvalidInput(why) => Self::NotEncodable(why),
+            _ => Self::NotEncodable("the encoder failed"),
         }
     }
 }

@@ -1,14 +1,14 @@
 //! Logarithm, logit and its inverse, from +, −, × and ÷ alone. All machines round these alike, whereas
 //! library functions differ in the last bit between systems.
 
-const KNOTS: usize = 4096;
+const LOGIT_TABLE_SIZE: usize = 4096;
 
-/// ln(p / (1 − p)) at the centres of [`KNOTS`] intervals of 0..1.
-static LOGITS: [f32; KNOTS] = {
-    let mut table = [0.0; KNOTS];
+/// ln(p / (1 − p)) at the centres of [`LOGIT_TABLE_SIZE`] intervals of 0..1.
+static LOGITS: [f32; LOGIT_TABLE_SIZE] = {
+    let mut table = [0.0; LOGIT_TABLE_SIZE];
     let mut i = 0;
-    while i < KNOTS {
-        let p = (i as f64 + 0.5) / KNOTS as f64;
+    while i < LOGIT_TABLE_SIZE {
+        let p = (i as f64 + 0.5) / LOGIT_TABLE_SIZE as f64;
         table[i] = natural_log(p / (1.0 - p)) as f32;
         i += 1;
     }
@@ -16,16 +16,16 @@ static LOGITS: [f32; KNOTS] = {
 };
 
 /// Maximum magnitude of logits; larger ones are clamped.
-const REACH: f32 = 12.0;
-const PER_UNIT: usize = 32;
+const MAX_LOGIT: f32 = 12.0;
+const KNOTS_PER_UNIT: usize = 32;
 
-/// 1 / (1 + e^−x) at multiples of 1 / [`PER_UNIT`], from −[`REACH`] on.
-static PROBABILITIES: [f32; 2 * REACH as usize * PER_UNIT + 2] = {
-    let mut table = [0.0; 2 * REACH as usize * PER_UNIT + 2];
+/// 1 / (1 + e^−x) at multiples of 1 / [`KNOTS_PER_UNIT`], from −[`MAX_LOGIT`] on.
+static PROBABILITIES: [f32; 2 * MAX_LOGIT as usize * KNOTS_PER_UNIT + 2] = {
+    let mut table = [0.0; 2 * MAX_LOGIT as usize * KNOTS_PER_UNIT + 2];
     let mut i = 0;
     // e^(1/32) and e^12 from their series.
-    let step = exponential(1.0 / PER_UNIT as f64);
-    let mut inverse_odds = exponential(REACH as f64);
+    let step = exponential(1.0 / KNOTS_PER_UNIT as f64);
+    let mut inverse_odds = exponential(MAX_LOGIT as f64);
     while i < table.len() {
         table[i] = (1.0 / (1.0 + inverse_odds)) as f32;
         inverse_odds /= step;
@@ -68,12 +68,12 @@ const fn natural_log(x: f64) -> f64 {
 
 /// Look up the logit of a probability in 0..1.
 pub(super) fn logit(p: f32) -> f32 {
-    LOGITS[((p * KNOTS as f32) as usize).min(KNOTS - 1)]
+    LOGITS[((p * LOGIT_TABLE_SIZE as f32) as usize).min(LOGIT_TABLE_SIZE - 1)]
 }
 
 /// Interpolate the probability of a logit, the inverse of [`logit`].
-pub(super) fn probability(logit: f32) -> f32 {
-    let x = (logit.clamp(-REACH, REACH) + REACH) * PER_UNIT as f32;
+pub(super) fn sigmoid(logit: f32) -> f32 {
+    let x = (logit.clamp(-MAX_LOGIT, MAX_LOGIT) + MAX_LOGIT) * KNOTS_PER_UNIT as f32;
     let i = x as usize;
     let t = x - i as f32;
     PROBABILITIES[i] + t * (PROBABILITIES[i + 1] - PROBABILITIES[i])
@@ -92,7 +92,7 @@ pub(super) fn ln(x: f32) -> f32 {
 }
 
 /// Classify a number into one of `count` classes: class 0 up to 1, then `per_octave` classes per doubling.
-pub(super) fn class(x: f32, per_octave: f32, count: usize) -> usize {
+pub(super) fn classify(x: f32, per_octave: f32, count: usize) -> usize {
     ((ln(x) * per_octave * std::f32::consts::LOG2_E) as usize).min(count - 1)
 }
 
@@ -108,9 +108,9 @@ mod tests {
             // A table interval is 1/4096 wide, and the slope of the logit is 1 / p(1 − p).
             let slope = 1.0 / f64::from(p * (1.0 - p));
             assert!((f64::from(logit(p)) - exact).abs() < slope / 4096.0, "{p}");
-            assert!((probability(exact as f32) - p).abs() < 3e-5, "{p}");
+            assert!((sigmoid(exact as f32) - p).abs() < 3e-5, "{p}");
         }
-        assert!(probability(-99.0) > 0.0 && probability(99.0) <= 1.0);
+        assert!(sigmoid(-99.0) > 0.0 && sigmoid(99.0) <= 1.0);
         for x in [1e-6f32, 0.3, 1.0, 1.999_999, 2.0, 17.5, 4e9] {
             assert!((ln(x) - x.ln()).abs() < 1e-4, "{x}");
         }

@@ -45,9 +45,9 @@
 //! # Base mesh
 //!
 //! An even decision is true if the mesh has a boundary. Then components follow, each announced by a decision.
-//! A component starts with the positions of the first triangle's corners. It grows as described in `base`,
-//! from one border edge to the next, in the order defined by `region`. `lefts` codes the symbol of each
-//! border edge, `corners` the new vertices. Vertices, triangles and the first corner of each triangle are
+//! A component starts with the positions of the first triangle's corners. It grows as described in `base_traversal`,
+//! from one border edge to the next, in the order defined by `region`. `gate_symbols` codes the symbol of each
+//! border edge, `base_vertices` the new vertices. Vertices, triangles and the first corner of each triangle are
 //! numbered in coding order.
 //!
 //! Each base vertex takes at least one bit, each new vertex of a level at least 1/1400 bit. The memory of a
@@ -56,32 +56,32 @@
 //! # Levels
 //!
 //! Edges are numbered as in [`crate::subdivision::topology`] and coded in the order of `relations`. Interior
-//! edges start with the kind of their offset (`exceptions`). The scalar (`scalars`) or vector (`vectors`)
+//! edges start with the kind of their offset (`offset_kinds`). The scalar (`scalar_offsets`) or vector (`vector_offsets`)
 //! follows. After all offsets, the channels of each edge follow in the same order (`channels`).
 
-mod base;
+mod base_traversal;
+mod base_vertices;
 mod border;
 mod channels;
-mod chunks;
 mod coder;
 mod container;
-mod corners;
 mod decisions;
+mod encoder_input;
 mod error;
-mod exceptions;
+mod file_parts;
 mod frame;
-mod given;
+mod gate_symbols;
 mod header;
 mod integers;
-mod lefts;
-mod levels;
 mod linear;
 mod logistic;
+mod offset_kinds;
+mod refinements;
 mod region;
 mod relations;
-mod scalars;
-mod vectors;
+mod scalar_offsets;
+mod vector_offsets;
 
-pub use base::{Canonical, canonical, canonical_rounded};
+pub use base_traversal::{CanonicalBase, to_canonical, to_canonical_rounded};
 pub use container::{Reader, Writer};
 pub use error::SnmError;

@@ -3,81 +3,82 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | [`volume`] | cost volume: one value per pixel and disparity |
-//! | [`cost`] | matching cost: census and gradient |
-//! | [`support`] | cost aggregation over pixels of similar colour |
-//! | [`paths`] | path costs along eight directions |
-//! | [`pick`] | winner-take-all disparity and confidence measures |
-//! | [`ranges`], [`planes`] | plane sweep over partner views, with a depth range per pixel |
-//! | [`seen_by`] | consistency checks of a depth map with other views |
-//! | [`median`] | edge-preserving weighted median of disparities |
+//! | [`cost_volume`] | cost volume: one value per pixel and disparity |
+//! | [`matching_cost`] | matching cost: census and gradient |
+//! | [`cost_aggregation`] | cost aggregation over pixels of similar colour |
+//! | [`path_aggregation`] | path costs along eight directions |
+//! | [`winner_take_all`] | winner-take-all disparity and confidence measures |
+//! | [`hypothesis_ranges`], [`plane_sweep`] | plane sweep over partner views, with a depth range per pixel |
+//! | [`cross_view_checks`] | consistency checks of a depth map with other views |
+//! | [`weighted_median`] | edge-preserving weighted median of disparities |
 //!
 //! Costs are integers, so that results are identical for any thread count and instruction set.
 
-pub mod cost;
-pub mod median;
-pub mod paths;
-pub mod pick;
-pub mod planes;
-pub mod ranges;
-pub mod seen_by;
-pub mod support;
-pub mod volume;
+pub mod cost_aggregation;
+pub mod cost_volume;
+pub mod cross_view_checks;
+pub mod hypothesis_ranges;
+pub mod matching_cost;
+pub mod path_aggregation;
+pub mod plane_sweep;
+pub mod weighted_median;
+pub mod winner_take_all;
 
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
-use pick::Matched;
-use volume::{Pixels, Search, Size};
+use cost_volume::{DisparityRange, ImageSize, RgbImage};
+use winner_take_all::StereoMatch;
 
 /// Compute the disparity of each pixel of the left image, with confidence measures.
 ///
 /// # Errors
 /// As [`Progress::check`].
-pub fn match_pair(
-    left: &Pixels,
-    right: &Pixels,
-    size: Size,
-    search: Search,
+pub fn match_stereo_pair(
+    left: &RgbImage,
+    right: &RgbImage,
+    size: ImageSize,
+    search: DisparityRange,
     threads: usize,
     progress: &mut Progress<'_>,
-) -> Result<Matched, KernelError> {
-    progress.tell(0, 3)?;
-    let (grey, grey_right) = (cost::grey(left), cost::grey(right));
-    let pair = cost::pair(&grey, &grey_right, size, search, threads);
-    let costs = support::averaged(left, size, search, threads, |y, row| pair.costs_of(y, row));
-    progress.tell(1, 3)?;
-    let mut sums = volume::zeros(size, search);
-    paths::summed(&grey, &costs, size, &search, threads, &mut sums);
-    progress.tell(2, 3)?;
-    let matched = pick::picked(&sums, &costs, size, search, threads);
-    progress.tell(3, 3)?;
+) -> Result<StereoMatch, KernelError> {
+    progress.report(0, 3)?;
+    let (grey, grey_right) = (matching_cost::to_grey(left), matching_cost::to_grey(right));
+    let pair = matching_cost::prepare_pair(&grey, &grey_right, size, search, threads);
+    let costs =
+        cost_aggregation::average_costs(left, size, search, threads, |y, row| pair.fill_row_costs(y, row));
+    progress.report(1, 3)?;
+    let mut sums = cost_volume::allocate_volume(size, search);
+    path_aggregation::aggregate_paths(&grey, &costs, size, &search, threads, &mut sums);
+    progress.report(2, 3)?;
+    let matched = winner_take_all::select_disparities(&sums, &costs, size, search, threads);
+    progress.report(3, 3)?;
     Ok(matched)
 }
 
-/// Find the best depth plane of each pixel of a view, within `ranges`, from its similarity to the partner
+/// Find the best depth plane of each pixel of a view, within `hypothesis_ranges`, from its similarity to the partner
 /// images.
 ///
 /// # Errors
 /// As [`Progress::check`].
-pub fn sweep(
+pub fn sweep_planes(
     grey: &[u8],
-    partners: &[planes::Partner],
-    size: Size,
-    ranges: &ranges::Ranges,
-    bound: Option<&planes::Bound>,
+    partners: &[plane_sweep::PartnerView],
+    size: ImageSize,
+    ranges: &hypothesis_ranges::HypothesisRanges,
+    bound: Option<&plane_sweep::HullBound>,
     threads: usize,
     progress: &mut Progress<'_>,
-) -> Result<planes::Swept, KernelError> {
-    progress.tell(0, 2)?;
-    let words = planes::words(grey, size, |_| planes::Shown::Scene, threads);
-    let mut costs = planes::costs(&words, partners, size, ranges, threads);
+) -> Result<plane_sweep::PlaneSweepResult, KernelError> {
+    progress.report(0, 2)?;
+    let words = plane_sweep::describe_pixels(grey, size, |_| plane_sweep::PixelContent::Scene, threads);
+    let mut costs = plane_sweep::compute_costs(&words, partners, size, ranges, threads);
     if let Some(bound) = bound {
-        planes::bounded(&mut costs, size, ranges, bound, threads);
+        plane_sweep::add_hull_costs(&mut costs, size, ranges, bound, threads);
     }
-    progress.tell(1, 2)?;
+    progress.report(1, 2)?;
     let mut sums = vec![0; costs.len()];
-    paths::summed(grey, &costs, size, ranges, threads, &mut sums);
-    let swept = planes::picked(&sums, size, ranges);
-    progress.tell(2, 2)?;
+    path_aggregation::aggregate_paths(grey, &costs, size, ranges, threads, &mut sums);
+    let swept = plane_sweep::select_planes(&sums, size, ranges);
+    progress.report(2, 2)?;
     Ok(swept)
 }

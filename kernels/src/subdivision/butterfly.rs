@@ -5,16 +5,17 @@ use super::topology::{NONE, Topology};
 use crate::base::geometry::{Vec3, add_scaled, midpoint};
 
 /// Compute the new vertex of every edge.
-pub fn middles(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
-    let rings = Rings::new(topology);
+pub fn compute_edge_points(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
+    let rings = VertexRings::new(topology);
     let mut ring = [vec![], vec![]];
     (0..topology.edges.len())
         .map(|edge| {
             let [a, b] = topology.edges[edge];
             if topology.is_boundary_edge(edge) {
-                return rings.on_boundary(edge, points);
+                return rings.apply_boundary_stencil(edge, points);
             }
-            let closed = [rings.around(a, edge, &mut ring[0]), rings.around(b, edge, &mut ring[1])];
+            let closed =
+                [rings.collect_ring(a, edge, &mut ring[0]), rings.collect_ring(b, edge, &mut ring[1])];
             let regular = [closed[0] && ring[0].len() == 6, closed[1] && ring[1].len() == 6];
             let at = |v: u32| points[v as usize];
             match (closed, regular) {
@@ -30,13 +31,14 @@ pub fn middles(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
                     }
                     sum
                 }
-                ([true, true], [true, false]) => from_end(&at(b), &ring[1], points),
-                ([true, true], [false, true]) => from_end(&at(a), &ring[0], points),
-                ([true, true], _) => {
-                    midpoint(&from_end(&at(a), &ring[0], points), &from_end(&at(b), &ring[1], points))
-                }
-                ([true, false], _) => from_end(&at(a), &ring[0], points),
-                ([false, true], _) => from_end(&at(b), &ring[1], points),
+                ([true, true], [true, false]) => apply_vertex_stencil(&at(b), &ring[1], points),
+                ([true, true], [false, true]) => apply_vertex_stencil(&at(a), &ring[0], points),
+                ([true, true], _) => midpoint(
+                    &apply_vertex_stencil(&at(a), &ring[0], points),
+                    &apply_vertex_stencil(&at(b), &ring[1], points),
+                ),
+                ([true, false], _) => apply_vertex_stencil(&at(a), &ring[0], points),
+                ([false, true], _) => apply_vertex_stencil(&at(b), &ring[1], points),
                 _ => midpoint(&at(a), &at(b)),
             }
         })
@@ -45,7 +47,7 @@ pub fn middles(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
 
 /// Apply the stencil of an extraordinary vertex: weight 3/4, and its neighbours, starting at the other end of
 /// the edge.
-fn from_end(end: &Vec3, ring: &[u32], points: &[Vec3]) -> Vec3 {
+fn apply_vertex_stencil(end: &Vec3, ring: &[u32], points: &[Vec3]) -> Vec3 {
     let mut sum = end.map(|x| 0.75 * x);
     let mut add = |weight: f64, v: u32| sum = add_scaled(&sum, weight, &points[v as usize]);
     match ring.len() {
@@ -60,7 +62,7 @@ fn from_end(end: &Vec3, ring: &[u32], points: &[Vec3]) -> Vec3 {
         }
         count => {
             let k = count as f64;
-            let first = cosine_of_part(count);
+            let first = cosine_of_fraction(count);
             // cos(jα) by recurrence.
             let (mut last, mut now) = (first, 1.0);
             for &v in ring {
@@ -74,7 +76,7 @@ fn from_end(end: &Vec3, ring: &[u32], points: &[Vec3]) -> Vec3 {
 
 /// Compute cos(2π / k) for k ≥ 4 from its series. The bits are the same on all platforms, unlike the maths
 /// library's.
-fn cosine_of_part(k: usize) -> f64 {
+fn cosine_of_fraction(k: usize) -> f64 {
     let x = 2.0 * std::f64::consts::PI / k as f64;
     let (mut term, mut sum) = (1.0, 1.0);
     for i in 1..=12 {
@@ -86,14 +88,14 @@ fn cosine_of_part(k: usize) -> f64 {
 }
 
 /// Ordered neighbours of vertices.
-struct Rings<'a> {
+struct VertexRings<'a> {
     topology: &'a Topology,
     /// Outgoing and incoming boundary edge of each boundary vertex.
     leaving: Vec<u32>,
     arriving: Vec<u32>,
 }
 
-impl<'a> Rings<'a> {
+impl<'a> VertexRings<'a> {
     fn new(topology: &'a Topology) -> Self {
         let (mut leaving, mut arriving) = (vec![NONE; topology.vertices], vec![NONE; topology.vertices]);
         for edge in (0..topology.edges.len()).filter(|&e| topology.is_boundary_edge(e)) {
@@ -106,7 +108,7 @@ impl<'a> Rings<'a> {
 
     /// Collect the neighbours of one end of an interior edge, starting at the other end. Returns false at a
     /// boundary vertex.
-    fn around(&self, end: u32, edge: usize, ring: &mut Vec<u32>) -> bool {
+    fn collect_ring(&self, end: u32, edge: usize, ring: &mut Vec<u32>) -> bool {
         ring.clear();
         let topology = self.topology;
         if self.leaving[end as usize] != NONE {
@@ -133,7 +135,7 @@ impl<'a> Rings<'a> {
     }
 
     /// Apply the four-point stencil along the boundary.
-    fn on_boundary(&self, edge: usize, points: &[Vec3]) -> Vec3 {
+    fn apply_boundary_stencil(&self, edge: usize, points: &[Vec3]) -> Vec3 {
         let at = |v: u32| points[v as usize];
         let [a, b] = self.topology.edges[edge];
         let before = self.topology.edges[self.arriving[a as usize] as usize][0];

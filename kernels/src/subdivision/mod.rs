@@ -4,8 +4,8 @@
 //! | --- | --- |
 //! | [`topology`] | connectivity of a level and its refinement |
 //! | [`butterfly`] | predicted positions of new vertices |
-//! | [`contents`] | quantised offsets from the predictions |
+//! | [`snm_contents`] | quantised offsets from the predictions |
 
 pub mod butterfly;
-pub mod contents;
+pub mod snm_contents;
 pub mod topology;

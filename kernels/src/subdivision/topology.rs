@@ -71,7 +71,7 @@ impl Topology {
     }
 
     /// Return the corners opposite an edge; [`NONE`] beyond a boundary.
-    pub fn across(&self, edge: usize) -> [u32; 2] {
+    pub fn opposite_corners(&self, edge: usize) -> [u32; 2] {
         self.edge_triangles[edge].map(|t| {
             if t == NONE {
                 return NONE;
@@ -90,14 +90,14 @@ impl Topology {
     }
 
     /// Build the next finer level.
-    pub fn subdivided(&self) -> Self {
+    pub fn subdivide(&self) -> Self {
         let triangles = (0..self.triangles.len()).flat_map(|t| self.children(t)).collect();
         let vertices = self.vertices + self.edges.len();
-        Self::numbered(vertices, triangles, self)
+        Self::number_edges(vertices, triangles, self)
     }
 
     /// Number the edges of the children of `coarse`, without searching for twins.
-    fn numbered(vertices: usize, triangles: Vec<[u32; 3]>, coarse: &Self) -> Self {
+    fn number_edges(vertices: usize, triangles: Vec<[u32; 3]>, coarse: &Self) -> Self {
         let mut fine = Self {
             vertices,
             edges: Vec::with_capacity(2 * coarse.edges.len() + 3 * coarse.triangles.len()),
@@ -114,7 +114,7 @@ impl Topology {
                 let [from, to] = [corner, (corner + 1) % 3].map(|i| fine.triangles[t][i]);
                 fine.triangle_edges[t][corner] = edge;
                 fine.edges.push([from, to]);
-                let other = coarse.beside(t, corner);
+                let other = coarse.child_across_edge(t, corner);
                 fine.edge_triangles.push([t as u32, other]);
                 if other != NONE {
                     let back = fine.triangles[other as usize].iter().position(|&v| v == to);
@@ -128,7 +128,7 @@ impl Topology {
     }
 
     /// Find the child across edge `corner` of child `child`.
-    fn beside(&self, child: usize, corner: usize) -> u32 {
+    fn child_across_edge(&self, child: usize, corner: usize) -> u32 {
         let (parent, place) = (child / 4, child % 4);
         if place == 3 {
             // In the middle child, ab–bc faces the child at b, bc–ca the one at c, ca–ab the one at a.
@@ -162,7 +162,7 @@ mod tests {
         for triangles in [strip.clone(), [strip, closed].concat()] {
             let mut topology = Topology::new(8, triangles).unwrap();
             for _ in 0..3 {
-                let fine = topology.subdivided();
+                let fine = topology.subdivide();
                 let searched = Topology::new(fine.vertices, fine.triangles.clone()).unwrap();
                 assert_eq!(fine, searched);
                 topology = fine;

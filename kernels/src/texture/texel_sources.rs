@@ -5,30 +5,30 @@
 use std::ops::Range;
 use std::sync::Mutex;
 
-use crate::atlas::texels::{distance2, shares, spans};
+use crate::atlas::texels::{barycentric_weights, distance2, scanline_spans};
 use crate::base::geometry::Vec3;
 use crate::base::parallel::map;
 
 /// Marker for a texel without a triangle.
-pub const EMPTY: i32 = -1;
+pub const NO_TRIANGLE: i32 = -1;
 
 /// Rows per band.
-const BAND: usize = 64;
+const BAND_ROWS: usize = 64;
 /// Search radius in texels for a triangle near an empty texel; also the rows drawn beyond a band for this
 /// search.
-const REACH: usize = 2;
+const SEARCH_RADIUS: usize = 2;
 /// Maximum distance of such a triangle in texels. Only texels outside the surface use nearby triangles. Empty
 /// texels inside a chart are left to a nearest-point query, which improves PSNR by 0.2 to 0.6 dB.
-const BEYOND: f64 = 2.9;
+const MAX_TEXEL_DISTANCE: f64 = 2.9;
 /// Additional rows drawn around a band: the search radius, plus one because the triangles of the simplified
 /// mesh are dilated by a texel.
-const HALO: usize = REACH + 1;
+const MARGIN_ROWS: usize = SEARCH_RADIUS + 1;
 /// Triangle corners in 2-D.
 pub type Corners = [[f64; 2]; 3];
 
 /// Triangles of the simplified mesh in an atlas image.
 #[derive(Clone, Copy)]
-pub struct Charts<'a> {
+pub struct SimplifiedCharts<'a> {
     /// Corners in texels; the centre of the first texel is at (0.5, 0.5).
     pub corners: &'a [Corners],
     pub charts: &'a [i32],
@@ -38,7 +38,7 @@ pub struct Charts<'a> {
 
 /// Triangles of the original mesh, mapped into the charts; later triangles overwrite earlier ones.
 #[derive(Clone, Copy)]
-pub struct Sources<'a> {
+pub struct OriginalTriangles<'a> {
     pub corners: &'a [Corners],
     /// Chart that each triangle may be drawn into.
     pub charts: &'a [i32],
@@ -47,9 +47,9 @@ pub struct Sources<'a> {
     pub max_distances: &'a [f64],
 }
 
-/// Triangle of the simplified mesh and triangle of the original at each texel, row by row, or [`EMPTY`].
+/// Triangle of the simplified mesh and triangle of the original at each texel, row by row, or [`NO_TRIANGLE`].
 #[derive(Debug, PartialEq)]
-pub struct Drawn {
+pub struct TexelTriangles {
     pub simplified: Vec<i32>,
     pub sources: Vec<i32>,
 }
@@ -58,18 +58,25 @@ pub struct Drawn {
 /// must be finite.
 ///
 /// The simplified mesh covers all texels that a bilinear sample of it reads.
-pub fn draw(charts: Charts<'_>, sources: Sources<'_>, width: usize, height: usize, threads: usize) -> Drawn {
-    let bands = height.div_ceil(BAND);
-    let [of_charts, of_sources] = [charts.corners, sources.corners].map(|c| Bands::new(c, bands));
-    let mut drawn = Drawn { simplified: vec![0; width * height], sources: vec![0; width * height] };
-    let [simplified, found] = [&mut drawn.simplified, &mut drawn.sources].map(|i| i.chunks_mut(BAND * width));
+pub fn rasterize_meshes(
+    charts: SimplifiedCharts<'_>,
+    sources: OriginalTriangles<'_>,
+    width: usize,
+    height: usize,
+    threads: usize,
+) -> TexelTriangles {
+    let bands = height.div_ceil(BAND_ROWS);
+    let [of_charts, of_sources] = [charts.corners, sources.corners].map(|c| TriangleBands::new(c, bands));
+    let mut drawn = TexelTriangles { simplified: vec![0; width * height], sources: vec![0; width * height] };
+    let [simplified, found] =
+        [&mut drawn.simplified, &mut drawn.sources].map(|i| i.chunks_mut(BAND_ROWS * width));
     let outputs: Vec<_> = simplified.zip(found).map(Mutex::new).collect();
-    map(bands, threads, Scratch::default, |scratch, band| {
-        let rows = [band * BAND, ((band + 1) * BAND).min(height)];
-        let first = rows[0].saturating_sub(HALO);
-        let window = Window { first, width, height: (rows[1] + HALO).min(height) - first };
-        scratch.draw_charts(&charts, of_charts.band(band), window);
-        scratch.draw_sources(&charts, &sources, of_sources.band(band), window);
+    map(bands, threads, BandBuffers::default, |scratch, band| {
+        let rows = [band * BAND_ROWS, ((band + 1) * BAND_ROWS).min(height)];
+        let first = rows[0].saturating_sub(MARGIN_ROWS);
+        let window = RowWindow { first, width, height: (rows[1] + MARGIN_ROWS).min(height) - first };
+        scratch.draw_charts(&charts, of_charts.triangles_of(band), window);
+        scratch.draw_sources(&charts, &sources, of_sources.triangles_of(band), window);
         let start = (rows[0] - first) * width;
         let Ok(mut output) = outputs[band].lock() else { return };
         let (simplified, found) = &mut *output;
@@ -83,18 +90,18 @@ pub fn draw(charts: Charts<'_>, sources: Sources<'_>, width: usize, height: usiz
 }
 
 /// Triangles that are drawn in each band, in index order.
-struct Bands {
+struct TriangleBands {
     starts: Vec<u32>,
     triangles: Vec<u32>,
 }
 
-impl Bands {
+impl TriangleBands {
     fn new(corners: &[Corners], count: usize) -> Self {
         let bands = |c: &Corners| {
-            let low = c[0][1].min(c[1][1]).min(c[2][1]) - (HALO + 1) as f64;
-            let high = c[0][1].max(c[1][1]).max(c[2][1]) + (HALO + 1) as f64;
+            let low = c[0][1].min(c[1][1]).min(c[2][1]) - (MARGIN_ROWS + 1) as f64;
+            let high = c[0][1].max(c[1][1]).max(c[2][1]) + (MARGIN_ROWS + 1) as f64;
             // Casts saturate for rows above or below the image.
-            let band = |y: f64| (y / BAND as f64) as usize;
+            let band = |y: f64| (y / BAND_ROWS as f64) as usize;
             if high < 0.0 { 0..0 } else { band(low).min(count)..band(high).min(count - 1) + 1 }
         };
         let mut starts = vec![0u32; count + 2];
@@ -115,20 +122,20 @@ impl Bands {
         Self { starts, triangles }
     }
 
-    fn band(&self, band: usize) -> &[u32] {
+    fn triangles_of(&self, band: usize) -> &[u32] {
         &self.triangles[self.starts[band] as usize..self.starts[band + 1] as usize]
     }
 }
 
 /// Range of rows of an image.
 #[derive(Clone, Copy)]
-struct Window {
+struct RowWindow {
     first: usize,
     width: usize,
     height: usize,
 }
 
-impl Window {
+impl RowWindow {
     fn shift(&self, corners: &Corners) -> Corners {
         corners.map(|[x, y]| [x, y - self.first as f64])
     }
@@ -140,7 +147,7 @@ impl Window {
 
 /// Buffers for a band and its margin; reused from band to band.
 #[derive(Default)]
-struct Scratch {
+struct BandBuffers {
     simplified: Vec<i32>,
     /// Chart of each texel.
     charts: Vec<i32>,
@@ -148,12 +155,12 @@ struct Scratch {
     sources: Vec<i32>,
 }
 
-impl Scratch {
-    fn draw_charts(&mut self, charts: &Charts<'_>, triangles: &[u32], window: Window) {
-        let Window { width, height, .. } = window;
+impl BandBuffers {
+    fn draw_charts(&mut self, charts: &SimplifiedCharts<'_>, triangles: &[u32], window: RowWindow) {
+        let RowWindow { width, height, .. } = window;
         for image in [&mut self.simplified, &mut self.charts, &mut self.sources] {
             image.clear();
-            image.resize(width * height, EMPTY);
+            image.resize(width * height, NO_TRIANGLE);
         }
         self.is_inside.clear();
         self.is_inside.resize(width * height, false);
@@ -161,14 +168,14 @@ impl Scratch {
         for spread in [1, 0] {
             for &t in triangles {
                 let corners = window.shift(&charts.corners[t as usize]);
-                touched(&corners, width, height, spread, |row, columns| {
+                visit_touched_texels(&corners, width, height, spread, |row, columns| {
                     self.simplified[row * width..][columns.clone()].fill(t as i32);
                     self.charts[row * width..][columns].fill(charts.charts[t as usize]);
                 });
             }
         }
         for &t in triangles {
-            for (row, columns) in spans(&window.shift(&charts.corners[t as usize]), width, height) {
+            for (row, columns) in scanline_spans(&window.shift(&charts.corners[t as usize]), width, height) {
                 self.simplified[row * width..][columns.clone()].fill(t as i32);
                 self.charts[row * width..][columns.clone()].fill(charts.charts[t as usize]);
                 self.is_inside[row * width..][columns].fill(true);
@@ -178,16 +185,16 @@ impl Scratch {
 
     fn draw_sources(
         &mut self,
-        charts: &Charts<'_>,
-        sources: &Sources<'_>,
+        charts: &SimplifiedCharts<'_>,
+        sources: &OriginalTriangles<'_>,
         triangles: &[u32],
-        window: Window,
+        window: RowWindow,
     ) {
         for &t in triangles {
             let chart = sources.charts[t as usize];
             let corners = window.shift(&sources.corners[t as usize]);
             if sources.max_distances[t as usize] < f64::INFINITY {
-                for (row, columns) in spans(&corners, window.width, window.height) {
+                for (row, columns) in scanline_spans(&corners, window.width, window.height) {
                     for texel in row * window.width + columns.start..row * window.width + columns.end {
                         if self.charts[texel] == chart
                             && self.is_near(charts, sources, texel, t as usize, window)
@@ -198,7 +205,7 @@ impl Scratch {
                 }
                 continue;
             }
-            for (row, columns) in spans(&corners, window.width, window.height) {
+            for (row, columns) in scanline_spans(&corners, window.width, window.height) {
                 let of_texels = &self.charts[row * window.width..][columns.clone()];
                 for (source, &of) in self.sources[row * window.width..][columns].iter_mut().zip(of_texels) {
                     if of == chart {
@@ -211,18 +218,24 @@ impl Scratch {
 
     /// Return the triangle of the original at a texel; outside the surface, the nearest triangle of the same
     /// chart.
-    fn source_at(&self, charts: &Charts<'_>, sources: &Sources<'_>, texel: usize, window: Window) -> i32 {
+    fn source_at(
+        &self,
+        charts: &SimplifiedCharts<'_>,
+        sources: &OriginalTriangles<'_>,
+        texel: usize,
+        window: RowWindow,
+    ) -> i32 {
         let chart = self.charts[texel];
-        if self.sources[texel] != EMPTY || chart == EMPTY || self.is_inside[texel] {
+        if self.sources[texel] != NO_TRIANGLE || chart == NO_TRIANGLE || self.is_inside[texel] {
             return self.sources[texel];
         }
         let centre = window.centre(texel);
-        let (mut best, mut least) = (EMPTY, BEYOND * BEYOND);
+        let (mut best, mut least) = (NO_TRIANGLE, MAX_TEXEL_DISTANCE * MAX_TEXEL_DISTANCE);
         let (row, column) = (texel / window.width, texel % window.width);
-        for y in row.saturating_sub(REACH)..(row + REACH + 1).min(window.height) {
-            for x in column.saturating_sub(REACH)..(column + REACH + 1).min(window.width) {
+        for y in row.saturating_sub(SEARCH_RADIUS)..(row + SEARCH_RADIUS + 1).min(window.height) {
+            for x in column.saturating_sub(SEARCH_RADIUS)..(column + SEARCH_RADIUS + 1).min(window.width) {
                 let found = self.sources[y * window.width + x];
-                if found == EMPTY || found == best || sources.charts[found as usize] != chart {
+                if found == NO_TRIANGLE || found == best || sources.charts[found as usize] != chart {
                     continue;
                 }
                 let distance = distance2(&sources.corners[found as usize], centre);
@@ -240,27 +253,29 @@ impl Scratch {
     /// Check that the original's point at a texel is near the simplified mesh's point in 3-D.
     fn is_near(
         &self,
-        charts: &Charts<'_>,
-        sources: &Sources<'_>,
+        charts: &SimplifiedCharts<'_>,
+        sources: &OriginalTriangles<'_>,
         texel: usize,
         t: usize,
-        window: Window,
+        window: RowWindow,
     ) -> bool {
         let centre = window.centre(texel);
         let own = self.simplified[texel] as usize;
-        let own = mixed(&shares(&charts.corners[own], centre), &charts.positions[own]);
-        let shown = mixed(&shares(&sources.corners[t], centre), &sources.positions[t]);
+        let own =
+            interpolate_position(&barycentric_weights(&charts.corners[own], centre), &charts.positions[own]);
+        let shown =
+            interpolate_position(&barycentric_weights(&sources.corners[t], centre), &sources.positions[t]);
         let distance2: f64 = (0..3).map(|k| (own[k] - shown[k]).powi(2)).sum();
         distance2 <= sources.max_distances[t].powi(2)
     }
 }
 
-fn mixed(shares: &[f64; 3], corners: &[Vec3; 3]) -> Vec3 {
+fn interpolate_position(shares: &[f64; 3], corners: &[Vec3; 3]) -> Vec3 {
     [0, 1, 2].map(|k| (0..3).map(|c| shares[c] * corners[c][k]).sum())
 }
 
 /// Visit the columns of each row whose texels a triangle touches, dilated by `spread` texels.
-fn touched(
+fn visit_touched_texels(
     corners: &Corners,
     width: usize,
     height: usize,
@@ -319,12 +334,12 @@ mod tests {
         in_: &[i32],
         far: f64,
         threads: usize,
-    ) -> Drawn {
+    ) -> TexelTriangles {
         let (positions, shown) = (flat(own), flat(corners));
         let far = vec![far; corners.len()];
-        draw(
-            Charts { corners: own, charts: of, positions: &positions },
-            Sources { corners, charts: in_, positions: &shown, max_distances: &far },
+        rasterize_meshes(
+            SimplifiedCharts { corners: own, charts: of, positions: &positions },
+            OriginalTriangles { corners, charts: in_, positions: &shown, max_distances: &far },
             200,
             150,
             threads,
@@ -338,8 +353,8 @@ mod tests {
             for x in 0..200 {
                 // Corners at integer texel coordinates touch the next texels.
                 let is_in = x <= 101 && y <= 101;
-                assert_eq!(found.simplified[y * 200 + x] != EMPTY, is_in, "{x} {y}");
-                assert_eq!(found.sources[y * 200 + x] != EMPTY, is_in, "{x} {y}");
+                assert_eq!(found.simplified[y * 200 + x] != NO_TRIANGLE, is_in, "{x} {y}");
+                assert_eq!(found.sources[y * 200 + x] != NO_TRIANGLE, is_in, "{x} {y}");
             }
         }
         assert_eq!(found.sources[10 * 200 + 50], 0);
@@ -350,19 +365,24 @@ mod tests {
     fn nothing_is_drawn_into_other_charts_or_far_away() {
         let corners = square(100.0);
         let found = drawn(&corners, &[0, 0], &corners, &[1, 0], f64::INFINITY, 1);
-        assert_eq!(found.sources[10 * 200 + 50], EMPTY);
+        assert_eq!(found.sources[10 * 200 + 50], NO_TRIANGLE);
         assert_eq!(found.sources[50 * 200 + 10], 1);
         let own = flat(&corners);
         let moved: Vec<_> = own.iter().map(|c| c.map(|[x, y, _]| [x, y, 2.0])).collect();
         for (far, is_shown) in [(1.9, false), (2.1, true)] {
-            let found = draw(
-                Charts { corners: &corners, charts: &[0, 0], positions: &own },
-                Sources { corners: &corners, charts: &[0, 0], positions: &moved, max_distances: &[far; 2] },
+            let found = rasterize_meshes(
+                SimplifiedCharts { corners: &corners, charts: &[0, 0], positions: &own },
+                OriginalTriangles {
+                    corners: &corners,
+                    charts: &[0, 0],
+                    positions: &moved,
+                    max_distances: &[far; 2],
+                },
                 200,
                 150,
                 1,
             );
-            assert_eq!(found.sources[50 * 200 + 10] != EMPTY, is_shown);
+            assert_eq!(found.sources[50 * 200 + 10] != NO_TRIANGLE, is_shown);
         }
     }
 
@@ -394,7 +414,7 @@ mod tests {
             for down in 0..2 {
                 for right in 0..2 {
                     let texel = ((y - 0.5) as usize + down) * 200 + (x - 0.5) as usize + right;
-                    assert_ne!(found.simplified[texel], EMPTY, "{x} {y}");
+                    assert_ne!(found.simplified[texel], NO_TRIANGLE, "{x} {y}");
                 }
             }
         }

@@ -1,12 +1,12 @@
 //! Z-buffer rendering: visible triangle and depth of each pixel.
 
-use super::clusters::Clusters;
-use super::pinhole::Pinhole;
+use super::mesh_clusters::MeshClusters;
+use super::pinhole_camera::PinholeCamera;
 use crate::base::by_processor::by_processor;
 use crate::base::geometry::{Vec3, add_scaled, sub};
 
 /// Triangle index of a pixel that sees nothing.
-pub const NOTHING: u32 = u32::MAX;
+pub const NO_TRIANGLE: u32 = u32::MAX;
 
 /// Depth along the optical axis and index of the nearest triangle, row by row.
 #[derive(Clone, Debug)]
@@ -19,30 +19,30 @@ pub struct ZBuffer {
 by_processor! {
     /// Render a mesh without back-face culling. At equal depth the lower triangle index wins. Parts nearer
     /// than `near` are clipped.
-    pub fn zbuffer(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer = draw
+    pub fn render_zbuffer(mesh: &MeshClusters, camera: &PinholeCamera, near: f64) -> ZBuffer = render_scalar
 }
 
 #[inline(always)]
-fn draw(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
-    let corner = |p: Vec3| Corner { pixel: camera.pixel(&p), depth: p[2] };
+fn render_scalar(mesh: &MeshClusters, camera: &PinholeCamera, near: f64) -> ZBuffer {
+    let corner = |p: Vec3| ProjectedCorner { pixel: camera.project(&p), depth: p[2] };
     let pixels = camera.width * camera.height;
-    let mut buffer = ZBuffer { depth: vec![f32::INFINITY; pixels], triangle: vec![NOTHING; pixels] };
+    let mut buffer = ZBuffer { depth: vec![f32::INFINITY; pixels], triangle: vec![NO_TRIANGLE; pixels] };
     let (mut seen, mut appear) = (vec![], vec![]);
-    for (points, triangles, numbers) in mesh.before(camera, near) {
+    for (points, triangles, numbers) in mesh.visible_clusters(camera, near) {
         seen.clear();
-        seen.extend(points.iter().map(|p| camera.in_camera(p)));
+        seen.extend(points.iter().map(|p| camera.to_camera(p)));
         // Projections of points behind the camera are meaningless, and are not used.
         appear.clear();
         appear.extend(seen.iter().map(|&p| corner(p)));
         for (corners, &number) in triangles.iter().zip(numbers) {
             let drawn = corners.map(|v| appear[v as usize]);
-            let behind = drawn.iter().filter(|p: &&Corner| p.depth < near).count();
+            let behind = drawn.iter().filter(|p: &&ProjectedCorner| p.depth < near).count();
             if behind == 0 {
-                buffer.draw(&drawn, number, camera);
+                buffer.draw_triangle(&drawn, number, camera);
             } else if behind < 3 {
-                let (cut, count) = cut_off(&corners.map(|v| seen[v as usize]), near);
+                let (cut, count) = clip_near(&corners.map(|v| seen[v as usize]), near);
                 for k in 2..count {
-                    buffer.draw(&[cut[0], cut[k - 1], cut[k]].map(corner), number, camera);
+                    buffer.draw_triangle(&[cut[0], cut[k - 1], cut[k]].map(corner), number, camera);
                 }
             }
         }
@@ -52,13 +52,13 @@ fn draw(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
 
 /// Projected corner of a triangle, with its depth.
 #[derive(Clone, Copy)]
-struct Corner {
+struct ProjectedCorner {
     pixel: [f64; 2],
     depth: f64,
 }
 
 /// Clip a triangle at the plane z = `near`; returns a polygon and its number of corners.
-fn cut_off(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
+fn clip_near(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
     let (mut cut, mut count) = ([[0.0; 3]; 4], 0);
     let mut push = |p| {
         cut[count] = p;
@@ -78,7 +78,7 @@ fn cut_off(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
 
 impl ZBuffer {
     #[inline(always)]
-    fn draw(&mut self, corners: &[Corner; 3], number: u32, camera: &Pinhole) {
+    fn draw_triangle(&mut self, corners: &[ProjectedCorner; 3], number: u32, camera: &PinholeCamera) {
         let [a, b, c] = corners.map(|corner| corner.pixel);
         let between = |axis: usize, size: usize| {
             let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
@@ -135,14 +135,14 @@ impl ZBuffer {
 mod tests {
     use super::*;
 
-    fn camera() -> Pinhole {
-        Pinhole {
+    fn camera() -> PinholeCamera {
+        PinholeCamera {
             focal: [100.0; 2],
             centre: [50.0, 40.0],
             width: 101,
             height: 81,
-            turn: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            shift: [0.0; 3],
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0; 3],
         }
     }
 
@@ -151,17 +151,17 @@ mod tests {
         let square = |z: f64, r: f64| [[-r, -r, z], [r, -r, z], [r, r, z], [-r, r, z]];
         let points: Vec<Vec3> = square(2.0, 0.5).into_iter().chain(square(1.0, 0.1)).collect();
         let triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
-        let seen = zbuffer(&Clusters::new(&points, &triangles), &camera(), 1e-3);
+        let seen = render_zbuffer(&MeshClusters::new(&points, &triangles), &camera(), 1e-3);
         let count = |depth: f32| seen.depth.iter().filter(|&&z| (z - depth).abs() < 1e-6).count();
         // 0.1 m at 1 m and 0.5 m at 2 m, with both borders.
         assert_eq!((count(1.0), count(2.0)), (21 * 21, 51 * 51 - 21 * 21));
-        assert_eq!(seen.triangle.iter().filter(|&&t| t == NOTHING).count(), 101 * 81 - 51 * 51);
+        assert_eq!(seen.triangle.iter().filter(|&&t| t == NO_TRIANGLE).count(), 101 * 81 - 51 * 51);
     }
 
     #[test]
     fn a_floor_under_the_camera_is_cut_off_where_it_begins() {
         let points = [[-50.0, 1.0, -50.0], [50.0, 1.0, -50.0], [0.0, 1.0, 100.0]];
-        let seen = zbuffer(&Clusters::new(&points, &[[0, 1, 2]]), &camera(), 0.1);
+        let seen = render_zbuffer(&MeshClusters::new(&points, &[[0, 1, 2]]), &camera(), 0.1);
         // Below the horizon, the depth of a floor 1 m down is 100 / rows below the horizon.
         assert!(seen.depth[..40 * 101].iter().all(|z| z.is_infinite()));
         for row in 45..81 {

@@ -1,24 +1,30 @@
 //! Undo of collapses: every intermediate state is a valid mesh, and undoing all collapses restores the input.
 
 use crate::promises::common::{Noise, Triangles, coloured, gallery, torus};
-use scanloom_kernels::base::progress::{Control, Progress};
-use scanloom_kernels::certified::history::History;
-use scanloom_kernels::certified::original::Original;
-use scanloom_kernels::collapse::logs::Log;
+use scanloom_kernels::base::progress::{Progress, RunControl};
+use scanloom_kernels::certified::collapse_history::History;
+use scanloom_kernels::certified::input_surface::InputSurface;
+use scanloom_kernels::collapse::collapse_log::RegionLog;
 use scanloom_kernels::collapse::rounds::{Goal, collapse};
-use scanloom_kernels::collapse::whole::Whole;
+use scanloom_kernels::collapse::whole_mesh::WholeMesh;
 use scanloom_kernels::mesh::connectivity::Connectivity;
-use scanloom_kernels::quadric::qem::QemRecords;
+use scanloom_kernels::quadric::qem::QemState;
 
 /// A remaining triangle: its input index, the input indices of its corners, and their positions.
-type Left = (u32, [u32; 3], [[f64; 4]; 3]);
+type RemainingTriangle = (u32, [u32; 3], [[f64; 4]; 3]);
 
 /// Simplify to a tenth in small regions; returns the remaining triangles and the logs.
-fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<Left>, Vec<Log<4>>) {
-    let whole = Whole::<4, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
-    let records = QemRecords::<1> { weight: 0.01, importance: vec![] };
-    let goal = Goal { triangles: triangles.len() / 10, threads: 2, region: 60, least: 0.0, record: true };
-    let control = Control::default();
+fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<RemainingTriangle>, Vec<RegionLog<4>>) {
+    let whole = WholeMesh::<4, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
+    let records = QemState::<1> { weight: 0.01, importance: vec![] };
+    let goal = Goal {
+        triangles: triangles.len() / 10,
+        threads: 2,
+        region: 60,
+        min_collapse_ratio: 0.0,
+        record_positions: true,
+    };
+    let control = RunControl::default();
     let outcome = collapse(whole, records, &goal, &mut Progress::new(&control)).unwrap();
     let mesh = outcome.mesh;
     let left = mesh.triangles.iter().zip(&mesh.triangle_source).map(|(corners, &source)| {
@@ -27,7 +33,7 @@ fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<Left>, Vec<Log
     (left.collect(), outcome.logs)
 }
 
-fn kept(history: &History<'_, 4>, triangles: &Triangles) -> Triangles {
+fn remaining_triangles(history: &History<'_, 4>, triangles: &Triangles) -> Triangles {
     (0..triangles.len() as u32).filter_map(|t| history.corners(t)).collect()
 }
 
@@ -41,13 +47,13 @@ fn meshes() -> Vec<(&'static str, Vec<[f64; 4]>, Triangles)> {
 }
 
 #[test]
-fn the_history_knows_the_mesh_it_led_to() {
+fn history_reproduces_the_final_mesh() {
     for (name, points, triangles) in meshes() {
         let (left, logs) = simplified(&points, &triangles);
-        let original = Original::new(points, triangles.clone());
+        let original = InputSurface::new(points, triangles.clone());
         let mut history = History::new(&original, false);
         history.append(logs);
-        assert_eq!(kept(&history, &triangles).len(), left.len(), "{name}");
+        assert_eq!(remaining_triangles(&history, &triangles).len(), left.len(), "{name}");
         for (source, corners, places) in left {
             let mut known = history.corners(source).unwrap();
             // Compare up to rotation of the corners.
@@ -61,19 +67,19 @@ fn the_history_knows_the_mesh_it_led_to() {
 }
 
 #[test]
-fn what_is_left_after_taking_some_back_is_the_same_surface() {
+fn undo_keeps_the_topology() {
     let mut noise = Noise(11);
     for (name, points, triangles) in meshes() {
         let topology = Connectivity::from_triangles(points.len(), &triangles).unwrap().topology();
         let (_, logs) = simplified(&points, &triangles);
-        let original = Original::new(points.clone(), triangles.clone());
+        let original = InputSurface::new(points.clone(), triangles.clone());
         let mut history = History::new(&original, false);
         history.append(logs);
-        while history.kept() > 0 {
-            let before = kept(&history, &triangles);
+        while history.active_count() > 0 {
+            let before = remaining_triangles(&history, &triangles);
             let corners = before[noise.below(before.len())];
-            let Some(latest) = history.latest(&corners) else { continue };
-            let (count, mut splits) = (history.kept(), 0);
+            let Some(latest) = history.last_collapse_of_triangle(&corners) else { continue };
+            let (count, mut splits) = (history.active_count(), 0);
             history.undo(latest, &mut |history, around_one, around_both| {
                 splits += 1;
                 // Each collapse had removed one or two triangles.
@@ -82,23 +88,23 @@ fn what_is_left_after_taking_some_back_is_the_same_surface() {
                 assert!(around_one.iter().all(|t| around_both.contains(t)), "{name}");
                 assert!(around_both.iter().all(|&t| history.corners(t).is_some()), "{name}");
             });
-            assert_eq!(history.kept() + splits, count, "{name}");
-            let now = kept(&history, &triangles);
+            assert_eq!(history.active_count() + splits, count, "{name}");
+            let now = remaining_triangles(&history, &triangles);
             assert!(now.len() > before.len(), "{name}");
             let mesh = Connectivity::from_triangles(points.len(), &now).unwrap();
             assert_eq!(mesh.topology(), topology, "{name}");
         }
-        assert_eq!(kept(&history, &triangles), triangles, "{name}");
+        assert_eq!(remaining_triangles(&history, &triangles), triangles, "{name}");
         assert!((0..points.len() as u32).all(|v| history.point(v) == points[v as usize]), "{name}");
     }
 }
 
 #[test]
-fn only_what_was_built_on_a_collapse_goes_with_it() {
+fn undo_affects_only_dependent_collapses() {
     let (points, triangles) = torus(24, 16);
     let points = coloured::<4>(&points, 0.1, 7);
     let (_, logs) = simplified(&points, &triangles);
-    let original = Original::new(points, triangles.clone());
+    let original = InputSurface::new(points, triangles.clone());
     for number in [0, 40, 150, 250] {
         let mut history = History::new(&original, false);
         history.append(logs.clone());
@@ -109,27 +115,29 @@ fn only_what_was_built_on_a_collapse_goes_with_it() {
             assert!(history.corners(t as u32) == corners || touched.contains(&(t as u32)));
         }
         // Undoing it again does nothing.
-        let kept = history.kept();
+        let kept = history.active_count();
         history.undo(number, &mut |_, _, _| panic!("undone twice"));
-        assert_eq!(history.kept(), kept);
+        assert_eq!(history.active_count(), kept);
     }
 }
 
 #[test]
-fn the_way_leads_to_what_stands() {
+fn replay_leads_to_the_current_mesh() {
     for (name, points, triangles) in meshes() {
         let (_, logs) = simplified(&points, &triangles);
-        let original = Original::new(points.clone(), triangles.clone());
+        let original = InputSurface::new(points.clone(), triangles.clone());
         let mut history = History::new(&original, true);
         history.append(logs);
         for share in 1..4 {
-            let numbers: Vec<u32> = (0..points.len() as u32).filter_map(|v| history.last(v)).collect();
+            let numbers: Vec<u32> =
+                (0..points.len() as u32).filter_map(|v| history.last_collapse_of_vertex(v)).collect();
             let some = numbers.iter().filter(|number| *number % 4 == share);
             some.for_each(|&number| history.undo(number, &mut |_, _, _| ()));
-            let way = history.way();
-            assert_eq!(way.path.len(), history.kept(), "{name}");
+            let way = history.replay_sequence();
+            assert_eq!(way.survivor_points.len(), history.active_count(), "{name}");
             let (mut places, mut into) = (points.clone(), (0..points.len() as u32).collect::<Vec<_>>());
-            for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.path) {
+            for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.survivor_points)
+            {
                 assert_eq!((into[removed as usize], into[survivor as usize]), (removed, survivor), "{name}");
                 into[removed as usize] = survivor;
                 places[survivor as usize] = *to;

@@ -2,22 +2,22 @@
 //! holds.
 
 use crate::promises::common::{Noise, coloured, gallery, sheet, torus};
-use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position};
-use scanloom_kernels::base::progress::{Control, Progress};
-use scanloom_kernels::certified::ledger::Apart;
-use scanloom_kernels::certified::original::Original;
-use scanloom_kernels::certified::simplify::{Options, State, go_on, simplify};
-use scanloom_kernels::certified::tracked::{Rules, TrackedRecords};
-use scanloom_kernels::certified::tracker::{LEAST_HEIGHT, Limits, Lists};
+use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position_of};
+use scanloom_kernels::base::progress::{Progress, RunControl};
+use scanloom_kernels::certified::bounded_qem::{BoundedQemState, Rules};
+use scanloom_kernels::certified::input_surface::InputSurface;
+use scanloom_kernels::certified::proof_cache::SeparatePartitions;
+use scanloom_kernels::certified::sample_tracker::{DEFAULT_MIN_NEEDLE_RATIO, SampleLimits, SampleLists};
+use scanloom_kernels::certified::simplify::{LoopState, Options, run_loop, simplify};
 use scanloom_kernels::certify::{self, Deviation, Surface};
 use scanloom_kernels::collapse::engine::{Engine, Step};
-use scanloom_kernels::collapse::records::Records;
+use scanloom_kernels::collapse::method_state::MethodState;
 use scanloom_kernels::collapse::rounds::Goal;
-use scanloom_kernels::collapse::whole::Whole;
+use scanloom_kernels::collapse::whole_mesh::WholeMesh;
 use scanloom_kernels::mesh::connectivity::Connectivity;
 
 fn goal(threads: usize, region: usize) -> Goal {
-    Goal { triangles: 0, threads, region, least: 0.0, record: false }
+    Goal { triangles: 0, threads, region, min_collapse_ratio: 0.0, record_positions: false }
 }
 
 /// Create a finely triangulated, slightly noisy torus with smooth colours.
@@ -37,7 +37,7 @@ fn nearest<const D: usize>(p: &Vec3, points: &[[f64; D]], triangles: &[[u32; 3]]
     let mut best = (f64::INFINITY, vec![]);
     for corners in triangles {
         let corners = corners.map(|v| &points[v as usize]);
-        let (at, distance2) = nearest_on_triangle(p, corners.map(position).each_ref());
+        let (at, distance2) = nearest_on_triangle(p, corners.map(position_of).each_ref());
         if distance2 < best.0 {
             let attribute = |i: usize| (0..3).map(|k| at[k] * corners[k][i]).sum();
             best = (distance2, (3..D).map(attribute).collect());
@@ -54,22 +54,25 @@ fn difference<const D: usize>(point: &[f64; D], attributes: &[f64]) -> f64 {
 fn after_every_collapse_all_samples_are_within_their_limits() {
     for (name, points, triangles) in gallery() {
         let points = coloured::<4>(&points, 0.2, 3);
-        let original = Original::new(points.clone(), triangles.clone());
+        let original = InputSurface::new(points.clone(), triangles.clone());
         let mut factors = vec![1.0; points.len()];
         factors[0] = 0.25;
-        let limits = Limits { shape: 0.2, color: 60.0, factors, needle: LEAST_HEIGHT };
-        let records = TrackedRecords::<4, 1>::new(
+        let limits =
+            SampleLimits { shape: 0.2, color: 60.0, factors, min_needle_ratio: DEFAULT_MIN_NEEDLE_RATIO };
+        let records = BoundedQemState::<4, 1>::new(
             &original,
             &limits,
             0.01,
             vec![],
-            Lists::of_input(&original),
+            SampleLists::of_input(&original),
             Rules::default(),
         );
-        let mesh =
-            Whole::<4, ()>::new(points.clone(), triangles.clone(), vec![]).unwrap().connected().unwrap();
+        let mesh = WholeMesh::<4, ()>::new(points.clone(), triangles.clone(), vec![])
+            .unwrap()
+            .into_connected()
+            .unwrap();
         let before = mesh.connectivity.vertices().count();
-        let measure = records.load(&mesh);
+        let measure = records.load_region(&mesh);
         let mut engine = Engine::new(mesh, measure);
         let mut collapses = 0;
         loop {
@@ -83,12 +86,12 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
                 mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0)).collect();
             for v in triangles.iter().flatten().map(|&v| v as usize) {
                 let point = &points[v];
-                let (distance, _) = nearest(&position(point), &mesh.points, &now);
+                let (distance, _) = nearest(&position_of(point), &mesh.points, &now);
                 let limit = limits.shape * f64::from(limits.factors[v]);
                 assert!(distance <= limit * (1.0 + 1e-9), "{name}: vertex {v} is {distance} away");
             }
             for v in mesh.connectivity.vertices() {
-                let (distance, _) = nearest(&position(mesh.point(v)), &points, &triangles);
+                let (distance, _) = nearest(&position_of(mesh.point(v)), &points, &triangles);
                 assert!(distance <= limits.shape * (1.0 + 1e-9), "{name}: {v:?} is {distance} away");
             }
         }
@@ -97,11 +100,11 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
 }
 
 #[test]
-fn what_is_proven_holds_between_the_samples_too() {
+fn proven_bounds_hold_between_samples() {
     let (points, triangles) = painted_torus();
     let bounds = Deviation { shape: 0.03, color: 12.0 };
     let options = Options { weight: 0.0025, ..Options::new(bounds) };
-    let control = Control::default();
+    let control = RunControl::default();
     let result = simplify::<6, 3>(
         points.clone(),
         triangles.clone(),
@@ -111,7 +114,7 @@ fn what_is_proven_holds_between_the_samples_too() {
         &mut Progress::new(&control),
     )
     .unwrap();
-    assert!(result.proven && result.certificate.bound.within(bounds));
+    assert!(result.proven && result.certificate.bound.is_within(bounds));
     assert!(result.mesh.triangles.len() < triangles.len() / 3, "{}", result.mesh.triangles.len());
     let mut noise = Noise(9);
     let meshes = [(&result.mesh.points, &result.mesh.triangles), (&points, &triangles)];
@@ -123,7 +126,7 @@ fn what_is_proven_holds_between_the_samples_too() {
             let (a, b) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
             let at = [1.0 - a - b, a, b];
             let point: [f64; 6] = std::array::from_fn(|i| (0..3).map(|k| at[k] * corners[k][i]).sum());
-            let (distance, attributes) = nearest(&position(&point), meshes[to].0, meshes[to].1);
+            let (distance, attributes) = nearest(&position_of(&point), meshes[to].0, meshes[to].1);
             assert!(distance <= result.certificate.bound.shape);
             assert!(difference(&point, &attributes) <= result.certificate.bound.color);
         }
@@ -135,7 +138,7 @@ fn the_result_has_the_same_bits_for_any_number_of_threads() {
     let (points, triangles) = painted_torus();
     let options = Options { weight: 0.0025, ..Options::new(Deviation { shape: 0.02, color: f64::INFINITY }) };
     let run = |threads| {
-        let control = Control::default();
+        let control = RunControl::default();
         let mut progress = Progress::new(&control);
         let (points, triangles) = (points.clone(), triangles.clone());
         simplify::<6, 3>(points, triangles, vec![], &options, &goal(threads, 300), &mut progress).unwrap()
@@ -147,13 +150,13 @@ fn the_result_has_the_same_bits_for_any_number_of_threads() {
 }
 
 #[test]
-fn bounds_of_nothing_let_a_flat_sheet_go_and_keep_a_bent_one() {
+fn zero_bounds_simplify_a_flat_sheet_and_keep_a_bent_one() {
     let (flat, triangles) = sheet(8, 8);
     let bent: Vec<[f64; 3]> =
         flat.iter().map(|p| [p[0], p[1], 0.01 * p[0] * p[0] + 0.02 * p[1] * p[1]]).collect();
     let options = Options::new(Deviation { shape: 0.0, color: f64::INFINITY });
     let left = |points: Vec<[f64; 3]>| {
-        let control = Control::default();
+        let control = RunControl::default();
         let mut progress = Progress::new(&control);
         let result =
             simplify::<3, 0>(points, triangles.clone(), vec![], &options, &goal(1, 8192), &mut progress);
@@ -170,7 +173,7 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
     let (points, triangles) = painted_torus();
     let mut locked = vec![false; points.len()];
     (0..points.len()).step_by(97).for_each(|v| locked[v] = true);
-    let control = Control::default();
+    let control = RunControl::default();
     let options = Options { weight: 0.01, ..Options::new(Deviation { shape: 0.1, color: f64::INFINITY }) };
     let result = simplify::<6, 3>(
         points.clone(),
@@ -214,27 +217,27 @@ fn two_layers() -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
 }
 
 #[test]
-fn parts_are_proven_against_what_becomes_of_them_alone() {
+fn partitions_are_proven_independently() {
     let (points, triangles) = two_layers();
     let half = triangles.len() / 2;
     let part: Vec<u32> = (0..triangles.len()).map(|t| u32::from(t >= half)).collect();
-    let original = Original::new(points.clone(), triangles.clone());
+    let original = InputSurface::new(points.clone(), triangles.clone());
     let tolerance = Deviation { shape: 0.15, color: 0.2 };
     let close = certify::Options { tolerance, ..certify::Options::default() };
     let mut of_one = vec![];
     for threads in [1, 3] {
-        let control = Control::default();
+        let control = RunControl::default();
         let progress = &mut Progress::new(&control);
         let options =
             Options { weight: 0.004, ..Options::new(Deviation { shape: 0.2, color: f64::INFINITY }) };
-        let start = State::of_input(&original, true).unwrap();
-        let apart = Apart { part: &part, close: &close };
+        let start = LoopState::of_input(&original, true).unwrap();
+        let apart = SeparatePartitions { partition_index: &part, tolerances: &close };
         let goal = goal(threads, 500);
         let reached =
-            go_on::<4, 1>(&original, start, vec![], Some(&apart), &options, &goal, progress).unwrap();
+            run_loop::<4, 1>(&original, start, vec![], Some(&apart), &options, &goal, progress).unwrap();
         assert!(reached.proven && reached.state.mesh.triangles.len() < half);
         let mesh = &reached.state.mesh;
-        let proven = reached.ledger.bounds_of_parts(mesh, |_| true, progress).unwrap();
+        let proven = reached.ledger.bound_partitions(mesh, |_| true, progress).unwrap();
         for (p, verdict) in (0..2).zip(&proven) {
             let of_part = |t: usize| part[t] == p;
             let some = (0..triangles.len()).filter(|&t| of_part(t)).map(|t| triangles[t]).collect::<Vec<_>>();
@@ -244,11 +247,11 @@ fn parts_are_proven_against_what_becomes_of_them_alone() {
                 [Surface::new(&mesh.points, &left, 1).unwrap(), Surface::new(&points, &some, 1).unwrap()];
             let [light, input] = &surfaces;
             let alone = certify::certify(light, input, &certify::Options::default(), progress).unwrap();
-            assert!(alone.attained.within(verdict.bound), "{:?} {verdict:?}", alone.attained);
-            assert!(verdict.attained.within(alone.bound), "{:?} {verdict:?}", alone.bound);
+            assert!(alone.attained.is_within(verdict.bound), "{:?} {verdict:?}", alone.attained);
+            assert!(verdict.attained.is_within(alone.bound), "{:?} {verdict:?}", alone.bound);
             assert!(verdict.bound.shape <= 0.2);
-            let most = close.enough(verdict.attained);
-            assert!(verdict.bound.within(most.map(|x| 1.001 * x + 0.01)), "{verdict:?}");
+            let most = close.sufficient_bound(verdict.attained);
+            assert!(verdict.bound.is_within(most.map(|x| 1.001 * x + 0.01)), "{verdict:?}");
         }
         of_one.push((mesh.points.clone(), proven));
     }
@@ -256,14 +259,15 @@ fn parts_are_proven_against_what_becomes_of_them_alone() {
 }
 
 #[test]
-fn what_is_proven_part_by_part_is_proven_of_the_whole() {
+fn incremental_proof_equals_full_proof() {
     let (points, triangles) = two_layers();
     let original = Surface::new(&points, &triangles, 1).unwrap();
     let mut again = 0;
     for (shape, color) in [(0.1, 60.0), (0.2, 80.0), (0.05, 40.0)] {
         let bounds = Deviation { shape, color };
-        let options = Options { weight: 0.004, close: false, share: 1.0, ..Options::new(bounds) };
-        let control = Control::default();
+        let options =
+            Options { weight: 0.004, tight_bounds: false, sample_ratio: 1.0, ..Options::new(bounds) };
+        let control = RunControl::default();
         let mut progress = Progress::new(&control);
         let result = simplify::<4, 1>(
             points.clone(),
@@ -278,9 +282,9 @@ fn what_is_proven_part_by_part_is_proven_of_the_whole() {
         let light = Surface::new(&result.mesh.points, &result.mesh.triangles, 1).unwrap();
         let decision = certify::Options { limit: Some(bounds), ..certify::Options::default() };
         let whole = certify::certify(&light, &original, &decision, &mut progress).unwrap();
-        assert_eq!(result.proven, whole.bound.within(bounds), "{:?}", result.passes);
+        assert_eq!(result.proven, whole.bound.is_within(bounds), "{:?}", result.passes);
         assert!(result.mesh.triangles.len() < triangles.len());
-        assert!(whole.attained.within(result.certificate.bound));
+        assert!(whole.attained.is_within(result.certificate.bound));
     }
     assert!(again > 3, "no collapse was undone");
 }

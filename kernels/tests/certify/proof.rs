@@ -2,17 +2,18 @@
 
 use crate::promises::common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::base::errors::KernelError;
-use scanloom_kernels::base::geometry::{nearest_on_triangle, position, triangle_distance2};
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::geometry::{nearest_on_triangle, position_of, triangle_distance2};
+use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::certify::{
-    COLOR_SLACK, Certificate, Deviation, Options, Surface, Verdict, certify, certify_some, decide, greatest,
+    COLOR_SLACK, Certificate, Deviation, Options, Surface, Verdict, bound_whole, certify, certify_triangles,
+    decide,
 };
 
 type Soup<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
 
 fn bounds<const D: usize>(result: &Soup<D>, original: &Soup<D>, options: &Options) -> Certificate {
     let (result, original) = (surface(result).unwrap(), surface(original).unwrap());
-    certify(&result, &original, options, &mut Progress::new(&Control::default())).unwrap()
+    certify(&result, &original, options, &mut Progress::new(&RunControl::default())).unwrap()
 }
 
 fn surface<const D: usize>((points, triangles): &Soup<D>) -> Result<Surface, KernelError> {
@@ -21,7 +22,7 @@ fn surface<const D: usize>((points, triangles): &Soup<D>) -> Result<Surface, Ker
 
 fn distance<const D: usize>(p: &[f64; 3], (points, triangles): &Soup<D>) -> f64 {
     let to = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| position(&points[v as usize]));
+        let [a, b, c] = t.map(|v| position_of(&points[v as usize]));
         triangle_distance2(p, [&a, &b, &c])
     };
     triangles.iter().map(to).fold(f64::INFINITY, f64::min).sqrt()
@@ -46,7 +47,7 @@ fn no_point_is_farther_than_its_triangles_bound() {
         for (mesh, other, of) in [(&result, &original, &found.result), (&original, &result, &found.original)]
         {
             for (t, corners) in mesh.1.iter().enumerate() {
-                let corners = corners.map(|v| position(&mesh.0[v as usize]));
+                let corners = corners.map(|v| position_of(&mesh.0[v as usize]));
                 for _ in 0..20 {
                     let (u, v) = (noise.next(), noise.next());
                     let weights =
@@ -58,20 +59,20 @@ fn no_point_is_farther_than_its_triangles_bound() {
                 }
             }
         }
-        assert!(found.attained.within(found.bound), "{name}");
+        assert!(found.attained.is_within(found.bound), "{name}");
         assert!(found.bound.shape <= 1.06 * found.attained.shape + 3.0 * found.slack, "{name}");
     }
 }
 
 #[test]
-fn some_triangles_are_bounded_like_all_and_nothing_is_said_of_others() {
+fn selected_triangles_are_bounded_and_others_are_not() {
     let nothing = Deviation { shape: 0.0, color: 1.0 / 512.0 };
     for (name, result, original) in pairs() {
         let surfaces = [&result, &original].map(|mesh| surface(mesh).unwrap());
-        let control = Control::default();
+        let control = RunControl::default();
         let some = |asked: [&[u32]; 2]| {
             let mut progress = Progress::new(&control);
-            certify_some(&surfaces[0], &surfaces[1], &Options::default(), asked, &mut progress).unwrap()
+            certify_triangles(&surfaces[0], &surfaces[1], &Options::default(), asked, &mut progress).unwrap()
         };
         let all = bounds(&result, &original, &Options::default());
         let numbers = [&result, &original].map(|mesh| (0..mesh.1.len() as u32).collect::<Vec<_>>());
@@ -80,20 +81,20 @@ fn some_triangles_are_bounded_like_all_and_nothing_is_said_of_others() {
 
         let one = result.1.len() / 2;
         let found = some([&[one as u32], &[0]]);
-        let most = found.own[one].max(found.original[0]);
+        let most = found.from_result[one].max(found.original[0]);
         assert_eq!(found.bound, most, "{name}");
-        for (t, own) in found.own.iter().enumerate() {
+        for (t, own) in found.from_result.iter().enumerate() {
             assert_eq!(t != one, *own == nothing, "{name} {t}");
-            assert!(found.result[t].within(most) && own.within(found.result[t]), "{name} {t}");
+            assert!(found.result[t].is_within(most) && own.is_within(found.result[t]), "{name} {t}");
         }
         assert!(found.original[1..].iter().all(|other| *other == nothing), "{name}");
         // Deviation from the one triangle asked for is attributed to some triangle of the result.
         let fallen = found.result.iter().fold(Deviation::default(), |most, d| most.max(*d));
         assert!(found.original[0].shape <= fallen.shape, "{name}");
         for (mesh, other, t, of) in
-            [(&result, &original, one, found.own[one]), (&original, &result, 0, found.original[0])]
+            [(&result, &original, one, found.from_result[one]), (&original, &result, 0, found.original[0])]
         {
-            let corners = mesh.1[t].map(|v| position(&mesh.0[v as usize]));
+            let corners = mesh.1[t].map(|v| position_of(&mesh.0[v as usize]));
             let middle = [0, 1, 2].map(|i| corners.iter().map(|c| c[i]).sum::<f64>() / 3.0);
             assert!(corners.iter().chain([&middle]).all(|p| distance(p, other) <= of.shape), "{name}");
         }
@@ -108,7 +109,7 @@ fn more_effort_decides_what_few_pieces_leave_open() {
         let attained = bounds(&result, &original, &Options::default()).attained;
         let limit = Deviation { shape: 1.002 * attained.shape, color: 1.002 * attained.color };
         let numbers = [&result, &original].map(|mesh| (0..mesh.1.len() as u32).collect::<Vec<_>>());
-        let control = Control::default();
+        let control = RunControl::default();
         let decided = |effort| {
             let options = Options { effort, limit: Some(limit), ..Options::default() };
             let asked = [&numbers[0][..], &numbers[1][..]];
@@ -116,9 +117,9 @@ fn more_effort_decides_what_few_pieces_leave_open() {
             decide(&surfaces[0], &surfaces[1], &options, asked, &mut progress).unwrap().concat()
         };
         let [few, more] = [0.0, 8.0].map(decided);
-        assert!(few.iter().zip(&more).all(|(few, more)| more.bound.within(few.bound)));
+        assert!(few.iter().zip(&more).all(|(few, more)| more.bound.is_within(few.bound)));
         // Neither proven nor found to exceed the limit.
-        let is_open = |v: &&Verdict| !v.bound.within(limit) && v.attained.within(limit);
+        let is_open = |v: &&Verdict| !v.bound.is_within(limit) && v.attained.is_within(limit);
         open = [open[0] + few.iter().filter(is_open).count(), open[1] + more.iter().filter(is_open).count()];
     }
     assert!(2 * open[1] < open[0], "{open:?}");
@@ -144,7 +145,7 @@ fn a_decision_agrees_with_the_bounds() {
         let full = bounds(&result, &original, &Options::default());
         let passes = |limit: Deviation| {
             let found = bounds(&result, &original, &Options { limit: Some(limit), ..Options::default() });
-            !found.bound.within(limit)
+            !found.bound.is_within(limit)
         };
         let times = |by: f64| Deviation { shape: by * full.bound.shape, color: by * full.bound.color };
         assert!(!passes(times(1.01)), "{name}");
@@ -153,10 +154,10 @@ fn a_decision_agrees_with_the_bounds() {
 }
 
 #[test]
-fn the_greatest_bound_alone_is_as_sure_and_as_close() {
+fn bound_of_the_whole_is_valid_and_tight() {
     let all = |result: &Soup<6>, original: &Soup<6>, options: &Options| {
         let (result, original) = (surface(result).unwrap(), surface(original).unwrap());
-        greatest(&result, &original, options, &mut Progress::new(&Control::default())).unwrap()
+        bound_whole(&result, &original, options, &mut Progress::new(&RunControl::default())).unwrap()
     };
     for (name, result, original) in pairs() {
         let absolute_tolerance = Deviation::default();
@@ -164,10 +165,10 @@ fn the_greatest_bound_alone_is_as_sure_and_as_close() {
             let options = Options { tolerance, absolute_tolerance, ..Options::default() };
             let (found, full) =
                 (all(&result, &original, &options), bounds(&result, &original, &Options::default()));
-            assert!(full.attained.within(found.bound), "{name} {found:?} {:?}", full.attained);
-            assert!(found.attained.within(found.bound), "{name}");
-            assert!(found.attained.within(full.bound), "{name}");
-            let enough = options.enough(found.attained);
+            assert!(full.attained.is_within(found.bound), "{name} {found:?} {:?}", full.attained);
+            assert!(found.attained.is_within(found.bound), "{name}");
+            assert!(found.attained.is_within(full.bound), "{name}");
+            let enough = options.sufficient_bound(found.attained);
             assert!(found.bound.shape <= enough.shape + 3.0 * full.slack, "{name}");
             assert!(found.bound.color <= enough.color + COLOR_SLACK, "{name} {found:?}");
         }
@@ -180,7 +181,7 @@ fn the_greatest_bound_alone_is_as_sure_and_as_close() {
 }
 
 #[test]
-fn a_part_of_the_triangles_is_decided_as_the_whole() {
+fn decisions_do_not_depend_on_the_selection() {
     for (name, result, original) in pairs() {
         let full = bounds(&result, &original, &Options::default());
         for (shape, color) in [(0.2, 0.2), (0.5, 0.7), (0.9, f64::INFINITY), (1.01, 1.01)] {
@@ -190,7 +191,7 @@ fn a_part_of_the_triangles_is_decided_as_the_whole() {
             let surfaces = [surface(&result).unwrap(), surface(&original).unwrap()];
             let ask = |asked: &[Vec<u32>; 2], threads| {
                 let options = Options { threads, ..options };
-                let control = Control::default();
+                let control = RunControl::default();
                 let [one, other] = &surfaces;
                 let asked = asked.each_ref().map(Vec::as_slice);
                 decide(one, other, &options, asked, &mut Progress::new(&control)).unwrap()
@@ -198,10 +199,10 @@ fn a_part_of_the_triangles_is_decided_as_the_whole() {
             let everything = [&result, &original].map(|(_, triangles)| (0..triangles.len() as u32).collect());
             let all = ask(&everything, 1);
             assert_eq!(all, ask(&everything, 3), "{name}");
-            for (found, bounds) in all.iter().zip([&whole.own, &whole.original]) {
+            for (found, bounds) in all.iter().zip([&whole.from_result, &whole.original]) {
                 for (verdict, bound) in found.iter().zip(bounds) {
-                    assert_eq!(verdict.bound.within(limit), bound.within(limit), "{name}");
-                    assert!(verdict.bound.shape >= limit.shape && verdict.attained.within(whole.attained));
+                    assert_eq!(verdict.bound.is_within(limit), bound.is_within(limit), "{name}");
+                    assert!(verdict.bound.shape >= limit.shape && verdict.attained.is_within(whole.attained));
                 }
             }
             for step in [2, 7] {
@@ -240,8 +241,8 @@ fn deviation(p: &[f64; 6], (points, triangles): &Soup<6>) -> Deviation {
     let mut nearest = Deviation { shape: f64::INFINITY, color: 0.0 };
     for t in triangles {
         let corners = t.map(|v| points[v as usize]);
-        let at = corners.map(|c| position(&c));
-        let (weights, distance2) = nearest_on_triangle(&position(p), at.each_ref());
+        let at = corners.map(|c| position_of(&c));
+        let (weights, distance2) = nearest_on_triangle(&position_of(p), at.each_ref());
         if distance2 < nearest.shape {
             let there = blended(weights, corners);
             let color = (3..6).map(|i| (p[i] - there[i]).powi(2)).sum::<f64>().sqrt();
@@ -253,7 +254,7 @@ fn deviation(p: &[f64; 6], (points, triangles): &Soup<6>) -> Deviation {
 
 /// Large triangles against many small ones and vice versa, with a hole, and with a tear along an edge.
 #[test]
-fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
+fn no_point_exceeds_a_proven_limit() {
     let mut noise = Noise(8);
     for (squares, by) in [(2, 0.0), (3, 0.1), (4, 0.3), (12, 0.05)] {
         let original = bumps(12, &mut noise, by);
@@ -274,9 +275,9 @@ fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
                 let found = bounds(&result, original, &Options { limit: Some(limit), ..Options::default() });
                 let mut proven = 0;
                 for (mesh, other, of) in
-                    [(&result, original, &found.own), (original, &result, &found.original)]
+                    [(&result, original, &found.from_result), (original, &result, &found.original)]
                 {
-                    for (t, _) in of.iter().enumerate().filter(|(_, bound)| bound.within(limit)) {
+                    for (t, _) in of.iter().enumerate().filter(|(_, bound)| bound.is_within(limit)) {
                         proven += 1;
                         for i in 0..4 {
                             let (u, v) = (noise.next(), noise.next());
@@ -284,7 +285,10 @@ fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
                             let weights = if i == 0 { [u, 1.0 - u, 0.0] } else { inside };
                             let p = blended(weights, mesh.1[t].map(|v| mesh.0[v as usize]));
                             let here = deviation(&p, other);
-                            assert!(here.within(limit), "{squares} {by} {share} {t}: {here:?} > {limit:?}");
+                            assert!(
+                                here.is_within(limit),
+                                "{squares} {by} {share} {t}: {here:?} > {limit:?}"
+                            );
                         }
                     }
                 }
@@ -296,7 +300,7 @@ fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
 
 /// A square of the sheet is missing; its centre is half a square from the rest.
 #[test]
-fn a_hole_under_a_large_triangle_is_seen() {
+fn hole_below_a_large_triangle_is_detected() {
     let (points, mut triangles) = sheet(12, 12);
     let corner = |x: f64, y: f64| [x, y, 0.1];
     let result: Soup<3> = (
@@ -309,7 +313,7 @@ fn a_hole_under_a_large_triangle_is_seen() {
     for (limit, proven) in [(0.45, [false, true]), (0.55, [true, true]), (0.09, [false, false])] {
         let limit = Deviation { shape: limit, color: f64::INFINITY };
         let found = bounds(&result, &original, &Options { limit: Some(limit), ..Options::default() });
-        assert_eq!([0, 1].map(|t| found.own[t].within(limit)), proven, "{limit:?}");
+        assert_eq!([0, 1].map(|t| found.from_result[t].is_within(limit)), proven, "{limit:?}");
     }
 }
 
@@ -319,7 +323,7 @@ fn every_triangle_whose_box_meets_is_visited() {
     let one = Surface::new(&points, &triangles, 1).unwrap();
     let (low, high) = ([2.0, 1.5, -1.0], [4.5, 1.5, 1.0]);
     let mut found = vec![];
-    one.triangles_meeting(&low, &high, |t| found.push(t));
+    one.visit_triangles_in_box(&low, &high, |t| found.push(t));
     found.sort_unstable();
     let meets = |corners: &[u32; 3]| {
         (0..3).all(|i| {
@@ -356,7 +360,7 @@ fn the_unit_of_length_does_not_matter() {
 }
 
 #[test]
-fn a_part_that_is_missing_shows_on_the_triangles_beside_it() {
+fn missing_part_is_attributed_to_adjacent_triangles() {
     let (points, triangles) = sheet(6, 1);
     let left = triangles[..6].to_vec();
     let found = bounds(&(points.clone(), left), &(points, triangles), &Options::default());
@@ -367,7 +371,7 @@ fn a_part_that_is_missing_shows_on_the_triangles_beside_it() {
 }
 
 #[test]
-fn bad_indices_and_numbers_are_named() {
+fn invalid_indices_and_numbers_are_reported() {
     let (mut points, mut triangles) = sheet(1, 1);
     triangles[1][2] = 9;
     let wrong = KernelError::IndexOutOfRange { triangle: 1, vertex: 9, vertices: 4 };
@@ -380,14 +384,14 @@ fn bad_indices_and_numbers_are_named() {
 fn the_caller_can_stop_the_work() {
     let soup = sheet(300, 200);
     let one = surface(&soup).unwrap();
-    let control = Control::default();
+    let control = RunControl::default();
     control.abort();
     let stopped = certify(&one, &one, &Options::default(), &mut Progress::new(&control));
     assert!(matches!(stopped, Err(KernelError::Interrupted)));
 }
 
 #[test]
-fn nothing_is_infinitely_far() {
+fn empty_surface_is_infinitely_far() {
     let (soup, nothing): (Soup<3>, Soup<3>) = (sheet(1, 1), (vec![], vec![]));
     let found = bounds(&nothing, &soup, &Options::default());
     assert!(found.original.iter().all(|d| d.shape == f64::INFINITY));

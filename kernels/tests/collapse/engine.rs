@@ -3,8 +3,8 @@
 use crate::promises::common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::base::geometry::{cross, distance2, sub};
 use scanloom_kernels::base::ids::{EdgeId, TriangleId, VertexId};
-use scanloom_kernels::collapse::engine::{Collapsed, Engine, Measure, Proposal, Refusal, Step};
-use scanloom_kernels::mesh::star::Star;
+use scanloom_kernels::collapse::engine::{CollapseChange, Engine, Measure, Proposal, Refusal, Step};
+use scanloom_kernels::mesh::edge_star::EdgeStar;
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 
 /// Test measure with the features that simplifiers need: a choice of the survivor, locked vertices, and a set
@@ -18,7 +18,7 @@ struct ShortestHalfEdge {
 struct Locked;
 
 impl<const D: usize> Measure<D> for ShortestHalfEdge {
-    type Bound = Locked;
+    type Reason = Locked;
     type Change = ();
 
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Locked> {
@@ -27,19 +27,19 @@ impl<const D: usize> Measure<D> for ShortestHalfEdge {
         if locked { Err(Locked) } else { Ok(distance2(mesh.point(a), mesh.point(b))) }
     }
 
-    fn propose(&mut self, _: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, ()>, Locked> {
+    fn propose(&mut self, _: &Mesh<D>, star: &EdgeStar<D>) -> Result<Proposal<D, ()>, Locked> {
         let survivor = usize::from(self.locked[star.ends[1].index()]);
         Ok(Proposal { survivor, point: star.end_points[survivor], change: () })
     }
 
-    fn judge(&mut self, _: &Mesh<D>, _: &Star<D>, _: &mut Proposal<D, ()>) -> Result<(), Locked> {
+    fn judge(&mut self, _: &Mesh<D>, _: &EdgeStar<D>, _: &mut Proposal<D, ()>) -> Result<(), Locked> {
         Ok(())
     }
 
-    fn commit(&mut self, _: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, (): ()) {
+    fn commit(&mut self, _: &Mesh<D>, star: &EdgeStar<D>, collapsed: &CollapseChange, (): ()) {
         let moved = |end: usize| star.ends[end] == collapsed.removed;
         let around: Vec<TriangleId> = star
-            .wings
+            .remaining
             .iter()
             .filter(|w| moved(w.end))
             .map(|w| w.triangle)
@@ -50,8 +50,8 @@ impl<const D: usize> Measure<D> for ShortestHalfEdge {
         union.sort_unstable();
         union.dedup();
         // Removing the tip of an ear moves no triangle: its set goes to the triangles of the survivor.
-        let none_moves = !star.wings.iter().any(|w| moved(w.end));
-        for wing in star.wings.iter().filter(|w| moved(w.end) || none_moves) {
+        let none_moves = !star.remaining.iter().any(|w| moved(w.end));
+        for wing in star.remaining.iter().filter(|w| moved(w.end) || none_moves) {
             self.associated[wing.triangle.index()].extend(&union);
         }
     }
@@ -112,7 +112,7 @@ fn locked_vertices_stay_and_their_edges_are_counted() {
         assert_eq!(engine.mesh().point(v), &points[v.index()]);
     }
     // Only the border of the sheet is left: each of its 24 edges is locked.
-    let is_locked = |edge: &EdgeId| engine.refusal(*edge) == Some(Refusal::Barred(Locked));
+    let is_locked = |edge: &EdgeId| engine.refusal(*edge) == Some(Refusal::PriorityRefused(Locked));
     assert!(engine.mesh().connectivity.edges().filter(is_locked).count() >= 24);
 }
 

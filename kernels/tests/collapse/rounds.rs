@@ -3,20 +3,26 @@
 
 use crate::promises::common::{Noise, Triangles, coloured, gallery, sheet, sheet_with_hole, torus};
 use scanloom_kernels::base::errors::KernelError;
-use scanloom_kernels::base::geometry::{Vec3, cross, dot, position, sub};
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::geometry::{Vec3, cross, dot, position_of, sub};
+use scanloom_kernels::base::progress::{Progress, RunControl};
+use scanloom_kernels::collapse::collapse_log::CollapseSequence;
 use scanloom_kernels::collapse::engine::Stop;
-use scanloom_kernels::collapse::logs::Way;
 use scanloom_kernels::collapse::rounds::{Goal, Outcome, REGION_TRIANGLES, collapse};
-use scanloom_kernels::collapse::whole::Whole;
+use scanloom_kernels::collapse::whole_mesh::WholeMesh;
 use scanloom_kernels::jia01::{self, Limits, Options};
-use scanloom_kernels::mesh::triangle_mesh::{Compact, Mesh};
-use scanloom_kernels::quadric::qem::{Qem, QemRecords};
+use scanloom_kernels::mesh::triangle_mesh::{CompactMesh, Mesh};
+use scanloom_kernels::quadric::qem::{Qem, QemState};
 use scanloom_kernels::quadrics::quadric::Quadric;
 
-const GOAL: Goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: false };
+const GOAL: Goal = Goal {
+    triangles: 0,
+    threads: 1,
+    region: REGION_TRIANGLES,
+    min_collapse_ratio: 0.0,
+    record_positions: false,
+};
 
-type Result<const D: usize, const K: usize> = std::result::Result<Outcome<D, QemRecords<K>>, KernelError>;
+type Result<const D: usize, const K: usize> = std::result::Result<Outcome<D, QemState<K>>, KernelError>;
 
 fn simplified<const D: usize, const K: usize>(
     points: &[[f64; D]],
@@ -24,12 +30,12 @@ fn simplified<const D: usize, const K: usize>(
     locked: Vec<bool>,
     goal: Goal,
 ) -> Result<D, K> {
-    let whole = Whole::new(points.to_vec(), triangles.to_vec(), locked)?;
-    let records = QemRecords { weight: 1e-3, importance: vec![] };
-    collapse(whole, records, &goal, &mut Progress::new(&Control::default()))
+    let whole = WholeMesh::new(points.to_vec(), triangles.to_vec(), locked)?;
+    let records = QemState { weight: 1e-3, importance: vec![] };
+    collapse(whole, records, &goal, &mut Progress::new(&RunControl::default()))
 }
 
-fn compact(outcome: Outcome<6, QemRecords<3>>) -> Compact<6> {
+fn compact(outcome: Outcome<6, QemState<3>>) -> CompactMesh<6> {
     outcome.mesh.into_compact()
 }
 
@@ -40,7 +46,7 @@ fn wavy(w: u32, h: u32) -> (Vec<[f64; 6]>, Triangles) {
 }
 
 #[test]
-fn every_cut_keeps_every_invariant() {
+fn every_partition_keeps_every_invariant() {
     let (hole, hole_triangles) = sheet_with_hole(12);
     let (ring, ring_triangles) = torus(40, 30);
     let mut meshes = gallery();
@@ -76,7 +82,9 @@ fn every_cut_keeps_every_invariant() {
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let (points, triangles) = wavy(120, 90);
-    for goal in [Goal { triangles: 3000, region: 500, ..GOAL }, Goal { region: 900, record: true, ..GOAL }] {
+    for goal in
+        [Goal { triangles: 3000, region: 500, ..GOAL }, Goal { region: 900, record_positions: true, ..GOAL }]
+    {
         let run =
             |threads| simplified::<6, 3>(&points, &triangles, vec![], Goal { threads, ..goal }).unwrap();
         let once = run(1);
@@ -101,8 +109,8 @@ fn jia01_keeps_its_bounds_in_regions_too() {
         triangle_limit: 1_000_000,
     };
     let run_to = |goal| {
-        let whole = Whole::new(points.clone(), triangles.clone(), vec![]).unwrap();
-        jia01::simplify(whole, &options, &goal, &mut Progress::new(&Control::default())).unwrap()
+        let whole = WholeMesh::new(points.clone(), triangles.clone(), vec![]).unwrap();
+        jia01::simplify(whole, &options, &goal, &mut Progress::new(&RunControl::default())).unwrap()
     };
     let run = |region, threads| run_to(Goal { region, threads, ..GOAL });
     let one_queue = run(REGION_TRIANGLES * 10, 1);
@@ -120,15 +128,15 @@ fn jia01_keeps_its_bounds_in_regions_too() {
         assert_eq!(run(region, 2).mesh, result.mesh);
     }
     // With a minimum ratio of collapses it ends sooner, with hardly more triangles.
-    let (all, most) = (run(100, 1), run_to(Goal { region: 100, least: 0.02, ..GOAL }));
-    assert_eq!((all.stop, most.stop), (Stop::Exhausted, Stop::Few));
+    let (all, most) = (run(100, 1), run_to(Goal { region: 100, min_collapse_ratio: 0.02, ..GOAL }));
+    assert_eq!((all.stop, most.stop), (Stop::Exhausted, Stop::Stalled));
     assert!(most.largest_shape_change <= bounds.shape);
     let ratio = most.mesh.triangles.len() as f64 / all.mesh.triangles.len() as f64;
     assert!((1.0..1.1).contains(&ratio), "{ratio}");
 }
 
 #[test]
-fn what_is_wrong_is_named_whatever_the_cut() {
+fn errors_do_not_depend_on_the_partition() {
     let (points, triangles) = sheet(12, 9);
     let refused = |extra: [u32; 3], region| {
         let mut triangles = triangles.clone();
@@ -164,11 +172,11 @@ fn important_places_keep_more_triangles() {
     let (points, triangles) = wavy(60, 40);
     let right = |p: &[f64; 6]| p[0] > 0.0;
     let share = |importance: f64| {
-        let whole = Whole::new(points.clone(), triangles.clone(), vec![]).unwrap();
+        let whole = WholeMesh::new(points.clone(), triangles.clone(), vec![]).unwrap();
         let factor = |p| if right(p) { importance } else { 1.0 };
-        let records = QemRecords::<3> { weight: 1e-3, importance: points.iter().map(factor).collect() };
+        let records = QemState::<3> { weight: 1e-3, importance: points.iter().map(factor).collect() };
         let goal = Goal { triangles: 800, region: 1000, ..GOAL };
-        let outcome = collapse(whole, records, &goal, &mut Progress::new(&Control::default())).unwrap();
+        let outcome = collapse(whole, records, &goal, &mut Progress::new(&RunControl::default())).unwrap();
         let result = outcome.mesh.into_compact();
         result.points.iter().filter(|p| right(p)).count() as f64 / result.points.len() as f64
     };
@@ -179,12 +187,12 @@ fn important_places_keep_more_triangles() {
 #[test]
 fn a_record_leads_to_the_result() {
     let (points, triangles) = wavy(50, 40);
-    let goal = Goal { triangles: 400, region: 700, record: true, ..GOAL };
+    let goal = Goal { triangles: 400, region: 700, record_positions: true, ..GOAL };
     let outcome = simplified(&points, &triangles, vec![], goal).unwrap();
     let mut replayed = points.clone();
     let mut becomes: Vec<usize> = (0..points.len()).collect();
-    let way = Way::new(&outcome.logs);
-    for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.path) {
+    let way = CollapseSequence::new(&outcome.logs);
+    for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.survivor_points) {
         becomes[removed as usize] = survivor as usize;
         replayed[survivor as usize] = *to;
     }
@@ -209,9 +217,9 @@ fn a_record_leads_to_the_result() {
 fn direct(p: &[f64; 6], triangles: &[[[f64; 6]; 3]], weight: f64) -> f64 {
     let mut sum = 0.0;
     for [a, b, c] in triangles {
-        let (u, v) = (sub(&position(b), &position(a)), sub(&position(c), &position(a)));
+        let (u, v) = (sub(&position_of(b), &position_of(a)), sub(&position_of(c), &position_of(a)));
         let n = cross(&u, &v);
-        let to_p = sub(&position(p), &position(a));
+        let to_p = sub(&position_of(p), &position_of(a));
         let area2 = dot(&n, &n);
         let foot: Vec3 = std::array::from_fn(|i| to_p[i] - dot(&to_p, &n) / area2 * n[i]);
         let (s, t) = (dot(&cross(&foot, &v), &n) / area2, dot(&cross(&u, &foot), &n) / area2);
@@ -223,7 +231,7 @@ fn direct(p: &[f64; 6], triangles: &[[[f64; 6]; 3]], weight: f64) -> f64 {
 }
 
 #[test]
-fn a_quadric_is_the_sum_it_stands_for() {
+fn quadric_equals_the_direct_sum() {
     let mut noise = Noise(11);
     for _ in 0..50 {
         let corner = |noise: &mut Noise| {
@@ -256,19 +264,19 @@ fn a_quadric_is_the_sum_it_stands_for() {
 #[test]
 fn quadrics_follow_the_mesh() {
     use scanloom_kernels::collapse::engine::{Engine, Step};
-    use scanloom_kernels::collapse::records::Records;
+    use scanloom_kernels::collapse::method_state::MethodState;
     let (hole, hole_triangles) = sheet_with_hole(4);
     for (points, triangles) in [wavy(16, 12), (coloured(&hole, 0.2, 4), hole_triangles)] {
-        let records = QemRecords::<3> { weight: 1e-3, importance: vec![] };
+        let records = QemState::<3> { weight: 1e-3, importance: vec![] };
         let mesh = Mesh::new(points, &triangles).unwrap();
-        let measure: Qem<6, 3> = records.load(&mesh);
+        let measure: Qem<6, 3> = records.load_region(&mesh);
         let mut engine = Engine::new(mesh, measure);
         for _ in 0..60 {
             if engine.step() == Step::Finished {
                 break;
             }
         }
-        let afresh: Qem<6, 3> = records.load(engine.mesh());
+        let afresh: Qem<6, 3> = records.load_region(engine.mesh());
         for v in engine.mesh().connectivity.vertices() {
             let p = [0.3, -0.2, 0.7];
             let (kept, made) = (engine.measure().quadric(v).error(&p), afresh.quadric(v).error(&p));

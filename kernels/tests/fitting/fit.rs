@@ -3,9 +3,9 @@
 use crate::promises::common::{coloured, sheet, torus};
 use scanloom_kernels::base::geometry::{nearest_on_triangle, norm2, sub};
 use scanloom_kernels::base::ids::VertexId;
-use scanloom_kernels::base::progress::{Control, Progress};
-use scanloom_kernels::fitting::fit::{Input, fit};
-use scanloom_kernels::mesh::triangle_mesh::{Lock, Mesh};
+use scanloom_kernels::base::progress::{Progress, RunControl};
+use scanloom_kernels::fitting::least_squares::{FitInput, fit};
+use scanloom_kernels::mesh::triangle_mesh::{Mesh, VertexLock};
 
 fn fitted<const D: usize>(
     mut mesh: Mesh<D>,
@@ -20,13 +20,13 @@ fn fitted<const D: usize>(
         VertexId::from_index(nearest.unwrap())
     };
     let became: Vec<VertexId> = points.iter().map(near).collect();
-    let input = Input { points, triangles, became: &became };
-    fit(&mut mesh, &input, threads, &Progress::new(&Control::default())).unwrap();
+    let input = FitInput { points, triangles, vertex_map: &became };
+    fit(&mut mesh, &input, threads, &Progress::new(&RunControl::default())).unwrap();
     mesh.points
 }
 
 #[test]
-fn what_fits_stays() {
+fn exact_mesh_does_not_change() {
     let (points, triangles) = torus(20, 14);
     let points: Vec<[f64; 6]> = coloured(&points, 0.0, 1);
     let mesh = Mesh::new(points.clone(), &triangles).unwrap();
@@ -74,7 +74,7 @@ fn fixed_vertices_and_the_boundary_stay_where_they_are() {
     let (coarse, coarse_triangles) = sheet(5, 5);
     let coarse: Vec<[f64; 4]> = coarse.iter().map(|p| [8.0 * p[0], 8.0 * p[1], 0.0, 200.0]).collect();
     let mut mesh = Mesh::new(coarse.clone(), &coarse_triangles).unwrap();
-    mesh.locks[14] = Lock::Locked;
+    mesh.locks[14] = VertexLock::Locked;
     let after = fitted(mesh.clone(), &fine, &fine_triangles, 1);
     assert_eq!(after[14], coarse[14]);
     for v in mesh.connectivity.vertices() {

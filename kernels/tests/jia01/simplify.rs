@@ -2,12 +2,12 @@
 
 use crate::promises::common::{Noise, coloured, gallery, sheet, tetrahedron, torus};
 use scanloom_kernels::base::errors::KernelError;
-use scanloom_kernels::base::geometry::{distance2, norm2, position, sub};
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::geometry::{distance2, norm2, position_of, sub};
+use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::collapse::engine::{Engine, Step, Stop};
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
-use scanloom_kernels::collapse::whole::Whole;
-use scanloom_kernels::jia01::{Jia01, Limits, Options, Simplified, simplify};
+use scanloom_kernels::collapse::whole_mesh::WholeMesh;
+use scanloom_kernels::jia01::{Jia01, JiaResult, Limits, Options, simplify};
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 
 const OPTIONS: Options = Options {
@@ -18,13 +18,19 @@ const OPTIONS: Options = Options {
     triangle_limit: 1_000_000,
 };
 
-const GOAL: Goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: false };
+const GOAL: Goal = Goal {
+    triangles: 0,
+    threads: 1,
+    region: REGION_TRIANGLES,
+    min_collapse_ratio: 0.0,
+    record_positions: false,
+};
 
 fn run<const D: usize>(
     points: Vec<[f64; D]>,
     triangles: &[[u32; 3]],
     options: &Options,
-) -> Result<Simplified<D>, KernelError> {
+) -> Result<JiaResult<D>, KernelError> {
     run_to(0, points, triangles, options)
 }
 
@@ -33,9 +39,9 @@ fn run_to<const D: usize>(
     points: Vec<[f64; D]>,
     triangles: &[[u32; 3]],
     options: &Options,
-) -> Result<Simplified<D>, KernelError> {
-    let control = Control::default();
-    let whole = Whole::new(points, triangles.to_vec(), vec![])?;
+) -> Result<JiaResult<D>, KernelError> {
+    let control = RunControl::default();
+    let whole = WholeMesh::new(points, triangles.to_vec(), vec![])?;
     simplify(whole, options, &Goal { triangles: target, ..GOAL }, &mut Progress::new(&control))
 }
 
@@ -66,7 +72,7 @@ fn every_step_keeps_topology_and_bounds() {
 }
 
 #[test]
-fn every_edge_is_in_the_order_or_held_by_a_rule() {
+fn every_edge_is_queued_or_refused_by_a_rule() {
     let (points, triangles) = torus(16, 10);
     let bounds = Limits { length: 1.2, shape: 0.05, texture: 700.0 };
     let result = run(coloured::<6>(&points, 0.1, 6), &triangles, &Options { bounds, ..OPTIONS }).unwrap();
@@ -90,8 +96,8 @@ fn long_edges_are_split_and_the_new_parts_know_their_origin() {
             assert!(distance2(&p, &q).sqrt() <= 0.3);
         }
         let cross = scanloom_kernels::base::geometry::cross(
-            &sub(&position(&b), &position(&a)),
-            &sub(&position(&c), &position(&a)),
+            &sub(&position_of(&b), &position_of(&a)),
+            &sub(&position_of(&c), &position_of(&a)),
         );
         area[source as usize] += norm2(&cross).sqrt() / 2.0;
     }
@@ -199,18 +205,18 @@ fn the_unit_of_length_does_not_matter() {
 #[test]
 fn the_caller_can_stop_the_work() {
     let (points, triangles) = torus(300, 200);
-    let run = |control: &Control| {
-        let whole = Whole::new(points.clone(), triangles.clone(), vec![]).unwrap();
+    let run = |control: &RunControl| {
+        let whole = WholeMesh::new(points.clone(), triangles.clone(), vec![]).unwrap();
         simplify(whole, &OPTIONS, &GOAL, &mut Progress::new(control))
     };
-    let control = Control::default();
+    let control = RunControl::default();
     control.abort();
     assert_eq!(run(&control).err(), Some(KernelError::Interrupted));
 
-    let control = Control::default();
-    control.enough();
+    let control = RunControl::default();
+    control.stop_early();
     let result = run(&control).unwrap();
-    assert_eq!(result.stop, Stop::Enough);
+    assert_eq!(result.stop, Stop::StoppedByCaller);
     assert!(result.mesh.triangles.len() > triangles.len() / 2);
     assert!(Mesh::new(result.mesh.points, &result.mesh.triangles).is_ok());
 }

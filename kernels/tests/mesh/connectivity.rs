@@ -3,10 +3,10 @@
 use crate::promises::common::{Noise, gallery, octahedron, sheet, tetrahedron, torus};
 use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::ids::{EdgeId, VertexId};
+use scanloom_kernels::mesh::collapse_legality::{IllegalCollapse, VertexMarks, can_collapse};
 use scanloom_kernels::mesh::connectivity::Connectivity;
-use scanloom_kernels::mesh::legality::{Illegal, Marks, can_collapse};
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
-use scanloom_kernels::mesh::validate::Topology;
+use scanloom_kernels::mesh::validation::Topology;
 
 fn connect(vertices: usize, triangles: &[[u32; 3]]) -> Connectivity {
     Connectivity::from_triangles(vertices, triangles).unwrap()
@@ -21,8 +21,8 @@ fn edge_between(mesh: &Connectivity, a: u32, b: u32) -> EdgeId {
     mesh.edges().find(same).unwrap()
 }
 
-fn verdict(mesh: &Connectivity, a: u32, b: u32) -> Result<(), Illegal> {
-    can_collapse(mesh, edge_between(mesh, a, b), &mut Marks::new(mesh.vertex_slots()))
+fn verdict(mesh: &Connectivity, a: u32, b: u32) -> Result<(), IllegalCollapse> {
+    can_collapse(mesh, edge_between(mesh, a, b), &mut VertexMarks::new(mesh.vertex_slots()))
 }
 
 #[test]
@@ -169,28 +169,28 @@ fn what_may_collapse_on_a_sheet() {
     let mesh = connect(points.len(), &triangles);
     assert_eq!(verdict(&mesh, 0, 1), Ok(()), "along the boundary");
     assert_eq!(verdict(&mesh, 4, 1), Ok(()), "an interior vertex onto the boundary");
-    assert_eq!(verdict(&mesh, 1, 5), Err(Illegal::Bridge), "across the interior");
+    assert_eq!(verdict(&mesh, 1, 5), Err(IllegalCollapse::Bridge), "across the interior");
 }
 
 #[test]
 fn no_piece_or_hole_may_vanish() {
     let (points, triangles) = tetrahedron();
     let closed = connect(points.len(), &triangles);
-    assert_eq!(verdict(&closed, 0, 1), Err(Illegal::Topology), "a tetrahedron");
+    assert_eq!(verdict(&closed, 0, 1), Err(IllegalCollapse::Topology), "a tetrahedron");
     let open = connect(points.len(), &triangles[1..]);
-    assert_eq!(verdict(&open, 0, 1), Err(Illegal::Topology), "a hole of three edges");
+    assert_eq!(verdict(&open, 0, 1), Err(IllegalCollapse::Topology), "a hole of three edges");
     assert_eq!(verdict(&open, 0, 3), Ok(()), "an interior vertex of three triangles");
-    assert_eq!(verdict(&connect(3, &[[0, 1, 2]]), 0, 1), Err(Illegal::Topology), "a lone triangle");
+    assert_eq!(verdict(&connect(3, &[[0, 1, 2]]), 0, 1), Err(IllegalCollapse::Topology), "a lone triangle");
     let (points, triangles) = torus(3, 3);
     let torus = connect(points.len(), &triangles);
-    assert_eq!(verdict(&torus, 0, 1), Err(Illegal::Topology), "the neck of a torus");
+    assert_eq!(verdict(&torus, 0, 1), Err(IllegalCollapse::Topology), "the neck of a torus");
 }
 
 #[test]
 fn a_waist_of_three_edges_may_not_vanish() {
     // Two tetrahedra without their common face: 0, 1, 2 are the waist.
     let mesh = connect(5, &[[0, 1, 3], [1, 2, 3], [2, 0, 3], [1, 0, 4], [2, 1, 4], [0, 2, 4]]);
-    assert_eq!(verdict(&mesh, 0, 1), Err(Illegal::Topology));
+    assert_eq!(verdict(&mesh, 0, 1), Err(IllegalCollapse::Topology));
     assert_eq!(verdict(&mesh, 0, 3), Ok(()));
 }
 
@@ -224,7 +224,7 @@ fn random_edits_keep_every_invariant() {
                 let edge = edges[noise.below(edges.len())];
                 if noise.next() < 0.3 {
                     mesh.split(edge);
-                } else if can_collapse(&mesh, edge, &mut Marks::new(mesh.vertex_slots())).is_ok() {
+                } else if can_collapse(&mesh, edge, &mut VertexMarks::new(mesh.vertex_slots())).is_ok() {
                     let survivor = mesh.ends(edge)[noise.below(2)];
                     mesh.collapse(edge, survivor);
                 }
@@ -250,7 +250,7 @@ fn refusals_of_the_link_condition_are_needed() {
                 let one_less = collapsed.vertices().count() + 1 == mesh.vertices().count();
                 one_less && collapsed.validate().is_ok() && collapsed.topology() == mesh.topology()
             });
-            let allowed = can_collapse(&mesh, edge, &mut Marks::new(mesh.vertex_slots())).is_ok();
+            let allowed = can_collapse(&mesh, edge, &mut VertexMarks::new(mesh.vertex_slots())).is_ok();
             assert_eq!(allowed, sound, "{name}, edge {:?}", mesh.ends(edge));
         }
     }

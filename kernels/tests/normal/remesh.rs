@@ -1,18 +1,18 @@
 //! Normal meshes: correspondence of base and input, and the step from level to level.
 
 use scanloom_kernels::base::geometry::Vec3;
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 use scanloom_kernels::normal::base_mesh::Base;
-use scanloom_kernels::normal::carried::Carried;
-use scanloom_kernels::normal::coarsening::{Target, coarse};
+use scanloom_kernels::normal::coarsening::{Target, coarsen};
 use scanloom_kernels::normal::decode::decode;
-use scanloom_kernels::normal::predict::predict;
+use scanloom_kernels::normal::prediction::predict;
 use scanloom_kernels::normal::remesh::remesh;
 use scanloom_kernels::normal::settings::Settings;
 use scanloom_kernels::normal::surface::Surface;
-use scanloom_kernels::subdivision::butterfly::middles;
-use scanloom_kernels::subdivision::contents::{Offset, Scheme};
+use scanloom_kernels::normal::vertex_attributes::VertexAttributes;
+use scanloom_kernels::subdivision::butterfly::compute_edge_points;
+use scanloom_kernels::subdivision::snm_contents::{Offset, Scheme};
 use scanloom_kernels::subdivision::topology::{NONE, Topology};
 
 /// Build a wavy height field of n × n squares with a square hole.
@@ -40,19 +40,19 @@ fn base_of(points: &[Vec3], triangles: &[[u32; 3]], wanted: usize) -> (Base, Sur
     let mesh = Mesh::new(points.to_vec(), triangles).unwrap();
     let surface = Surface::new(points, triangles, 1);
     let numbers: Vec<u32> = (0..triangles.len() as u32).collect();
-    let target = Target { triangles: wanted, error: f64::INFINITY, at_any_price: true };
-    let control = Control::default();
+    let target = Target { triangles: wanted, error: f64::INFINITY, ignore_cost_limit: true };
+    let control = RunControl::default();
     let importance = vec![1.0; points.len()];
     let progress = &mut Progress::new(&control);
-    let coarse = coarse(mesh, &surface, target, true, progress).unwrap();
-    let made = coarse.base(&importance, &numbers, progress).unwrap();
+    let coarse = coarsen(mesh, &surface, target, true, progress).unwrap();
+    let made = coarse.build_base(&importance, &numbers, progress).unwrap();
     (made, surface)
 }
 
 pub fn settings(levels: u8, scheme: Scheme) -> Settings {
     Settings {
         levels: Some(levels),
-        target: Target { triangles: 60, error: f64::INFINITY, at_any_price: true },
+        target: Target { triangles: 60, error: f64::INFINITY, ignore_cost_limit: true },
         max_error: 0.0,
         scheme,
         relaxations: 1,
@@ -70,13 +70,13 @@ fn the_associated_set_of_a_base_triangle_covers_what_lies_on_it() {
     assert!(base.triangles.len() <= 60);
     for (number, corners) in triangles.iter().enumerate() {
         for &v in corners {
-            let at = base.parameters[v as usize];
+            let at = base.base_points[v as usize];
             assert_ne!(at.triangle, NONE, "vertex {v} lies nowhere");
             assert!(at.barycentric.iter().all(|&x| (0.0..=1.0).contains(&x)));
             assert!((at.barycentric.iter().sum::<f64>() - 1.0).abs() < 1e-9);
             // Triangles that only touch the base triangle at a corner or side need not be in its set.
             if at.barycentric.iter().all(|&x| x > 1e-6) {
-                assert!(base.sets.holds(at.triangle as usize, number as u32));
+                assert!(base.sets.contains(at.triangle as usize, number as u32));
             }
         }
     }
@@ -116,7 +116,8 @@ fn butterfly_and_relaxation_leave_a_plane_flat_and_a_regular_grid_even() {
     }
     // All stencils have weights that sum to 1, so translated points give translated predictions.
     let shifted: Vec<Vec3> = points.iter().map(|p| p.map(|x| x + 7.0)).collect();
-    for (a, b) in middles(&topology, &points).iter().zip(middles(&topology, &shifted)) {
+    for (a, b) in compute_edge_points(&topology, &points).iter().zip(compute_edge_points(&topology, &shifted))
+    {
         (0..3).for_each(|i| assert!((b[i] - a[i] - 7.0).abs() < 1e-12));
     }
 }
@@ -131,7 +132,7 @@ fn butterfly_reproduces_cubics_inside_a_regular_grid() {
     let kept: Vec<[u32; 3]> = triangles.into_iter().filter(|t| t.iter().all(|v| v % (n + 1) >= 5)).collect();
     let topology = Topology::new(points.len(), kept).unwrap();
     let mut checked = 0;
-    for (edge, p) in middles(&topology, &points).iter().enumerate() {
+    for (edge, p) in compute_edge_points(&topology, &points).iter().enumerate() {
         let ends = topology.edges[edge].map(|v| (v / (n + 1), v % (n + 1)));
         // Only edges whose ends, and their neighbours, are interior have a complete stencil.
         if ends.iter().all(|(i, j)| (2..=n - 2).contains(i) && (6..=n - 1).contains(j)) {
@@ -146,8 +147,8 @@ fn butterfly_reproduces_cubics_inside_a_regular_grid() {
 fn what_is_decoded_is_what_was_made_and_every_beginning_is_a_level() {
     let (points, triangles) = sheet(12);
     let colors = points.iter().map(|p| p.map(|x| (255.0 * x.abs().min(1.0)) as u8)).collect();
-    let carried = Carried { colors, confidence: points.iter().map(|p| p[0]).collect() };
-    let control = Control::default();
+    let carried = VertexAttributes { colors, confidence: points.iter().map(|p| p[0]).collect() };
+    let control = RunControl::default();
     for scheme in [Scheme::Linear, Scheme::Butterfly] {
         let settings = settings(2, scheme);
         let made =
@@ -182,11 +183,11 @@ fn what_is_decoded_is_what_was_made_and_every_beginning_is_a_level() {
 #[test]
 fn any_number_of_threads_makes_the_same_file() {
     let (points, triangles) = sheet(20);
-    let control = Control::default();
+    let control = RunControl::default();
     let file = |threads| {
         let settings = Settings { threads, ..settings(2, Scheme::Linear) };
         let progress = &mut Progress::new(&control);
-        remesh(&points, &triangles, &Carried::default(), None, &settings, progress).unwrap().file
+        remesh(&points, &triangles, &VertexAttributes::default(), None, &settings, progress).unwrap().file
     };
     let one = file(1);
     assert_eq!(one, file(2));
@@ -196,10 +197,17 @@ fn any_number_of_threads_makes_the_same_file() {
 #[test]
 fn on_a_smooth_surface_scalars_do() {
     let (points, triangles) = sheet(30);
-    let control = Control::default();
+    let control = RunControl::default();
     let progress = &mut Progress::new(&control);
-    let made = remesh(&points, &triangles, &Carried::default(), None, &settings(3, Scheme::Linear), progress)
-        .unwrap();
+    let made = remesh(
+        &points,
+        &triangles,
+        &VertexAttributes::default(),
+        None,
+        &settings(3, Scheme::Linear),
+        progress,
+    )
+    .unwrap();
     let mut vectors = 0;
     for (level, step) in made.levels.iter().zip(&made.steps) {
         for (edge, offset) in step.refinement.offsets.iter().enumerate() {
@@ -209,5 +217,5 @@ fn on_a_smooth_surface_scalars_do() {
         }
     }
     assert!(vectors < 10, "{vectors}");
-    assert_eq!(made.unsound(), 0);
+    assert_eq!(made.fold_count(), 0);
 }

@@ -2,10 +2,10 @@
 
 use crate::promises::common::{Noise, Triangles, octahedron, sheet, sheet_with_hole, tetrahedron, torus};
 use scanloom_kernels::base::geometry::{Vec3, triangle_distance2};
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::mesh::connectivity::Connectivity;
-use scanloom_kernels::mesh::triangle_mesh::{Lock, Mesh};
-use scanloom_kernels::planar::{Options, Planar, simplify};
+use scanloom_kernels::mesh::triangle_mesh::{Mesh, VertexLock};
+use scanloom_kernels::planar::{Options, PlanarMesh, simplify};
 
 fn options(max_distance: f64) -> Options {
     let cosine = |degrees: f64| degrees.to_radians().cos();
@@ -20,14 +20,14 @@ fn options(max_distance: f64) -> Options {
     }
 }
 
-fn planar<const D: usize, const K: usize>(mesh: &Mesh<D>, options: &Options) -> Planar {
-    let control = Control::default();
+fn planar<const D: usize, const K: usize>(mesh: &Mesh<D>, options: &Options) -> PlanarMesh {
+    let control = RunControl::default();
     simplify::<D, K>(mesh, options, &mut Progress::new(&control)).expect("nobody interrupts")
 }
 
 /// Check that the result is a manifold of the same topology, with input vertices within the reported
 /// distance.
-fn check(points: &[Vec3], triangles: &Triangles, options: &Options) -> Planar {
+fn check(points: &[Vec3], triangles: &Triangles, options: &Options) -> PlanarMesh {
     let mesh = Mesh::<3>::new(points.to_vec(), triangles).expect("a manifold");
     let result = planar::<3, 0>(&mesh, options);
     let connectivity = Connectivity::from_triangles(result.vertex_source.len(), &result.triangles)
@@ -52,7 +52,7 @@ fn check(points: &[Vec3], triangles: &Triangles, options: &Options) -> Planar {
     for (triangle, (&source, &patch)) in
         result.triangles.iter().zip(result.triangle_source.iter().zip(&result.triangle_patch))
     {
-        assert_eq!(result.patches.of[source as usize], patch);
+        assert_eq!(result.patches.patch_of_triangle[source as usize], patch);
         assert!(
             triangles[source as usize]
                 .iter()
@@ -168,7 +168,7 @@ fn locked_vertices_keep_their_triangles() {
     let (points, triangles) = sheet(20, 20);
     let mut mesh = Mesh::<3>::new(points, &triangles).expect("a manifold");
     let locked = [5 * 21 + 5, 13 * 21 + 8];
-    locked.iter().for_each(|&v| mesh.locks[v] = Lock::Locked);
+    locked.iter().for_each(|&v| mesh.locks[v] = VertexLock::Locked);
     let result = planar::<3, 0>(&mesh, &options(0.01));
     for triangle in triangles.iter().filter(|t| t.iter().any(|&v| locked.contains(&(v as usize)))) {
         let is_same =
@@ -198,7 +198,7 @@ fn the_work_is_linear() {
         let mut noise = Noise(3);
         points.iter_mut().for_each(|p| p[2] += 0.3 * noise.next());
         let mesh = Mesh::<3>::new(points, &triangles).expect("a manifold");
-        planar::<3, 0>(&mesh, &options(0.25)).patches.looks as f64 / triangles.len() as f64
+        planar::<3, 0>(&mesh, &options(0.25)).patches.visited_faces as f64 / triangles.len() as f64
     };
     let [small, large] = [looks(20), looks(80)];
     assert!(large < 1.5 * small + 1.0 && large < 20.0, "{small} {large}");

@@ -1,15 +1,15 @@
 //! Surfaces with seams: copies stay joined in space, and no triangle folds in the texture.
 
 use crate::promises::common::{Noise, torus};
-use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::collapse::engine::Stop;
 use scanloom_kernels::collapse::rounds::{self, REGION_TRIANGLES};
 use scanloom_kernels::mesh::connectivity::Connectivity;
-use scanloom_kernels::seams::texture::signed_area;
-use scanloom_kernels::seams::weld::{TOUCHES_NONE, weld};
-use scanloom_kernels::seams::{Goal, Knobs, Outcome, Surface, simplify};
+use scanloom_kernels::seams::texture_space::signed_area;
+use scanloom_kernels::seams::welding::{NO_SET, weld};
+use scanloom_kernels::seams::{CostParameters, SeamGoal, SeamSurface, SimplifiedSurface, simplify};
 
-const KNOBS: Knobs = Knobs {
+const KNOBS: CostParameters = CostParameters {
     across_materials: 0.5,
     across_parts: 0.5,
     valence: 0.1,
@@ -21,7 +21,7 @@ const KNOBS: Knobs = Knobs {
 /// Create a torus with its w × h grid as texture: one seam around and one along.
 ///
 /// No vertex is shared between triangles, as in the worst files.
-fn painted(w: u32, h: u32) -> Surface<2> {
+fn textured_torus(w: u32, h: u32) -> SeamSurface<2> {
     let (points, triangles) = torus(w, h);
     let mut noise = Noise(11);
     let points: Vec<[f64; 3]> = points.iter().map(|p| p.map(|x| x + 0.02 * noise.next())).collect();
@@ -34,9 +34,9 @@ fn painted(w: u32, h: u32) -> Surface<2> {
         })
         .collect();
     let count = triangles.len();
-    Surface {
+    SeamSurface {
         points: triangles.iter().flatten().map(|&v| points[v as usize]).collect(),
-        sets: triangles.iter().flatten().copied().collect(),
+        coincident_sets: triangles.iter().flatten().copied().collect(),
         triangles: (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
         corners,
         textured: vec![true; count],
@@ -47,15 +47,20 @@ fn painted(w: u32, h: u32) -> Surface<2> {
     }
 }
 
-fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
-    let control = Control::default();
-    let rounds =
-        rounds::Goal { triangles: target, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: true };
-    let goal = Goal { rounds, fit: true };
+fn run(surface: SeamSurface<2>, knobs: CostParameters, target: usize) -> SimplifiedSurface<2> {
+    let control = RunControl::default();
+    let rounds = rounds::Goal {
+        triangles: target,
+        threads: 1,
+        region: REGION_TRIANGLES,
+        min_collapse_ratio: 0.0,
+        record_positions: true,
+    };
+    let goal = SeamGoal { rounds, fit: true };
     simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a valid surface")
 }
 
-fn euler(outcome: &Outcome<2>) -> i64 {
+fn euler(outcome: &SimplifiedSurface<2>) -> i64 {
     let connectivity =
         Connectivity::from_triangles(outcome.points.len(), &outcome.triangles).expect("an oriented manifold");
     assert!(connectivity.edges().all(|e| !connectivity.is_boundary_edge(e)), "a closed surface");
@@ -64,7 +69,7 @@ fn euler(outcome: &Outcome<2>) -> i64 {
 
 #[test]
 fn a_torus_cut_open_twice_stays_a_torus_at_every_number_of_triangles() {
-    let surface = painted(24, 16);
+    let surface = textured_torus(24, 16);
     let all = surface.triangles.len();
     for target in [all, all / 2, all / 4, all / 8, all / 16, 0] {
         let outcome = run(surface.clone(), KNOBS, target);
@@ -82,12 +87,18 @@ fn a_torus_cut_open_twice_stays_a_torus_at_every_number_of_triangles() {
 /// Region borders along and across seams, with one and three threads.
 #[test]
 fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
-    let surface = painted(48, 32);
+    let surface = textured_torus(48, 32);
     for region in [40, 150, 700] {
         let [one, three] = [1, 3].map(|threads| {
-            let rounds = rounds::Goal { triangles: 400, threads, region, least: 0.0, record: true };
-            let control = Control::default();
-            let goal = Goal { rounds, fit: false };
+            let rounds = rounds::Goal {
+                triangles: 400,
+                threads,
+                region,
+                min_collapse_ratio: 0.0,
+                record_positions: true,
+            };
+            let control = RunControl::default();
+            let goal = SeamGoal { rounds, fit: false };
             simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a valid surface")
         });
         assert_eq!(euler(&one), 0, "{region}");
@@ -101,7 +112,7 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
         let log = one.log.expect("a record was requested");
         assert_eq!(log.removed.len(), one.collapses);
         let mut place = std::collections::BTreeMap::new();
-        place.extend(log.survivor.iter().copied().zip(log.places));
+        place.extend(log.survivor.iter().copied().zip(log.survivor_points));
         place.retain(|v, _| !log.removed.contains(v));
         let points: Vec<_> = one.points.iter().collect();
         assert!(place.values().all(|to| points.contains(&to)), "{region}");
@@ -126,15 +137,15 @@ fn an_edge_is_known_by_its_vertices() {
 
 #[test]
 fn straight_seams_do_not_drift_and_a_bound_of_zero_is_kept() {
-    let surface = painted(24, 16);
-    let outcome = run(surface, Knobs { seam_drift: 0.0, ..KNOBS }, 200);
+    let surface = textured_torus(24, 16);
+    let outcome = run(surface, CostParameters { seam_drift: 0.0, ..KNOBS }, 200);
     assert_eq!(outcome.seam_drift, 0.0);
     assert_eq!(outcome.stop, Stop::Target);
 }
 
 #[test]
-fn what_has_not_changed_names_its_corner() {
-    let surface = painted(24, 16);
+fn unchanged_attributes_have_a_source_corner() {
+    let surface = textured_torus(24, 16);
     let outcome = run(surface.clone(), KNOBS, 300);
     let sources = outcome.corners.iter().zip(&outcome.corner_source);
     let kept: Vec<_> = sources.filter(|(_, source)| **source != u32::MAX).collect();
@@ -148,13 +159,13 @@ fn what_has_not_changed_names_its_corner() {
 }
 
 #[test]
-fn copies_are_one_vertex_and_what_only_touches_is_tied() {
+fn copies_are_welded_and_touching_vertices_are_marked() {
     // Two triangles that share an edge by copies, and one that touches at a corner only.
     let sets = [0, 1, 2, 1, 0, 3, 2, 4, 5];
     let welded = weld(&sets, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]]).expect("indices in range");
     assert_eq!(welded.connectivity.vertices().count(), 7);
     let touching: Vec<bool> =
-        welded.corner_vertex.iter().map(|v| welded.touching[v.index()] != TOUCHES_NONE).collect();
+        welded.corner_vertex.iter().map(|v| welded.touching[v.index()] != NO_SET).collect();
     assert_eq!(touching, [false, false, true, false, false, false, true, false, false]);
 }
 
@@ -164,10 +175,10 @@ fn three_triangles_at_an_edge_and_two_back_to_back_stay_open_there() {
     assert!(fan.connectivity.edges().all(|e| fan.connectivity.is_boundary_edge(e)));
     let ends =
         |v: u32| fan.corner_vertex.iter().zip([0, 1, 2, 1, 0, 3, 0, 1, 4]).filter(move |(_, w)| *w == v);
-    assert!(ends(0).chain(ends(1)).all(|(v, _)| fan.touching[v.index()] != TOUCHES_NONE));
+    assert!(ends(0).chain(ends(1)).all(|(v, _)| fan.touching[v.index()] != NO_SET));
     let pillow = weld(&[0, 1, 2], &[[0, 1, 2], [0, 2, 1]]).expect("indices in range");
     assert_eq!(pillow.connectivity.edges().filter(|&e| pillow.connectivity.is_boundary_edge(e)).count(), 6);
-    assert!(pillow.touching.iter().all(|&touching| touching != TOUCHES_NONE));
+    assert!(pillow.touching.iter().all(|&touching| touching != NO_SET));
 }
 
 /// Three shallow pyramids over one triangle: their rims touch, and each of them could collapse to that
@@ -185,13 +196,13 @@ fn sheets_with_one_rim_do_not_become_the_same_triangle() {
     }
     let sets = (0..points.len() as u32).map(|v| if v % 4 == 3 { v } else { v % 4 }).collect();
     let outcome = run(flat(points, sets, triangles), KNOBS, 0);
-    assert_eq!(doubled(&outcome), 0);
+    assert_eq!(count_duplicates(&outcome), 0);
     assert_eq!(outcome.triangles.len(), 1 + 3 + 3, "one of them is flat");
 }
 
 /// A plank on one edge, at a corner of walls: it is open there, and could collapse to two triangles.
 #[test]
-fn a_plank_on_an_edge_does_not_fold_up() {
+fn plank_on_an_edge_does_not_collapse_flat() {
     let (x, y, z) = ([0.0, 140.0], [0.0, 8.0], [0.0, 1.0]);
     let corner = |i: usize, j: usize, k: usize| [x[i], y[j], z[k]];
     let mut points = vec![corner(0, 1, 0), corner(0, 0, 0), corner(1, 0, 0), corner(1, 1, 0)];
@@ -214,12 +225,12 @@ fn a_plank_on_an_edge_does_not_fold_up() {
     let walls = [[1, 2, 8], [9, 2, 1]];
     let outcome = run(flat(points, (0..10).collect(), [&plank[..], &walls[..]].concat()), KNOBS, 0);
     println!("{:?}", outcome.triangles);
-    assert_eq!(doubled(&outcome), 0);
+    assert_eq!(count_duplicates(&outcome), 0);
     assert!(outcome.triangles.len() > 4, "the plank has an inside");
 }
 
 /// Number of triangles with the same corners as another one.
-fn doubled(outcome: &Outcome<2>) -> usize {
+fn count_duplicates(outcome: &SimplifiedSurface<2>) -> usize {
     let mut sorted: Vec<[[u64; 3]; 3]> = outcome
         .triangles
         .iter()
@@ -236,11 +247,11 @@ fn doubled(outcome: &Outcome<2>) -> usize {
 }
 
 /// Create a surface without texture.
-fn flat(points: Vec<[f64; 3]>, sets: Vec<u32>, triangles: Vec<[u32; 3]>) -> Surface<2> {
+fn flat(points: Vec<[f64; 3]>, sets: Vec<u32>, triangles: Vec<[u32; 3]>) -> SeamSurface<2> {
     let (vertices, count) = (points.len(), triangles.len());
-    Surface {
+    SeamSurface {
         points,
-        sets,
+        coincident_sets: sets,
         triangles,
         corners: vec![[0.0; 2]; 3 * count],
         textured: vec![false; count],

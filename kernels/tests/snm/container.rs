@@ -2,10 +2,10 @@
 
 use crate::promises::common::{Noise, Triangles, gallery, sheet, torus};
 use scanloom_kernels::base::ids::{EdgeId, VertexId};
+use scanloom_kernels::mesh::collapse_legality::{VertexMarks, can_collapse};
 use scanloom_kernels::mesh::connectivity::Connectivity;
-use scanloom_kernels::mesh::legality::{Marks, can_collapse};
-use scanloom_kernels::snm::{Reader, SnmError, Writer, canonical};
-use scanloom_kernels::subdivision::contents::{Base, Header, Offset, Refinement, Scheme};
+use scanloom_kernels::snm::{Reader, SnmError, Writer, to_canonical};
+use scanloom_kernels::subdivision::snm_contents::{BaseContents, Header, Offset, Refinement, Scheme};
 use scanloom_kernels::subdivision::topology::Topology;
 
 /// Draw a random number of either sign with a magnitude below 2^bits, uniform in its logarithm.
@@ -30,9 +30,15 @@ fn header(levels: u8, channels: u8) -> Header {
     }
 }
 
-fn base(points: &[[f64; 3]], triangles: Triangles, channels: u8, noise: &mut Noise, bits: f64) -> Base {
+fn base(
+    points: &[[f64; 3]],
+    triangles: Triangles,
+    channels: u8,
+    noise: &mut Noise,
+    bits: f64,
+) -> BaseContents {
     let positions = points.iter().map(|p| p.map(|x| (1000.0 * x) as i32 + number(noise, bits))).collect();
-    Base { positions, triangles, channels: values(points.len(), channels, noise, bits) }
+    BaseContents { positions, triangles, channels: values(points.len(), channels, noise, bits) }
 }
 
 fn values(count: usize, channels: u8, noise: &mut Noise, bits: f64) -> Vec<[i32; 4]> {
@@ -56,44 +62,44 @@ fn refinement(topology: &Topology, channels: u8, noise: &mut Noise, bits: f64) -
 
 struct Made {
     header: Header,
-    base: Base,
+    base: BaseContents,
     refinements: Vec<Refinement>,
     file: Vec<u8>,
     /// End of each part in the file, in bytes.
     ends: Vec<usize>,
 }
 
-fn made(base: Base, levels: u8, channels: u8, noise: &mut Noise, bits: f64) -> Made {
+fn made(base: BaseContents, levels: u8, channels: u8, noise: &mut Noise, bits: f64) -> Made {
     let header = header(levels, channels);
-    let base = canonical(&base).unwrap().base;
+    let base = to_canonical(&base).unwrap().base;
     let mut topology = Topology::new(base.positions.len(), base.triangles.clone()).unwrap();
     let mut writer = Writer::new(&header, &base).unwrap();
     let mut ends = vec![writer.bytes().len()];
     let mut refinements = vec![];
     for _ in 0..levels {
         let refinement = refinement(&topology, channels, noise, bits);
-        writer.level(&topology, &[], &refinement).unwrap();
+        writer.write_level(&topology, &[], &refinement).unwrap();
         ends.push(writer.bytes().len());
         refinements.push(refinement);
-        topology = topology.subdivided();
+        topology = topology.subdivide();
     }
     Made { header, base, refinements, file: writer.finish(), ends }
 }
 
 /// Read as many parts of a file as possible, and return the error that stopped reading.
-fn read(file: &[u8]) -> Result<(Header, Base, Vec<Refinement>, Option<SnmError>), SnmError> {
+fn read(file: &[u8]) -> Result<(Header, BaseContents, Vec<Refinement>, Option<SnmError>), SnmError> {
     let (mut reader, header, base) = Reader::new(file)?;
     let mut refinements = vec![];
     let Ok(mut topology) = Topology::new(base.positions.len(), base.triangles.clone()) else {
         return Err(SnmError::Damaged { part: 0 });
     };
     loop {
-        match reader.level(&topology, &[]) {
+        match reader.read_level(&topology, &[]) {
             Ok(Some(refinement)) => refinements.push(refinement),
             Ok(None) => return Ok((header, base, refinements, None)),
             Err(error) => return Ok((header, base, refinements, Some(error))),
         }
-        topology = topology.subdivided();
+        topology = topology.subdivide();
     }
 }
 
@@ -112,7 +118,7 @@ fn random_meshes() -> Vec<(String, Vec<[f64; 3]>, Triangles)> {
         for seed in 0..3u32 {
             let mut noise = Noise(seed.into());
             let mut connectivity = Connectivity::from_triangles(points.len(), &triangles).unwrap();
-            let mut marks = Marks::new(points.len());
+            let mut marks = VertexMarks::new(points.len());
             for _ in 0..points.len() * seed as usize {
                 let edge = EdgeId::from_index(noise.below(connectivity.edge_slots()));
                 if connectivity.is_edge(edge) && can_collapse(&connectivity, edge, &mut marks).is_ok() {
@@ -146,14 +152,16 @@ fn the_largest_numbers_are_kept() {
     let mut extremes =
         || -> Vec<[i32; 4]> { (0..60).map(|_| [(); 4].map(|()| extreme(&mut noise))).collect() };
     let positions = extremes()[..20].iter().map(|p| [p[0], p[1], p[2]]).collect();
-    let base = canonical(&Base { positions, triangles, channels: extremes()[..20].to_vec() }).unwrap().base;
+    let base = to_canonical(&BaseContents { positions, triangles, channels: extremes()[..20].to_vec() })
+        .unwrap()
+        .base;
     assert_eq!(points.len(), 20);
     let topology = Topology::new(20, base.triangles.clone()).unwrap();
     let offset = |&[a, b, c, d]: &[i32; 4]| if d < 0 { Offset::Scalar(a) } else { Offset::Vector([a, b, c]) };
     let refinement = Refinement { offsets: extremes().iter().map(offset).collect(), channels: extremes() };
     let header = Header { origin: [i64::MIN, i64::MAX, 0], grid: f32::MAX, ..header(1, 4) };
     let mut writer = Writer::new(&header, &base).unwrap();
-    writer.level(&topology, &[], &refinement).unwrap();
+    writer.write_level(&topology, &[], &refinement).unwrap();
     let file = writer.finish();
     assert_eq!(read(&file).unwrap(), (header, base, vec![refinement], None));
 }
@@ -161,7 +169,7 @@ fn the_largest_numbers_are_kept() {
 #[test]
 fn what_is_up_is_kept_and_takes_a_byte_along_an_axis() {
     let (points, triangles) = sheet(3, 2);
-    let base = canonical(&base(&points, triangles, 0, &mut Noise(4), 3.0)).unwrap().base;
+    let base = to_canonical(&base(&points, triangles, 0, &mut Noise(4), 3.0)).unwrap().base;
     let file = |up| Writer::new(&Header { up, ..header(0, 0) }, &base).unwrap().finish();
     let plain = file(None).len();
     for axis in 0..3 {
@@ -185,7 +193,7 @@ fn what_is_up_is_kept_and_takes_a_byte_along_an_axis() {
 fn the_order_of_the_coder_renumbers_and_stays() {
     for (name, points, triangles) in random_meshes() {
         let given = base(&points, triangles, 2, &mut Noise(3), 3.0);
-        let found = canonical(&given).unwrap();
+        let found = to_canonical(&given).unwrap();
         assert_eq!(found.triangle_source.len(), given.triangles.len(), "{name}");
         for (new, &old) in found.vertex_source.iter().enumerate() {
             assert_eq!(found.base.positions[new], given.positions[old as usize], "{name}");
@@ -198,7 +206,7 @@ fn the_order_of_the_coder_renumbers_and_stays() {
             let [a, b, c] = given.triangles[old as usize];
             assert!([[a, b, c], [b, c, a], [c, a, b]].contains(&turned), "{name}");
         }
-        let again = canonical(&found.base).unwrap();
+        let again = to_canonical(&found.base).unwrap();
         assert_eq!(again.base, found.base, "{name}");
         assert!(again.vertex_source.iter().enumerate().all(|(new, &old)| new == old as usize), "{name}");
     }
@@ -223,7 +231,7 @@ fn a_file_cut_anywhere_gives_the_levels_that_are_whole() {
             assert_eq!(read(&made.file[..end]), expected, "{end}");
         }
         let longer = [&made.file[..], &[7; 9]].concat();
-        assert_eq!(read(&longer).unwrap().3, Some(SnmError::Surplus { bytes: 9 }));
+        assert_eq!(read(&longer).unwrap().3, Some(SnmError::TrailingBytes { bytes: 9 }));
     }
 }
 
@@ -257,9 +265,9 @@ fn what_does_not_fit_is_not_written() {
     let (points, triangles) = sheet(3, 2);
     let noise = &mut Noise(4);
     let given = base(&points, triangles, 0, noise, 3.0);
-    let base = canonical(&given).unwrap().base;
+    let base = to_canonical(&given).unwrap().base;
     let header = header(1, 0);
-    let refuses = |header: &Header, base: &Base| Writer::new(header, base).is_err();
+    let refuses = |header: &Header, base: &BaseContents| Writer::new(header, base).is_err();
     assert!(refuses(&Header { grid: 0.0, ..header }, &base));
     assert!(refuses(&Header { step: f32::NAN, ..header }, &base));
     assert!(refuses(&Header { channels: 5, ..header }, &base));
@@ -276,12 +284,12 @@ fn what_does_not_fit_is_not_written() {
     let topology = Topology::new(base.positions.len(), base.triangles.clone()).unwrap();
     let good = refinement(&topology, 0, noise, 3.0);
     let level = |header: &Header, topology: &Topology, expected: &[i32], refinement: &Refinement| {
-        Writer::new(header, &base).unwrap().level(topology, expected, refinement)
+        Writer::new(header, &base).unwrap().write_level(topology, expected, refinement)
     };
     assert_eq!(level(&header, &topology, &[], &good), Ok(()));
-    let misfits = |result| assert!(matches!(result, Err(SnmError::Misfit(_))));
+    let misfits = |result| assert!(matches!(result, Err(SnmError::InvalidInput(_))));
     misfits(level(&header, &topology, &[1], &good));
-    misfits(level(&header, &topology.subdivided(), &[], &good));
+    misfits(level(&header, &topology.subdivide(), &[], &good));
     misfits(level(&Header { levels: 0, ..header }, &topology, &[], &good));
     let mut short = good.clone();
     short.offsets.pop();
@@ -301,7 +309,7 @@ fn what_does_not_fit_is_not_written() {
 fn what_is_expected_shortens_the_file_and_must_be_the_same_again() {
     let (points, triangles) = torus(12, 8);
     let noise = &mut Noise(9);
-    let base = canonical(&base(&points, triangles, 0, noise, 0.0)).unwrap().base;
+    let base = to_canonical(&base(&points, triangles, 0, noise, 0.0)).unwrap().base;
     let topology = Topology::new(base.positions.len(), base.triangles.clone()).unwrap();
     let offsets: Vec<i32> = topology.edges.iter().map(|_| number(noise, 9.0)).collect();
     let expected: Vec<i32> = offsets.iter().map(|x| 16 * x + number(noise, 5.0)).collect();
@@ -309,13 +317,13 @@ fn what_is_expected_shortens_the_file_and_must_be_the_same_again() {
         Refinement { offsets: offsets.into_iter().map(Offset::Scalar).collect(), channels: vec![] };
     let written = |expected: &[i32]| {
         let mut writer = Writer::new(&header(1, 0), &base).unwrap();
-        writer.level(&topology, expected, &refinement).unwrap();
+        writer.write_level(&topology, expected, &refinement).unwrap();
         writer.finish()
     };
     let (plain, short) = (written(&[]), written(&expected));
     assert!(10 * short.len() < 9 * plain.len(), "{} {}", short.len(), plain.len());
     let (mut reader, _, _) = Reader::new(&short).unwrap();
-    assert_eq!(reader.level(&topology, &expected).unwrap(), Some(refinement));
-    assert_eq!(reader.level(&topology.subdivided(), &[]), Ok(None));
-    assert_eq!(reader.left(), 0);
+    assert_eq!(reader.read_level(&topology, &expected).unwrap(), Some(refinement));
+    assert_eq!(reader.read_level(&topology.subdivide(), &[]), Ok(None));
+    assert_eq!(reader.remaining_byte_count(), 0);
 }
