@@ -3,7 +3,7 @@
 A brick is an axis-aligned cube of 2^level blocks per side, aligned to multiples of its side. In Z-order
 (Morton order) the blocks of a brick are contiguous, and so are eight sibling bricks. Meshes of bricks are
 therefore stitched by concatenation. The surface of a brick also depends on the adjacent blocks (see
-kernels/src/fusion/surface.rs).
+kernels/src/fusion/surface_extraction.rs).
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from scanloom.stages.surface.mesh import Mesh
 # Approximate side of a chunk, metres; the upper limit of the brick size.
 CHUNK_SIZE_M = 4.0
 # Tolerance in voxels: above the rounding error, and below the minimum distance of a vertex to the next voxel
-# (kernels/src/fusion/surface.rs).
+# (kernels/src/fusion/surface_extraction.rs).
 _VOXEL_TOLERANCE = 1e-4
 
 

@@ -27,17 +27,17 @@ class Mutant:
     test: str
 
 
-_LEGALITY = "kernels/src/mesh/legality.rs"
-_PIECE = "kernels/src/certify/piece.rs"
-_REFINE = "kernels/src/certify/refine.rs"
-_DECIDE = "kernels/src/certify/decide.rs"
-_COVER = "kernels/src/certify/cover.rs"
+_LEGALITY = "kernels/src/mesh/collapse_legality.rs"
+_PIECE = "kernels/src/certify/piece_bounds.rs"
+_REFINE = "kernels/src/certify/refinement.rs"
+_DECIDE = "kernels/src/certify/decision.rs"
+_COVER = "kernels/src/certify/coverage_proof.rs"
 _ENGINE = "kernels/src/collapse/engine.rs"
 _PLACEMENT = "kernels/src/quadrics/placement.rs"
 _QEM = "kernels/src/quadric/qem.rs"
-_INTEGRATE = "kernels/src/fusion/integrate.rs"
-_CUBES = "kernels/src/fusion/cubes.rs"
-_SURFACE = "kernels/src/fusion/surface.rs"
+_INTEGRATE = "kernels/src/fusion/integration.rs"
+_CUBES = "kernels/src/fusion/cube_table.rs"
+_SURFACE = "kernels/src/fusion/surface_extraction.rs"
 
 MUTANTS: dict[str, Mutant] = {
     "bridge": Mutant(
@@ -196,14 +196,14 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "downwards": Mutant(
         "a place below 0 is in the block below",
-        "kernels/src/fusion/touch.rs",
+        "kernels/src/fusion/touched_blocks.rs",
         "*place = cut - i32::from(at < cut as f32);",
         "*place = cut;",
         "places_are_cut_off_downwards_and_wide_instructions_do_the_same",
     ),
     "most-blocks": Mutant(
         "a field takes no more blocks than it may",
-        "kernels/src/fusion/blocks.rs",
+        "kernels/src/fusion/block_storage.rs",
         "if wanted > self.most {",
         "if wanted > self.most + 1 {",
         "what_does_not_fit_is_not_begun",

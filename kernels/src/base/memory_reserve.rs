@@ -9,7 +9,7 @@
 //! finally the reserve.
 //!
 //! A reserve must last from one check to the next. Reserve sizes are set where the work begins
-//! (`kernels/src/python/guarded.rs`), and where data grows beyond the input ([`Reserve::new`] before each
+//! (`kernels/src/python/memory_guard.rs`), and where data grows beyond the input ([`Reserve::new`] before each
 //! level of a normal mesh).
 //!
 //! [`Progress::check`]: super::progress::Progress::check
