@@ -17,7 +17,7 @@ QUALITIES: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "draft": {
         "scan": {"max_frames": 50},
         "fuse": {"voxel_factor": 2.0},
-        "texture": {"texels_per_pixel": 0.6, "rounds": 0},
+        "texture": {"texels_per_pixel": 0.6, "alignment_iterations": 0},
         "compare": {"samples": 20_000},
         "report": {"pictures": False},
     },

@@ -119,7 +119,7 @@ class Stage(Generic[Inputs, Params]):
     def __post_init__(self) -> None:
         if not self.input_names:
             names = (one.name for one in fields(self.inputs))  # type: ignore[arg-type]
-            object.__setattr__(self, "reads", (*names, *self.labels))
+            object.__setattr__(self, "input_names", (*names, *self.labels))
 
     @property
     def sections(self) -> tuple[str, ...]:

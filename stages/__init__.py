@@ -292,7 +292,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":
-            value = import_module("scanloom.stages.files.version").installed_version()
+            value = import_module("scanloom.stages.files.version").get_installed_version()
         elif name in _MODULE_OF:
             value = getattr(import_module(_MODULE_OF[name]), name)
         else:

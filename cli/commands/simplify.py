@@ -177,8 +177,8 @@ def simplify(
             f"\n\nOUT is compressed as IN is ({packing.compress}): positions are rounded by at most "
             f"{format_upper_bound(rounding)} m."
         )
-    if simplified.details.text():
-        text += f"\n\n{simplified.details.text()}"
+    if simplified.details.describe():
+        text += f"\n\n{simplified.details.describe()}"
     out.result(figures, text)
 
 

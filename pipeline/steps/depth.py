@@ -86,7 +86,7 @@ STAGE = Stage(
     cost=CostModel(
         seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6, depends_on_voxel_size=False
     ),
-    headline="{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
+    headline="{frames_used} pairs; depth for {used_ratio:.0%} of the pixels, median {median_depth_m:.3g} m, "
     "up to {max_depth_m:.3g} m",
     progress_unit="pairs",
 )

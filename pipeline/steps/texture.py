@@ -180,6 +180,6 @@ STAGE = Stage(
         depends_on_voxel_size=False,
         max_bytes=MAX_BYTES_IN_CHUNKS,
     ),
-    headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface covered, "
+    headline="{photos} photos on {triangles:,} triangles; {coverage_ratio:.0%} of the surface covered, "
     "texel size {texel_size_m:.2g} m",
 )

@@ -175,7 +175,7 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list
             name = names[id(material.image)]
         made = _add_material(stage, f"/scan/material{number}", material, name)
         part = UsdGeom.Subset.CreateGeomSubset(
-            shape, f"material{number}", UsdGeom.Tokens.face_area, Vt.IntArray.FromNumpy(rows), "materialBind"
+            shape, f"material{number}", UsdGeom.Tokens.face, Vt.IntArray.FromNumpy(rows), "materialBind"
         )
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(made)
     return [name for name in names.values() if name]

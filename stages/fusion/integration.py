@@ -357,7 +357,7 @@ def check_skipped_ratio(work: FusionJob, outcomes: Sequence[FrameOutcome]) -> No
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             (
-                "{skipped_count} of {count} frames cannot be used; max_bad_share allows "
+                "{skipped_count} of {count} frames cannot be used; max_skipped_ratio allows "
                 "{share:.0%}. First unusable frame, {first}: {reason}"
             ),
             work.folder,

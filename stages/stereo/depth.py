@@ -171,7 +171,7 @@ def depth_scan(
                     scan.folder,
                     skipped=skipped,
                     total=total,
-                    max_skipped_ratio=params.max_skipped_ratio,
+                    max_skipped=params.max_skipped_ratio,
                     last=frame.name,
                     reason=result.reason,
                 )

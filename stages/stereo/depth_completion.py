@@ -98,7 +98,7 @@ def completed_scan(
                     scan.folder,
                     skipped=skipped,
                     frames_count=len(scan.frames),
-                    max_skipped_ratio=params.max_skipped_ratio,
+                    max_skipped=params.max_skipped_ratio,
                     last=frame.name,
                     reason=result.reason,
                 )

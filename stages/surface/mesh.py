@@ -335,5 +335,5 @@ def _require_count(array: NDArray[Any], count: int, name: str, where: str, of: s
             array_count=len(array),
             name=name,
             count=count,
-            from_diagnostic=of,
+            of=of,
         )

@@ -126,7 +126,7 @@ class TextureParams:
     exposure: bool = param(
         True,
         "Correct exposure differences between photos: gain and bias per photo and channel, one vignette, "
-        "and local corrections in each of the `rounds`.",
+        "and local corrections in each of the `alignment_iterations`.",
         group=_GROUP_BLENDING,
     )
     alignment_iterations: int = param(

@@ -27,7 +27,7 @@ def test_a_page_has_what_the_stage_has(stage):
     text = (PAGES / f"{stage.name}.md").read_text()
 
     assert set(stage.sections) == set(re.findall(r"^```\{made\} parameters (\w+)$", text, flags=re.MULTILINE))
-    for result in stage.results:
+    for result in stage.result_names:
         assert result.rstrip("/") in text
     (metrics,) = re.findall(
         r"^## Metrics\n(.*?)^(?:Rules|More|Warnings)", text, flags=re.MULTILINE | re.DOTALL

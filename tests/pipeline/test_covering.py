@@ -165,7 +165,7 @@ def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here:
     out = here / "out"
     continue_run(out, "coverage", {})
     page = (out / "report.html").read_bytes()
-    fewer = continue_run(out, "coverage", {"places": 1})
+    fewer = continue_run(out, "coverage", {"max_defects": 1})
 
     assert worked(fewer) == ["coverage"]
     assert len(json.loads((out / "coverage.json").read_text())["places"]) == 1
@@ -210,8 +210,8 @@ def test_a_run_that_was_not_finished_has_no_mesh(here: Path, ran: Path) -> None:
 
 
 def test_wrong_parameters_are_refused_before_any_work(here: Path) -> None:
-    with pytest.raises(UsageError, match="oblique"):
-        continue_run(here / "out", "coverage", {"oblique": 100.0})
+    with pytest.raises(UsageError, match="max_angle"):
+        continue_run(here / "out", "coverage", {"max_angle": 100.0})
 
 
 def test_the_record_holds_what_was_asked_for_with_files_in_full(

@@ -45,7 +45,7 @@ def test_what_is_given_wins_even_where_it_is_the_default():
     assert config.fuse.voxel_factor == 1.0
     assert config.report.pictures
     assert config.texture.quality == 80
-    assert config.texture.alignment_iterations == QUALITIES["draft"]["texture"]["rounds"]
+    assert config.texture.alignment_iterations == QUALITIES["draft"]["texture"]["alignment_iterations"]
 
 
 def test_the_quality_that_is_asked_for_wins_over_that_of_the_file():

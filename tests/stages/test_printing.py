@@ -155,7 +155,7 @@ def everything():
         curve.points[0],
         show(mesh, page_size=2),
         # All of it was seen obliquely, as this asks.
-        (missing := stages.coverage(fused.mesh, scan, oblique=1.0, few_frames=100, min_area=1e-4)),
+        (missing := stages.coverage(fused.mesh, scan, max_angle=1.0, few_frames=100, min_area=1e-4)),
         missing.defects[0],
         MESH_LEFT_OUT.warning("colours are left out", "a.stl"),
     ]

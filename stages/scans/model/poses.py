@@ -79,14 +79,14 @@ def check_rigid_pose(matrix: NDArray[np.float64], path: Path | str, where: str =
             POSE_INVALID,
             "{at}the pose holds a value that is not finite; correct it or remove its frame.",
             path,
-            replace_location=at,
+            at=at,
         )
     if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=_RIGID_TOLERANCE):
         raise InputError(
             POSE_INVALID,
             "{at}the last row of the pose is {words}, not 0 0 0 1; is it stored column-major?",
             path,
-            replace_location=at,
+            at=at,
             words=_format_row(matrix[3]),
         )
     rotation = top[:, :3]
@@ -102,7 +102,7 @@ def check_rigid_pose(matrix: NDArray[np.float64], path: Path | str, where: str =
                 "where 0.001 is allowed."
             ),
             path,
-            replace_location=at,
+            at=at,
             kind=kind,
             deviation=deviation,
         )
@@ -111,7 +111,7 @@ def check_rigid_pose(matrix: NDArray[np.float64], path: Path | str, where: str =
             POSE_INVALID,
             "{at}a translation of {max:g} is implausible.",
             path,
-            replace_location=at,
+            at=at,
             max=np.abs(top[:, 3]).max(),
         )
     pose = np.eye(4)

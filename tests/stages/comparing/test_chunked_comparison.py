@@ -58,7 +58,7 @@ def test_figures_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
     is_near(found.figures(), compare(whole, light, PARAMS).figures())
     expected = deviations(whole, light, SIGNED)
     is_near(signed.figures(), expected.figures())
-    np.testing.assert_allclose(signed.at_vertices, expected.vertex_distances, atol=1e-7)
+    np.testing.assert_allclose(signed.vertex_distances, expected.vertex_distances, atol=1e-7)
     assert found.figures()["color"] is not None
     assert signed.is_signed
 
@@ -81,7 +81,7 @@ def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: 
     )
     found, signed = measured(path, Mesh(vertices, triangles), above)
     assert signed.is_signed
-    np.testing.assert_allclose(signed.at_vertices, np.hypot(0.05, 0.1))
+    np.testing.assert_allclose(signed.vertex_distances, np.hypot(0.05, 0.1))
     assert signed.samples.min() > 0
     assert found.figures()["color"] is None
 

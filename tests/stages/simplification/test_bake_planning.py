@@ -89,7 +89,7 @@ def test_with_a_bound_the_distance_is_proven_and_the_image_baked() -> None:
     assert found.method == "certified"
     assert found.details.proven
     assert found.details.color_measured_levels is None
-    assert "colours differ" not in found.details.text()
+    assert "colours differ" not in found.details.describe()
     certificate = stages.certify(found.mesh.with_(texture=None), mesh.with_(texture=None), max_shape=bound)
     assert certificate.within_limits
     assert found.baked.color.rmse < 5

@@ -111,7 +111,7 @@ def test_ctrl_c_stops_a_proof() -> None:
 
 
 def test_ctrl_c_during_a_proof_ends_it_and_gives_out_what_it_was_about() -> None:
-    report = interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True, partial=True)
+    report = interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True, keep_on_interrupt=True)
     assert not report["interrupted"]
     # Where that proof succeeds there was nothing left to do.
     assert report["stopped_by"] in ("request", "bounds")
@@ -123,7 +123,7 @@ def test_ctrl_c_during_a_proof_ends_it_and_gives_out_what_it_was_about() -> None
 def test_ctrl_c_gives_out_what_there_is(arguments: dict[str, float]) -> None:
     # Bounds are proven of what there is, which takes longer than getting there.
     n = 500 if {"ratio", "method"} & arguments.keys() else 200
-    report = interrupted(partial=True, n=n, **arguments)
+    report = interrupted(keep_on_interrupt=True, n=n, **arguments)
     assert not report["interrupted"]
     assert report["stopped_by"] == "request"
     assert 0.05 * 2 * n**2 < report["triangles"] < 2 * n**2

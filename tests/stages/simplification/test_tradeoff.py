@@ -14,7 +14,7 @@ from scanloom import Mesh, MeshError, Tradeoff, UsageError, compare, simplify, t
 
 @pytest.fixture(scope="module")
 def found() -> Tradeoff:
-    return tradeoff(sheet(40), steps=7, least=0.03, samples=20_000)
+    return tradeoff(sheet(40), steps=7, min_ratio=0.03, samples=20_000)
 
 
 def test_points_go_from_all_to_few_and_errors_grow(found: Tradeoff) -> None:
@@ -52,7 +52,7 @@ def test_the_record_leads_to_the_mesh_of_every_point(found: Tradeoff) -> None:
 
 def test_the_bend_is_suggested() -> None:
     # A ball: the error goes with one over the number, and bends most at 1 / 4.6 of the way in logarithms.
-    found = tradeoff(ball().with_(colors=None), steps=9, least=0.01, samples=2000)
+    found = tradeoff(ball().with_(colors=None), steps=9, min_ratio=0.01, samples=2000)
     assert found.suggested_triangles is not None
     assert 0.02 < found.suggested_triangles / len(ball().triangles) < 0.1
     assert found.points[0].color_rmse_levels is None
@@ -61,10 +61,10 @@ def test_the_bend_is_suggested() -> None:
 def test_the_smallest_number_within_a_distance_is_suggested(found: Tradeoff) -> None:
     within = found.points[3].percentile_95_m
     counts = [point.triangles for point in found.points]
-    again = tradeoff(sheet(40), counts=counts, samples=20_000, within=within)
+    again = tradeoff(sheet(40), counts=counts, samples=20_000, max_distance=within)
     assert again.points == found.points
     assert again.suggested_triangles == found.points[3].triangles
-    none = tradeoff(sheet(40), counts=[100], samples=1000, within=1e-9)
+    none = tradeoff(sheet(40), counts=[100], samples=1000, max_distance=1e-9)
     assert none.suggested_triangles is None
     assert len(none.mesh.triangles) == 100
 
@@ -91,7 +91,7 @@ def test_where_nothing_may_collapse_any_more_the_curve_ends_and_says_so() -> Non
 
 
 def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_figures() -> None:
-    found = tradeoff(wrapped_ball(), steps=4, least=0.1, samples=5000, glb_bytes=True)
+    found = tradeoff(wrapped_ball(), steps=4, min_ratio=0.1, samples=5000, glb_bytes=True)
     assert found.method == "seams"
     assert found.mesh.texture is not None
     assert "before the final fit" in str(found.diagnostics[-1])
@@ -117,7 +117,9 @@ def test_progress_is_told_and_may_stop_the_work() -> None:
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
-@pytest.mark.parametrize("wrong", [{"steps": 1}, {"least": 0.0}, {"least": 2.0}, {"within": -1.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"steps": 1}, {"min_ratio": 0.0}, {"min_ratio": 2.0}, {"max_distance": -1.0}]
+)
 def test_wrong_parameters(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError, match=next(iter(wrong))):
         tradeoff(sheet(4), **wrong)

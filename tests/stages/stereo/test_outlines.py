@@ -200,6 +200,6 @@ def test_little_depth_is_told_once_for_the_scan(pale: tuple[Scan, list[np.ndarra
     scan, _ = pale
     few = replace(scan, frames=scan.frames[:4])
     with collecting() as diagnostics:
-        measured(few, agreement=1e-4)
+        measured(few, consistency_tolerance=1e-4)
     (said,) = [str(one) for one in diagnostics if one.code == DEPTH_COVERAGE_LOW.name]
     assert "have low confidence or are not confirmed by 2 other views (depth.min_confidence=128 and" in said

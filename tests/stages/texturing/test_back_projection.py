@@ -58,7 +58,9 @@ def off(mesh: Mesh) -> np.ndarray:
 @pytest.mark.slow
 def test_details_come_back():
     frames = [of_checks(frame) for frame in photos(12)]
-    painted = [texture(wall(), frames, format="png", rounds=rounds).mesh for rounds in (0, 1)]
+    painted = [
+        texture(wall(), frames, format="png", alignment_iterations=iterations).mesh for iterations in (0, 1)
+    ]
     without, with_details = (off(mesh).mean() for mesh in painted)
     assert with_details < 0.9 * without
 

@@ -24,7 +24,7 @@ def samples(
 
 
 def grey_after(exposure: object, level: int = 80) -> np.ndarray:
-    return exposure.corrected(np.full((60, 80, 3), level, np.uint8))[30, 40]  # type: ignore[attr-defined]
+    return exposure.correct(np.full((60, 80, 3), level, np.uint8))[30, 40]  # type: ignore[attr-defined]
 
 
 def test_gains_and_biases_are_found() -> None:

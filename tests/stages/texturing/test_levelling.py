@@ -275,8 +275,8 @@ def test_a_texture_of_photos_that_differ_shows_fewer_borders(monkeypatch: pytest
         depth[top : top + 40, left : left + 40] = 0.2
         light = np.where(color > 0, color.astype(float) + rng.uniform(-25, 25), 0)
         frames.append(replace(one, color=np.rint(light).clip(0, 254).astype(np.uint8), depth=depth))
-    levelled = texture(wall(), frames, format="png", exposure=False, rounds=0)
+    levelled = texture(wall(), frames, format="png", exposure=False, alignment_iterations=0)
     monkeypatch.setattr(photo_painting, "level_seams", lambda *_: None)
-    without = texture(wall(), frames, format="png", exposure=False, rounds=0)
+    without = texture(wall(), frames, format="png", exposure=False, alignment_iterations=0)
     assert without.seam_ratio > 1.5
     assert levelled.seam_ratio < 1 + 0.5 * (without.seam_ratio - 1)

@@ -85,7 +85,9 @@ def test_equal_input_gives_equal_bytes():
 
 def test_photos_that_are_where_they_should_be_stay_there():
     # Of one image, details would be added; see test_back_projection.py.
-    painted, looked_at = (texture(wall(), photos(4), max_size=128, rounds=rounds) for rounds in (0, 1))
+    painted, looked_at = (
+        texture(wall(), photos(4), max_size=128, alignment_iterations=iterations) for iterations in (0, 1)
+    )
     assert 0 < looked_at.shift_ratio < 0.3 / 640
     assert len(painted.sizes) > 1
     for one, other in zip(painted.mesh.texture.images, looked_at.mesh.texture.images, strict=True):
@@ -112,7 +114,7 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
     # Each from so near that it shows a part of the wall.
     places = [(x, y) for x in (0.2, 0.4, 0.6, 0.8) for y in (0.2, 0.4, 0.6, 0.8)]
     frames = [photo(number, pose(x, y, z=-0.3)) for number, (x, y) in enumerate(places)]
-    at_once = texture(wall(40), frames, format="png", rounds=0)
+    at_once = texture(wall(40), frames, format="png", alignment_iterations=0)
     asked = []
 
     def watched(*given, numbers=None, **named):
@@ -123,7 +125,7 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
     monkeypatch.setattr(photo_painting, "_MIN_BATCH_BYTES", 6e6)
     monkeypatch.setattr(photo_painting, "_BATCH_BYTES", 6e6)
     monkeypatch.setattr(photo_painting, "_SINGLE_BATCH_BYTES", 6e6)
-    found = texture(wall(40), frames, format="png", rounds=0)
+    found = texture(wall(40), frames, format="png", alignment_iterations=0)
     assert len(asked) > 3
     assert sum(0 < len(numbers) < len(frames) for numbers in asked) > len(asked) / 2
     # Places are kept in single precision from where a part begins.
@@ -206,7 +208,9 @@ def misplaced() -> tuple[Frame, ...]:
 
 @pytest.mark.slow
 def test_a_photo_that_is_off_by_pixels_is_shifted():
-    still, shifted = (texture(wall(), misplaced(), format="png", rounds=rounds) for rounds in (0, 1))
+    still, shifted = (
+        texture(wall(), misplaced(), format="png", alignment_iterations=iterations) for iterations in (0, 1)
+    )
     assert 0.2 / CAMERA.width < shifted.shift_ratio < 3 / CAMERA.width
     assert np.median(errors(shifted.mesh)) < 0.8 * np.median(errors(still.mesh))
 
@@ -374,7 +378,9 @@ def test_what_only_an_oblique_photo_shows_has_its_colours_and_is_not_told_as_uns
 def test_an_oblique_photo_changes_nothing_where_others_show_the_wall():
     frames, mesh = photos(), wall()
     flat = replace(make_grazing_photo(12), color=np.full((120, 160, 3), 200, np.uint8))
-    without, beside = (texture(mesh, some, format="png", rounds=0) for some in (frames, [*frames, flat]))
+    without, beside = (
+        texture(mesh, some, format="png", alignment_iterations=0) for some in (frames, [*frames, flat])
+    )
     for share in (0.5, 0.9, 0.99):
         off = [np.quantile(errors(one.mesh), share) for one in (without, beside)]
         assert off[1] == pytest.approx(off[0], abs=0.2)

@@ -89,7 +89,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             CAMERA_PAIR_UNCALIBRATED,
             "the projection matrices P{at} and P{at_2} are missing.",
             calib,
-            replace_location=at,
+            at=at,
             at_2=at + 1,
         )
     size = read_image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))

@@ -218,7 +218,7 @@ def test_a_wall_of_a_room_that_nobody_looked_at_is_told() -> None:
         for rise in (-0.6, 0, 0.6)
     ]
     frames = render_frames(walls, looks)
-    found = coverage(seen_by(walls, frames), frames, spacing=0.06, places=1000)
+    found = coverage(seen_by(walls, frames), frames, spacing=0.06, max_defects=1000)
 
     # Below and above the cameras, where floor and ceiling would go on.
     gaps = of_kind(found, "gap")
@@ -246,7 +246,7 @@ def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
     assert of_kind(few, "few")[0].point[0] < 0.1
 
     aslant = [((0.8 + 1.2, -0.3, 0.6), (0.5, 0, 0.6))] * 3
-    oblique = coverage(WALL, render_frames(WALL, aslant), oblique=70, min_area=0.01)
+    oblique = coverage(WALL, render_frames(WALL, aslant), max_angle=70, min_area=0.01)
     cosine = 0.3 / np.hypot(1.2 + 0.8 - WALL.vertices[:, 0], 0.3)
     seen = oblique.vertex_evidence.frame_counts > 0
     np.testing.assert_allclose(
@@ -256,12 +256,12 @@ def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
     )
     assert of_kind(oblique, "oblique")
 
-    far = coverage(WALL, render_frames(WALL, ROW), far=1.0)
+    far = coverage(WALL, render_frames(WALL, ROW), max_distance=1.0)
     assert of_kind(far, "far")
     assert far.vertex_evidence.min_distance[far.vertex_evidence.frame_counts > 0] == pytest.approx(
         1.2, abs=1e-3
     )
-    assert not of_kind(coverage(WALL, render_frames(WALL, ROW), far=1.3), "far")
+    assert not of_kind(coverage(WALL, render_frames(WALL, ROW), max_distance=1.3), "far")
 
 
 def test_what_a_mask_leaves_out_hides_nothing() -> None:
@@ -304,7 +304,7 @@ def test_equal_input_gives_an_equal_result() -> None:
 def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
     mesh = seen_by(world, frames)
-    every = coverage(mesh, frames, places=1000)
+    every = coverage(mesh, frames, max_defects=1000)
     few = coverage(mesh, frames, places=2)
     figures = every.figures()["places"]
 
@@ -319,8 +319,8 @@ def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
 def test_what_is_large_is_told_as_several_places_of_one_look_each(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
     mesh = seen_by(world, frames)
-    whole = coverage(mesh, frames, max_patch_size=2.0, places=1000)
-    cut = coverage(mesh, frames, max_patch_size=0.15, min_area=1e-4, places=1000)
+    whole = coverage(mesh, frames, max_patch_size=2.0, max_defects=1000)
+    cut = coverage(mesh, frames, max_patch_size=0.15, min_area=1e-4, max_defects=1000)
 
     assert max(place.extent for place in of_kind(cut, *MISSING_KINDS)) < 0.25
     assert len(of_kind(cut, "hidden", "hole")) > len(of_kind(whole, "hidden", "hole"))
@@ -373,7 +373,8 @@ def test_meshes_that_are_no_surface_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"oblique": 91}, {"few_frames": 0}, {"far": 0.0}, {"spread": 0.0}, {"places": 0}]
+    "wrong",
+    [{"max_angle": 91}, {"few_frames": 0}, {"max_distance": 0.0}, {"spread": 0.0}, {"max_defects": 0}],
 )
 def test_parameters_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError, match=next(iter(wrong))):

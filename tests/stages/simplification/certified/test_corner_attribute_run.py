@@ -79,7 +79,7 @@ def test_colours_are_held_and_called_measured(max_color: float) -> None:
     assert samples.max_difference <= max_color
     assert light.details.color_bound_levels is None
     assert light.details.color_measured_levels == pytest.approx(samples.max_difference)
-    assert "Measured, not proven" in light.details.text()
+    assert "Measured, not proven" in light.details.describe()
     free = simplify(mesh, keep_uv=True, max_shape=bound)
     assert free.details.color_measured_levels > max_color
     assert len(free.mesh.triangles) < len(light.mesh.triangles)
