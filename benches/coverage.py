@@ -86,9 +86,9 @@ def print_cost(scan: Path, voxel_size: float | None) -> None:
         for way in ("memory", "chunks") if make_table_path(path).exists() else ("memory",):
             words = [sys.executable, __file__, str(scan), "--one", str(path), way]
             outcome = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
-            found.append(collect_numbers(outcome["figures"]))
+            found.append(collect_numbers(outcome["metrics"]))
             apart = max(abs(a - b) / max(abs(b), 1e-12) for a, b in zip(found[-1], found[0], strict=True))
-            spread = (f"{1000 * outcome['figures'][name]:.1f}" for name in ("spread_median_m", "spread_95_m"))
+            spread = (f"{1000 * outcome['metrics'][name]:.1f}" for name in ("spread_median_m", "spread_95_m"))
             print_row([way, *outcome["row"], *spread, f"{apart:.0e}"])
 
 
@@ -122,16 +122,16 @@ def measure_cost(folder: Path, path: Path, *, chunked: bool) -> dict[str, Any]:
         f"{times[1] - times[0]:.1f}",
     ]
     row += [f"{1000 * frame:.0f}", f"{times[3] - times[2]:.1f}", f"{peak_mb:.0f}"]
-    return {"row": row, "figures": found.figures()}
+    return {"row": row, "metrics": found.to_dict()}
 
 
-def collect_numbers(figures: Any) -> list[float]:
+def collect_numbers(metrics: Any) -> list[float]:
     """Collect all numbers of nested metrics."""
-    if isinstance(figures, dict):
-        return [number for value in figures.values() for number in collect_numbers(value)]
-    if isinstance(figures, list):
-        return [number for value in figures for number in collect_numbers(value)]
-    return [float(figures)] if isinstance(figures, (int, float)) else []
+    if isinstance(metrics, dict):
+        return [number for value in metrics.values() for number in collect_numbers(value)]
+    if isinstance(metrics, list):
+        return [number for value in metrics for number in collect_numbers(value)]
+    return [float(metrics)] if isinstance(metrics, (int, float)) else []
 
 
 def print_held_out_errors(folder: Path) -> None:

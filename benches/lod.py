@@ -131,7 +131,7 @@ def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
     hierarchy = lod.build(mesh, ratio=1.2, root_triangles=400, cell_triangles=4000, threads=threads)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     (first, max_triangles), (_, min_triangles) = FIELDS[0], FIELDS[-1]
-    levels = hierarchy.figures()["levels"]
+    levels = hierarchy.to_dict()["levels"]
     counts = np.log([level["triangles"] for level in levels])
     bounds = np.log([level["shape_bound_m"] for level in levels])
     exact = np.interp(np.log(max_triangles), counts, bounds)
@@ -189,7 +189,7 @@ def print_build(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> 
     with tempfile.TemporaryDirectory() as folder:
         lod.write_slod(Path(folder) / "m.slod", hierarchy)
         size = (Path(folder) / "m.slod").stat().st_size
-    figures = hierarchy.figures()
+    metrics = hierarchy.to_dict()
     middle, radius = hierarchy.spheres[0][0], hierarchy.spheres[1][0]
     eye = middle + np.array((0.0, 0.0, 3.0 * radius))
     view = View(tuple(eye), tuple(middle))
@@ -202,9 +202,9 @@ def print_build(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> 
             f"{len(mesh.triangles):,}",
             f"{seconds:.1f}",
             f"{len(mesh.triangles) / seconds / 1e6:.4f}",
-            str(figures["leaves"]),
-            str(figures["nodes"]),
-            f"{figures['stored_per_input']:.2f}",
+            str(metrics["leaves"]),
+            str(metrics["nodes"]),
+            f"{metrics['stored_per_input']:.2f}",
             f"{size / 1e6:.1f}",
             f"{measure_min_ms(lambda: hierarchy.cut(triangles=20_000)):.1f}",
             f"{measure_min_ms(lambda: lod.adjust(front, lod.evaluate(hierarchy, view), 20_000).cut()):.1f}",

@@ -41,7 +41,7 @@ def make_row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
         out, begun = Path(folder) / "out", time.process_time()
         report = run(scan, out, Config.from_quality(quality).set([f"scan.hold_out={HOLD_OUT}"])).report
         seconds = time.process_time() - begun
-        photos, fused = report["held_out"], report["stages"]["fuse"]["figures"]
+        photos, fused = report["held_out"], report["stages"]["fuse"]["metrics"]
         cells = [
             scan.resolve().name,
             quality,
@@ -54,7 +54,7 @@ def make_row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
             f"{photos['ssim']:.3f}",
         ]
         if truth is not None:
-            found = stages.deviations(truth, stages.read_mesh(out / "simplified.ply")).figures()
+            found = stages.deviations(truth, stages.read_mesh(out / "simplified.ply")).to_dict()
             cells += [f"{1000 * found['rms_m']:.2f}", f"{1000 * found['absolute_percentiles_m']['95']:.2f}"]
         return cells
 

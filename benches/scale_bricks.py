@@ -50,9 +50,9 @@ def run_bricks_bench(
         drawn, contents = [], {}
         for count in frames:
             scan = write_first_frames(building, Path(scratch) / f"scan-{count}", count)
-            out, figures, cpu = fuse_undisturbed(scan, Path(scratch) / f"quiet-{count}", memory)
+            out, metrics, cpu = fuse_undisturbed(scan, Path(scratch) / f"quiet-{count}", memory)
             contents[count] = compute_file_digest(out / "fused.ply")
-            made, peak = figures["figures"], figures["peak_memory_mb"]
+            made, peak = metrics["metrics"], metrics["peak_memory_mb"]
             drawn.append((count, 1000 * cpu / count, peak))
             of_mesh = f"{made['bricks']}", f"{made['triangles']:,}"
             print_row(
@@ -165,8 +165,8 @@ def fuse_with_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[in
         kills += 1
         # A growing limit makes sure that some run completes.
         longest *= 1.5
-    figures = json.loads((out / "report.json").read_text())["stages"]["fuse"]["figures"]
-    return kills, figures["bricks"] - figures["bricks_fused"]
+    metrics = json.loads((out / "report.json").read_text())["stages"]["fuse"]["metrics"]
+    return kills, metrics["bricks"] - metrics["bricks_fused"]
 
 
 def add_to(commands: Any) -> None:

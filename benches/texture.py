@@ -90,7 +90,7 @@ def main() -> None:
                 cells = [folder.name, f"{ratio:g}", "scanloom, texture"]
                 names = ("seam_ratio", "seam_ratio_over_photos")
                 seams, over = (
-                    "–" if value is None else f"{value:.2f}" for value in map(stage.figures.get, names)
+                    "–" if value is None else f"{value:.2f}" for value in map(stage.metrics.get, names)
                 )
                 _print_metrics(
                     cells,
@@ -159,7 +159,7 @@ def _lay_out_one_page(mesh: Mesh) -> AtlasLayout:
 def _print_metrics(
     first: list[str], mesh: Mesh, held_out: Sequence[Frame], seconds: float, last: list[str]
 ) -> None:
-    found = evaluate_held_out_photos(mesh, held_out).figures()
+    found = evaluate_held_out_photos(mesh, held_out).to_dict()
     cells = [f"{found[f'psnr_{kind}_db']:.2f}" for kind in ("raw", "affine")]
     cells += [f"{found['ssim']:.3f}", f"{found['sharpness']:.2f}", f"{found['coverage_ratio']:.2f}"]
     print_row([*first, *cells, str(found["photos"]), str(found["placed"]), f"{seconds:.1f}", *last])

@@ -125,10 +125,10 @@ def print_rows(name: str, sets: Sequence[tuple[Image, Image, Image]]) -> None:
         start = time.process_time()
         found = [make(depth, color) for depth, color, _ in sets]
         seconds = (time.process_time() - start) / len(sets)
-        figures = np.mean(
+        metrics = np.mean(
             [measure_errors(one, truth) for one, (*_, truth) in zip(found, sets, strict=True)], axis=0
         )
-        print_row([name, way, *(f"{figure:.2f}" for figure in figures), f"{seconds:.2f}"])
+        print_row([name, way, *(f"{figure:.2f}" for figure in metrics), f"{seconds:.2f}"])
 
 
 def measure_errors(found: Image, truth: Image) -> list[float]:

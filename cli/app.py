@@ -198,9 +198,9 @@ def _report_failure(failure: errors.Failure, error: BaseException | None, argume
     try:
         sys.stderr.write(to_one_line(f"scanloom: {failure.sentence}") + "\n")
         if "--json" in arguments:
-            diagnostics = [] if failure.diagnostic is None else [failure.diagnostic.figures()]
-            figures = {"error": failure.sentence, "exit_code": failure.exit_code, "diagnostics": diagnostics}
-            sys.stdout.write(to_json(add_schema(figures)) + "\n")
+            diagnostics = [] if failure.diagnostic is None else [failure.diagnostic.to_dict()]
+            metrics = {"error": failure.sentence, "exit_code": failure.exit_code, "diagnostics": diagnostics}
+            sys.stdout.write(to_json(add_schema(metrics)) + "\n")
             sys.stdout.flush()
     except BrokenPipeError:
         _leave_quietly()

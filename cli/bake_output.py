@@ -56,16 +56,16 @@ def bake_and_write(
     with out.progress("bake", "rows") as progress:
         baked = stages.bake(light, original, params, progress=progress)
     write_mesh_file(target, baked.mesh, out)
-    return baked.figures()
+    return baked.to_dict()
 
 
-def format_bake(figures: dict[str, Any]) -> str:
+def format_bake(metrics: dict[str, Any]) -> str:
     """Return the metrics as lines, with the colour errors in a sentence."""
-    plain = {name: value for name, value in figures.items() if name not in ("color", "vertex_color")}
+    plain = {name: value for name, value in metrics.items() if name not in ("color", "vertex_color")}
     text = (
-        f"{format_lines(plain)}\n\nColour error on the original: {_error(figures['color'])} with the texture"
+        f"{format_lines(plain)}\n\nColour error on the original: {_error(metrics['color'])} with the texture"
     )
-    before = figures["vertex_color"]
+    before = metrics["vertex_color"]
     return text + (f", {_error(before)} with vertex colours." if before else ".")
 
 

@@ -50,11 +50,11 @@ def print_batch_plan(
             scans.append({"scan": job.name, "error": str(one)})
             continue
         cached = sum(stage.cached for stage in one.stages)
-        figures = [f"{one.frames:,}", str(len(one.stages)), str(cached), f"{one.seconds:.1f}"]
+        metrics = [f"{one.frames:,}", str(len(one.stages)), str(cached), f"{one.seconds:.1f}"]
         rows.append(
-            [job.name, one.layout, *figures, format_size(one.memory_bytes) if one.memory_bytes else ""]
+            [job.name, one.layout, *metrics, format_size(one.memory_bytes) if one.memory_bytes else ""]
         )
-        scans.append({**one.figures(), "scan": job.name, **one.figures()["scan"]})
+        scans.append({**one.to_dict(), "scan": job.name, **one.to_dict()["scan"]})
         lines += [f"{job.name}: would be refused: {one.refusal_reason}"] if one.refusal_reason else []
     runs = [one for one in found if isinstance(one, DryRun)]
     seconds = sum(one.seconds for one in runs)

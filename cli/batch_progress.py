@@ -67,7 +67,7 @@ def report_warnings(out: Output, record: JobRecord) -> None:
 
 def format_record(record: JobRecord) -> str:
     """Return the line of a finished scan."""
-    triangles = record.figures.get("triangles")
+    triangles = record.metrics.get("triangles")
     came_out = record.reason or ("" if triangles is None else f"{triangles:,} triangles")
     return as_typed(f"{record.name}  {record.state}, {record.seconds:.1f} s  {came_out}".rstrip())
 
@@ -77,7 +77,7 @@ def format_summary(summary: BatchSummary, places: list[str]) -> str:
     rows = [["scan", "state", "seconds", "frames", "triangles", "warnings"]]
     for one in summary.records:
         is_open = one.state in (WAITING, RUNNING)
-        frames, triangles = (one.figures.get(name) for name in ("frames", "triangles"))
+        frames, triangles = (one.metrics.get(name) for name in ("frames", "triangles"))
         rows.append(
             [
                 one.name,

@@ -48,7 +48,7 @@ def report_batch(queue: BatchQueue, out: Output, more: Mapping[str, Any]) -> Non
                 kinds=kinds,
             )
         )
-    figures = {**summary.figures(), "cache": str(queue.cache), "files": written, **more}
-    out.result(figures, format_summary(summary, written))
+    metrics = {**summary.to_dict(), "cache": str(queue.cache), "files": written, **more}
+    out.result(metrics, format_summary(summary, written))
     if summary.is_unusable:
         raise typer.Exit(BAD_INPUT)

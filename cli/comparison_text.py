@@ -18,31 +18,31 @@ _LONG = 1.0
 Length = Callable[..., str]
 
 
-def comparison_text(figures: Mapping[str, Any]) -> str:
+def comparison_text(metrics: Mapping[str, Any]) -> str:
     """Return the metrics of a comparison as tables."""
     # Of one unit in all tables, so that numbers are compared at a glance.
-    length = _metres if figures["distance"]["symmetric"]["maximum_m"] >= _LONG else _millimetres
-    clouds = figures.get("clouds", {"a": None, "b": None})
+    length = _metres if metrics["distance"]["symmetric"]["maximum_m"] >= _LONG else _millimetres
+    clouds = metrics.get("clouds", {"a": None, "b": None})
     parts = [
-        *(_compared(name, clouds[name], figures["samples_per_side"]) for name in "ab"),
+        *(_compared(name, clouds[name], metrics["samples_per_side"]) for name in "ab"),
         "",
-        _distance_text(figures, length),
+        _distance_text(metrics, length),
         "",
-        _color_text(figures["color"]),
+        _color_text(metrics["color"]),
         "",
-        _deviation_text(figures["deviation"], length),
+        _deviation_text(metrics["deviation"], length),
     ]
     if clouds["a"] is not None:
         gap = _fitting(clouds["a"]["spacing_m"])
         parts += ["", f"A is a cloud: a distance below {gap}, as its points are apart, is as good as none."]
         if clouds["b"] is None:
             parts += ["The other way round, compare B A, its points are measured from B exactly."]
-    if figures["alignment"] is not None:
-        parts += ["", _alignment_text(figures["alignment"], length)]
-    if figures["change"] is not None:
-        parts += ["", _change_text(figures["change"], length)]
-    if figures["views"] is not None:
-        parts += ["", _views_text(figures["views"])]
+    if metrics["alignment"] is not None:
+        parts += ["", _alignment_text(metrics["alignment"], length)]
+    if metrics["change"] is not None:
+        parts += ["", _change_text(metrics["change"], length)]
+    if metrics["views"] is not None:
+        parts += ["", _views_text(metrics["views"])]
     return "\n".join(parts)
 
 
@@ -71,14 +71,14 @@ def _compared(name: str, cloud: Mapping[str, Any] | None, samples: int) -> str:
     )
 
 
-def _distance_text(figures: Mapping[str, Any], length: Length) -> str:
+def _distance_text(metrics: Mapping[str, Any], length: Length) -> str:
     rows = [["distance", *_MEASURES.values(), *(f"{name} / diagonal" for name in _MEASURES.values())]]
     for key, way in _WAYS.items():
-        of = figures["distance"][key]
+        of = metrics["distance"][key]
         lengths = [length(of[f"{name}_m"]) for name in _MEASURES]
         shares = [f"{100 * of[f'{name}_relative']:.3g} %" for name in _MEASURES]
         rows.append([way, *lengths, *shares])
-    return f"{format_table(rows)}\n\nThe diagonal of A is {_metres(figures['diagonal_m'])}."
+    return f"{format_table(rows)}\n\nThe diagonal of A is {_metres(metrics['diagonal_m'])}."
 
 
 def _color_text(color: Mapping[str, Any] | None) -> str:
@@ -96,34 +96,34 @@ def _color_text(color: Mapping[str, Any] | None) -> str:
     return format_table(rows)
 
 
-def _deviation_text(figures: Mapping[str, Any], length: Length) -> str:
-    signed = "+" if figures["is_signed"] else ""
-    what = "points" if figures["is_cloud"] else "area"
+def _deviation_text(metrics: Mapping[str, Any], length: Length) -> str:
+    signed = "+" if metrics["is_signed"] else ""
+    what = "points" if metrics["is_cloud"] else "area"
     rows = [["deviation of B from A", ""]]
     rows += [
-        [f"{p} % of its {what} is within", length(d)] for p, d in figures["absolute_percentiles_m"].items()
+        [f"{p} % of its {what} is within", length(d)] for p, d in metrics["absolute_percentiles_m"].items()
     ]
-    rows.append(["RMS", length(figures["rms_m"])])
-    if figures["is_signed"]:
-        rows.append(["mean, with signs", length(figures["mean_m"], "+")])
-        rows.append(["standard deviation", length(figures["standard_deviation_m"])])
-        rows.append(["lowest", length(figures["lowest_m"], "+")])
-        rows.append(["highest", length(figures["highest_m"], "+")])
-    worst = figures["worst"][0]
+    rows.append(["RMS", length(metrics["rms_m"])])
+    if metrics["is_signed"]:
+        rows.append(["mean, with signs", length(metrics["mean_m"], "+")])
+        rows.append(["standard deviation", length(metrics["standard_deviation_m"])])
+        rows.append(["lowest", length(metrics["lowest_m"], "+")])
+        rows.append(["highest", length(metrics["highest_m"], "+")])
+    worst = metrics["worst"][0]
     rows.append([f"worst, at {_place(worst['point_m'])}", length(worst["distance_m"], signed)])
     text = format_table(rows)
-    if not figures["is_signed"]:
+    if not metrics["is_signed"]:
         lacks = (
-            "normals, which would tell sides" if figures["reference_spacing_m"] else "side that it looks to"
+            "normals, which would tell sides" if metrics["reference_spacing_m"] else "side that it looks to"
         )
         text += f"\n\nWithout signs: A has no {lacks}."
-    if figures["within_ratio"] is not None:
-        text += f"\n\n{figures['within_ratio']:.2%} within {figures['tolerance_m']:g} m"
-        if figures["is_signed"]:
-            text += f", {figures['over_ratio']:.2%} over, {figures['under_ratio']:.2%} under"
+    if metrics["within_ratio"] is not None:
+        text += f"\n\n{metrics['within_ratio']:.2%} within {metrics['tolerance_m']:g} m"
+        if metrics["is_signed"]:
+            text += f", {metrics['over_ratio']:.2%} over, {metrics['under_ratio']:.2%} under"
         text += "."
-    if figures["delta_e_2000"] is not None:
-        of_color = figures["delta_e_2000"]
+    if metrics["delta_e_2000"] is not None:
+        of_color = metrics["delta_e_2000"]
         most = of_color["percentiles"]["95"]
         text += f"\n\nColours differ by {of_color['mean']:.3g} ΔE2000 on average; 95 % by {most:.3g} at most."
     return text
@@ -141,20 +141,20 @@ def _places(count: int) -> str:
     return f"{count:,} place" if count == 1 else f"{count:,} places"
 
 
-def _change_text(figures: Mapping[str, Any], length: Length) -> str:
+def _change_text(metrics: Mapping[str, Any], length: Length) -> str:
     text = (
-        f"New in B: {figures['new_area_m2']:.4g} m² in {_places(figures['new_regions'])}; gone of A: "
-        f"{figures['gone_area_m2']:.4g} m² in {_places(figures['gone_regions'])}; farther than "
-        f"{length(figures['distance_m'])} from the other."
+        f"New in B: {metrics['new_area_m2']:.4g} m² in {_places(metrics['new_regions'])}; gone of A: "
+        f"{metrics['gone_area_m2']:.4g} m² in {_places(metrics['gone_regions'])}; farther than "
+        f"{length(metrics['distance_m'])} from the other."
     )
-    if not figures["largest"]:
+    if not metrics["largest"]:
         return text
     rows = [["largest changes", "area", "in the middle"]]
-    rows += [[one["kind"], f"{one['area_m2']:.4g} m²", _place(one["point_m"])] for one in figures["largest"]]
+    rows += [[one["kind"], f"{one['area_m2']:.4g} m²", _place(one["point_m"])] for one in metrics["largest"]]
     return f"{text}\n\n{format_table(rows)}"
 
 
-def _views_text(figures: Mapping[str, Any]) -> str:
+def _views_text(metrics: Mapping[str, Any]) -> str:
     rows = [["drawn", "PSNR", "SSIM", "silhouettes shared", "pixels of both"]]
     rows += [
         [
@@ -164,10 +164,10 @@ def _views_text(figures: Mapping[str, Any]) -> str:
             f"{100 * one['silhouette_iou']:.2f} %",
             f"{one['pixels_compared']:,}",
         ]
-        for one in [*figures["each"], {**figures, "viewpoint": "all"}]
+        for one in [*metrics["each"], {**metrics, "viewpoint": "all"}]
     ]
     compared = {
         "colors": "Their colours are compared, without any light",
         "shape": "Shading alone is compared, for A or B has no colours",
     }
-    return f"{format_table(rows)}\n\n{compared[figures['compared']]}. The worst is {figures['worst']}."
+    return f"{format_table(rows)}\n\n{compared[metrics['compared']]}. The worst is {metrics['worst']}."

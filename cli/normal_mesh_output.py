@@ -38,22 +38,22 @@ def print_normal_mesh(
     target: Path, found: NormalMesh, out: Output, baked: dict[str, Any] | None = None
 ) -> None:
     """Print the metrics of each level and of the baked texture."""
-    figures = {"output": str(target), **found.figures()}
-    text = None if out.as_json else _text(figures)
+    metrics = {"output": str(target), **found.to_dict()}
+    text = None if out.as_json else _text(metrics)
     if baked is not None:
-        figures["baked"] = baked
+        metrics["baked"] = baked
         text = None if text is None else f"{text}\n\n{format_bake(baked)}"
-    out.result(figures, text)
+    out.result(metrics, text)
 
 
-def _text(figures: Mapping[str, Any]) -> str:
+def _text(metrics: Mapping[str, Any]) -> str:
     names = ["level", "triangles", "vertices", "exceptions", "boundary vertices", "bytes so far"]
     keys = ["level", "triangles", "vertices", "exceptions", "boundary_vertices", "file_bytes"]
-    measured = "max_distance_m" in figures["by_level"][0]
+    measured = "max_distance_m" in metrics["by_level"][0]
     rows = [[*names, *["largest distance m"] * measured]]
-    for one in figures["by_level"]:
+    for one in metrics["by_level"]:
         distance = [f"{one['max_distance_m']:.4g}"] if measured else []
         rows.append([*(f"{one[key]:,}" for key in keys), *distance])
     tables = ("by_level", "damage")
-    lines = format_lines({key: value for key, value in figures.items() if key not in tables})
+    lines = format_lines({key: value for key, value in metrics.items() if key not in tables})
     return f"{format_table(rows)}\n\n{lines}"

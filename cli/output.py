@@ -83,17 +83,17 @@ class Output:
         """Keep a diagnostic that is printed elsewhere."""
         self._diagnostics[diagnostic] = None
 
-    def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
+    def result(self, metrics: Mapping[str, Any], text: str | None = None) -> None:
         """Print the result: JSON with --json, otherwise `text`, or the figures line by line."""
         if self.as_json:
-            diagnostics = [one.figures() for one in self._diagnostics]
+            diagnostics = [one.to_dict() for one in self._diagnostics]
             text = to_json(
                 add_schema(
-                    {**figures, **({"diagnostics": diagnostics} if diagnostics or self._can_warn else {})}
+                    {**metrics, **({"diagnostics": diagnostics} if diagnostics or self._can_warn else {})}
                 )
             )
         elif text is None:
-            text = format_lines(figures)
+            text = format_lines(metrics)
         sys.stdout.write(text + "\n")
         # Flush now: a full disk or a closed pipe can still be reported.
         sys.stdout.flush()
@@ -133,9 +133,9 @@ def to_one_line(text: str) -> str:
     return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE // 2]} … {line[-_MAX_LINE // 2 :]}"
 
 
-def add_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
+def add_schema(metrics: Mapping[str, Any]) -> dict[str, Any]:
     """Return figures with the version of the JSON schema."""
-    return {"schema": SCHEMA, **figures}
+    return {"schema": SCHEMA, **metrics}
 
 
 def to_json(value: Any) -> str:
@@ -158,12 +158,12 @@ def _plain(value: Any) -> Any:
     return _finite(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def format_lines(figures: Mapping[str, Any], indent: str = "") -> str:
+def format_lines(metrics: Mapping[str, Any], indent: str = "") -> str:
     """Return metrics as aligned lines; nested metrics are indented under their name."""
-    single = {key: format_metric(key, value) for key, value in figures.items() if not _is_nested(value)}
+    single = {key: format_metric(key, value) for key, value in metrics.items() if not _is_nested(value)}
     width = max((len(name) for name, _ in single.values()), default=0)
     lines = []
-    for key, value in figures.items():
+    for key, value in metrics.items():
         if key in single:
             name, text = single[key]
             lines.append(f"{indent}{name:<{width}}  {text}")

@@ -70,27 +70,27 @@ def format_stage(event: StageFinished, *, is_metric: bool = True) -> str:
     """Return the line of a finished stage: name, cached or seconds, headline, reason."""
     state = "cached" if event.cached else f"{event.seconds:.1f} s"
     reason = f" ({event.reason})" if event.reason else ""
-    came_out = headline(event.stage, event.figures, is_metric=is_metric)
+    came_out = headline(event.stage, event.metrics, is_metric=is_metric)
     return f"{event.stage:<9}{state:>8}  {came_out}{reason}".rstrip()
 
 
-def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) -> str:
+def headline(stage: str, metrics: Mapping[str, Any], *, is_metric: bool = True) -> str:
     """Return the most important metrics of a stage in one line; in units if the scan is not metric."""
     known = find_stage(stage)
     summary = "" if known is None else known.headline
-    line = summary if isinstance(summary, str) else summary(figures)
+    line = summary if isinstance(summary, str) else summary(metrics)
     line = line if is_metric else _IN_METRES.sub(r"\1 units", line)
-    return _Figures({**figures, **figures.get("details", {})}).format(line)
+    return _Figures({**metrics, **metrics.get("details", {})}).format(line)
 
 
 class _Figures(string.Formatter):
     """Formatter of metrics by name; a missing metric is a dash."""
 
-    def __init__(self, figures: Mapping[str, Any]) -> None:
-        self._figures = figures
+    def __init__(self, metrics: Mapping[str, Any]) -> None:
+        self._metrics = metrics
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:  # noqa: ARG002
-        value = self._figures.get(str(key))
+        value = self._metrics.get(str(key))
         return len(value) if isinstance(value, list) else value
 
     def format_field(self, value: Any, format_spec: str) -> str:

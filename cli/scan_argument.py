@@ -30,5 +30,5 @@ def read_scan(folder: Path, params: ScanParams, *, complete: bool = True) -> Sca
     complete : refuse a scan that lacks poses, depth or other data of its layout.
     """
     scan = stages.read_scan(require_scan(folder), params, complete=complete)
-    warn_skipped_frames([one.figures() for one in scan.skipped_frames])
+    warn_skipped_frames([one.to_dict() for one in scan.skipped_frames])
     return scan

@@ -53,5 +53,5 @@ def adjust(
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
         found = stages.adjust(source, adjust, progress=progress)
-        figures = write_adjusted(draft, found)
-    out.result({"output": str(target), **figures, "seconds": found.seconds})
+        metrics = write_adjusted(draft, found)
+    out.result({"output": str(target), **metrics, "seconds": found.seconds})

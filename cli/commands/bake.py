@@ -42,6 +42,6 @@ def bake(
     """
     require_new_file(target, TEXTURED_SUFFIXES)
     mesh, reference = read_mesh_file(light), read_mesh_file(original)
-    figures = {"output": str(target), **bake_and_write(target, mesh, reference, bake, out)}
+    metrics = {"output": str(target), **bake_and_write(target, mesh, reference, bake, out)}
     require_overlap(light, mesh, original, reference)
-    out.result(figures, format_bake(figures))
+    out.result(metrics, format_bake(metrics))

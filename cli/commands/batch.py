@@ -145,9 +145,9 @@ def batch(
     queue = open_queue(target, what, queued)
     remove_outputs(target)
     if queue_only:
-        figures = {"out": str(target), "queued": len(queued), **more}
+        metrics = {"out": str(target), "queued": len(queued), **more}
         text = f"{len(queued):,} scans queued; start on each machine: scanloom worker {target}"
-        out.result(figures, text)
+        out.result(metrics, text)
         return
     with sigterm_as_interrupt(), show_batch_progress(out) as tell:
         if batch.dask is not None:

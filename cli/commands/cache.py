@@ -117,7 +117,7 @@ def _open_cache(folder: Path | None) -> Cache:
 
 def _print_entries(folder: Path, entries: Sequence[ListedEntry], out: Output, done: str = "kept") -> None:
     total = sum(entry.size for entry in entries)
-    figures = {
+    metrics = {
         "cache": str(folder),
         "entries": [
             {
@@ -149,4 +149,4 @@ def _print_entries(folder: Path, entries: Sequence[ListedEntry], out: Output, do
     lines.append(
         f"{len(entries)} result{'s' * (len(entries) != 1)} {done} in {folder}, {format_size(total)}."
     )
-    out.result(figures, "\n".join(lines))
+    out.result(metrics, "\n".join(lines))

@@ -46,22 +46,22 @@ def certify(
         found = stages.certify(mesh, reference, certify, progress=progress)
     if save_bounds is not None:
         write_bounds(save_bounds, mesh, found.shape_bound, found.color_bound, out)
-    figures = found.figures()
+    metrics = found.to_dict()
     if found.within_limits is False:
         emit(SIMPLIFY_BOUND_NOT_PROVEN.unmet("the limits are not proven to be kept.", result))
-    out.result(figures, None if out.as_json else _certificate_text(figures))
+    out.result(metrics, None if out.as_json else _certificate_text(metrics))
 
 
-def _certificate_text(figures: Mapping[str, Any]) -> str:
+def _certificate_text(metrics: Mapping[str, Any]) -> str:
     rows = [["", "found", "proven to be at most"]]
     measures = (("distance m", "shape", "m"), ("colour difference levels", "color", "levels"))
     for name, key, unit in measures:
-        found, bound = (figures[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
+        found, bound = (metrics[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
         if found is not None:
             rows.append(
                 [name, format_lower_bound(found), "no bound" if bound is None else format_upper_bound(bound)]
             )
     text = format_table(rows)
-    if figures["within_limits"] is not None:
-        text += f"\n\nLimits {'are kept' if figures['within_limits'] else 'are not proven to be kept'}."
-    return f"{text}\n\n{figures['slack_m']:.3g} m of that are for searches in single precision."
+    if metrics["within_limits"] is not None:
+        text += f"\n\nLimits {'are kept' if metrics['within_limits'] else 'are not proven to be kept'}."
+    return f"{text}\n\n{metrics['slack_m']:.3g} m of that are for searches in single precision."

@@ -58,20 +58,20 @@ def check(
         write_colored_classes(save_ply, mesh, found, out)
     with locate_diagnostics(source):
         emit(*found.find_unmet(wanted))
-    out.result(found.figures(), None if out.as_json else _text(found))
+    out.result(found.to_dict(), None if out.as_json else _text(found))
 
 
 def _text(found: CheckResult) -> str:
-    topology, figures = found.topology, found.figures()
+    topology, metrics = found.topology, found.to_dict()
     words = ("watertight", "is_closed", "is_manifold", "is_oriented")
     holds = (found.is_watertight, topology.is_closed, topology.is_manifold, topology.is_oriented)
     rows = [["", ""]]
     rows += [[w.removeprefix("is_"), "yes" if h else "no"] for w, h in zip(words, holds, strict=True)]
     rows += [[name, f"{getattr(topology, name):,}"] for name in ("vertices", "triangles", "components")]
     rows += [["pieces that look inwards", f"{found.inside_out_count:,}"]]
-    if figures["thickness_min_m"] is not None:
+    if metrics["thickness_min_m"] is not None:
         keys = ("thickness_min_m", "thickness_5_percent_of_triangles_m", "thickness_median_m")
-        rows += [["thickness: least, 5 %, median", ", ".join(f"{figures[key]:.4g}" for key in keys) + " m"]]
+        rows += [["thickness: least, 5 %, median", ", ".join(f"{metrics[key]:.4g}" for key in keys) + " m"]]
     text = format_table(rows) + "\n\n"
     irregular: list[list[str]] = [["class", "places", "first at (m)"]]
     for name, (_, _, what) in CLASSES.items():

@@ -25,15 +25,15 @@ def clean(source: MeshFile, target: NewMesh, clean: CleanParams, out: Output) ->
     with locate_diagnostics(source):
         cleaned = stages.clean(mesh, clean)
     write_mesh_file(target, cleaned.mesh, out)
-    figures = {"output": str(target), **cleaned.figures()}
+    metrics = {"output": str(target), **cleaned.to_dict()}
     with_table = cleaned.repair_result is not None and not out.as_json
-    out.result(figures, _text(figures) if with_table else None)
+    out.result(metrics, _text(metrics) if with_table else None)
 
 
-def _text(figures: dict[str, Any]) -> str:
+def _text(metrics: dict[str, Any]) -> str:
     """Return the metrics of a repaired mesh, with a table of the classes that have defects."""
-    repaired = figures["repair"]
-    alone = {name: value for name, value in figures.items() if name != "repair"}
+    repaired = metrics["repair"]
+    alone = {name: value for name, value in metrics.items() if name != "repair"}
     alone |= {"repair_bound_m": repaired["bound_m"], "repair_max_shape_m": repaired["max_shape_m"]}
     columns = ("found", "repaired", "left", "rolled_back")
     rows = [["class", *(name.replace("_", " ") for name in columns)]]

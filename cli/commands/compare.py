@@ -164,7 +164,7 @@ def compare(
         with locate_diagnostics(other), locate_diagnostics(reference, "reference"):
             b, alignment = stages.align(b, a)
     with locate_diagnostics(reference, "first mesh"), locate_diagnostics(other, "second mesh"):
-        figures = stages.compare(a, b, compare).figures()
+        metrics = stages.compare(a, b, compare).to_dict()
     require_overlap(other, b, reference, a)
     found = stages.deviations(a, b, deviation)
     if save_aligned is not None:
@@ -182,21 +182,21 @@ def compare(
         save_views.mkdir(parents=True, exist_ok=True)
         for one in drawn.scores:
             write_png(save_views / f"{one.name}.png", one.image)
-    figures |= {
-        "change": None if changed is None else changed.figures(),
-        "deviation": found.figures(),
-        "alignment": None if alignment is None else alignment.figures(),
-        "views": None if drawn is None else drawn.figures(),
+    metrics |= {
+        "change": None if changed is None else changed.to_dict(),
+        "deviation": found.to_dict(),
+        "alignment": None if alignment is None else alignment.to_dict(),
+        "views": None if drawn is None else drawn.to_dict(),
     }
     if page_file is not None:
         names = reference.name, other.name
         content = make_comparison_page(
-            names, (a, b), found, changed, figures, page.max_bytes, deviation.palette
+            names, (a, b), found, changed, metrics, page.max_bytes, deviation.palette
         )
         page_file.parent.mkdir(parents=True, exist_ok=True)
         with write_file_atomically(page_file) as draft:
             draft.write_bytes(content)
-    out.result(figures, None if out.as_json else comparison_text(figures))
+    out.result(metrics, None if out.as_json else comparison_text(metrics))
 
 
 def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:

@@ -55,16 +55,16 @@ def coverage(
         require_scan(scan)
     with show_run_progress(out) as events:
         result = continue_run(folder, "coverage", coverage, scan=scan, cache_dir=cache, events=events)
-    figures: Any = read_json(result.out / COVERAGE)
+    metrics: Any = read_json(result.out / COVERAGE)
     files = [str(path) for stage in result.stages if stage.stage == "coverage" for path in stage.results]
     is_metric = bool(result.report["scan"]["metric"])
-    out.result({"output": files, **figures}, as_typed("\n".join(_lines(figures, is_metric=is_metric))))
+    out.result({"output": files, **metrics}, as_typed("\n".join(_lines(metrics, is_metric=is_metric))))
 
 
-def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
+def _lines(metrics: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
     """Return the table of gaps and a summary of the surface."""
     m, m2 = ("m", "m²") if is_metric else ("units", "units²")
-    places = figures["places"]
+    places = metrics["places"]
     if not places:
         return ["nothing is missing: the surface has no holes, and all of it was seen well."]
     rows = [["", "what", m2, f"at ({m})", f"look from ({m})", "nearest frame", "which"]]
@@ -82,20 +82,20 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
             ]
         )
     lines = [format_table(rows), ""]
-    if figures["places_omitted"]:
+    if metrics["places_omitted"]:
         lines.append(
-            f"{figures['places_omitted']:,} smaller places are not listed; see coverage.max_defects and "
+            f"{metrics['places_omitted']:,} smaller places are not listed; see coverage.max_defects and "
             "coverage.min_area."
         )
-    missing, thin = sum(figures["missing_m2"].values()), sum(figures["weakly_observed_m2"].values())
-    surface = figures["surface_m2"]
+    missing, thin = sum(metrics["missing_m2"].values()), sum(metrics["weakly_observed_m2"].values())
+    surface = metrics["surface_m2"]
     lines.append(
         f"{_area(missing)} {m2} open to what no frame saw, beside {_area(surface)} {m2} of surface, of which "
-        f"{thin / surface:.0%} was hardly seen; {format_count(figures['frames_used'], 'frame')}"
+        f"{thin / surface:.0%} was hardly seen; {format_count(metrics['frames_used'], 'frame')}"
     )
     lines.append(
-        f"frames are within {figures['spread_median_m']:.2g} {m} of half of what they measured, RMS, "
-        f"and within {figures['spread_95_m']:.2g} {m} of 95 % of it"
+        f"frames are within {metrics['spread_median_m']:.2g} {m} of half of what they measured, RMS, "
+        f"and within {metrics['spread_95_m']:.2g} {m} of 95 % of it"
     )
     return lines
 

@@ -38,6 +38,6 @@ def depth(
     # Scans with depth need no matching; a network can fill in missing depth.
     measure = stages.depth_scan if depth.model is None and not source.is_views else choose_matcher(source)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
-        figures = write_depth_maps(draft, measure(source, depth, progress), source)
-    warn_skipped_frames(figures["frames_skipped"])
-    out.result({"output": str(target), **figures})
+        metrics = write_depth_maps(draft, measure(source, depth, progress), source)
+    warn_skipped_frames(metrics["frames_skipped"])
+    out.result({"output": str(target), **metrics})

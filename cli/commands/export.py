@@ -57,4 +57,4 @@ def export(
     with locate_diagnostics(source):
         written = stages.export(mesh, target, wanted)
     out.remark(f"{target}: {written.triangles:,} triangles, {written.bytes:,} bytes")
-    out.result({**written.figures(), "output": str(target)})
+    out.result({**written.to_dict(), "output": str(target)})

@@ -58,6 +58,6 @@ def fuse(
     with out.progress("fuse", "frames") as progress:
         fused = stages.fuse(source, fuse, progress=progress)
     write_mesh_file(target, fused.mesh, out)
-    figures = fused.figures()
-    warn_skipped_frames(figures["frames_skipped"])
-    out.result({"output": str(target), **figures})
+    metrics = fused.to_dict()
+    warn_skipped_frames(metrics["frames_skipped"])
+    out.result({"output": str(target), **metrics})

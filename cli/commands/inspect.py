@@ -47,4 +47,4 @@ def inspect(
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_png(picture, draw_inspection(source))
-    out.result(inspection.figures(), as_typed("\n".join(inspection.format_lines())))
+    out.result(inspection.to_dict(), as_typed("\n".join(inspection.format_lines())))

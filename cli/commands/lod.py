@@ -153,19 +153,19 @@ def cut(
     emit(*hierarchy.diagnostics)
     model = None if model_file is None else read_mesh_file(model_file)
     found = hierarchy.cut(camera, triangles=triangles, error_px=error_px, max_shape=max_shape, region=where)
-    figures = found.figures()
-    if triangles is not None and figures["triangles"] > triangles:
+    metrics = found.to_dict()
+    if triangles is not None and metrics["triangles"] > triangles:
         emit(
             LEVELS_LEVEL_MISSING.unmet(
-                "the coarsest level has {triangles:,} triangles.", source, triangles=figures["triangles"]
+                "the coarsest level has {triangles:,} triangles.", source, triangles=metrics["triangles"]
             )
         )
-    if max_shape is not None and figures["shape_bound_m"] > max_shape:
+    if max_shape is not None and metrics["shape_bound_m"] > max_shape:
         emit(
             LEVELS_LEVEL_MISSING.unmet(
                 "the finest level is proven within {bound} m alone.",
                 source,
-                bound=format_upper_bound(figures["shape_bound_m"]),
+                bound=format_upper_bound(metrics["shape_bound_m"]),
             )
         )
     baked = None
@@ -179,19 +179,19 @@ def cut(
         write_mesh_file(target, found.mesh, out)
     else:
         # The proven bound is of vertex colours; the error of the image is measured.
-        figures |= {"color_bound_levels": None, "texture": baked}
-    text = _cut_text(figures) + ("" if baked is None else f"\n\n{format_bake(baked)}")
-    out.result(figures, None if out.as_json else text)
+        metrics |= {"color_bound_levels": None, "texture": baked}
+    text = _cut_text(metrics) + ("" if baked is None else f"\n\n{format_bake(baked)}")
+    out.result(metrics, None if out.as_json else text)
 
 
 def _print_levels(hierarchy: Hierarchy, path: Path, out: Output) -> None:
-    figures = hierarchy.figures() | {"bytes": path.stat().st_size}
-    out.result(figures, None if out.as_json else _text(figures))
+    metrics = hierarchy.to_dict() | {"bytes": path.stat().st_size}
+    out.result(metrics, None if out.as_json else _text(metrics))
 
 
-def _text(figures: Mapping[str, Any]) -> str:
+def _text(metrics: Mapping[str, Any]) -> str:
     rows = [["level", "cells", "triangles", "largest cell", "proven within m", "levels of colour"]]
-    for level in figures["levels"]:
+    for level in metrics["levels"]:
         color = level["color_bound_levels"]
         rows.append(
             [
@@ -203,36 +203,36 @@ def _text(figures: Mapping[str, Any]) -> str:
                 "" if color is None else format_upper_bound(color),
             ]
         )
-    base = figures["base_shape_bound_m"]
+    base = metrics["base_shape_bound_m"]
     rows.append(
         [
             "base",
-            f"{figures['leaves']:,}",
-            f"{figures['base_triangles']:,}",
+            f"{metrics['leaves']:,}",
+            f"{metrics['base_triangles']:,}",
             "",
             format_upper_bound(base) if base else "0",
             "",
         ]
     )
     text = (
-        f"{format_table(rows)}\n\n{figures['stored_triangles']:,} triangles are kept for "
-        f"{figures['input_triangles']:,} of the input, in {format_size(figures['bytes'])}."
+        f"{format_table(rows)}\n\n{metrics['stored_triangles']:,} triangles are kept for "
+        f"{metrics['input_triangles']:,} of the input, in {format_size(metrics['bytes'])}."
     )
-    if figures["one_sided"]:
+    if metrics["one_sided"]:
         text += (
-            f"\n{figures['dropped_islands']:,} loose pieces, of {figures['dropped_triangles']:,} triangles, "
+            f"\n{metrics['dropped_islands']:,} loose pieces, of {metrics['dropped_triangles']:,} triangles, "
             "were dropped: what is proven holds from each level to the input, and back from all else of it."
         )
     return text
 
 
-def _cut_text(figures: Mapping[str, Any]) -> str:
-    color = figures["color_bound_levels"]
-    proven = "proven" if figures["proven"] else "of the next coarser level, between two that are proven"
-    if figures["one_sided"]:
+def _cut_text(metrics: Mapping[str, Any]) -> str:
+    color = metrics["color_bound_levels"]
+    proven = "proven" if metrics["proven"] else "of the next coarser level, between two that are proven"
+    if metrics["one_sided"]:
         proven += ", but for the loose pieces that were dropped"
     colors = "" if color is None else f" and {format_upper_bound(color)} levels"
     return (
-        f"{figures['triangles']:,} triangles of {figures['nodes']:,} cells, "
-        f"within {format_upper_bound(figures['shape_bound_m'])} m{colors}: {proven}."
+        f"{metrics['triangles']:,} triangles of {metrics['nodes']:,} cells, "
+        f"within {format_upper_bound(metrics['shape_bound_m'])} m{colors}: {proven}."
     )

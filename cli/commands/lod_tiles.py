@@ -89,29 +89,29 @@ def tiles(
             f"{target}: {full:,} images have coarser texels than requested, because their side is limited to "
             f"{tiles.image_side:,} texels (--set tiles.image_side)"
         )
-    figures = {"output": str(target / TILESET), **written.figures()}
-    out.result(figures, None if out.as_json else _text(figures))
+    metrics = {"output": str(target / TILESET), **written.to_dict()}
+    out.result(metrics, None if out.as_json else _text(metrics))
 
 
-def _text(figures: Mapping[str, Any]) -> str:
+def _text(metrics: Mapping[str, Any]) -> str:
     return (
-        f"{figures['output']}: {figures['tiles']:,} tiles, {format_size(figures['total_bytes'])}; "
-        f"the root {format_size(figures['root_bytes'])}, the median {format_size(figures['median_bytes'])}, "
-        f"the largest {format_size(figures['largest_bytes'])}.\n"
-        f"Positions have {figures['positions']}, on a grid of {figures['grid_step_m']:.3g} m, which moves "
-        f"them by at most {format_upper_bound(figures['grid_displacement_m'])} m; this is in each "
-        "geometricError." + ("" if figures["images"] is None else f"\n{_images_text(figures['images'])}")
+        f"{metrics['output']}: {metrics['tiles']:,} tiles, {format_size(metrics['total_bytes'])}; "
+        f"the root {format_size(metrics['root_bytes'])}, the median {format_size(metrics['median_bytes'])}, "
+        f"the largest {format_size(metrics['largest_bytes'])}.\n"
+        f"Positions have {metrics['positions']}, on a grid of {metrics['grid_step_m']:.3g} m, which moves "
+        f"them by at most {format_upper_bound(metrics['grid_displacement_m'])} m; this is in each "
+        "geometricError." + ("" if metrics["images"] is None else f"\n{_images_text(metrics['images'])}")
     )
 
 
-def _images_text(figures: Mapping[str, Any]) -> str:
-    width, height = figures["root_size"]
-    rms = figures["color_rms_levels_sampled"]
+def _images_text(metrics: Mapping[str, Any]) -> str:
+    width, height = metrics["root_size"]
+    rms = metrics["color_rms_levels_sampled"]
     return (
-        f"Of that, images are {format_size(figures['total_bytes'])}: the median "
-        f"{format_size(figures['median_bytes'])}, the root's {format_size(figures['root_bytes'])} of "
-        f"{width} × {height} texels; a texel is {figures['finest_texel_m']:.3g} to "
-        f"{figures['coarsest_texel_m']:.3g} m wide.\n"
+        f"Of that, images are {format_size(metrics['total_bytes'])}: the median "
+        f"{format_size(metrics['median_bytes'])}, the root's {format_size(metrics['root_bytes'])} of "
+        f"{width} × {height} texels; a texel is {metrics['finest_texel_m']:.3g} to "
+        f"{metrics['coarsest_texel_m']:.3g} m wide.\n"
         f"Colours differ from the model's by {rms['median']:.3g} levels RMS in the median tile and "
         f"{rms['largest']:.3g} in the worst, as sampled."
     )

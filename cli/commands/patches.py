@@ -43,18 +43,18 @@ def patches(source: MeshFile, target: NewMesh, patches: PatchParams, out: Output
         remark_written(target, colored, out)
     else:
         write_mesh_file(target, colored, out)
-    figures = {"output": str(target), **found.figures()}
-    out.result(figures, None if out.as_json else _patches_text(figures))
+    metrics = {"output": str(target), **found.to_dict()}
+    out.result(metrics, None if out.as_json else _patches_text(metrics))
 
 
-def _patches_text(figures: Mapping[str, Any]) -> str:
+def _patches_text(metrics: Mapping[str, Any]) -> str:
     rows = [["largest patches", "area m²", "triangles", "thickness m", "normal"]]
-    for number, patch in enumerate(figures["largest_patches"]):
+    for number, patch in enumerate(metrics["largest_patches"]):
         normal = " ".join(f"{x:.2f}" for x in patch["normal"])
         area, thickness = f"{patch['area_m2']:.4g}", f"{patch['thickness_m']:.3g}"
         rows.append([str(number), area, f"{patch['triangles']:,}", thickness, normal])
-    few = figures["patches_of_half_the_area"]
+    few = metrics["patches_of_half_the_area"]
     return (
-        f"{figures['patches']:,} patches, {figures['area_m2']:.4g} m²; half of that in the {few:,} largest."
+        f"{metrics['patches']:,} patches, {metrics['area_m2']:.4g} m²; half of that in the {few:,} largest."
         f"\n\n{format_table(rows)}"
     )

@@ -62,4 +62,4 @@ def probe(
         with write_file_atomically(target) as draft:
             draft.write_text(text, encoding="utf-8", newline="\n")
     output = {"output": str(target)} if write else {}
-    out.result({**output, **found.figures()}, None if out.as_json or write else text)
+    out.result({**output, **found.to_dict()}, None if out.as_json or write else text)

@@ -52,6 +52,6 @@ def register(
         )
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
-        figures = write_poses(draft, stages.register(source, register, progress=progress))
-    warn_skipped_frames(figures["frames_skipped"])
-    out.result({"output": str(target), **figures})
+        metrics = write_poses(draft, stages.register(source, register, progress=progress))
+    warn_skipped_frames(metrics["frames_skipped"])
+    out.result({"output": str(target), **metrics})

@@ -193,17 +193,17 @@ def render(
     if picture.scale_bar and bar is None:
         emit(RENDER_NOTHING_TO_DRAW.warning("there is no scale bar, because the picture is empty."))
     target.parent.mkdir(parents=True, exist_ok=True)
-    figures: dict[str, Any] = {"output": str(target), "viewpoint": views[0].name}
+    metrics: dict[str, Any] = {"output": str(target), "viewpoint": views[0].name}
     camera, shading = views[0].camera, picture.shading
     if is_video:
         _write_video(target, panels, views, shading, bar, TurntableParams(**turntable), out)
-        figures |= {"frames": len(views)}
+        metrics |= {"frames": len(views)}
     else:
         write_png(target, panels.draw(views[0], shading, bar))  # type: ignore[arg-type]
-    figures |= {"width_px": camera.width, "height_px": camera.height}
+    metrics |= {"width_px": camera.width, "height_px": camera.height}
     if bar is not None:
-        figures |= {"scale_bar_m": bar.length, "scale_bar_at_m": bar.depth}
-    out.result(figures)
+        metrics |= {"scale_bar_m": bar.length, "scale_bar_at_m": bar.depth}
+    out.result(metrics)
 
 
 def _free_view(eye: Point | None, look: Point | None) -> tuple[Point, Point] | None:

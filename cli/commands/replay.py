@@ -32,5 +32,5 @@ def replay(
     require_new_file(target, MESH_SUFFIXES)
     replayed = stages.load_record(require_file(record)).replay(replay)
     write_mesh_file(target, replayed.mesh, out)
-    figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
-    out.result({"output": str(target), **figures, "collapses": replayed.collapses})
+    metrics = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
+    out.result({"output": str(target), **metrics, "collapses": replayed.collapses})

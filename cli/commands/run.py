@@ -110,7 +110,7 @@ def run(
         )
     if plot is not None:
         _plot(plot, result)
-    out.result(result.figures(), _summary(result))
+    out.result(result.to_dict(), _summary(result))
 
 
 def _plot(path: Path, result: RunResult) -> None:
@@ -124,7 +124,7 @@ def _plot(path: Path, result: RunResult) -> None:
 
 def _print_plan(found: DryRun, out: Output) -> None:
     """Print what a run would do."""
-    figures = found.figures()
+    metrics = found.to_dict()
     rows = [["stage", "", "seconds", "memory", "expected from"]]
     for one in found.stages:
         take = one.estimate
@@ -148,7 +148,7 @@ def _print_plan(found: DryRun, out: Output) -> None:
             "",
             f"about {found.seconds:.0f} s, and {format_size(found.memory_bytes)} at the most",
         ]
-    out.result(figures, "\n".join(lines))
+    out.result(metrics, "\n".join(lines))
 
 
 # Sources of an expected time, in words.

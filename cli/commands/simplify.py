@@ -145,9 +145,9 @@ def simplify(
         proven = simplified.details
         write_bounds(save_bounds, simplified.mesh, proven.shape_bound, proven.color_bound, out)
     target_bytes = measure_stored_bytes(target, simplified.mesh)
-    figures = {
+    metrics = {
         "output": str(target),
-        **simplified.figures(),
+        **simplified.to_dict(),
         "input_bytes": source_bytes,
         "output_bytes": target_bytes,
         **({"position_error_m": rounding} if rounding else {}),
@@ -161,7 +161,7 @@ def simplify(
                 input_bytes=source_bytes,
             )
         )
-    text = _text(simplified, figures)
+    text = _text(simplified, metrics)
     if simplified.default_max_shape is not None:
         text += f"\n\n{_default_bound(simplified)}"
     if simplified.kept_images is not None:
@@ -171,7 +171,7 @@ def simplify(
             f"levels, {kept.baked_rmse_levels:.3g} levels with baked images (--bake)."
         )
     if simplified.baked is not None:
-        text += f"\n\n{format_bake(simplified.baked.figures())}"
+        text += f"\n\n{format_bake(simplified.baked.to_dict())}"
     if rounding:
         text += (
             f"\n\nOUT is compressed as IN is ({packing.compress}): positions are rounded by at most "
@@ -179,12 +179,12 @@ def simplify(
         )
     if simplified.details.describe():
         text += f"\n\n{simplified.details.describe()}"
-    out.result(figures, text)
+    out.result(metrics, text)
 
 
-def _text(simplified: SimplificationResult[Any], figures: Mapping[str, Any]) -> str:
+def _text(simplified: SimplificationResult[Any], metrics: Mapping[str, Any]) -> str:
     """Return the metrics without warnings and tables."""
-    shown = {**figures, **simplified.details.figures()}
+    shown = {**metrics, **simplified.details.to_dict()}
     for name in ("details", "baked", "default_max_shape_m"):
         shown.pop(name, None)
     return format_lines({name: value for name, value in shown.items() if not _is_table(value)})

@@ -78,10 +78,10 @@ def texture(
     if maps is not None:
         with new_folder(maps) as draft:
             write_maps(draft, textured)
-    figures = textured.figures()
-    warn_skipped_frames(figures["frames_skipped"])
+    metrics = textured.to_dict()
+    warn_skipped_frames(metrics["frames_skipped"])
     up_axis = None if direction is None else direction.tolist()
-    out.result({"output": str(target), **figures, "up": up_axis})
+    out.result({"output": str(target), **metrics, "up": up_axis})
 
 
 def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:

@@ -80,7 +80,7 @@ def tradeoff(
                 bound=found.criterion,
             )
         )
-    out.result(found.figures(), _text(found))
+    out.result(found.to_dict(), _text(found))
 
 
 def _count(word: str) -> int:

@@ -216,7 +216,7 @@ def compute_normal_angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[
 
 def count_irregular(mesh: Mesh) -> int:
     """Count the defects that repairs can remove: caps, needles, folds, spikes and the like."""
-    found = check(mesh, corner_angle=MIN_ANGLE_DEG).figures()["classes"]
+    found = check(mesh, corner_angle=MIN_ANGLE_DEG).to_dict()["classes"]
     return sum(one["count"] for one in found.values() if one["treatment"] == "marking")
 
 

@@ -65,7 +65,7 @@ def write_adjusted(folder: Path, adjustment: Adjustment) -> Mapping[str, Any]:
         "shutter_turns": _collect_shutter_rotations(adjustment),
     }
     (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
-    return adjustment.figures()
+    return adjustment.to_dict()
 
 
 def apply_adjusted(scan: Scan, folder: Path) -> Scan:

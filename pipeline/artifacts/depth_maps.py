@@ -57,7 +57,7 @@ class _WrittenFrame:
     frame: Frame
     points: NDArray[np.float32]
     colors: ColorImage
-    figures: dict[str, Any]
+    metrics: dict[str, Any]
 
 
 def choose_matcher(scan: Scan) -> Callable[..., Any]:
@@ -114,8 +114,8 @@ def write_depth_maps(
     write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))
     return {
         "frames_used": len(written),
-        "frames_skipped": [one.figures() for one in skipped],
-        **_average_metrics([one.figures for one in written]),
+        "frames_skipped": [one.to_dict() for one in skipped],
+        **_average_metrics([one.metrics for one in written]),
         "points": len(points),
     }
 
@@ -147,7 +147,7 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, max_points
         timestamp=None,
     )
     return _WrittenFrame(
-        kept, *sample_point_cloud(result.depth, result.color, frame, max_points), result.figures()
+        kept, *sample_point_cloud(result.depth, result.color, frame, max_points), result.to_dict()
     )
 
 
@@ -208,11 +208,11 @@ def sample_point_cloud(
     return points.astype(np.float32), color.reshape(-1, 3)[chosen]
 
 
-def _average_metrics(figures: list[dict[str, Any]]) -> dict[str, Any]:
+def _average_metrics(metrics: list[dict[str, Any]]) -> dict[str, Any]:
     """Aggregate per-frame metrics: the common value if all frames agree, else the mean."""
     summary = {}
-    for name in figures[0]:
-        values = [one[name] for one in figures if one[name] is not None]
+    for name in metrics[0]:
+        values = [one[name] for one in metrics if one[name] is not None]
         equal = all(value == values[0] for value in values[1:])
         summary[name] = None if not values else values[0] if equal else float(np.mean(values))
     return summary

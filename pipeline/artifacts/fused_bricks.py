@@ -55,7 +55,7 @@ class CachedBrickStore:
         def write_brick(folder: Path) -> Mapping[str, Any]:
             make(folder)
             self._get_scan_digest().require_unchanged(self._scan.frames[number] for number in frames)
-            return {"figures": {}, "made": {}}
+            return {"metrics": {}, "made": {}}
 
         return self._context.store(self._make_recipe(brick, frames, inputs), write_brick).folder
 

@@ -110,7 +110,7 @@ def write_poses(
     text = json.dumps(make_paths_relative(document, scan_folder), indent=1)
     (folder / _FILE).write_text(text + "\n", encoding="utf-8", newline="\n")
     write_ply_cloud(folder / "path.ply", *_make_path_cloud(registration.frames))
-    return registration.figures()
+    return registration.to_dict()
 
 
 def _write_masks(folder: Path, frames: Mapping[int, Frame]) -> None:

@@ -19,8 +19,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from scanloom.pipeline.batch.figures import count_written_bytes, figures_of
 from scanloom.pipeline.batch.job_records import DONE, FAILED, UNMET, UNUSABLE
+from scanloom.pipeline.batch.metrics import count_written_bytes, metrics_of
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.error_conversion import convert_os_errors
@@ -91,7 +91,7 @@ def _execute_job(job: Mapping[str, Any], link: WorkerChannel) -> dict[str, Any]:
     """Run a job and return its outcome; no exception escapes but KeyboardInterrupt."""
     started = time.perf_counter()
     events = _ProgressForwarder(link)
-    figures: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
     diagnostics: list[Diagnostic] = []
     written = 0
     try:
@@ -100,7 +100,7 @@ def _execute_job(job: Mapping[str, Any], link: WorkerChannel) -> dict[str, Any]:
             result = _run_job(job, link, events)
         reason = " ".join(map(str, result.unmet_requirements))
         state = UNMET if reason else DONE
-        figures, written = figures_of(result), count_written_bytes(result)
+        metrics, written = metrics_of(result), count_written_bytes(result)
     except ScanloomError as error:
         is_input = isinstance(error, (InputError, UsageError))
         state, reason = (UNUSABLE if is_input else FAILED), str(error)
@@ -112,8 +112,8 @@ def _execute_job(job: Mapping[str, Any], link: WorkerChannel) -> dict[str, Any]:
         "state": state,
         "reason": reason,
         "seconds": seconds,
-        "diagnostics": [one.figures() for one in dict.fromkeys(diagnostics)],
-        "figures": figures,
+        "diagnostics": [one.to_dict() for one in dict.fromkeys(diagnostics)],
+        "metrics": metrics,
         "written": written,
     }
 

@@ -35,7 +35,7 @@ from scanloom.stages.files.path_safety import is_safe_relative_path
 
 QUEUE_FOLDER = "queue"
 _JOBS_FILE = "jobs.jsonl"
-_FORMAT_VERSION = 1
+_FORMAT_VERSION = 2
 # Names in OUT that a scan must not use.
 RESERVED_NAMES = frozenset({QUEUE_FOLDER, "cache", "index.html", "batch.csv", "batch.parquet", "batch.json"})
 # Seconds to wait for another process to finish writing a queue, and seconds between two checks.

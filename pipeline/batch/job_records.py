@@ -31,7 +31,7 @@ class JobRecord:
     seconds : duration of the job.
     worker : name of the worker.
     attempt : attempt number, from 0.
-    figures : metrics for the tables and the page, by name; empty without a result.
+    metrics : metrics for the tables and the page, by name; empty without a result.
     """
 
     number: int
@@ -42,7 +42,7 @@ class JobRecord:
     worker: str = ""
     attempt: int = 0
     diagnostics: tuple[Diagnostic, ...] = ()
-    figures: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[Diagnostic, ...]:
@@ -58,7 +58,7 @@ class JobRecords:
 
     def write(self, record: JobRecord) -> None:
         """Write the record of an attempt."""
-        values = {**vars(record), "diagnostics": [one.figures() for one in record.diagnostics]}
+        values = {**vars(record), "diagnostics": [one.to_dict() for one in record.diagnostics]}
         text = json.dumps(values, ensure_ascii=False, allow_nan=False)
         write_atomically_unlocked(self._get_path(Claim(record.number, record.attempt)), text.encode())
 
@@ -98,7 +98,7 @@ class JobRecords:
         try:
             values = json.loads(read_input_text(self._get_path(claim), "utf-8"))
             known = {one.name: values[one.name] for one in fields(JobRecord)}
-            diagnostics = tuple(Diagnostic.from_figures(one) for one in known["diagnostics"])
+            diagnostics = tuple(Diagnostic.from_dict(one) for one in known["diagnostics"])
             return JobRecord(**{**known, "diagnostics": diagnostics})
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             why = f"the outcome is unknown, because {self._get_path(claim)} is damaged; run the batch again."

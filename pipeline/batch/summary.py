@@ -14,7 +14,7 @@ from scanloom.pipeline.batch.job_queue import BatchQueue
 from scanloom.pipeline.batch.job_records import DONE, RUNNING, UNUSABLE, WAITING, JobRecord, JobRecords
 
 CSV_FILE, PARQUET_FILE = "batch.csv", "batch.parquet"
-# Columns of a row with their types; metrics are named as in `scanloom.pipeline.batch.figures`.
+# Columns of a row with their types; metrics are named as in `scanloom.pipeline.batch.to_dict`.
 _RECORD_COLUMNS: Mapping[str, type] = {
     "scan": str,
     "state": str,
@@ -93,15 +93,15 @@ class BatchSummary:
                 # Relative to the table, which may be moved together with the results.
                 "out": one.name,
                 "folder": folder,
-                **{name: one.figures.get(name) for name in _FIGURES},
+                **{name: one.metrics.get(name) for name in _FIGURES},
             }
             for one, folder in zip(self.records, self.folders, strict=True)
         ]
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the JSON-ready summary."""
         told = [
-            {**row, "diagnostics": [told.figures() for told in one.diagnostics]}
+            {**row, "diagnostics": [told.to_dict() for told in one.diagnostics]}
             for row, one in zip(self.make_rows(), self.records, strict=True)
         ]
         return {"out": str(self.out), "scans": told, "counts": self.counts}

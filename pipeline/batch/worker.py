@@ -249,8 +249,8 @@ class Worker:
             outcome["seconds"],
             self.name,
             work.claim.attempt,
-            tuple(Diagnostic.from_figures(one) for one in outcome["diagnostics"]),
-            outcome["figures"],
+            tuple(Diagnostic.from_dict(one) for one in outcome["diagnostics"]),
+            outcome["metrics"],
         )
         self._write_record(record)
 

@@ -168,7 +168,7 @@ def compute_label_digests(scan: Scan) -> dict[str, str]:
         for frame in scan.frames
     ]
     world = [
-        scan.up and scan.up.figures(),
+        scan.up and scan.up.to_dict(),
         [_to_plain(frame.up, {}) for frame in scan.frames],
         scan.is_metric,
     ]

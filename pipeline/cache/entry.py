@@ -27,7 +27,7 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.files.input_files import read_input_text
 
 # Increase when the meaning of keys or the format of entries changes; older entries then miss.
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 MANIFEST = "manifest.json"
 IN_USE_LOCK = "in-use.lock"
@@ -94,15 +94,15 @@ class Entry:
         return compute_digest(self.files)
 
     @property
-    def figures(self) -> dict[str, Any]:
+    def metrics(self) -> dict[str, Any]:
         """Metrics and statistics returned by the stage."""
-        figures: dict[str, Any] = self.manifest["figures"]
-        return figures
+        metrics: dict[str, Any] = self.manifest["metrics"]
+        return metrics
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics emitted when the result was computed."""
-        return tuple(Diagnostic.from_figures(one) for one in self.manifest.get("diagnostics", ()))
+        return tuple(Diagnostic.from_dict(one) for one in self.manifest.get("diagnostics", ()))
 
     def close(self) -> None:
         """Release the entry, which other processes may then remove."""

@@ -141,7 +141,7 @@ class Cache:
 
         Parameters
         ----------
-        make : writes the files of the stage into a given empty folder and returns manifest fields: `figures`,
+        make : writes the files of the stage into a given empty folder and returns manifest fields: `metrics`,
             and `made` with seconds and memory, which do not affect the result.
         replace : replace an existing entry. If False and another process stored the entry first, that entry
             is returned and the new files are discarded.

@@ -32,12 +32,12 @@ def evaluate_held_out(
     """
     found = evaluate_held_out_photos(mesh, held_out, progress)
     if folder is None:
-        return found.figures(), []
+        return found.to_dict(), []
     names = []
     for which, picture in found.comparison_images.items():
         names.append(f"held-out-{which}.png")
         write_png(folder / names[-1], picture)
-    return found.figures(), names
+    return found.to_dict(), names
 
 
 def transfer_neighbour_poses(

@@ -159,8 +159,8 @@ def _measure_from_fused(meshes: _MeasuredMeshes, params: CompareParams) -> dict[
     """
     if "fused" in meshes.large:
         found, _ = compare_chunked(meshes.large["fused"], meshes.small["simplified"], params, box=meshes.box)
-        return found.figures()
-    return compare_surfaces(meshes.get_surface("fused"), meshes.get_surface("simplified"), params).figures()
+        return found.to_dict()
+    return compare_surfaces(meshes.get_surface("fused"), meshes.get_surface("simplified"), params).to_dict()
 
 
 def _measure_from_clean(
@@ -186,7 +186,7 @@ def _measure_from_clean(
         clean = NeedleSafeSurface(meshes.get_surface("clean"), box)
         compared = compare_needle_safe(clean, NeedleSafeSurface(meshes.get_surface("simplified"), box), fewer)
         found = measure_deviations_from(clean, result, signed)
-    return compared.figures(), write_deviations(folder, found)
+    return compared.to_dict(), write_deviations(folder, found)
 
 
 def measure_simplified(final: Mesh) -> dict[str, Any]:
@@ -199,11 +199,11 @@ def measure_simplified(final: Mesh) -> dict[str, Any]:
         "oriented": found.is_oriented,
         "boundary_loops": found.boundary_loops,
         "components": found.components,
-        "edges": edge_figures(final),
+        "edges": edge_metrics(final),
     }
 
 
-def edge_figures(mesh: Mesh) -> dict[str, Any]:
+def edge_metrics(mesh: Mesh) -> dict[str, Any]:
     """Return statistics of edge lengths; each edge counts once."""
     ends = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     count = len(mesh.vertices)
@@ -329,18 +329,18 @@ def measure_and_draw_levels(
     """
     fewer = replace(compare_params, samples=math.ceil(compare_params.samples / 4))
     box = compute_bounding_box(original, *levels)
-    reference, figures, images = RaycastingSurface(original, box), [], {}
+    reference, metrics, images = RaycastingSurface(original, box), [], {}
     for level, mesh in enumerate(levels):
         surface = RaycastingSurface(mesh, box)
         found = compare_surfaces(reference, surface, fewer)
         counts = {"level": level, "vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
-        figures.append(counts | {"to_simplified": found.figures()})
+        metrics.append(counts | {"to_simplified": found.to_dict()})
         if folder is not None:
             images[f"remeshed-level_{level}.png"] = RenderModel(surface).draw(viewpoint, "edges")
     if folder is None:
-        return {"levels": figures, "full_scale_m": None}, []
+        return {"levels": metrics, "full_scale_m": None}, []
     painted, full_scale = paint_distances(original, surface)
     images["remeshed-distance.png"] = RenderModel(RaycastingSurface(painted, box)).draw(viewpoint)
     for name, image in images.items():
         write_png(folder / name, image)
-    return {"levels": figures, "full_scale_m": full_scale}, list(images)
+    return {"levels": metrics, "full_scale_m": full_scale}, list(images)

@@ -30,14 +30,14 @@ class StoredDeviations:
 
     Attributes
     ----------
-    figures : metrics of `scanloom.Deviations`, without a tolerance.
+    metrics : metrics of `scanloom.Deviations`, without a tolerance.
     quantiles : (_STEPS + 1,) quantiles of the deviation over the surface, in metres, ascending and at equal
         probability steps.
     vertices : (n, 3) vertices of the measured mesh.
     at_vertices : (n,) deviations at the vertices, in metres.
     """
 
-    figures: Mapping[str, Any]
+    metrics: Mapping[str, Any]
     quantiles: Floats
     vertices: Floats
     at_vertices: Floats
@@ -52,7 +52,7 @@ def make_stored_deviations(deviations: Deviations) -> StoredDeviations:
     """Convert deviations to their stored form."""
     quantiles = np.quantile(deviations.sample_distances, np.linspace(0, 1, _QUANTILE_STEPS + 1))
     return StoredDeviations(
-        deviations.figures(), quantiles, deviations.painted_mesh.vertices, deviations.vertex_distances
+        deviations.to_dict(), quantiles, deviations.painted_mesh.vertices, deviations.vertex_distances
     )
 
 
@@ -64,9 +64,9 @@ def write_deviations(folder: Path, deviations: Deviations) -> dict[str, Any]:
         deviations.painted_mesh,
         vertex_values={VERTEX_PROPERTY: stored.at_vertices.astype(np.float32)},
     )
-    document = {"figures": stored.figures, "quantiles_m": stored.quantiles.tolist()}
+    document = {"metrics": stored.metrics, "quantiles_m": stored.quantiles.tolist()}
     (folder / FIGURES).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
-    return dict(stored.figures)
+    return dict(stored.metrics)
 
 
 def read_deviations(folder: Path) -> StoredDeviations | None:
@@ -91,4 +91,4 @@ def read_deviations(folder: Path) -> StoredDeviations | None:
         )
     if quantiles.shape != (_QUANTILE_STEPS + 1,) or not (np.diff(quantiles) >= 0).all():
         raise ValueError(quantiles.shape)
-    return StoredDeviations(document["figures"], quantiles, mesh.vertices, values)
+    return StoredDeviations(document["metrics"], quantiles, mesh.vertices, values)

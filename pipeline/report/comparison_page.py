@@ -38,7 +38,7 @@ def make_comparison_page(
     meshes: tuple[Mesh, Mesh],
     deviations: Deviations,
     changes: Changes | None,
-    figures: Mapping[str, Any],
+    metrics: Mapping[str, Any],
     max_bytes: int,
     palette: str = "metrology",
 ) -> bytes:
@@ -50,7 +50,7 @@ def make_comparison_page(
     meshes : A and B; point clouds are shown as small triangles.
     deviations : deviation of B from A, coloured with `palette`.
     changes : parts added in B and missing from A, if requested.
-    figures : metrics of the command `compare`.
+    metrics : metrics of the command `compare`.
     max_bytes : target size of the page; a warning is emitted if the page remains larger.
     palette : "metrology" or "safe".
     """
@@ -68,7 +68,7 @@ def make_comparison_page(
         models["change"] = _make_page_source(_shade_colors(changes.painted_mesh), up, note)
     turn = compute_page_rotation(next(iter(models.values())).mesh)
     away = _FLY_DISTANCE_RATIO * float(np.linalg.norm(np.ptp(deviations.painted_mesh.vertices, axis=0)))
-    report_data = {"tables": list(_make_tables(figures, turn, away))}
+    report_data = {"tables": list(_make_tables(metrics, turn, away))}
     return make_packed_page(f"{names[1]} compared with {names[0]}", models, max_bytes, report_data)
 
 
@@ -120,19 +120,19 @@ def _shade_colors(mesh: Mesh) -> Mesh:
 
 
 def _make_tables(
-    figures: Mapping[str, Any], turn: NDArray[np.float64], away: float
+    metrics: Mapping[str, Any], turn: NDArray[np.float64], away: float
 ) -> Sequence[dict[str, Any]]:
     def make_targets(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         return [{"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in found]
 
-    deviation = figures["deviation"]
+    deviation = metrics["deviation"]
     tables = [
         *make_deviation_tables(
             deviation, None, make_targets(deviation["worst"]), "Deviation of B from A, sampled"
         ),
-        _make_distance_table(figures["distance"]),
+        _make_distance_table(metrics["distance"]),
     ]
-    change = figures["change"]
+    change = metrics["change"]
     if change is not None and change["largest"]:
         tables.append({
             "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other model, largest first",
@@ -143,8 +143,8 @@ def _make_tables(
             ],
             "places": make_targets(change["largest"]),
         })  # fmt: skip
-    if figures["views"] is not None:
-        tables.append(_make_view_table(figures["views"]))
+    if metrics["views"] is not None:
+        tables.append(_make_view_table(metrics["views"]))
     return tables
 
 

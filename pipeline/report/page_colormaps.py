@@ -43,10 +43,10 @@ def make_deviation_colormap(
     is_metric : True if lengths are in metres; False if in units of the scan.
     """
     max_deviation = max(
-        float(deviations.figures["absolute_percentiles_m"][_RANGE_PERCENTILE]), 2 * (bound or 0.0), _TINY
+        float(deviations.metrics["absolute_percentiles_m"][_RANGE_PERCENTILE]), 2 * (bound or 0.0), _TINY
     )
     within = bound if bound is not None else _DEFAULT_TOLERANCE_RATIO * max_deviation
-    is_signed = bool(deviations.figures["is_signed"])
+    is_signed = bool(deviations.metrics["is_signed"])
     edges = np.linspace(-max_deviation if is_signed else 0.0, max_deviation, _STEPS + 1)
     middles = (edges[1:] + edges[:-1]) / 2
     # Deviations beyond the scale count for its last steps.

@@ -13,11 +13,11 @@ from scanloom.stages.printing import format_position, format_upper_bound
 def summarize_report(report: Mapping[str, Any]) -> dict[str, Any]:
     """Convert report.json to the report data of `make_single_file_page`, warnings first."""
     scan, stages = report.get("scan", {}), report.get("stages", {})
-    figures = [
+    metrics = [
         *scan.get("diagnostics", []),
         *(one for about in stages.values() for one in about.get("diagnostics", [])),
     ]
-    warnings = [str(Diagnostic.from_figures(one)) for one in figures if one["severity"] != Severity.INFO]
+    warnings = [str(Diagnostic.from_dict(one)) for one in metrics if one["severity"] != Severity.INFO]
     tables = []
     if stages:
         rows = [
@@ -55,7 +55,7 @@ def list_skipped_frames(report: Mapping[str, Any]) -> dict[str, str]:
     of_scan = get_nested(report, "scan", "frames_skipped", default=[])
     found = {str(one["frame"]): str(one["reason"]) for one in of_scan}
     for stage, about in report.get("stages", {}).items():
-        for one in get_nested(about, "figures", "frames_skipped", default=[]):
+        for one in get_nested(about, "metrics", "frames_skipped", default=[]):
             found.setdefault(str(one["frame"]), f"{stage}: {one['reason']}")
     return found
 

@@ -99,12 +99,12 @@ def make_run_page(folder: Path, max_bytes: int) -> bytes:
             colormaps["deviation"] = make_deviation_colormap(stored, bound, is_metric=is_metric)
             targets = [
                 {"target": (rotation @ np.array(one["point_m"])).tolist(), "away": away}
-                for one in stored.figures["worst"]
+                for one in stored.metrics["worst"]
             ]
             within = None if bound is None else stored.compute_ratio_within(-bound, bound)
-            figures = {**stored.figures, "tolerance_m": bound, "within_ratio": within}
+            metrics = {**stored.metrics, "tolerance_m": bound, "within_ratio": within}
             report_data["tables"] = [
-                *make_deviation_tables(figures, proven, targets, is_metric=is_metric),
+                *make_deviation_tables(metrics, proven, targets, is_metric=is_metric),
                 *report_data.get("tables", ()),
             ]
     coverage = read_coverage(folder, result.up, rotation, is_metric=is_metric)
@@ -149,7 +149,7 @@ def _transfer_deviations(stored: StoredDeviations, result: Mesh) -> StoredDeviat
 def _read_bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float | None]:
     """Return the requested and the proven shape bound in metres, each or None."""
     asked = get_nested(report, "stages", "simplify", "params", "simplify", "max_shape")
-    proven = get_nested(report, "stages", "simplify", "figures", "details", "shape_bound_m")
+    proven = get_nested(report, "stages", "simplify", "metrics", "details", "shape_bound_m")
     with convert_parse_errors(path):
         return (None if asked is None else float(asked)), (None if proven is None else float(proven))
 

@@ -39,7 +39,7 @@ class StageForecast:
     reason: str
     estimate: ResourceEstimate | None
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the prediction as JSON values."""
         estimate = self.estimate
         return {
@@ -80,14 +80,14 @@ class DryRun:
         """Expected peak memory in bytes over all stages."""
         return max((one.estimate.memory_bytes for one in self.stages if one.estimate is not None), default=0)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the predictions as JSON values."""
         return {
             "dry_run": True,
             "out": str(self.out),
             "cache": str(self.cache),
             "scan": {"layout": self.layout, "frames": self.frames},
-            "stages": {one.stage: one.figures() for one in self.stages},
+            "stages": {one.stage: one.to_dict() for one in self.stages},
             "expected_seconds": round(self.seconds, 1),
             "expected_memory_mb": round(self.memory_bytes / 1e6),
             "refused": self.refusal_reason,

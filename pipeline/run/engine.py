@@ -71,7 +71,7 @@ class StageOutcome:
     reason: str
     seconds: float
     params: Mapping[str, Any]
-    figures: Mapping[str, Any]
+    metrics: Mapping[str, Any]
     compute_cost: Mapping[str, Any]
     folder: Path
     results: tuple[Path, ...]
@@ -186,7 +186,7 @@ class Engine:
         self._add_result(stage, entry)
         placed = self.output_folder.place_files(stage.name, entry, stage.result_names, inputs)
         seconds = time.perf_counter() - started
-        self._events(StageFinished(stage.name, cached, seconds, miss_reason, entry.figures, placed))
+        self._events(StageFinished(stage.name, cached, seconds, miss_reason, entry.metrics, placed))
         diagnostics = tuple(one.replace_location_fields(stage=stage.name) for one in entry.diagnostics)
         emit(*diagnostics)
         return StageOutcome(
@@ -195,7 +195,7 @@ class Engine:
             miss_reason,
             seconds,
             recipe.params,
-            entry.figures,
+            entry.metrics,
             entry.manifest["made"],
             entry.folder,
             placed,
@@ -218,7 +218,7 @@ class Engine:
         started = time.perf_counter()
         # Diagnostics are emitted after the stage, as for a cached result.
         with convert_os_errors(f"{stage.name} failed"), collecting(forward=False) as diagnostics:
-            figures = stage.run(
+            metrics = stage.run(
                 stage.inputs(**{name: value for name, value in inputs.items() if name not in stage.labels}),
                 getattr(self._config, stage.name),
                 Context(
@@ -237,7 +237,7 @@ class Engine:
         }
         for name in inputs:
             self._sources[name].require_unchanged()
-        record = {"figures": to_json_values(figures), "diagnostics": [one.figures() for one in diagnostics]}
+        record = {"metrics": to_json_values(metrics), "diagnostics": [one.to_dict() for one in diagnostics]}
         return {**make_paths_relative(record, self._scan_folder), "made": made}
 
     def _get_part(self, forced: bool, recipe: Recipe) -> Entry | None:

@@ -52,7 +52,7 @@ class StageFinished:
     cached : True if the result was in the cache.
     seconds : time spent in this run.
     reason : why the result was computed; empty if cached.
-    figures : JSON-ready metrics, with units in the keys.
+    metrics : JSON-ready metrics, with units in the keys.
     results : files placed in the output folder.
     """
 
@@ -60,7 +60,7 @@ class StageFinished:
     cached: bool
     seconds: float
     reason: str = ""
-    figures: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, Any] = field(default_factory=dict)
     results: tuple[Path, ...] = ()
 
 

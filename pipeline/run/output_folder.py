@@ -26,7 +26,7 @@ from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 from scanloom.stages.files.input_files import read_input_text
 from scanloom.stages.files.path_safety import is_safe_relative_path
 
-_FORMAT_VERSION = 1
+_FORMAT_VERSION = 2
 
 
 class OutputFolder:

@@ -43,11 +43,11 @@ def compose_report(
         "scan": {
             "layout": scan.layout,
             "frames": len(scan.frames),
-            "frames_skipped": [one.figures() for one in scan.skipped_frames],
-            "diagnostics": [one.figures() for one in diagnostics],
+            "frames_skipped": [one.to_dict() for one in scan.skipped_frames],
+            "diagnostics": [one.to_dict() for one in diagnostics],
             # If false, lengths in all metrics are in units of the scan instead of metres.
             "metric": scan.is_metric,
-            "scale": scan.scale and scan.scale.figures(),
+            "scale": scan.scale and scan.scale.to_dict(),
         },
         "stages": {outcome.stage: _describe_stage(outcome, out) for outcome in outcomes},
         "mesh": final.get("mesh"),
@@ -71,7 +71,7 @@ def _describe_stage(outcome: StageOutcome, out: Path) -> dict[str, Any]:
         "compute_seconds": outcome.compute_cost["seconds"],
         "peak_memory_mb": round(outcome.compute_cost["peak_memory_bytes"] / 1e6, 1),
         "params": outcome.params,
-        "figures": {} if stage is not None and stage.is_summary else outcome.figures,
-        "diagnostics": [one.figures() for one in outcome.diagnostics],
+        "metrics": {} if stage is not None and stage.is_summary else outcome.metrics,
+        "diagnostics": [one.to_dict() for one in outcome.diagnostics],
         "results": [path.relative_to(out).as_posix() for path in outcome.results],
     }

@@ -83,10 +83,10 @@ def _record_voxel_size(one: Manifest, voxels: dict[str, tuple[float, FuseParams]
     """Record the voxel size behind a result, by the content digest of the result."""
     recipe = one["recipe"]
     voxel_size = next((voxels[content] for content in recipe["inputs"].values() if content in voxels), None)
-    if one["figures"].get("voxel_size_m"):
+    if one["metrics"].get("voxel_size_m"):
         stated = recipe["params"].get(recipe["stage"], {})
         known = {name: stated[name] for name in ("voxel_size", "voxel_factor") if name in stated}
-        voxel_size = (float(one["figures"]["voxel_size_m"]), FuseParams(**known))
+        voxel_size = (float(one["metrics"]["voxel_size_m"]), FuseParams(**known))
     if voxel_size is not None:
         voxels[_compute_content_digest(one)] = voxel_size
 

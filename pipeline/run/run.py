@@ -119,7 +119,7 @@ class RunResult:
         """Requirements that were not met."""
         return tuple(one for one in self.diagnostics if one.severity is Severity.UNMET)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the report with the paths of output folder, cache and page."""
         page = None if self.page is None else str(self.page)
         return {"out": str(self.out), "cache": str(self.cache), **self.report, "page": page}
@@ -229,7 +229,7 @@ def prepare_run(
                     "register.refine has no effect, because adjust refines the poses of frames with colour"
                 )
             )
-        warn_skipped_frames([one.figures() for one in scan.skipped_frames])
+        warn_skipped_frames([one.to_dict() for one in scan.skipped_frames])
         planned = tuple(names[: names.index(until) + 1])
         photos = (
             _read_photos(config, scan)
@@ -309,7 +309,7 @@ def _run_stages(
         outcomes = tuple(engine.run(planned[-1], prepared.force))
         final = engine.remove_outdated(planned[-1])
         report = compose_report(
-            scan, prepared.diagnostics, outcomes, {} if final is None else final.figures, out
+            scan, prepared.diagnostics, outcomes, {} if final is None else final.metrics, out
         )
         written = engine.output_folder.write_report(report)
         page = _write_page(out, config.report, written, engine.output_folder, events, guard)

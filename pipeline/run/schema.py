@@ -4,4 +4,4 @@ Every such object begins with `"schema": N`. N increases when a key is removed o
 may be added at any time. Version 1 predates the consistent naming of keys.
 """
 
-SCHEMA = 2
+SCHEMA = 3

@@ -52,13 +52,13 @@ def _run(inputs: AdjustInputs, params: AdjustParams, context: Context) -> Mappin
     if found.accepted:
         (context.folder / ADJUSTED_FOLDER).mkdir()
         write_adjusted(context.folder / ADJUSTED_FOLDER, found)
-    figures = found.figures()
+    metrics = found.to_dict()
     # Only check sensor depth: depth from stereo pairs or views has correlated errors that look like pose
     # errors.
     are_given = inputs.poses is None and isinstance(inputs.frames, Scan)
     if checks_poses and are_given and not found.accepted:
         warn_inexact_poses(scan.frames)
-    return figures
+    return metrics
 
 
 def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001

@@ -81,7 +81,7 @@ def write_baked(
     baked = bake(simplified, original, params, progress=progress)
     # Scanned colours already include the lighting of the scene.
     write_gltf(folder / BAKED_FILE, baked.mesh.with_(up=up), shading="unlit")
-    return baked.figures()
+    return baked.to_dict()
 
 
 STAGE = Stage(

@@ -47,7 +47,7 @@ def _run(inputs: CleanInputs, params: CleanParams, context: Context) -> Mapping[
         return clean_chunked(inputs.fused_mesh.path, result, params, progress=context.progress)
     cleaned = clean(inputs.fused_mesh.load(), params)
     write_ply(result, cleaned.mesh)
-    return cleaned.figures()
+    return cleaned.to_dict()
 
 
 def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001

@@ -80,9 +80,9 @@ class CoverageInputs(PosedFrames):
 def _run(inputs: CoverageInputs, params: CoverageSection, context: Context) -> Mapping[str, Any]:
     scan = inputs.load_posed()
     mesh, up = inputs.clean_mesh.load_surface(), inputs.up_direction.load()
-    figures = write_coverage(context.folder, mesh, scan.frames, params, up, context.progress)
-    warn_skipped_frames(figures["frames_skipped"])
-    return figures
+    metrics = write_coverage(context.folder, mesh, scan.frames, params, up, context.progress)
+    warn_skipped_frames(metrics["frames_skipped"])
+    return metrics
 
 
 def _get_skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
@@ -99,9 +99,9 @@ def write_coverage(
 ) -> dict[str, Any]:
     """Analyse the coverage, write coverage.ply, coverage.glb and coverage.json, and return metrics."""
     found = coverage(mesh, frames, params, progress=progress)
-    figures = found.figures()
-    (folder / COVERAGE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
-    summary = {**figures, "places": len(found.defects)}
+    metrics = found.to_dict()
+    (folder / COVERAGE).write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8", newline="\n")
+    summary = {**metrics, "places": len(found.defects)}
     if isinstance(mesh, ChunkedMesh):
         _write_in_chunks(folder / COVERAGE_MESH, found.surface_coverage)
         return summary

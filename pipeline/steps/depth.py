@@ -49,9 +49,9 @@ def _run(inputs: DepthInputs, params: DepthParams, context: Context) -> Mapping[
     if _is_pose_check_enabled(scan, context.config):
         require_view_poses(scan)
     measured = choose_matcher(scan)(scan, params, context.progress)
-    figures = write_depth_maps(context.folder, measured, scan)
-    warn_skipped_frames(figures["frames_skipped"])
-    return figures
+    metrics = write_depth_maps(context.folder, measured, scan)
+    warn_skipped_frames(metrics["frames_skipped"])
+    return metrics
 
 
 def _is_pose_check_enabled(scan: Scan, config: Sections) -> bool:

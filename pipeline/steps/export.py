@@ -81,13 +81,13 @@ def write_models(folder: Path, mesh: Mesh, name: str | None, params: ExportSecti
     mesh : mesh with its up direction.
     name : file name of the uncompressed model; None to write none.
     """
-    figures: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
     if name is not None:
         shaded = mesh.with_(normals=compute_vertex_normals(mesh)) if len(mesh.triangles) else mesh
-        figures["plain"] = export(shaded, folder / name, ExportParams()).figures()
+        metrics["plain"] = export(shaded, folder / name, ExportParams()).to_dict()
     if params.web:
-        figures["web"] = export(mesh, folder / WEB_FILE, preset("web")).figures()
-    return figures
+        metrics["web"] = export(mesh, folder / WEB_FILE, preset("web")).to_dict()
+    return metrics
 
 
 STAGE = Stage(

@@ -67,11 +67,11 @@ def _run(inputs: PosedFrames, params: FuseParams, context: Context) -> Mapping[s
     kept = CachedBrickStore(
         context, scan, _list_versions({}, context.config), list_installed_versions("opencv")
     )
-    figures = write_fused(context.folder, scan, params, kept, context.progress).figures()
+    metrics = write_fused(context.folder, scan, params, kept, context.progress).to_dict()
     if inputs.poses is not None:
         fuse_separate_components(context.folder, given, inputs.poses, params)
-    warn_skipped_frames(figures["frames_skipped"])
-    return figures
+    warn_skipped_frames(metrics["frames_skipped"])
+    return metrics
 
 
 def write_fused(
@@ -138,8 +138,8 @@ def _compute_memory_bound(config: Sections) -> float:
     return BASE_BYTES + 2e6 * config.get(FuseParams).memory
 
 
-def _format_headline(figures: Mapping[str, Any]) -> str:
-    if figures.get("truncation_m") == 0:
+def _format_headline(metrics: Mapping[str, Any]) -> str:
+    if metrics.get("truncation_m") == 0:
         # A single frame is triangulated directly, without a volume.
         return "{triangles:,} triangles from a single frame; depth up to {max_depth_m:.3g} m"
     return (

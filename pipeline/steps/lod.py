@@ -198,7 +198,7 @@ def _write_hierarchy(
     noise: float | None,
 ) -> dict[str, Any]:
     write_slod(folder / LOD_FILE, hierarchy)
-    return hierarchy.figures() | {
+    return hierarchy.to_dict() | {
         "base_error_m": error,
         "base_error_source": source,
         "depth_noise_m": noise,

@@ -39,9 +39,9 @@ def is_registered(scan: Scan, config: Sections) -> bool:
 def _run(inputs: RegisterInputs, params: RegisterParams, context: Context) -> Mapping[str, Any]:
     scan = load_frames(inputs.frames)
     found = register(scan, params, progress=context.progress)
-    figures = write_poses(context.folder, found, scan.folder)
-    warn_skipped_frames(figures["frames_skipped"])
-    return figures
+    metrics = write_poses(context.folder, found, scan.folder)
+    warn_skipped_frames(metrics["frames_skipped"])
+    return metrics
 
 
 def _get_skip_reason(scan: Scan, config: Sections) -> str | None:

@@ -67,7 +67,7 @@ def write_normal_mesh(folder: Path, mesh: Mesh, params: RemeshSection, progress:
     found.write(folder / "remeshed.ply")
     found.write_levels(folder / "levels")
     found.save(folder / "remeshed.snm")
-    return found.figures()
+    return found.to_dict()
 
 
 def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001

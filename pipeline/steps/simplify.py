@@ -77,16 +77,16 @@ def _run(inputs: SimplifyInputs, params: SimplifyParams, context: Context) -> Ma
     simplified: SimplificationResult[Any] | ChunkedSimplifyResult
     if clean.is_large:
         simplified = simplify_chunked(clean.path, params, scratch=folder, progress=context.progress)
-        _write_proof(folder, simplified.figures())
+        _write_proof(folder, simplified.to_dict())
     else:
         simplified = simplify(clean.load(), params, progress=context.progress)
     write_ply(folder / SimplifiedMesh.FILE, simplified.mesh)
-    return simplified.figures()
+    return simplified.to_dict()
 
 
-def _write_proof(folder: Path, figures: Mapping[str, Any]) -> None:
-    proves = any(method.proves_bounds for method in METHODS if method.name == figures["method"])
-    details = figures["details"]
+def _write_proof(folder: Path, metrics: Mapping[str, Any]) -> None:
+    proves = any(method.proves_bounds for method in METHODS if method.name == metrics["method"])
+    details = metrics["details"]
     proven = {field.name: details[field.name] for field in fields(Proof)} if proves else None
     (folder / _PROOF_FILE).write_text(json.dumps(proven) + "\n", encoding="utf-8", newline="\n")
 
@@ -111,8 +111,8 @@ def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, i
     }
 
 
-def _format_headline(figures: Mapping[str, Any]) -> str:
-    return next((one.details.headline for one in METHODS if one.name == figures.get("method")), "")
+def _format_headline(metrics: Mapping[str, Any]) -> str:
+    return next((one.details.headline for one in METHODS if one.name == metrics.get("method")), "")
 
 
 STAGE = Stage(

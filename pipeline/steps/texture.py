@@ -93,9 +93,9 @@ class TextureInputs(PosedFrames):
 def _run(inputs: TextureInputs, params: TextureSection, context: Context) -> Mapping[str, Any]:
     scan = inputs.load_posed() if inputs.photos is None else inputs.photos
     mesh, up = inputs.simplified_mesh.load(), inputs.up_direction.load()
-    figures = write_textured(context.folder, mesh, scan.frames, params, up, context.progress)
-    warn_skipped_frames(figures["frames_skipped"])
-    return figures
+    metrics = write_textured(context.folder, mesh, scan.frames, params, up, context.progress)
+    warn_skipped_frames(metrics["frames_skipped"])
+    return metrics
 
 
 def _list_ignored_inputs(config: Sections) -> Collection[str]:
@@ -126,7 +126,7 @@ def write_textured(
     write_mesh(folder / TEXTURED_FILE, textured.mesh.with_(up=up))
     (folder / TEXTURE_MAPS).mkdir()
     write_maps(folder / TEXTURE_MAPS, textured)
-    return textured.figures()
+    return textured.to_dict()
 
 
 def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:

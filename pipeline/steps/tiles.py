@@ -122,7 +122,7 @@ def write_tileset(
     )
     if params.page:
         write_tileset_page(folder / TILES_FOLDER)
-    return written.figures()
+    return written.to_dict()
 
 
 STAGE = Stage(

@@ -86,7 +86,7 @@ class Adjustment:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the metrics for the report, as JSON values."""
         return {
             "accepted": self.accepted,
@@ -94,11 +94,11 @@ class Adjustment:
             "frames": len(self.frames),
             "frames_adjusted": len(self.adjusted_indices),
             "frames_not_adjusted": self.unadjusted_count,
-            "frames_unusable": [one.figures() for one in self.skipped],
+            "frames_unusable": [one.to_dict() for one in self.skipped],
             "key_frames": self.key_frame_count,
             "points": self.point_count,
-            "outline_offset_before": self.offset_before and self.offset_before.figures(),
-            "outline_offset_after": self.offset_after and self.offset_after.figures(),
+            "outline_offset_before": self.offset_before and self.offset_before.to_dict(),
+            "outline_offset_after": self.offset_after and self.offset_after.to_dict(),
             "transfer_before": self.error_before and _add_px_suffix(self.error_before),
             "transfer_after": self.error_after and _add_px_suffix(self.error_after),
             "color_camera_adjusted": self.is_camera_adjusted,

@@ -103,7 +103,7 @@ class PhotoOffset:
         across = f"{abs(right):.1f} px to the {'right' if right >= 0 else 'left'}"
         return f"{across} and {abs(down):.1f} px {'down' if down >= 0 else 'up'}"
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the offset as JSON values."""
         (right, down), (near_right, near_down) = self.shift_px.tolist(), self.near_shift_px.tolist()
         return {

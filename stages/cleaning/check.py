@@ -216,13 +216,13 @@ class CheckResult:
         validate_requirements(wanted, self.min_thickness)
         return [diagnostic for name in wanted if (diagnostic := self._diagnose(name))]
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return metrics for reports: topology, thickness and defects per class."""
         measured = self.thickness[np.isfinite(self.thickness)]
         minimum, low, median = np.percentile(measured, (0, 5, 50)) if len(measured) else (None, None, None)
         return {
             "is_watertight": self.is_watertight,
-            **self.topology.figures(),
+            **self.topology.to_dict(),
             "inside_out": self.inside_out_count,
             "thickness_min_m": minimum,
             "thickness_5_percent_of_triangles_m": low,

@@ -170,15 +170,15 @@ class CleaningResult:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics for reports: mesh size and counts of the changes."""
-        figures = {
+        metrics = {
             "vertices": len(self.mesh.vertices),
             "triangles": len(self.mesh.triangles),
             "min_island_area_m2": self.min_island_area,
             **asdict(self.changes),
         }
-        return figures if self.repair_result is None else figures | {"repair": self.repair_result.figures()}
+        return metrics if self.repair_result is None else metrics | {"repair": self.repair_result.to_dict()}
 
 
 def clean(

@@ -139,7 +139,7 @@ class RepairResult:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics for reports, with remaining defects per class."""
         return {
             "bound_m": self.bound_m,

@@ -57,7 +57,7 @@ class Alignment:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the metrics for JSON, with units in the key names."""
         return {
             "reference_from_mesh": self.reference_from_mesh.tolist(),

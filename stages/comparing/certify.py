@@ -148,7 +148,7 @@ class Certificate:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return everything except the arrays for JSON; an infinite bound becomes None."""
         values = {
             "shape_bound_m": self.shape_bound_m,

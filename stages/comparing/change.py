@@ -75,7 +75,7 @@ class Changes:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return areas and the largest changed regions for JSON."""
         return {
             "distance_m": self.change_distance,

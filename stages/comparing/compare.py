@@ -68,18 +68,18 @@ class Deviation:
     rms: float
 
     def __repr__(self) -> str:
-        figures = {"rms_m": self.rms, "mean_m": self.mean, "maximum_m": self.maximum}
-        return format_line(self, format_facts(figures))
+        metrics = {"rms_m": self.rms, "mean_m": self.mean, "maximum_m": self.maximum}
+        return format_line(self, format_facts(metrics))
 
-    def figures(self, diagonal: float) -> dict[str, float]:
+    def to_dict(self, diagonal: float) -> dict[str, float]:
         """Return the distances in metres and relative to the bounding-box diagonal."""
-        figures = {"maximum_m": self.maximum, "mean_m": self.mean, "rms_m": self.rms}
+        metrics = {"maximum_m": self.maximum, "mean_m": self.mean, "rms_m": self.rms}
         relative = {
             "maximum_relative": self.maximum / diagonal,
             "mean_relative": self.mean / diagonal,
             "rms_relative": self.rms / diagonal,
         }
-        return figures | relative
+        return metrics | relative
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class ColorError:
         """Peak signal-to-noise ratio in dB; infinite for equal colours."""
         return 20 * math.log10(255 / self.rmse) if self.rmse > _MAX_ROUNDING_LEVELS else math.inf
 
-    def figures(self) -> dict[str, float | None]:
+    def to_dict(self) -> dict[str, float | None]:
         """Return the metrics for JSON; an infinite PSNR becomes None."""
         psnr = self.psnr if math.isfinite(self.psnr) else None
         return {"rmse_levels": self.rmse, "psnr_db": psnr, "maximum_levels": self.maximum}
@@ -124,7 +124,7 @@ class CloudStatistics:
 
     __repr__ = format_by_metrics
 
-    def figures(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, float]:
         """Return both values for JSON, with units in the key names."""
         return {"points": self.point_count, "spacing_m": self.spacing_m}
 
@@ -155,33 +155,33 @@ class Comparison:
 
     def __repr__(self) -> str:
         distance, color = self.symmetric, self.color
-        figures = {"distance_rms_m": distance.rms, "distance_maximum_m": distance.maximum}
+        metrics = {"distance_rms_m": distance.rms, "distance_maximum_m": distance.maximum}
         if color is not None:
-            figures["color_rmse_levels"] = color.rmse
+            metrics["color_rmse_levels"] = color.rmse
         clouds = [
             f"{name} is a cloud of {format_count(one.point_count, 'point')}"
             for name, one in zip("AB", self.clouds, strict=True)
             if one is not None
         ]
         return format_line(
-            self, [*format_facts(figures), f"{format_count(self.samples, 'sample')} per surface", *clouds]
+            self, [*format_facts(metrics), f"{format_count(self.samples, 'sample')} per surface", *clouds]
         )
 
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all metrics for JSON, with units in the key names.
 
         The key `clouds` exists only if A or B is a cloud.
         """
-        clouds = {name: one and one.figures() for name, one in zip("ab", self.clouds, strict=True)}
+        clouds = {name: one and one.to_dict() for name, one in zip("ab", self.clouds, strict=True)}
         directions = {"a_to_b": self.a_to_b, "b_to_a": self.b_to_a, "symmetric": self.symmetric}
         colors = {"a_to_b": self.color_a_to_b, "b_to_a": self.color_b_to_a, "symmetric": self.color}
         return {
             "diagonal_m": self.diagonal,
             "samples_per_side": self.samples,
-            "distance": {name: value.figures(self.diagonal) for name, value in directions.items()},
-            "color": {name: value and value.figures() for name, value in colors.items()}
+            "distance": {name: value.to_dict(self.diagonal) for name, value in directions.items()},
+            "color": {name: value and value.to_dict() for name, value in colors.items()}
             if self.color
             else None,
             **({"clouds": clouds} if any(self.clouds) else {}),

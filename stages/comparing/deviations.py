@@ -116,7 +116,7 @@ class Deviations:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the metrics for JSON, with units in the key names."""
         distances, is_signed = np.abs(self.sample_distances), self.is_signed
         extremes = self._collect_points()[1]

@@ -89,7 +89,7 @@ class HeldOutEvaluation:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return mean scores and the scores of each photo for JSON."""
         names = {
             "psnr_raw_db": "raw",
@@ -111,7 +111,7 @@ class HeldOutEvaluation:
             "placed": sum(one.is_localized for one in self.scores),
             **means,
             "each": each,
-            "frames_skipped": [one.figures() for one in self.skipped],
+            "frames_skipped": [one.to_dict() for one in self.skipped],
         }
 
 

@@ -48,7 +48,7 @@ class DiagnosticLocation:
     stage: str | None = None
     scan: str | None = None
 
-    def figures(self) -> dict[str, str]:
+    def to_dict(self) -> dict[str, str]:
         """Return the fields that are set, as a JSON object."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
@@ -101,35 +101,35 @@ class Diagnostic:
         where = replace(self.where or DiagnosticLocation(), **parts)
         return replace(self, where=None if where == DiagnosticLocation() else where)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the diagnostic as a JSON object."""
-        figures: dict[str, Any] = {
+        metrics: dict[str, Any] = {
             "code": self.code,
             "severity": self.severity.value,
             "message": self.message,
             "remedy": self.remedy,
-            "where": {} if self.where is None else self.where.figures(),
+            "where": {} if self.where is None else self.where.to_dict(),
             "values": dict(self.values),
         }
-        return {name: value for name, value in figures.items() if value not in (None, {})}
+        return {name: value for name, value in metrics.items() if value not in (None, {})}
 
     @classmethod
-    def from_figures(cls, figures: Mapping[str, Any]) -> Diagnostic:
-        """Create a diagnostic from the JSON object that `figures` returned.
+    def from_dict(cls, metrics: Mapping[str, Any]) -> Diagnostic:
+        """Create a diagnostic from the JSON object that `metrics` returned.
 
         Raises
         ------
         KeyError, TypeError, ValueError
             If the object is not a diagnostic.
         """
-        where = figures.get("where")
+        where = metrics.get("where")
         return cls(
-            figures["code"],
-            Severity(figures["severity"]),
-            figures["message"],
-            figures.get("remedy"),
+            metrics["code"],
+            Severity(metrics["severity"]),
+            metrics["message"],
+            metrics.get("remedy"),
             None if where is None else DiagnosticLocation(**where),
-            figures.get("values", {}),
+            metrics.get("values", {}),
         )
 
 

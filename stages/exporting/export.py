@@ -143,7 +143,7 @@ class ExportResult:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the statistics of the export as JSON-compatible values."""
         return {
             "output": self.file.name,

@@ -70,8 +70,8 @@ def run_reader_subprocess(module: str, arguments: Sequence[str], cpu_seconds: fl
         check_memory_available(_MAX_MEMORY_BYTES)
         raise SubprocessDiedError(reply["died"])
     if "error" in reply:
-        raise InputError.from_diagnostic(Diagnostic.from_figures(reply["error"]))
-    emit(*map(Diagnostic.from_figures, reply["diagnostics"]))
+        raise InputError.from_diagnostic(Diagnostic.from_dict(reply["error"]))
+    emit(*map(Diagnostic.from_dict, reply["diagnostics"]))
     answer: dict[str, Any] = reply["answer"]
     return answer
 
@@ -106,9 +106,9 @@ def serve_request(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
     try:
         with collecting(forward=False) as diagnostics:
             reply = {"answer": dict(work(words))}
-        reply["diagnostics"] = [one.figures() for one in diagnostics]
+        reply["diagnostics"] = [one.to_dict() for one in diagnostics]
     except ScanloomError as error:
-        reply = {"error": error.diagnostic.figures()}
+        reply = {"error": error.diagnostic.to_dict()}
     except BaseException as error:  # panics of Rust libraries derive from BaseException
         reply = {"died": repr(error)}
     sys.stdout.write(json.dumps(reply))

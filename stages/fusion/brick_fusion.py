@@ -126,7 +126,7 @@ class FusedInBricks(FusionStatistics):
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return JSON-ready metrics for the report, with units in the keys."""
         return self.compute_metrics(self.mesh_statistics) | {
             "bricks": self.brick_count,
@@ -175,10 +175,10 @@ def fuse_in_bricks(
         joined = StitchedMesh(fused.bricks, fused.folders)
         if not joined.triangle_count:
             raise make_empty_mesh_error(work, outcomes, min_weight)
-        figures = _write_mesh(work, joined, result)
+        metrics = _write_mesh(work, joined, result)
     return FusedInBricks(
         path=result,
-        mesh_statistics=figures,
+        mesh_statistics=metrics,
         brick_count=len(fused.bricks),
         fused_brick_count=fused.fused_count,
         **collect_statistics(work, outcomes, min_weight, fused.volume_bytes, "CPU:0"),
@@ -315,7 +315,7 @@ def _write_brick(
     np.save(folder / _COUNTS_FILE, volume.count_observations(within))
     mesh, _, joints = volume.extract_brick_mesh(min_weight, within)
     write_brick_mesh(folder, BrickMesh(mesh.vertices, mesh.triangles, mesh.colors), joints)
-    reasons = {at: diagnostic.figures() for at, diagnostic in skipped.items()}
+    reasons = {at: diagnostic.to_dict() for at, diagnostic in skipped.items()}
     (folder / _SKIPPED_FILE).write_text(json.dumps(reasons) + "\n", encoding="utf-8", newline="\n")
 
 
@@ -333,8 +333,8 @@ def _merge_outcomes(work: FusionJob, index: _BlockIndex, made: _FusedBricks) -> 
     for brick, folder in zip(made.bricks, made.folders, strict=True):
         with convert_read_errors(folder):
             skipped = {
-                int(at): Diagnostic.from_figures(figures)
-                for at, figures in read_document(folder / _SKIPPED_FILE).items()
+                int(at): Diagnostic.from_dict(metrics)
+                for at, metrics in read_document(folder / _SKIPPED_FILE).items()
             }
         for at, diagnostic in skipped.items():
             number = index.frames_by_brick[brick.index][at]

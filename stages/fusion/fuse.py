@@ -73,7 +73,7 @@ class FusionResult(FusionStatistics):
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return JSON-ready metrics for the report, with units in the keys."""
         return self.compute_metrics(MeshStatistics.from_mesh(self.mesh))
 

@@ -88,7 +88,7 @@ class FusionStatistics:
             "depth_noise_quadratic_per_m": self.noise.quadratic,
             "frames_used": self.frames,
             "frames_used_ratio": self.frames / (self.frames + len(self.skipped)),
-            "frames_skipped": [one.figures() for one in self.skipped],
+            "frames_skipped": [one.to_dict() for one in self.skipped],
             "pixels_valid_ratio": self.pixels_valid,
             "pixels_used_ratio": self.pixels_used,
             "volume_mb": self.volume_bytes / 1e6,

@@ -68,7 +68,7 @@ class Inspection:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all values for JSON, with units in the key names.
 
         If the scan is not `metric`, metres stand for the unit of its world.
@@ -80,14 +80,14 @@ class Inspection:
             "layout": scan.layout,
             "kind": "stereo" if scan.is_stereo else "views" if scan.is_views else "rgbd",
             "frames": len(scan.frames),
-            "skipped": [one.figures() for one in scan.skipped_frames],
+            "skipped": [one.to_dict() for one in scan.skipped_frames],
             "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
             "subject": self.subject,
-            "focal": self.focal and self.focal.figures(),
+            "focal": self.focal and self.focal.to_dict(),
             "metric": scan.is_metric,
-            "scale": scan.scale and scan.scale.figures(),
-            **(self.up.figures() if self.up else {"up": None, "up_source": None}),
+            "scale": scan.scale and scan.scale.to_dict(),
+            **(self.up.to_dict() if self.up else {"up": None, "up_source": None}),
             "depth_scale_per_m": None if scan.is_stereo or scan.is_views else scan.frames[0].depth_scale,
             "rig": {
                 "right_camera": dataclasses.asdict(rig.right),
@@ -108,7 +108,7 @@ class Inspection:
             ],
             "scene": self.scene and dataclasses.asdict(self.scene),
             "fusion_estimate": self.fusion_estimate and dataclasses.asdict(self.fusion_estimate),
-            "missing": [one.figures() for one in scan.missing],
+            "missing": [one.to_dict() for one in scan.missing],
             "unused": [dataclasses.asdict(one) for one in self.unused_files],
         }
 

@@ -66,7 +66,7 @@ class Cut:
         """Maximum bound on the colour difference, levels; None without colours."""
         return None if self.mesh.colors is None else float(self.color_bound.max(initial=0.0))
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return size and bounds for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),

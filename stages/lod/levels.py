@@ -255,7 +255,7 @@ class Levels:
         mesh = Mesh(self.vertices[front.vertices], front.triangles, colors=colors, up=self.up)
         return mesh, np.repeat(chosen, count).astype(np.int32)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics and bounds by level, coarsest first, for JSON."""
         levels = []
         for level in range(int(self.level.max(initial=-1)), -1, -1):

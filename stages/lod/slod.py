@@ -65,7 +65,7 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         "one_sided": h.is_one_sided,
         "dropped_islands": h.dropped_islands,
         "dropped_triangles": h.dropped_triangles,
-        "diagnostics": [diagnostic.figures() for diagnostic in h.diagnostics],
+        "diagnostics": [diagnostic.to_dict() for diagnostic in h.diagnostics],
         # Optional keys; older readers ignore them.
         **({} if h.up is None else {"up": list(h.up)}),
         **({} if h.model_glb is None else {"model_bytes": len(h.model_glb)}),
@@ -269,7 +269,7 @@ def _assemble_hierarchy(
 def _parse_diagnostic(value: object) -> Diagnostic:
     if not isinstance(value, dict) or not isinstance(value.get("values", {}), dict):
         raise ValueError(f"{value!r} is not a diagnostic")
-    diagnostic = Diagnostic.from_figures(value)
+    diagnostic = Diagnostic.from_dict(value)
     texts = (diagnostic.code, diagnostic.message, diagnostic.remedy or "")
     if not all(isinstance(text, str) for text in texts):
         raise ValueError(f"{value!r} is not a diagnostic")

@@ -112,7 +112,7 @@ class TileImage:
     color_95: float
     color_max: float
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the metrics written to tileset.json."""
         return {
             "texel_size_m": _round_to_three_digits(self.texel_size),

@@ -120,7 +120,7 @@ class Tileset:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return counts and sizes for JSON, with units in the keys."""
         return {
             "tiles": len(self.sizes),
@@ -363,7 +363,7 @@ def _build_tileset(
             if tile is not None:
                 colors = {} if snapped.colors is None else {"color_bound_levels": tile.color_bound}
                 if tile.uri in images_by_uri:
-                    colors = images_by_uri[tile.uri].figures()
+                    colors = images_by_uri[tile.uri].to_dict()
                 children = [_describe_tile(tile, box, children, colors, snapped.is_one_sided)]
         (entries[node],) = children
     root = entries[0]

@@ -127,7 +127,7 @@ class NormalMesh:
         """The finest level."""
         return self.levels[-1]
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return counts and sizes as JSON-compatible values.
 
         `exception_ratio` is the ratio of EXCEPTION vertices to all new vertices that are not on the
@@ -158,7 +158,7 @@ class NormalMesh:
         }
 
     def _summarize_level(self, level: int) -> dict[str, Any]:
-        figures: dict[str, Any] = {
+        metrics: dict[str, Any] = {
             "level": level,
             "triangles": len(self.levels[level].triangles),
             "vertices": len(self.levels[level].vertices),
@@ -168,15 +168,15 @@ class NormalMesh:
         }
         if level > 0:
             offsets = self.offsets[level - 1]
-            figures |= {
+            metrics |= {
                 "exceptions": offsets.count(EXCEPTION),
                 "boundary_vertices": offsets.count(BOUNDARY),
             }
         if level < len(self.folded_by_level):
-            figures["folded_triangles"] = self.folded_by_level[level]
+            metrics["folded_triangles"] = self.folded_by_level[level]
         if level < len(self.max_distances_m):
-            figures["max_distance_m"] = self.max_distances_m[level]
-        return figures
+            metrics["max_distance_m"] = self.max_distances_m[level]
+        return metrics
 
     def save(self, path: Path | str, level: int | None = None) -> None:
         """Write the encoded file, optionally truncated after a level.

@@ -143,7 +143,7 @@ def render_table(self: Any) -> str:
     mesh_facts = ", ".join(filter(None, _get_mesh_facts(mesh)))
     rows = [("mesh", mesh_facts)] if mesh_facts else []
     if not hasattr(self, "_facts"):
-        rows += _iterate_rows(_get_own_metrics(self) if hasattr(self, "figures") else _get_fields(self))
+        rows += _iterate_rows(_get_own_metrics(self) if hasattr(self, "to_dict") else _get_fields(self))
     rows += [(one.severity.value, str(one)) for one in getattr(self, "diagnostics", ())]
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(_truncate_cell(value))}</td></tr>"
@@ -190,7 +190,7 @@ def _get_mesh_facts(candidate: Any) -> list[str]:
 def _get_own_metrics(result: Any) -> dict[str, Any]:
     """Return the metrics without those that the mesh facts already contain."""
     known_names = {"vertices", "triangles"} if _get_mesh_facts(getattr(result, "mesh", None)) else set()
-    return {name: value for name, value in result.figures().items() if name not in known_names}
+    return {name: value for name, value in result.to_dict().items() if name not in known_names}
 
 
 def _get_fields(result: Any) -> dict[str, Any]:

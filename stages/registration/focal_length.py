@@ -65,7 +65,7 @@ class FocalEstimate:
     error_px: float
     pair_count: int
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all fields as JSON values."""
         return {
             "guess_px": self.guess_px,

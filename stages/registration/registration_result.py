@@ -53,7 +53,7 @@ class Registration:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the metrics for the report, as JSON values."""
         used = [edge for edge in self.edges if edge["is_used"]]
         centres = np.array(
@@ -61,9 +61,9 @@ class Registration:
         )
         return {
             "subject": self.subject,
-            "focal": self.focal_estimate and self.focal_estimate.figures(),
+            "focal": self.focal_estimate and self.focal_estimate.to_dict(),
             "frames": len(self.frames),
-            "frames_skipped": [one.figures() for one in self.skipped],
+            "frames_skipped": [one.to_dict() for one in self.skipped],
             "pieces": [len(piece) for piece in self.pieces],
             "key_frames": len(self.key_frames),
             "edges": len(used),
@@ -74,7 +74,7 @@ class Registration:
             "path_length_m": float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
             if len(centres)
             else 0.0,
-            "breaks": [one.figures() for one in self.breaks],
+            "breaks": [one.to_dict() for one in self.breaks],
         }
 
 

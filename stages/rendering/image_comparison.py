@@ -90,7 +90,7 @@ class ViewScore:
 
     __repr__ = format_by_metrics
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return PSNR in dB (None for equal images), SSIM and silhouette agreement."""
         return {"viewpoint": self.name, **_combine_metrics([self])}
 
@@ -116,13 +116,13 @@ class ViewComparison:
         """Score of the view with the lowest PSNR."""
         return max(self.scores, key=lambda one: one.mean_squared)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return PSNR and SSIM over all views together, and of each view."""
         return {
             "compared": "colors" if self.colored else "shape",
             **_combine_metrics(self.scores),
             "worst": self.worst.name,
-            "each": [one.figures() for one in self.scores],
+            "each": [one.to_dict() for one in self.scores],
         }
 
 

@@ -93,7 +93,7 @@ class ChunkedSimplifyResult:
     joined: tuple[Mapping[str, Any], ...]
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics for JSON.
 
         Counts are summed over all parts. For bounds, the maxima of the two rounds are added.
@@ -148,7 +148,7 @@ def simplify_chunked(
     """
     with collecting() as diagnostics:
         found = _simplify_chunks(path, params, scratch, progress)
-        report_unmet_requirements(params, found.figures())
+        report_unmet_requirements(params, found.to_dict())
     return replace(found, diagnostics=tuple(diagnostics))
 
 
@@ -259,7 +259,7 @@ def _simplify_parts(
             result.meshes.append((cut.mesh, np.where(cut.is_shared, cut.global_indices, -1)))
         else:
             result.meshes.append((part_result.mesh, get_shared_indices(cut, part_result)))
-            result.statistics.append(part_result.figures())
+            result.statistics.append(part_result.to_dict())
             if is_last:
                 # Warnings of earlier rounds mostly concern artificial borders. Requirements are checked for
                 # the complete result.

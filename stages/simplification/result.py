@@ -43,7 +43,7 @@ class Details:
     headline: ClassVar[str] = "{triangles:,} triangles, stopped by {stopped_by}"
     arrays: ClassVar[tuple[str, ...]] = ()
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all fields except arrays, ready for JSON."""
         names = (field.name for field in fields(self) if field.name not in self.arrays)
         return {name: _to_json_value(getattr(self, name)) for name in names}
@@ -114,10 +114,10 @@ class SimplificationResult(Generic[D_co]):
         """Map vertex values (n, …) of the input to the result (p, …)."""
         return values[self.vertex_source]
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics ready for JSON; the method's own statistics are under "details"."""
         triangles = len(self.mesh.triangles)
-        of_baking = {} if self.baked is None else {"baked": self.baked.figures()}
+        of_baking = {} if self.baked is None else {"baked": self.baked.to_dict()}
         derived = {} if self.default_max_shape is None else {"default_max_shape_m": self.default_max_shape}
         return {
             "method": self.method,
@@ -129,9 +129,9 @@ class SimplificationResult(Generic[D_co]):
             "refused_edges": dict(self.refused),
             "collapses": self.collapses,
             "attempts": self.attempts,
-            **({} if self.dropped is None else {"dropped": self.dropped.figures()}),
+            **({} if self.dropped is None else {"dropped": self.dropped.to_dict()}),
             **({} if self.kept_images is None else {"kept_images": asdict(self.kept_images)}),
-            "details": self.details.figures(),
+            "details": self.details.to_dict(),
             **derived,
             **of_baking,
         }

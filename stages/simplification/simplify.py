@@ -179,7 +179,7 @@ def simplify(
             *resolve_vertex_control(mesh, lock, importance, regions), record, keep_on_interrupt, progress
         )
         found = _simplify_validated(mesh, params, control)
-        report_unmet_requirements(params, found.figures())
+        report_unmet_requirements(params, found.to_dict())
     return replace(found, diagnostics=tuple(diagnostics))
 
 

@@ -49,7 +49,7 @@ class RemovalCounts:
 
     __repr__ = format_by_fields
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all counts and areas, ready for JSON."""
         return asdict(self)
 
@@ -61,7 +61,7 @@ class RemovalCounts:
                     "drop_below removed {components:,} connected components smaller than {size_m:g} m "
                     "({component_triangles:,} triangles, {component_area_m2:.3g} m²) and filled "
                     "{holes:,} holes ({hole_area_m2:.3g} m²); no bound covers these.",
-                    **self.figures(),
+                    **self.to_dict(),
                 )
             )
 

@@ -115,7 +115,7 @@ class TradeoffPoint:
 
     __repr__ = format_by_metrics
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all fields, with units in the names."""
         return asdict(self)
 
@@ -146,13 +146,13 @@ class Tradeoff:
 
     __repr__ = format_by_metrics
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the curve for JSON, with units in the names."""
         return {
             "method": self.method,
             "suggested_triangles": self.suggested_triangles,
             "suggested_for": self.criterion,
-            "points": [point.figures() for point in self.points],
+            "points": [point.to_dict() for point in self.points],
         }
 
     def to_rows(self) -> list[list[str]]:

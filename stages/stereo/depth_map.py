@@ -49,7 +49,7 @@ class DepthMap:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return JSON-ready statistics for reports, with units in the keys."""
         used = self.depth > 0
         return {

@@ -75,7 +75,7 @@ class Disparity:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return JSON-ready statistics, with units in the keys."""
         sure = np.isfinite(self.disparity)
         return {

@@ -88,7 +88,7 @@ class Topology:
         """True if there are triangles and every edge has exactly two."""
         return self.triangles > 0 and self.boundary_edges == self.nonmanifold_edges == 0
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all counts and properties as JSON-compatible values."""
         return asdict(self) | {
             "is_manifold": self.is_manifold,

@@ -175,7 +175,7 @@ class BakeResult:
         # A bilinear sample reaches two texels of the halved image across.
         return max(int(math.log2(self.padding)) - 1, 0)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all metrics for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),
@@ -188,8 +188,8 @@ class BakeResult:
             "mip_levels": self.mip_levels,
             "samples_per_texel": self.samples**2,
             "turned_sample_ratio": self.turned_ratio,
-            "color": self.color.figures(),
-            "vertex_color": self.vertex_color and self.vertex_color.figures(),
+            "color": self.color.to_dict(),
+            "vertex_color": self.vertex_color and self.vertex_color.to_dict(),
             **self._collect_file_metrics(),
         }
 

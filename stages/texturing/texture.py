@@ -208,12 +208,12 @@ class TextureResult:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all metrics for JSON, with units in the keys."""
         return {
             "triangles": len(self.mesh.triangles),
             "photos": len(self.photos),
-            "frames_skipped": [one.figures() for one in self.skipped],
+            "frames_skipped": [one.to_dict() for one in self.skipped],
             "images": [list(size) for size in self.sizes],
             "charts": self.charts,
             "filled_ratio": self.filled_ratio,

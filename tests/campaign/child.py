@@ -48,7 +48,7 @@ def main() -> None:
         signal.setitimer(signal.ITIMER_PROF, case["seconds"])
         verdict = verdict_of(case)
         signal.setitimer(signal.ITIMER_PROF, 0)
-        answers.write(json.dumps(verdict.figures()) + "\n")
+        answers.write(json.dumps(verdict.to_dict()) + "\n")
         answers.flush()
 
 

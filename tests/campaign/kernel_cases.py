@@ -114,7 +114,7 @@ def _certified(mesh: Mesh, closed: bool, draw: random.Random) -> str:  # noqa: A
         changes["max_shape"] = _diagonal(mesh) * draw.choice((1e-4, 0.05))
         changes["check_only"] = draw.random() < 0.5
     found, again = (certify(moved, mesh, threads=threads, **changes) for threads in (1, 2))
-    assert found.figures() == again.figures(), "threads decide the bounds"
+    assert found.to_dict() == again.to_dict(), "threads decide the bounds"
     _assert_within(moved, mesh, found.shape_bound_m, draw, lines=True)
     if changes.get("max_shape") is not None and found.within_limits:
         _assert_within(moved, mesh, max(changes["max_shape"], 2 * found.slack_m), draw, lines=True)

@@ -22,7 +22,7 @@ class Verdict:
     outcome: str
     said: str = ""
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 

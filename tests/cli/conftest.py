@@ -109,7 +109,7 @@ class Ran:
 
     def _told(self, severity: str) -> list[str]:
         found = [one for one in self.json["diagnostics"] if one["severity"] == severity]
-        return [str(Diagnostic.from_figures(one)) for one in found]
+        return [str(Diagnostic.from_dict(one)) for one in found]
 
 
 @pytest.fixture

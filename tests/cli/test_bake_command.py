@@ -28,9 +28,9 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
     (image,) = light.texture.images
     assert ran.json["baked"]["images"] == [list(image.pixels.shape[:2])]
     # As measured from the file, what was baked is nearer to the original than colours of vertices.
-    figures = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
+    metrics = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
     baked = ran.json["baked"]
-    assert figures["color"]["a_to_b"]["rmse_levels"] == pytest.approx(baked["color"]["rmse_levels"], rel=0.1)
+    assert metrics["color"]["a_to_b"]["rmse_levels"] == pytest.approx(baked["color"]["rmse_levels"], rel=0.1)
     assert baked["color"]["rmse_levels"] < baked["vertex_color"]["rmse_levels"]
 
 

@@ -132,7 +132,7 @@ def test_a_run_that_does_not_reach_a_number_ends_with_1(
         assert f"scanloom: {sentence}" in ran.stderr.splitlines()
         report = json.loads((tmp_path / "out" / "report.json").read_text())
         (told,) = [one for one in report["stages"]["simplify"]["diagnostics"] if one["severity"] == "unmet"]
-        assert str(Diagnostic.from_figures(told)) == sentence
+        assert str(Diagnostic.from_dict(told)) == sentence
         assert (told["code"], told["severity"]) == ("simplify.count-not-reached", "unmet")
     more = scanloom(*words, "--set", "simplify.triangles=2", "--set", "simplify.max_shape=0.01")
     assert (more.exit_code, more.stderr) == (0, "")

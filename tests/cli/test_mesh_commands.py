@@ -45,11 +45,11 @@ def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: P
     write_ply(source, Mesh(vertices, triangles.astype(np.int32)))
     ran = scanloom("clean", source, target, "--repair", "--set", "clean.max_shape=0.01", "--json")
     assert ran.exit_code == 0
-    figures = ran.json["repair"]
-    needles = figures["classes"]["needles"]
+    metrics = ran.json["repair"]
+    needles = metrics["classes"]["needles"]
     assert (needles["found"], needles["repaired"], needles["left"]) == (3, 2, 1)
     assert needles["reasons"] == {"at a border": 1}
-    assert figures["bound_m"] <= figures["max_shape_m"] == 0.01
+    assert metrics["bound_m"] <= metrics["max_shape_m"] == 0.01
     assert len(read_mesh(target).vertices) == 35
     assert "1 of 3 needles not repaired: 1 at a border; the first at (" in ran.stderr
     ran = scanloom("clean", source, target, "--repair", "--repair-angle", 0.1)
@@ -62,8 +62,8 @@ def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path,
     scanloom("clean", ball, clean)
     ran = scanloom("simplify", clean, light, "--method", "jia01", "--max-shape", 0.05, "--triangles", 300)
     assert ran.exit_code == 0, ran.stderr
-    figures = scanloom("compare", clean, light, "--set", "compare.samples=20000", "--json").json
-    assert figures["distance"]["symmetric"]["maximum_m"] <= 0.05
+    metrics = scanloom("compare", clean, light, "--set", "compare.samples=20000", "--json").json
+    assert metrics["distance"]["symmetric"]["maximum_m"] <= 0.05
     assert 4 <= len(read_mesh(light).triangles) < 1280
 
 
@@ -74,10 +74,10 @@ def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tm
     ran = scanloom("simplify", clean, light, *bounds)
     assert ran.exit_code == 0, ran.stderr
     assert re.search(r"^Proven: no point is more than 0\.0\d+ m and [\d.]+ levels off\.$", ran.stdout, re.M)
-    figures = scanloom("simplify", clean, light, *bounds, "--json").json
-    assert figures["details"]["proven"] is True
-    assert figures["details"]["shape_bound_m"] <= 0.05
-    assert figures["details"]["color_bound_levels"] <= 20
+    metrics = scanloom("simplify", clean, light, *bounds, "--json").json
+    assert metrics["details"]["proven"] is True
+    assert metrics["details"]["shape_bound_m"] <= 0.05
+    assert metrics["details"]["color_bound_levels"] <= 20
     assert len(read_mesh(light).triangles) < 0.7 * 1280
 
     measured = scanloom("compare", clean, light, "--set", "compare.samples=20000", "--json").json
@@ -152,20 +152,20 @@ def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path
     clean, light, colored = (tmp_path / name for name in ("clean.ply", "light.ply", "patches.ply"))
     scanloom("clean", ball, clean)
     bounds = ("--max-shape", 0.05)
-    figures = scanloom("simplify", clean, light, "--method", "planar", *bounds, "--json").json
-    assert figures["method"] == "planar"
-    assert figures["details"]["shape_bound_m"] <= 0.05
-    assert len(read_mesh(light).triangles) == figures["triangles"] < 1280
+    metrics = scanloom("simplify", clean, light, "--method", "planar", *bounds, "--json").json
+    assert metrics["method"] == "planar"
+    assert metrics["details"]["shape_bound_m"] <= 0.05
+    assert len(read_mesh(light).triangles) == metrics["triangles"] < 1280
     # Those of the bound that leaves fewest triangles.
-    assert figures["details"]["patch_shape_m"] <= figures["details"]["max_shape_m"] == 0.05
-    bounds = ("--max-shape", figures["details"]["patch_shape_m"])
+    assert metrics["details"]["patch_shape_m"] <= metrics["details"]["max_shape_m"] == 0.05
+    bounds = ("--max-shape", metrics["details"]["patch_shape_m"])
     ran = scanloom("mesh", "patches", clean, colored, *bounds)
     assert ran.exit_code == 0, ran.stderr
-    assert f"{figures['details']['patches']:,} patches, " in ran.stdout
+    assert f"{metrics['details']['patches']:,} patches, " in ran.stdout
     assert "largest patches" in ran.stdout
     told = scanloom("mesh", "patches", clean, colored, *bounds, "--json").json
     for name in ("patches", "area_m2", "largest_patches"):
-        assert told[name] == figures["details"][name]
+        assert told[name] == metrics["details"][name]
     written = read_mesh(colored)
     assert written.colors is not None
     assert len(written.triangles) == 1280
@@ -260,8 +260,8 @@ def test_a_mesh_may_be_replaced_by_its_clean_self(scanloom: Run, ball: Path) -> 
 
 
 def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path) -> None:
-    figures = scanloom("compare", ball, ball, "--set", "compare.samples=1000", "--json").json
-    assert figures["distance"]["symmetric"]["maximum_m"] == pytest.approx(0, abs=1e-6)
+    metrics = scanloom("compare", ball, ball, "--set", "compare.samples=1000", "--json").json
+    assert metrics["distance"]["symmetric"]["maximum_m"] == pytest.approx(0, abs=1e-6)
     text = scanloom("compare", ball, ball, "--set", "compare.samples=1000").stdout
     assert " mm  " in text
     assert "equal" in text

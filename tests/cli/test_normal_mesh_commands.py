@@ -53,8 +53,8 @@ def test_remesh_writes_the_finest_level_all_levels_and_a_file(
     assert ran.json["file_bytes"] == file.stat().st_size
     assert sorted(path.name for path in folder.iterdir()) == ["level_0.ply", "level_1.ply", "level_2.ply"]
     assert (folder / "level_2.ply").read_bytes() == target.read_bytes()
-    figures = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
-    assert figures["distance"]["symmetric"]["maximum_m"] < 0.02
+    metrics = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
+    assert metrics["distance"]["symmetric"]["maximum_m"] < 0.02
 
 
 def test_the_text_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:

@@ -27,14 +27,14 @@ from scanloom.stages.diagnostics.errors import (
 
 
 def test_json_holds_only_what_every_reader_takes() -> None:
-    figures = {
+    metrics = {
         "psnr_db": float("inf"),
         "nested": {"nan": float("nan"), "list": [1.0, -float("inf")]},
         "count": np.int64(3),
         "row": np.array([1.5, np.nan]),
         "file": Path("a.ply"),
     }
-    read = json.loads(to_json(figures), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    read = json.loads(to_json(metrics), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert read == {
         "psnr_db": None,
         "nested": {"nan": None, "list": [1.0, None]},
@@ -54,14 +54,14 @@ def test_results_and_failures_begin_with_the_schema(scanloom: Callable[..., Any]
 
 
 def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
-    figures = {
+    metrics = {
         "shape_bound_m": 0.00500001,
         "shape_attained_m": 0.00499999,
         "color_bound_levels": 19.9991,
         "max_shape_m": 0.00500001,
         "color_attained_levels": None,
     }
-    assert format_lines(figures).splitlines() == [
+    assert format_lines(metrics).splitlines() == [
         "shape bound     0.005001 m",
         "shape attained  0.004999 m",
         "color bound     20 levels of 255",
@@ -71,7 +71,7 @@ def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
 
 
 def test_lines_for_a_person_carry_units() -> None:
-    figures = {
+    metrics = {
         "voxel_size_m": 0.0123456,
         "triangles": 1234567,
         "used_ratio": 0.25,
@@ -81,7 +81,7 @@ def test_lines_for_a_person_carry_units() -> None:
         "skipped": [{"frame": "7", "reason": "dark"}],
         "none": [],
     }
-    assert format_lines(figures).splitlines() == [
+    assert format_lines(metrics).splitlines() == [
         "voxel size  0.01235 m",
         "triangles   1,234,567",
         "used        25 %",

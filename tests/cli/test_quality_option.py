@@ -56,10 +56,10 @@ def test_a_draft_is_coarser_and_standard_is_what_there_was(
     assert all(stage["cached"] for stage in again["stages"].values())
     draft = scanloom(*words, "--quality", "draft").json
     assert [name for name, stage in draft["stages"].items() if stage["cached"]] == ["adjust"]
-    fused = [one["stages"]["fuse"]["figures"]["triangles"] for one in (usual, draft)]
+    fused = [one["stages"]["fuse"]["metrics"]["triangles"] for one in (usual, draft)]
     assert fused[1] < fused[0] / 3
     assert draft["mesh"]["triangles"] < usual["mesh"]["triangles"]
-    sizes = [one["stages"]["fuse"]["figures"]["voxel_size_m"] for one in (usual, draft)]
+    sizes = [one["stages"]["fuse"]["metrics"]["voxel_size_m"] for one in (usual, draft)]
     assert sizes[1] == pytest.approx(2 * sizes[0], rel=0.05)
     assert draft["pictures"] == []
     set_here = scanloom(*words, *few, "--quality", "draft", "--set", "fuse.voxel_factor=1").json

@@ -107,7 +107,7 @@ def test_a_recording_goes_the_whole_way(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom(*words, "--set", f"scan.poses={tmp_path / 'still.tum'}", "--json")
     assert ran.exit_code == 0, ran.stderr
     assert ran.json["scan"]["frames"] == 3
-    assert ran.json["stages"]["fuse"]["figures"]["triangles"] > 1000
+    assert ran.json["stages"]["fuse"]["metrics"]["triangles"] > 1000
 
 
 def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -123,8 +123,8 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
     )
     # Said once.
     assert ran.stderr.count("depth-3.png") == 1
-    figures = scanloom(*words, "--json").json["stages"]["fuse"]["figures"]
-    assert [skipped["frame"] for skipped in figures["frames_skipped"]] == ["3"]
+    metrics = scanloom(*words, "--json").json["stages"]["fuse"]["metrics"]
+    assert [skipped["frame"] for skipped in metrics["frames_skipped"]] == ["3"]
 
 
 def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -493,7 +493,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.read_text() != "mine"
 
 
-def test_a_crop_is_typed_as_numbers_and_told_in_the_figures(
+def test_a_crop_is_typed_as_numbers_and_told_in_the_metrics(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     words = ("fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02)

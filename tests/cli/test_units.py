@@ -32,9 +32,9 @@ def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path
     assert not any(line.endswith(" m") or " m " in line or " m;" in line or "mm" in line for line in lengths)
     given = ("scale=METRES_PER_UNIT, ", "known_distance='MEASURED METRES' or ", "tag_size=METRES")
     assert "".join(f"--set scan.{one}" for one in given) in text
-    figures = scanloom("inspect", unit_scan, "--json").json
-    assert (figures["metric"], figures["scale"]) == (False, None)
-    assert (figures["up"], figures["up_source"]) == ([0, -1, 0], "scan.json")
+    metrics = scanloom("inspect", unit_scan, "--json").json
+    assert (metrics["metric"], metrics["scale"]) == (False, None)
+    assert (metrics["up"], metrics["up_source"]) == ([0, -1, 0], "scan.json")
 
 
 def test_inspect_says_the_scale_that_it_has(scanloom: Run, unit_scan: Path) -> None:
@@ -42,12 +42,12 @@ def test_inspect_says_the_scale_that_it_has(scanloom: Run, unit_scan: Path) -> N
     assert "scale     0.25 m per unit, a known distance" in text
     assert " units" not in text
     assert "no metric scale" not in text
-    figures = scanloom("inspect", unit_scan, "--set", "scan.scale=0.25", "--json").json
+    metrics = scanloom("inspect", unit_scan, "--set", "scan.scale=0.25", "--json").json
     plain = scanloom("inspect", unit_scan, "--json").json
-    assert figures["metric"]
-    assert figures["scale"]["metres_per_unit"] == 0.25
-    assert figures["path"]["length_m"] == pytest.approx(0.25 * plain["path"]["length_m"])
-    assert figures["depth"]["median_m"] == pytest.approx(0.25 * plain["depth"]["median_m"])
+    assert metrics["metric"]
+    assert metrics["scale"]["metres_per_unit"] == 0.25
+    assert metrics["path"]["length_m"] == pytest.approx(0.25 * plain["path"]["length_m"])
+    assert metrics["depth"]["median_m"] == pytest.approx(0.25 * plain["depth"]["median_m"])
 
 
 @pytest.mark.slow
@@ -63,13 +63,13 @@ def test_run_says_units_and_then_metres(scanloom: Run, unit_scan: Path, tmp_path
     assert " m," not in fused
     assert report["scan"]["metric"] is False
     assert any(one["code"] == "scale.not-metric" for one in report["scan"]["diagnostics"])
-    before = report["stages"]["fuse"]["figures"]["voxel_size_m"]
+    before = report["stages"]["fuse"]["metrics"]["voxel_size_m"]
 
     said, (fused,), report = lines("--set", "scan.scale=0.5")
     assert "warning" not in said
     assert " m, truncation " in fused
     assert (report["scan"]["metric"], report["scan"]["scale"]["metres_per_unit"]) == (True, 0.5)
-    assert report["stages"]["fuse"]["figures"]["voxel_size_m"] == pytest.approx(before / 2, rel=0.1)
+    assert report["stages"]["fuse"]["metrics"]["voxel_size_m"] == pytest.approx(before / 2, rel=0.1)
     # A unit that is a metre leaves results as they were made.
     _, _, report = lines("--set", "scan.scale=1")
     assert [one["cached"] for name, one in report["stages"].items() if name != "upright"] == [True] * 4

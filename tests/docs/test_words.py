@@ -74,7 +74,7 @@ def test_the_tutorial_runs(small_sample: Path, capsys: pytest.CaptureFixture[str
     assert "params changed: max_shape not set → 0.003" in capsys.readouterr().err
     report = json.loads((small_sample / "my_mesh" / "report.json").read_text())
     assert report["stages"]["fuse"]["cached"]
-    details = report["stages"]["simplify"]["figures"]["details"]
+    details = report["stages"]["simplify"]["metrics"]["details"]
     assert details["proven"]
     assert details["shape_bound_m"] <= 0.003
     sizes = {name: (small_sample / name).stat().st_size for name in ("web.glb", "my_mesh/textured.glb")}

@@ -78,24 +78,24 @@ def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_g
     config = Config(compare=COMPARED, report=ReportParams(viewpoints=2, width=160, page=False))
     report = json.loads(json.dumps(run(SAMPLES / sample, tmp_path, config).report))
     final = read_ply(tmp_path / "simplified.ply")
-    figures = {name: mesh_figures(read_ply(tmp_path / f"{name}.ply"), truth) for name in ("fused", "clean")}
-    figures["simplified"] = mesh_figures(final, truth)
-    figures["report"] = report_figures(report)
+    metrics = {name: mesh_metrics(read_ply(tmp_path / f"{name}.ply"), truth) for name in ("fused", "clean")}
+    metrics["simplified"] = mesh_metrics(final, truth)
+    metrics["report"] = report_metrics(report)
 
     for name, limit in LIMITS[sample].items():
-        assert figures["simplified"][name] < limit, name
-    assert figures["clean"]["manifold"]
-    assert figures["simplified"]["manifold"]
-    assert figures["simplified"]["vertices"] < 0.5 * figures["clean"]["vertices"]
+        assert metrics["simplified"][name] < limit, name
+    assert metrics["clean"]["manifold"]
+    assert metrics["simplified"]["manifold"]
+    assert metrics["simplified"]["vertices"] < 0.5 * metrics["clean"]["vertices"]
 
     if update_golden:
-        (GOLDEN / f"{sample}.json").write_text(json.dumps(figures, indent=1) + "\n")
+        (GOLDEN / f"{sample}.json").write_text(json.dumps(metrics, indent=1) + "\n")
         chosen = np.random.default_rng(0).choice(len(final.vertices), POINTS, replace=False)
         points = final.vertices[chosen].astype(np.float32)
         write_ply_cloud(GOLDEN / f"{sample}.ply", points, final.colors[chosen])
 
     golden = json.loads((GOLDEN / f"{sample}.json").read_text())
-    assert deviations(figures, golden) == []
+    assert deviations(metrics, golden) == []
     distance, color = from_points(read_ply(GOLDEN / f"{sample}.ply"), final)
     assert distance < POINTS_DISTANCE
     assert color < POINTS_COLOR
@@ -107,7 +107,7 @@ def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_g
         assert next(tmp_path.rglob(Path(picture).name)).stat().st_size > 1000
 
 
-def mesh_figures(mesh: Mesh, truth: Mesh) -> dict:
+def mesh_metrics(mesh: Mesh, truth: Mesh) -> dict:
     """What is known of one mesh. Distances to the truth go from the mesh; coverage goes to it."""
     found, measured = topology(mesh), compare(truth, mesh, COMPARED)
     corners = mesh.vertices[mesh.triangles] - compute_bounding_box(truth).mean(axis=0)
@@ -132,9 +132,9 @@ def mesh_figures(mesh: Mesh, truth: Mesh) -> dict:
     }
 
 
-def report_figures(report: dict) -> dict:
+def report_metrics(report: dict) -> dict:
     """What report.json says of the stages, and of the final mesh against the fused one."""
-    fuse, simplify = report["stages"]["fuse"]["figures"], report["stages"]["simplify"]["figures"]
+    fuse, simplify = report["stages"]["fuse"]["metrics"], report["stages"]["simplify"]["metrics"]
     final = report["mesh"]
     distance = final["to_fused"]["distance"]["b_to_a"]
     return {
@@ -150,15 +150,15 @@ def report_figures(report: dict) -> dict:
     }
 
 
-def deviations(figures: dict, golden: dict) -> list[str]:
+def deviations(metrics: dict, golden: dict) -> list[str]:
     """Every figure outside its tolerance, in words."""
-    assert {k: set(v) for k, v in figures.items()} == {k: set(v) for k, v in golden.items()}
+    assert {k: set(v) for k, v in metrics.items()} == {k: set(v) for k, v in golden.items()}
     found = []
     for part, values in golden.items():
         for name, wanted in values.items():
             relative, absolute = TOLERANCES[name]
-            if abs(figures[part][name] - wanted) > max(relative * abs(wanted), absolute):
-                found.append(f"{part} {name}: {figures[part][name]:.6g}, golden {wanted:.6g}")
+            if abs(metrics[part][name] - wanted) > max(relative * abs(wanted), absolute):
+                found.append(f"{part} {name}: {metrics[part][name]:.6g}, golden {wanted:.6g}")
     return found
 
 
@@ -211,9 +211,9 @@ def scanned(truth) -> Mesh:
 
 @pytest.fixture(scope="module")
 def of_scanned(truth, scanned) -> dict:
-    return {"simplified": mesh_figures(scanned, truth)}
+    return {"simplified": mesh_metrics(scanned, truth)}
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_damage_is_told_from_the_golden_mesh(damage, truth, scanned, of_scanned):
-    assert deviations({"simplified": mesh_figures(DAMAGE[damage](scanned), truth)}, of_scanned) != []
+    assert deviations({"simplified": mesh_metrics(DAMAGE[damage](scanned), truth)}, of_scanned) != []

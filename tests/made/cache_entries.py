@@ -17,7 +17,7 @@ def write_result(folder: Path) -> dict:
     (folder / "maps").mkdir()
     (folder / "maps" / "0.bin").write_bytes(bytes(range(200)))
     (folder / "fused.ply").write_bytes(b"ply" * 1000)
-    return {"figures": {"triangles": 7}, "made": {"seconds": 1.5}}
+    return {"metrics": {"triangles": 7}, "made": {"seconds": 1.5}}
 
 
 def fail_on_call(folder: Path) -> dict:

@@ -51,9 +51,9 @@ def test_adjusted_poses_are_written_beside_kept_and_fused_with(disturbed: Path, 
     out = tmp_path / "out"
     first = run(disturbed, out, config(), until="fuse")
     assert [outcome.stage for outcome in first.stages] == ["adjust", "fuse"]
-    figures = first.report["stages"]["adjust"]["figures"]
-    assert figures["accepted"]
-    assert figures["transfer_after"]["median_px"] < 0.4 < 2 < figures["transfer_before"]["median_px"]
+    metrics = first.report["stages"]["adjust"]["metrics"]
+    assert metrics["accepted"]
+    assert metrics["transfer_after"]["median_px"] < 0.4 < 2 < metrics["transfer_before"]["median_px"]
     document = json.loads((out / "adjusted" / "cameras.json").read_text())
     written = read_tum(out / "adjusted" / "trajectory.tum").poses
     assert len(written) == len(document["poses"]) == 12
@@ -64,7 +64,7 @@ def test_adjusted_poses_are_written_beside_kept_and_fused_with(disturbed: Path, 
     assert [outcome.cached for outcome in again.stages] == [True, False]
     off = run(disturbed, tmp_path / "off", config("adjust.enabled=false"), until="fuse")
     assert [outcome.stage for outcome in off.stages] == ["fuse"]
-    fused = [one.report["stages"]["fuse"]["figures"]["triangles"] for one in (first, off)]
+    fused = [one.report["stages"]["fuse"]["metrics"]["triangles"] for one in (first, off)]
     assert fused[0] != fused[1]
     with pytest.raises(UsageError, match="adjust is switched off"):
         run(disturbed, tmp_path / "no", config("adjust.enabled=false"), until="adjust")
@@ -72,9 +72,9 @@ def test_adjusted_poses_are_written_beside_kept_and_fused_with(disturbed: Path, 
 
 def test_exact_poses_go_on_as_they_are(tmp_path: Path) -> None:
     made = run(SAMPLE, tmp_path / "out", config(), until="adjust")
-    assert not made.report["stages"]["adjust"]["figures"]["accepted"]
+    assert not made.report["stages"]["adjust"]["metrics"]["accepted"]
     assert not (tmp_path / "out" / "adjusted").exists()
-    why = made.report["stages"]["adjust"]["figures"]["why"]
+    why = made.report["stages"]["adjust"]["metrics"]["why"]
     assert why.startswith("left as given: colour, depth and poses agree to 0.")
 
 

@@ -23,12 +23,12 @@ def scan() -> Scan:
 def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
     original = sheet(n=20)
     light = simplify(original, ratio=0.1).mesh
-    figures = write_baked(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), ignore_progress)
+    metrics = write_baked(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), ignore_progress)
     baked = read_mesh(tmp_path / "baked.glb")
     found = compare(original, baked, samples=50_000).color_a_to_b
-    assert found.rmse == pytest.approx(figures["color"]["rmse_levels"], rel=0.1)
+    assert found.rmse == pytest.approx(metrics["color"]["rmse_levels"], rel=0.1)
     assert baked.up == (0.0, -1.0, 0.0)
-    assert found.psnr > figures["vertex_color"]["psnr_db"] + 3
+    assert found.psnr > metrics["vertex_color"]["psnr_db"] + 3
 
 
 def test_it_is_there_if_it_is_enabled():

@@ -33,16 +33,16 @@ QUICK = (
 )
 
 
-def figures(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
+def metrics(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
     result = run(scan, out, Config().set([*QUICK, *more]), until=until, cache_dir=f"{out}-cache")
     stages: Any = result.report["stages"]
-    return {name: stage["figures"] for name, stage in stages.items()}
+    return {name: stage["metrics"] for name, stage in stages.items()}
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
-    quiet = figures(scan, tmp_path / "quiet")["fuse"]
+    quiet = metrics(scan, tmp_path / "quiet")["fuse"]
     assert quiet["bricks"] == quiet["bricks_fused"] > 10
 
     from scanloom.pipeline.artifacts import fused_bricks as bricks
@@ -57,9 +57,9 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(bricks.CachedBrickStore, "store", some)
     with pytest.raises(StageError, match="killed"):
-        figures(scan, tmp_path / "out")
+        metrics(scan, tmp_path / "out")
     monkeypatch.setattr(bricks.CachedBrickStore, "store", store)
-    again = figures(scan, tmp_path / "out")["fuse"]
+    again = metrics(scan, tmp_path / "out")["fuse"]
     assert again["bricks_fused"] == quiet["bricks"] - 7
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
@@ -72,7 +72,7 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
     # In several passes, so that frames are read after bricks were kept.
     tight = ("fuse.memory=1", "fuse.voxel_size=0.01", "fuse.max_skipped_ratio=0.9")
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
-    quiet = figures(scan, tmp_path / "quiet", *tight)["fuse"]
+    quiet = metrics(scan, tmp_path / "quiet", *tight)["fuse"]
     first, _, third, _ = (Path(str(frame.depth)) for frame in read_scan(scan).frames)
 
     from scanloom.pipeline.artifacts import fused_bricks as bricks
@@ -89,10 +89,10 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
 
     monkeypatch.setattr(bricks.CachedBrickStore, "store", until_it_changes)
     with pytest.raises(StageError, match=r"0012\.png changed while it was being read; run again"):
-        figures(scan, tmp_path / "out", *tight)
+        metrics(scan, tmp_path / "out", *tight)
     monkeypatch.setattr(bricks.CachedBrickStore, "store", store)
     third.write_bytes(whole)
-    again = figures(scan, tmp_path / "out", *tight)["fuse"]
+    again = metrics(scan, tmp_path / "out", *tight)["fuse"]
     assert 0 < again["bricks_fused"] < again["bricks"] == quiet["bricks"]
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
@@ -100,14 +100,14 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
 @pytest.mark.slow
 def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scan, out = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6))), tmp_path / "out"
-    quiet = figures(scan, out)["fuse"]
+    quiet = metrics(scan, out)["fuse"]
     before = (out / "fused.ply").read_bytes()
     kept = tmp_path / "out-cache"
 
     def again(*, force: Sequence[str] = ()) -> int:
         fused = run(scan, out, Config().set(QUICK), until="fuse", cache_dir=kept, force=force).stages[-1]
         assert (out / "fused.ply").read_bytes() == before
-        return int(fused.figures["bricks_fused"])
+        return int(fused.metrics["bricks_fused"])
 
     # Before it is looked for, each of its files in its own way.
     shutil.rmtree(kept / "fuse")
@@ -144,7 +144,7 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     given = ("fuse.truncation=0.045", "fuse.max_depth=2.2")
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     out = tmp_path / "out"
-    first = figures(scan, out, *given)["fuse"]
+    first = metrics(scan, out, *given)["fuse"]
     # It sees a corner of the scene.
     frames = [*read_scan(scan).frames]
     new = read_scan(SAMPLE).frames[20]
@@ -155,10 +155,10 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     color = scan / "color" / Path(str(new.color)).name
     frames.append(replace(new, name="new", color=color, depth=scan / "depth" / "new.png"))
     write_scan_json(scan, frames)
-    again = figures(scan, out, *given)["fuse"]
+    again = metrics(scan, out, *given)["fuse"]
     assert again["frames_used"] == first["frames_used"] + 1
     assert 0 < again["bricks_fused"] < 0.7 * again["bricks"]
-    alone = figures(scan, tmp_path / "alone", *given)["fuse"]
+    alone = metrics(scan, tmp_path / "alone", *given)["fuse"]
     assert alone["bricks_fused"] == alone["bricks"] == again["bricks"]
     assert (out / "fused.ply").read_bytes() == (tmp_path / "alone" / "fused.ply").read_bytes()
 
@@ -167,7 +167,7 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
 def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> None:
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     ratio = "simplify.ratio=0.2"
-    at_once = figures(scan, tmp_path / "at-once", ratio, until="simplify")
+    at_once = metrics(scan, tmp_path / "at-once", ratio, until="simplify")
     whole = "fuse.brick_size=none"
     ways = {
         "bricks": ("fuse.brick_size=0.16",),
@@ -177,11 +177,11 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
     }
     with use_small_chunks():
         for way, settings in ways.items():
-            in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")
+            in_pieces = metrics(scan, tmp_path / way, ratio, *settings, until="simplify")
             assert ("bricks" in in_pieces["fuse"]) == (way != "one")
             assert in_pieces["simplify"]["parts"] > 5
         with pytest.raises(StageError, match=r"bake cannot process chunks, and clean\.ply has"):
-            figures(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
+            metrics(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
     assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
     for name in ("fused.ply", "clean.ply", "simplified.ply"):
         assert len({(tmp_path / way / name).read_bytes() for way in ways}) == 1

@@ -32,7 +32,7 @@ def test_entry_comes_back_as_it_was_stored(cache):
     entry = cache.get(RECIPE)
     assert entry.folder == folder
     assert entry.key == RECIPE.key == folder.name
-    assert entry.figures == {"triangles": 7}
+    assert entry.metrics == {"triangles": 7}
     assert entry.manifest["made"] == {"seconds": 1.5}
     assert entry.manifest["recipe"] == RECIPE.as_json()
     assert sorted(entry.files) == ["fused.ply", "maps/0.bin"]

@@ -190,7 +190,7 @@ def test_cache_that_may_only_be_read_serves_hits(cache, warnings, tmp_path, requ
     with pytest.raises(KeyboardInterrupt):
         cache.lock_output_folder(tmp_path / "out", interrupt)
     entry = cache.get(RECIPE)
-    assert entry.figures == {"triangles": 7}
+    assert entry.metrics == {"triangles": 7}
     for _ in range(2):
         cache.record_run(tmp_path / "out", {"keys": [entry.key]})
     assert [text.partition(":")[0] for text in warnings] == [f"the cache {cache.folder} is read-only"]

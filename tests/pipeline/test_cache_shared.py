@@ -17,10 +17,10 @@ def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
     def slow(folder):
         store_entry(Cache(cache.folder))
         (folder / "fused.ply").write_bytes(b"of the slower one")
-        return {"figures": {"triangles": 8}}
+        return {"metrics": {"triangles": 8}}
 
     entry = cache.store(RECIPE, slow)
-    assert entry.figures == {"triangles": 7}
+    assert entry.metrics == {"triangles": 7}
     assert list_drafts(cache) == []
 
 
@@ -28,10 +28,10 @@ def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
     def slow(folder):
         flip_byte(store_entry(Cache(cache.folder)) / "fused.ply")
         (folder / "fused.ply").write_bytes(b"of the slower one")
-        return {"figures": {"triangles": 8}}
+        return {"metrics": {"triangles": 8}}
 
     entry = cache.store(RECIPE, slow)
-    assert entry.figures == {"triangles": 8}
+    assert entry.metrics == {"triangles": 8}
     assert len(warnings) == 1
 
 
@@ -40,7 +40,7 @@ def test_forced_result_takes_the_place_of_the_old_one(cache):
 
     def again(folder):
         (folder / "fused.ply").write_bytes(b"again")
-        return {"figures": {}}
+        return {"metrics": {}}
 
     assert (store_entry(cache, how=again, replace=True) / "fused.ply").read_bytes() == b"again"
     assert list_drafts(cache) == []

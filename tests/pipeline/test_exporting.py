@@ -41,7 +41,7 @@ def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(
     np.testing.assert_array_equal(light.colors, plain.colors)
     # The sample's world has z up.
     assert light.up == pytest.approx((0, 0, 1))
-    told = json.loads((tmp_path / "report.json").read_text())["stages"]["upright"]["figures"]
+    told = json.loads((tmp_path / "report.json").read_text())["stages"]["upright"]["metrics"]
     assert (told["up"], told["up_source"]) == ([0, 0, 1], "surface")
 
     run(SCAN, tmp_path, config("upright.up=+x", "export.web=true"))
@@ -65,5 +65,5 @@ def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
 
 
 def test_frames_without_poses_tell_nothing(tmp_path):
-    figures = estimate_up(tmp_path, sheet(), Scan("made", []), None, UprightSection())
-    assert figures == {"up": None, "up_source": "nothing"}
+    metrics = estimate_up(tmp_path, sheet(), Scan("made", []), None, UprightSection())
+    assert metrics == {"up": None, "up_source": "nothing"}

@@ -52,15 +52,15 @@ def ran(table: Path, out: Path, *more: str, until: str = "fuse") -> RunResult:
 def test_what_is_up_is_told_by_the_plane_that_was_left_out(table: Path, tmp_path: Path) -> None:
     result = ran(table, tmp_path / "out", "fuse.remove_plane=true", until="upright")
     stages: Any = result.report["stages"]
-    told = stages["upright"]["figures"]
+    told = stages["upright"]["metrics"]
     assert told["up_source"] == "plane"
     assert told["up"] == pytest.approx([0, -np.sin(TILT), np.cos(TILT)], abs=0.003)
-    plane = stages["fuse"]["figures"]["crop"]["plane"]
+    plane = stages["fuse"]["metrics"]["crop"]["plane"]
     assert plane["normal"] == pytest.approx(told["up"], abs=1e-6)
     heights = read_ply(tmp_path / "out" / "clean.ply").vertices @ plane["normal"] - plane["offset_m"]
     assert plane["margin_m"] - 1e-4 <= heights.min() < plane["margin_m"] + 0.02
     assert heights.max() == pytest.approx(2 * BALL, abs=0.01)
-    without = ran(table, tmp_path / "out", until="upright").report["stages"]["upright"]["figures"]
+    without = ran(table, tmp_path / "out", until="upright").report["stages"]["upright"]["metrics"]
     assert without["up_source"] == "surface"
 
 
@@ -98,7 +98,7 @@ def test_only_a_plane_that_was_left_out_tells_what_is_up(tmp_path: Path) -> None
     scan = Scan("plain-rgbd", frames("ball")[::2])
     fused = write_fused(tmp_path, scan, FuseParams(voxel_size=0.03, radius=0.4), None)
     assert FusedMesh(tmp_path).load_plane_normal() is None
-    assert len(read_ply(tmp_path / "fused.ply").triangles) == fused.figures()["triangles"]
+    assert len(read_ply(tmp_path / "fused.ply").triangles) == fused.to_dict()["triangles"]
 
 
 def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: Path) -> None:

@@ -44,23 +44,23 @@ def ran(scan: Path, out: Path, *more: str, until: str | None = None) -> tuple[Ru
     return result, [str(one) for one in result.diagnostics]
 
 
-def figures_of(result: RunResult, stage: str) -> dict[str, Any]:
-    figures: dict[str, Any] = result.report["stages"][stage]["figures"]
-    return figures
+def metrics_of(result: RunResult, stage: str) -> dict[str, Any]:
+    metrics: dict[str, Any] = result.report["stages"][stage]["metrics"]
+    return metrics
 
 
 @pytest.mark.slow
 def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: Any) -> None:
     _, out, result, _ = made
     light = read_ply(out / "simplified.ply")
-    assert figures_of(result, "simplify")["parts"] > 5
+    assert metrics_of(result, "simplify")["parts"] > 5
     told = result.report["mesh"]
     for name, samples in (("fused", 2000), ("clean", 500)):
-        expected = compare(read_ply(out / f"{name}.ply"), light, samples=samples).figures()
+        expected = compare(read_ply(out / f"{name}.ply"), light, samples=samples).to_dict()
         for kind in ("distance", "color"):
             for way, values in expected[kind].items():
                 assert told[f"to_{name}"][kind][way] == pytest.approx(values, rel=1e-5, abs=1e-9)
-    expected = deviations(read_ply(out / "clean.ply"), light, signed_samples=SIGNED_SAMPLES).figures()
+    expected = deviations(read_ply(out / "clean.ply"), light, signed_samples=SIGNED_SAMPLES).to_dict()
     for name in ("rms_m", "mean_m", "lowest_m", "highest_m", "absolute_percentiles_m"):
         assert result.report["deviation"][name] == pytest.approx(expected[name], rel=1e-5, abs=1e-9)
     drawn = [name for name in result.report["pictures"] if "triangles" not in name]
@@ -85,8 +85,8 @@ def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) ->
     scan, out, result, said = made
     expected = coverage(read_ply(out / "clean.ply"), read_scan(scan))
     told = json.loads((out / "coverage.json").read_text())
-    assert figures_of(result, "coverage")["places"] == len(told["places"]) == len(expected.defects) > 0
-    for place, one in zip(told["places"], expected.figures()["places"], strict=True):
+    assert metrics_of(result, "coverage")["places"] == len(told["places"]) == len(expected.defects) > 0
+    for place, one in zip(told["places"], expected.to_dict()["places"], strict=True):
         for name in ("kind", "point_m", "viewpoint_m", "frames_in_view"):
             assert place[name] == one[name]
         assert place["area_m2"] == pytest.approx(one["area_m2"], rel=1e-6)
@@ -111,11 +111,11 @@ def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) ->
 
 def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one(made: Any) -> None:
     scan, out, result, said = made
-    told, proven = figures_of(result, "lod"), figures_of(result, "simplify")["details"]
+    told, proven = metrics_of(result, "lod"), metrics_of(result, "simplify")["details"]
     clean, hierarchy = read_ply(out / "clean.ply"), lod.read_slod(out / "lod.slod")
     assert told["base_shape_bound_m"] == proven["shape_bound_m"] <= 0.009
     assert hierarchy.base_color_bound == proven["color_bound_levels"]
-    assert told["base_triangles"] == figures_of(result, "simplify")["triangles"]
+    assert told["base_triangles"] == metrics_of(result, "simplify")["triangles"]
     assert told["input_triangles"] == len(clean.triangles)
     assert sum("built from the simplified mesh, which is proven to be within" in text for text in said) == 1
     # By a proof of its own: what the coarsest level promises is true of the mesh it has never seen.
@@ -125,8 +125,8 @@ def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one
     with use_small_chunks():
         lighter, _ = ran(scan, out, BOUND, "lod.enabled=true", "lod.base_error=0.015", until="lod")
         assert [one.stage for one in lighter.stages if not one.cached] == ["lod"]
-        told = figures_of(lighter, "lod")
-        assert told["base_triangles"] < figures_of(result, "lod")["base_triangles"]
+        told = metrics_of(lighter, "lod")
+        assert told["base_triangles"] < metrics_of(result, "lod")["base_triangles"]
         assert proven["shape_bound_m"] < told["base_shape_bound_m"] <= 0.015
 
 
@@ -135,9 +135,9 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
     out = tmp_path / "out"
     with use_small_chunks():
         result, said = ran(scan, out, "simplify.ratio=0.2", "lod.enabled=true", until="lod")
-        told = figures_of(result, "lod")
+        told = metrics_of(result, "lod")
         assert told["base_shape_bound_m"] == 0
-        assert told["input_triangles"] == figures_of(result, "simplify")["triangles"]
+        assert told["input_triangles"] == metrics_of(result, "simplify")["triangles"]
         assert sum("whose distance from the clean mesh is not proven" in text for text in said) == 1
         assert "is not proven" in str(lod.read_slod(out / "lod.slod").diagnostics[-1])
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])

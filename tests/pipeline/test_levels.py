@@ -95,8 +95,8 @@ def ran(result) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
 
-def figures_of(result, stage: str = "lod") -> dict:
-    return result.report["stages"][stage]["figures"]
+def metrics_of(result, stage: str = "lod") -> dict:
+    return result.report["stages"][stage]["metrics"]
 
 
 def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
@@ -121,7 +121,7 @@ def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
 
     hierarchy = lod.read_slod(out / "lod.slod")
     stages = json.loads((out / "report.json").read_text())["stages"]
-    told = stages["lod"]["figures"]
+    told = stages["lod"]["metrics"]
     assert told["input_triangles"] == len(read_ply(out / "clean.ply").triangles)
     assert told["base_triangles"] < told["input_triangles"]
     assert (told["base_error_source"], told["base_error_m"]) == ("noise", 0.5 * told["depth_noise_m"])
@@ -133,15 +133,15 @@ def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
     )
     assert told["file_bytes"] == (out / "lod.slod").stat().st_size
     tiles = list((out / "tiles").rglob("*.glb"))
-    assert stages["tiles"]["figures"]["tiles"] == len(tiles)
-    assert stages["tiles"]["figures"]["total_bytes"] == sum(path.stat().st_size for path in tiles)
+    assert stages["tiles"]["metrics"]["tiles"] == len(tiles)
+    assert stages["tiles"]["metrics"]["total_bytes"] == sum(path.stat().st_size for path in tiles)
     assert ran(run(scan, out, quick("lod.enabled=true"))) == []
 
 
 @pytest.mark.slow
 def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan, tmp_path):
     out = tmp_path / "out"
-    told = figures_of(run(scan, out, quick("lod.enabled=true")), "upright")
+    told = metrics_of(run(scan, out, quick("lod.enabled=true")), "upright")
     assert told["up_source"] == "cameras"
     np.testing.assert_allclose(told["up"], -tilt()[:, 1], atol=1e-5)
     np.testing.assert_allclose(
@@ -165,7 +165,7 @@ def test_tiles_show_what_the_photos_do_and_follow_the_texture_alone(scan, tmp_pa
     out = tmp_path / "out"
     textured = ("lod.enabled=true", "texture.enabled=true")
     result = run(scan, out, quick(*textured))
-    told = figures_of(result, "tiles")
+    told = metrics_of(result, "tiles")
     assert told["images"]["root_bytes"] > 0
     assert all(
         tile["content"]["extras"]["color_rms_levels_sampled"] < 12 for tile in all_of(read_tree(out)["root"])
@@ -175,7 +175,7 @@ def test_tiles_show_what_the_photos_do_and_follow_the_texture_alone(scan, tmp_pa
     assert ran(again) == ["simplify", "texture", "tiles", "report"]
     plain = run(scan, out, quick(*textured, "simplify.ratio=0.3", "tiles.images=false"))
     assert ran(plain) == ["tiles"]
-    assert figures_of(plain, "tiles")["images"] is None
+    assert metrics_of(plain, "tiles")["images"] is None
     paged = run(scan, out, quick(*textured, "simplify.ratio=0.3", "tiles.images=false", "tiles.page=true"))
     assert ran(paged) == ["tiles"]
     assert (out / "tiles" / "index.html").exists()
@@ -213,8 +213,8 @@ def test_its_parameters_and_the_clean_mesh_decide_its_result_but_threads_do_not(
     assert "ratio 2.5 → 4" in other.stages[-1].reason
     exact = run(scan, out, quick("lod.enabled=true", "lod.base_error=0"), until="lod")
     assert ran(exact) == ["lod"]
-    assert figures_of(exact)["base_triangles"] == figures_of(exact)["input_triangles"]
-    assert figures_of(exact)["depth_noise_m"] is None
+    assert metrics_of(exact)["base_triangles"] == metrics_of(exact)["input_triangles"]
+    assert metrics_of(exact)["depth_noise_m"] is None
     assert ran(run(scan, out, quick("lod.enabled=true", "lod.threads=1"), until="lod")) == []
     # The simplified mesh does not.
     lighter = run(scan, out, quick("lod.enabled=true", "simplify.ratio=0.3"), until="lod")
@@ -230,9 +230,9 @@ def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_
     frame = Frame("0", CAMERA, None, depth=wall, world_from_camera=pose)
     params = LodSection(cell_triangles=200, root_triangles=50)
     with collecting() as diagnostics:
-        figures = write_levels(tmp_path, mesh, [frame], params, ignore_progress)
-    assert figures["base_triangles"] == len(mesh.triangles)
-    assert (figures["base_error_m"], figures["base_error_source"]) == (0, "noise")
+        metrics = write_levels(tmp_path, mesh, [frame], params, ignore_progress)
+    assert metrics["base_triangles"] == len(mesh.triangles)
+    assert (metrics["base_error_m"], metrics["base_error_source"]) == (0, "noise")
     assert [one.code for one in diagnostics] == ["levels.noise-unknown"]
 
 

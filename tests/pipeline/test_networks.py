@@ -59,8 +59,8 @@ def reasons(scan: Path, out: Path, network: Path, *more: str) -> dict[str, str]:
 
 def test_a_network_and_its_sidecar_decide_and_their_place_does_not(scan, network, tmp_path):
     out = tmp_path / "out"
-    figures = run(scan, out, config(network), until="depth").stages[0].figures
-    assert figures["filled_ratio"] > 0.05
+    metrics = run(scan, out, config(network), until="depth").stages[0].metrics
+    assert metrics["filled_ratio"] > 0.05
     assert reasons(scan, out, network) == {}
     moved = tmp_path / "elsewhere" / "renamed.onnx"
     moved.parent.mkdir()

@@ -151,12 +151,12 @@ def test_a_new_stage_is_in_runs_help_toml_json_cache_and_report(checkout: Path, 
     printed = json.loads(run_scanloom(checkout, "run", str(sample), "-o", str(out), *words, *quick, "--json"))
     stage = json.loads((out / "report.json").read_text())["stages"]["area"]
     assert stage["params"] == {"area": {"factor": 2.0}}
-    assert stage["figures"]["area_m2"] == float((out / "area.txt").read_text()) > 0
-    assert printed["stages"]["area"]["figures"] == stage["figures"]
+    assert stage["metrics"]["area_m2"] == float((out / "area.txt").read_text()) > 0
+    assert printed["stages"]["area"]["metrics"] == stage["metrics"]
     assert len(list((out / "cache" / "area").iterdir())) == 1
     assert "area" in (out / "report.html").read_text(encoding="utf-8")
     alone = json.loads(run_scanloom(checkout, "area", str(out / "clean.ply"), "--json"))
-    assert alone["area_m2"] == pytest.approx(stage["figures"]["area_m2"] / 2)
+    assert alone["area_m2"] == pytest.approx(stage["metrics"]["area_m2"] / 2)
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)

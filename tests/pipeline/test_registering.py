@@ -63,8 +63,8 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
     mesh = read_ply(out / "fused.ply")
     assert len(mesh.triangles) > 1000
     register = json.loads((out / "report.json").read_text())["stages"]["register"]
-    assert register["figures"]["frames"] == len(truth)
-    assert register["figures"]["pieces"] == [len(truth)]
+    assert register["metrics"]["frames"] == len(truth)
+    assert register["metrics"]["pieces"] == [len(truth)]
     assert first.unmet_requirements == ()
 
     again = run(unposed, out, config("fuse.voxel_size=0.03"), until="fuse")
@@ -81,7 +81,7 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
             pixels = cv2.imread(str(folder / image), cv2.IMREAD_UNCHANGED)
             cv2.imwrite(str(folder / image), pixels[:, ::-1])
     result = run(folder, tmp_path / "out", config("scan.every=2", "scan.last=17"), until="fuse")
-    assert result.report["stages"]["register"]["figures"]["pieces"] == [6, 3]
+    assert result.report["stages"]["register"]["metrics"]["pieces"] == [6, 3]
     # What could be joined is there, the rest beside it: a warning, which --strict makes an error.
     assert result.unmet_requirements == ()
     sentence = result.report["stages"]["register"]["diagnostics"][0]["message"]
@@ -98,7 +98,7 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
     assert len(read_tum(tmp_path / "out" / "trajectory.tum").poses) == 3
     assert (tmp_path / "out" / "pieces" / "fused-1.ply").is_file()
     assert not (tmp_path / "out" / "pieces" / "fused-2.ply").exists()
-    assert other.report["stages"]["register"]["figures"]["frames"] == 3
+    assert other.report["stages"]["register"]["metrics"]["frames"] == 3
 
 
 def test_poses_of_a_scan_are_refined(tmp_path: Path) -> None:

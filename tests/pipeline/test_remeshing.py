@@ -71,7 +71,7 @@ def names(out: Path) -> list[str]:
 
 
 def told_up(out) -> list[float]:
-    return json.loads((out / "report.json").read_text())["stages"]["upright"]["figures"]["up"]
+    return json.loads((out / "report.json").read_text())["stages"]["upright"]["metrics"]["up"]
 
 
 def ran(result) -> list[str]:
@@ -91,12 +91,12 @@ def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, 
     assert (out / "remeshed.ply").read_bytes() == (out / "levels" / "level_2.ply").read_bytes()
 
     told = json.loads((out / "report.json").read_text())
-    assert told["stages"]["remesh"]["figures"]["levels"] == 2
-    for level, figures in enumerate(told["normal_mesh"]["levels"]):
+    assert told["stages"]["remesh"]["metrics"]["levels"] == 2
+    for level, metrics in enumerate(told["normal_mesh"]["levels"]):
         mesh = decoded.levels[level]
-        assert (figures["level"], figures["triangles"]) == (level, len(mesh.triangles))
-        assert figures["vertices"] == len(mesh.vertices)
-        assert figures["to_simplified"]["color"]["a_to_b"]["psnr_db"] > 15
+        assert (metrics["level"], metrics["triangles"]) == (level, len(mesh.triangles))
+        assert metrics["vertices"] == len(mesh.vertices)
+        assert metrics["to_simplified"]["color"]["a_to_b"]["psnr_db"] > 15
     assert told["mesh"]["triangles"] == len(read_ply(out / "simplified.ply").triangles)
     for name in ("level_0", "level_1", "level_2", "distance"):
         assert f"pictures/remeshed-{name}.png" in told["pictures"]
@@ -156,13 +156,13 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
     mesh = MESHES["ring"]()
     found = remesh(mesh, levels=2, base_triangles=100)
     view = viewpoints(mesh, 1, width=120)[0]
-    figures, pictures = measure_and_draw_levels(
+    metrics, pictures = measure_and_draw_levels(
         tmp_path, mesh, found.levels, view, CompareParams(samples=20_000)
     )
-    distances = [one["to_simplified"]["distance"]["symmetric"]["rms_m"] for one in figures["levels"]]
+    distances = [one["to_simplified"]["distance"]["symmetric"]["rms_m"] for one in metrics["levels"]]
     assert distances == sorted(distances, reverse=True)
-    farthest = figures["levels"][0]["to_simplified"]["distance"]["a_to_b"]["maximum_m"]
-    assert 0 < figures["full_scale_m"] < farthest
+    farthest = metrics["levels"][0]["to_simplified"]["distance"]["a_to_b"]["maximum_m"]
+    assert 0 < metrics["full_scale_m"] < farthest
     assert pictures == [*(f"remeshed-level_{level}.png" for level in range(3)), "remeshed-distance.png"]
     painted = cv2.imread(str(tmp_path / "remeshed-distance.png")).astype(int)
     # Both ends of the scale are seen: dark blue, and yellow.
@@ -172,6 +172,6 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
 
 def test_what_is_made_is_read_again(tmp_path):
     mesh = MESHES["holed"]()
-    figures = write_normal_mesh(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), ignore_progress)
+    metrics = write_normal_mesh(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), ignore_progress)
     levels = NormalMeshFiles(tmp_path).load_levels()
-    assert [len(level.triangles) for level in levels] == [one["triangles"] for one in figures["by_level"]]
+    assert [len(level.triangles) for level in levels] == [one["triangles"] for one in metrics["by_level"]]

@@ -181,9 +181,9 @@ def test_failures_of_the_machine_in_a_stage_are_one_sentence(toy, scan, tmp_path
 
 def test_scan_that_changes_while_a_stage_reads_it_is_not_kept(toy, scan, tmp_path):
     def slow(inputs, params, context):
-        figures = toy.mix(inputs, params, context)
+        metrics = toy.mix(inputs, params, context)
         (scan / "01.raw").write_bytes(bytes(64))
-        return figures
+        return metrics
 
     plan = (replace(toy.PLAN[0], run=slow), *toy.PLAN[1:])
     with pytest.raises(StageError, match=r"01\.raw changed while it was being read"):
@@ -204,7 +204,7 @@ def test_events_tell_the_story(toy, scan, tmp_path):
     [finished] = told[4:]
     assert isinstance(finished, StageFinished)
     assert (finished.stage, finished.cached, finished.reason) == ("mix", False, "first run")
-    assert finished.figures["worst_m"] is None, "infinity is no JSON"
+    assert finished.metrics["worst_m"] is None, "infinity is no JSON"
     assert finished.results == (tmp_path / "out" / "mixed.bin",)
     told.clear()
     toy.run(scan, tmp_path / "out", events=told.append, until="mix")

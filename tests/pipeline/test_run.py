@@ -19,7 +19,7 @@ from scanloom.pipeline.artifacts.depth_maps import choose_depth_scale
 from scanloom.pipeline.cache.digest import compute_digest, compute_file_digest
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.evaluation.measurements import edge_figures
+from scanloom.pipeline.evaluation.measurements import edge_metrics
 from scanloom.pipeline.graph import STAGES
 from scanloom.pipeline.run.events import RunStarted
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
@@ -171,7 +171,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
 
     report = json.loads((out / "report.json").read_text())
     assert report == result.report
-    assert result.figures()["out"] == str(out)
+    assert result.to_dict()["out"] == str(out)
     assert report["schema"] == SCHEMA
     assert report["scan"] == {
         "layout": "plain-rgbd",
@@ -327,7 +327,7 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
     for _ in ("made", "cached"):
         result = run(rgbd, tmp_path / "out", quick("fuse.max_skipped_ratio=0.5"), until="fuse")
-        [skipped] = result.stages[1].figures["frames_skipped"]
+        [skipped] = result.stages[1].metrics["frames_skipped"]
         assert "0003" in skipped["reason"]
         [warned] = result.diagnostics
         assert str(warned).startswith("fuse: 1 frame skipped; the first is ")
@@ -343,13 +343,13 @@ def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
     again = run(moved_to, tmp_path / "out", options, until="fuse")
     assert ran(again) == [], "a moved scan is the same scan"
     for result in (first, again):
-        [skipped] = result.stages[1].figures["frames_skipped"]
+        [skipped] = result.stages[1].metrics["frames_skipped"]
         assert skipped["reason"].startswith("depth/0003.png: "), "not where it stood once"
     (moved_to / "depth" / "0003.png").rename(moved_to / "depth" / "third.png")
     listed = moved_to / "scan.json"
     listed.write_text(listed.read_text().replace("depth/0003.png", "depth/third.png"))
     renamed = run(moved_to, tmp_path / "out", options, until="fuse")
-    [skipped] = renamed.stages[1].figures["frames_skipped"]
+    [skipped] = renamed.stages[1].metrics["frames_skipped"]
     assert skipped["reason"].startswith("depth/third.png: ")
 
 
@@ -392,12 +392,12 @@ def test_depth_scale_uses_the_sixteen_bits(limit):
     assert 65535 * 0.98 < limit * choose_depth_scale(limit) <= 65535 * (1 + 1e-12)
 
 
-def test_edge_figures_of_a_known_mesh():
+def test_edge_metrics_of_a_known_mesh():
     square = Mesh(
         np.array([[0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]], float),
         np.array([[0, 1, 2], [0, 2, 3]], np.int32),
     )
-    found = edge_figures(square)
+    found = edge_metrics(square)
     assert found["count"] == 5
     assert found["length_mean_m"] == pytest.approx((3 + 3 + 4 + 4 + 5) / 5)
     assert found["length_std_m"] == pytest.approx(math.sqrt((2 * 0.8**2 + 2 * 0.2**2 + 1.2**2) / 5))

@@ -53,16 +53,16 @@ LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 )
 def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) -> None:
     with collecting() as diagnostics:
-        figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
-    assert (figures["up"], figures["up_source"]) == (up, source)
+        metrics = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
+    assert (metrics["up"], metrics["up_source"]) == (up, source)
     assert UpDirection(tmp_path).load() == up
     assert ["set upright.up=AXIS if it is wrong" in str(one) for one in diagnostics] == [True] * doubts
 
 
 def test_what_is_given_counts_more_than_what_is_known(tmp_path: Path) -> None:
     scan = Scan("s", [posed(LEVEL)], up=POLYCAM)
-    figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
-    assert (figures["up"], figures["up_source"]) == ((-1.0, 0.0, 0.0), "given")
+    metrics = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
+    assert (metrics["up"], metrics["up_source"]) == ((-1.0, 0.0, 0.0), "given")
 
 
 def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp_path: Path) -> None:
@@ -133,5 +133,5 @@ def test_another_up_is_another_stand_and_nothing_else(tmp_path: Path) -> None:
     (scan / "scan.json").write_text(json.dumps(document | {"up": [0, 0, -3], "up_source": "a level"}))
     result = run(scan, out, config, until="upright")
     assert [one.stage for one in result.stages if not one.cached] == ["upright"]
-    assert result.report["stages"]["upright"]["figures"]["up_source"] == "a level"
-    assert result.report["stages"]["upright"]["figures"]["up"] == [0, 0, -1]
+    assert result.report["stages"]["upright"]["metrics"]["up_source"] == "a level"
+    assert result.report["stages"]["upright"]["metrics"]["up"] == [0, 0, -1]

@@ -65,7 +65,7 @@ def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) ->
         "texture",
         "report",
     ]
-    assert result.report["stages"]["depth"]["figures"]["frames_used"] == 7
+    assert result.report["stages"]["depth"]["metrics"]["frames_used"] == 7
     vertices = read_ply(tmp_path / "out" / "clean.ply").vertices
     to_ball = np.abs(np.linalg.norm(vertices, axis=1) - posed_scene.RADIUS)
     to_board = np.abs(vertices[:, 2] - posed_scene.BOARD_Z)

@@ -21,5 +21,5 @@ if scan.is_stereo:
 fused = fuse(frames)
 write_mesh("fused.ply", fused.mesh)
 found = register(frames)
-figures = {"inspect": inspect(scan).figures(), "fuse": fused.figures(), "register": found.figures()}
-print(json.dumps(figures, default=str))
+metrics = {"inspect": inspect(scan).to_dict(), "fuse": fused.to_dict(), "register": found.to_dict()}
+print(json.dumps(metrics, default=str))

@@ -29,4 +29,4 @@ np.savez(
 )
 for convert in (to_open3d, to_open3d_legacy, to_trimesh):
     write_mesh(f"{convert.__name__}.ply", as_mesh(convert(mesh)))
-print(json.dumps(topology(mesh).figures() | {"patches": patches.count, "views": [v.name for v in views]}))
+print(json.dumps(topology(mesh).to_dict() | {"patches": patches.count, "views": [v.name for v in views]}))

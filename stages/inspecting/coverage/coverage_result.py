@@ -125,11 +125,11 @@ class Coverage:
         every = np.concatenate([part.probe_indices for part in self.surface_coverage.iterate_painted()])
         return every[: self.surface_coverage.surface.vertex_count]
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the metrics for JSON, with units in the key names."""
         return {
             "frames_used": self.frame_count,
-            "frames_skipped": [one.figures() for one in self.skipped],
+            "frames_skipped": [one.to_dict() for one in self.skipped],
             "surface_m2": self.surface_area,
             "spread_median_m": self.spread_median,
             "spread_95_m": self.spread_95,
@@ -144,5 +144,5 @@ class Coverage:
             "max_patch_size_m": self.max_patch_size,
             "spacing_m": self.spacing,
             "places_omitted": self.omitted_count,
-            "places": [place.figures() for place in self.defects],
+            "places": [place.to_dict() for place in self.defects],
         }

@@ -47,7 +47,7 @@ class CoverageDefect:
         """Short description of the defect."""
         return DEFECT_KINDS[self.kind].description
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the defect for JSON, with units in the key names."""
         return {
             "kind": self.kind,
@@ -58,7 +58,7 @@ class CoverageDefect:
             "normal": list(self.normal),
             "extent_m": self.extent,
             "frames_in_view": self.frames_in_view,
-            "nearest_frames": [look.figures() for look in self.nearest_frames],
+            "nearest_frames": [look.to_dict() for look in self.nearest_frames],
             "viewpoint_m": list(self.viewpoint.position),
             "view_direction": list(self.viewpoint.direction),
             "visible_ratio": self.viewpoint.visible_ratio,

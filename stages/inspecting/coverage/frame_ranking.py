@@ -82,7 +82,7 @@ class FrameView:
     distance_m: float
     reason: str
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the values for JSON, with units in the key names."""
         return {
             "frame": self.frame,

@@ -101,7 +101,7 @@ def write_scan_json(
         "camera": _to_camera_table(first.camera),
         "depth_scale": first.depth_scale,
         "depth_missing": list(first.depth_missing),
-        **({} if up is None else up.figures()),
+        **({} if up is None else up.to_dict()),
         **({} if is_metric else {"metric": False}),
         "frames": [_to_frame_table(frame, folder, first.camera) for frame in frames],
     }

@@ -345,7 +345,7 @@ class Frame:
     def _thumbnail(self) -> bytes | None:
         return render_thumbnail([one for one in (self.color, self.right) if one is not None])
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Summarise the frame as a JSON object without reading images."""
         return {
             "frame": self.name,
@@ -382,7 +382,7 @@ class SkippedFrame:
         """Reason in words."""
         return str(self.diagnostic)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return name, code and reason as a JSON object."""
         return {"frame": self.name, "code": self.diagnostic.code, "reason": self.reason}
 
@@ -507,7 +507,7 @@ class Scan:
     def _thumbnail(self) -> bytes | None:
         return render_thumbnail([frame.color for frame in self.frames if frame.color is not None])
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Summarise the scan as a JSON object without reading images.
 
         `inspect` reports much more.
@@ -520,8 +520,8 @@ class Scan:
             "frames_with_poses": sum(frame.world_from_camera is not None for frame in self.frames),
             "size_px": None if camera is None else [camera.width, camera.height],
             "frames_held_out": len(self.held_out),
-            "frames_skipped": [one.figures() for one in self.skipped_frames],
-            "missing": [one.figures() for one in self.missing],
+            "frames_skipped": [one.to_dict() for one in self.skipped_frames],
+            "missing": [one.to_dict() for one in self.missing],
         }
 
     @property

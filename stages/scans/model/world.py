@@ -27,7 +27,7 @@ class WorldUp:
     direction: Direction
     source: str
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return direction and source under the keys of the stage `upright`."""
         return {"up": list(self.direction), "up_source": self.source}
 
@@ -55,7 +55,7 @@ class Scale:
     source: str
     spread_ratio: float | None = None
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return all fields as a JSON object."""
         return {
             "metres_per_unit": self.metres_per_unit,

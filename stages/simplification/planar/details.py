@@ -57,6 +57,6 @@ class PlanarDetails(Details):
     patches: Patches
     triangle_patch: NDArray[np.int32]
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics for JSON, including the largest patches."""
-        return super().figures() | self.patches.figures()
+        return super().to_dict() | self.patches.to_dict()

@@ -53,7 +53,7 @@ class Patches:
         """Number of patches."""
         return len(self.areas)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return statistics: number of patches, total area, and the largest patches."""
         area = float(self.areas.sum())
         rows = zip(self.areas, self.triangles, self.thickness, self.normals, strict=True)

@@ -65,7 +65,7 @@ class GuessedSidecar:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the guess, JSON-ready."""
         told = {name: value for name, value in vars(self.sidecar).items() if name != "file"}
         return {"sidecar": told, "error_px": self.error_px, "alike": list(self.alternatives)}

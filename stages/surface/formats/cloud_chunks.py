@@ -100,7 +100,7 @@ def assemble_cloud(folder: Path, metadata: dict[str, Any], path: Path) -> Mesh:
     metadata : metadata from `CloudChunkWriter.get_metadata`, plus "diagnostics".
     path : cloud file, for messages.
     """
-    emit(*(Diagnostic.from_figures(figures) for figures in metadata["diagnostics"]))
+    emit(*(Diagnostic.from_dict(metrics) for metrics in metadata["diagnostics"]))
     counts = metadata["counts"]
     count = counts[_POINTS_FILE]
     arrays = {

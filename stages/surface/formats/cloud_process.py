@@ -25,4 +25,4 @@ def _read_cloud_file(arguments: list[str]) -> dict[str, Any]:
     writer = CloudChunkWriter(folder, path)
     with collecting() as diagnostics:
         (read_e57 if path.suffix.lower() == ".e57" else read_las)(path, writer)
-    return {**writer.get_metadata(), "diagnostics": [diagnostic.figures() for diagnostic in diagnostics]}
+    return {**writer.get_metadata(), "diagnostics": [diagnostic.to_dict() for diagnostic in diagnostics]}

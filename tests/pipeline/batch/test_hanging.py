@@ -130,7 +130,7 @@ def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
     assert again is not None
     Worker(again, slots=1, threads=1).run()
     (record,) = summarize_batch(again).records
-    assert (record.state, record.figures["stages_cached"]) == (DONE, 1)
+    assert (record.state, record.metrics["stages_cached"]) == (DONE, 1)
     run(small_scans / "scan-1", tmp_path / "quiet", Config(), until="clean")
     assert results(queue.out / "scan-1") == results(tmp_path / "quiet") != {}
 

@@ -27,7 +27,7 @@ FIGURES = {
 }
 ODD = (MACHINE_BUG.warning("odd"), MACHINE_BUG.warning("odder"))
 RECORDS = (
-    JobRecord(0, "hall", DONE, "", 12.5, diagnostics=ODD, figures=FIGURES),
+    JobRecord(0, "hall", DONE, "", 12.5, diagnostics=ODD, metrics=FIGURES),
     JobRecord(1, 'a, "b" </script><b>', FAILED, "fuse failed: the disk is full;\nfree some.", 1.0),
     JobRecord(2, "späße", UNUSABLE, "x: no", 0.1),
 )

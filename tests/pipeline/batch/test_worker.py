@@ -60,7 +60,7 @@ def test_one_bad_scan_ends_none_of_the_others(small_scans: Path, queue_of: Begin
     states = {name: one.state for name, one in ended.items()}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     assert "scan.json: the file is not valid JSON" in ended["broken"].reason
-    assert ended["scan-1"].figures["frames"] == 4
+    assert ended["scan-1"].metrics["frames"] == 4
     assert sum(isinstance(one, JobEnded) for one in told) == 5
     assert [one for one in told if isinstance(one, QueueProgress)][-1] == QueueProgress(5, 5)
 
@@ -151,7 +151,7 @@ def test_a_worker_that_is_interrupted_gives_its_job_back(small_scans: Path, queu
     ended = worked(queue)
     assert time.monotonic() - started < 50, "nobody waits for one that said it ended"
     assert (ended["scan-0"].state, ended["scan-0"].attempt) == (DONE, 1)
-    assert ended["scan-0"].figures["stages_cached"] >= 1
+    assert ended["scan-0"].metrics["stages_cached"] >= 1
     assert not list((tmp_path / "out" / "cache" / "drafts").iterdir())
 
 

@@ -37,12 +37,12 @@ def of(*parts: tuple[np.ndarray, np.ndarray], color: tuple[int, int, int]) -> Me
     )
 
 
-def figures_of(a: Mesh, b: Mesh, found: Any, moved: Any, views: Any) -> dict[str, Any]:
+def metrics_of(a: Mesh, b: Mesh, found: Any, moved: Any, views: Any) -> dict[str, Any]:
     return {
-        **stages.compare(a, b, samples=2000).figures(),
-        "deviation": found.figures(),
-        "change": None if moved is None else moved.figures(),
-        "views": None if views is None else views.figures(),
+        **stages.compare(a, b, samples=2000).to_dict(),
+        "deviation": found.to_dict(),
+        "change": None if moved is None else moved.to_dict(),
+        "views": None if views is None else views.to_dict(),
     }
 
 
@@ -64,9 +64,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         if name == "meshes":
             moved = stages.changes(before, other, change_distance=0.2)
             views = stages.compare_views(before, other, views=1, view_width=64)
-        figures = figures_of(before, other, found, moved, views)
+        metrics = metrics_of(before, other, found, moved, views)
         names = ("before.ply", "<i>after</i>.ply")
-        page = make_comparison_page(names, (before, other), found, moved, figures, 5_000_000)
+        page = make_comparison_page(names, (before, other), found, moved, metrics, 5_000_000)
         written[name] = folder / f"{name}.html"
         written[name].write_bytes(page)
     return written

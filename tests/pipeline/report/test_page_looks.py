@@ -140,9 +140,9 @@ def test_what_is_kept_of_another_result_is_not_shown(out: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"figures": 7, "quantiles_m": []}', '{"figures": {}, "quantiles_m": "x"}']
+    "text", ["", "[]", "{}", '{"metrics": 7, "quantiles_m": []}', '{"metrics": {}, "quantiles_m": "x"}']
 )
-def test_damaged_figures_are_one_sentence(out: Path, text: str) -> None:
+def test_damaged_metrics_are_one_sentence(out: Path, text: str) -> None:
     write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
     (out / "pictures" / FIGURES).write_text(text)
     with pytest.raises(InputError, match="pictures"):
@@ -150,14 +150,14 @@ def test_damaged_figures_are_one_sentence(out: Path, text: str) -> None:
 
 
 CHANGES: dict[str, Callable[[Any], Any]] = {
-    "no worst places": lambda told: told["figures"].pop("worst"),
+    "no worst places": lambda told: told["metrics"].pop("worst"),
     "descending": lambda told: told["quantiles_m"].reverse(),
-    "no percentiles": lambda told: told["figures"].update(absolute_percentiles_m="x"),
+    "no percentiles": lambda told: told["metrics"].update(absolute_percentiles_m="x"),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_changed_figures_are_one_sentence(out: Path, change: Any) -> None:
+def test_changed_metrics_are_one_sentence(out: Path, change: Any) -> None:
     write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
     path = out / "pictures" / FIGURES
     told = json.loads(path.read_text())
@@ -183,7 +183,7 @@ def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
     report = {
         "scan": {"frames": 3, "frames_skipped": [{"frame": "lost", "reason": "no pose"}]},
         "held_out": {"photos": 1},
-        "stages": {"fuse": {"figures": {"frames_skipped": skipped}, "cached": True, "compute_seconds": 1,
+        "stages": {"fuse": {"metrics": {"frames_skipped": skipped}, "cached": True, "compute_seconds": 1,
                             "peak_memory_mb": 1, "reason": "", "seconds": 0}},
         "placed": {"fuse": {"fused.ply": "c0ffee"}}, "scanloom": "9.9", "libraries": {"numpy": "2"},
     }  # fmt: skip

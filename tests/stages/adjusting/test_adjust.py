@@ -130,7 +130,7 @@ def test_turns_while_rows_are_read_are_found_with_the_poses(half):
     found = adjust(disturbed)
     assert found.is_shutter_adjusted
     assert "rolling shutter" in found.reason
-    assert found.figures()["shutter_rotation_median_deg"] == pytest.approx(
+    assert found.to_dict()["shutter_rotation_median_deg"] == pytest.approx(
         np.median(np.degrees(np.linalg.norm(turns, axis=1))), rel=0.25
     )
     told = np.stack([frame.shutter_turn for frame in found.frames])
@@ -281,7 +281,7 @@ def test_poses_of_another_frame_are_told_with_numbers(half):
 def test_too_few_frames_are_left_alone(frames):
     found = adjust([replace(frame, world_from_camera=None) for frame in frames])
     assert found.reason == "left as given: fewer than two frames have colour, depth and a pose"
-    assert found.figures()["transfer_before"] is None
+    assert found.to_dict()["transfer_before"] is None
 
 
 def test_key_frames_are_spread_over_the_way():

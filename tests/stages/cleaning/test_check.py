@@ -162,7 +162,7 @@ def test_a_plate_is_as_thin_as_it_is() -> None:
     found = check(trimesh.creation.box((1, 1, 0.01)), min_thickness=0.02)
     assert np.sort(found.thickness) == pytest.approx([0.01] * 4 + [1.0] * 8, rel=1e-3)
     assert len(found.defects["thin_triangles"]) == 4
-    assert found.figures()["thickness_min_m"] == pytest.approx(0.01, rel=1e-3)
+    assert found.to_dict()["thickness_min_m"] == pytest.approx(0.01, rel=1e-3)
     assert "thinner than min_thickness: 4" in str(found.find_unmet(["no-thin-triangles"])[0])
 
 
@@ -242,10 +242,10 @@ def test_any_number_of_threads_finds_the_same() -> None:
 # -- words, and bad input --------------------------------------------------------------------------------
 
 
-def test_figures_name_all_classes_and_their_first_places() -> None:
-    figures = check(sheet(4)).figures()
-    assert set(figures["classes"]) == set(CLASSES)
-    border = figures["classes"]["border_edges"]
+def test_metrics_name_all_classes_and_their_first_places() -> None:
+    metrics = check(sheet(4)).to_dict()
+    assert set(metrics["classes"]) == set(CLASSES)
+    border = metrics["classes"]["border_edges"]
     assert (border["count"], border["kind"], border["treatment"]) == (16, "edge", "warning")
     assert len(border["first"]) == 10
     assert set(border["first"][0]) == {"edge", "point_m"}

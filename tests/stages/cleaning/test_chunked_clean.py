@@ -23,10 +23,10 @@ def test_islands_go_as_from_the_whole(large: Path, params: dict[str, Any], tmp_p
     write_ply(tmp_path / "whole.ply", whole.mesh)
     result = tmp_path / "clean.ply"
     with use_small_chunks():
-        figures = clean_chunked(large, result, CleanParams(**params))
+        metrics = clean_chunked(large, result, CleanParams(**params))
     assert result.read_bytes() == (tmp_path / "whole.ply").read_bytes()
-    expected = whole.figures()
-    assert figures == {name: pytest.approx(expected[name]) for name in figures}
+    expected = whole.to_dict()
+    assert metrics == {name: pytest.approx(expected[name]) for name in metrics}
     assert whole.changes.islands > 5 or params == {"min_island_area": 0.0}
     # And it is in pieces again.
     assert len(ChunkedPly(result)) == len(ChunkedPly(large)) > 5

@@ -314,9 +314,9 @@ def test_what_has_no_operation_is_told_and_stays() -> None:
     assert done.mesh.triangles.tobytes() == fin.triangles.tobytes()
     assert len(done.found_defects["nonmanifold_edges"]) == 1
     assert "1 nonmanifold edges" in str(done.diagnostics[-1])
-    figures = done.figures()["classes"]["nonmanifold_edges"]
-    assert (figures["treatment"], figures["found"], figures["left"]) == ("warning", 1, 1)
-    assert figures["first"][0]["edge"] == sorted((int(a), int(b)))
+    metrics = done.to_dict()["classes"]["nonmanifold_edges"]
+    assert (metrics["treatment"], metrics["found"], metrics["left"]) == ("warning", 1, 1)
+    assert metrics["first"][0]["edge"] == sorted((int(a), int(b)))
 
 
 @pytest.mark.parametrize(
@@ -531,10 +531,10 @@ def test_clean_repairs_on_request_and_keeps_where_all_came_from() -> None:
     mesh = planted(planted(sound, "needle", 700), "cap", 100)
     untouched = clean(mesh)
     assert untouched.repair_result is None
-    assert "repair" not in untouched.figures()
+    assert "repair" not in untouched.to_dict()
     done = clean(mesh, repair=True)
     assert counts(done.mesh) == {}
-    assert done.figures()["repair"]["classes"]["caps"]["repaired"] == 1
+    assert done.to_dict()["repair"]["classes"]["caps"]["repaired"] == 1
     np.testing.assert_array_equal(mesh.vertices[done.vertex_source], done.mesh.vertices)
     np.testing.assert_array_equal(mesh.colors[done.vertex_source], done.mesh.colors)
     assert len(done.triangle_source) == len(done.mesh.triangles)

@@ -318,7 +318,7 @@ def test_any_number_of_threads_gives_the_same_bits(bumps):
     one, two, three = (certify(*bumps, threads=n) for n in (1, 2, 3))
     for a, b, c in zip(arrays(one), arrays(two), arrays(three), strict=True):
         assert a.tobytes() == b.tobytes() == c.tobytes()
-    assert one.figures() == two.figures() == three.figures()
+    assert one.to_dict() == two.to_dict() == three.to_dict()
 
 
 def test_more_effort_never_makes_a_bound_greater(bumps):
@@ -379,7 +379,7 @@ def test_nothing_is_infinitely_far_from_something():
     found = certify(nothing, sheet(3))
     assert np.isinf(found.original_shape_bound).all()
     assert len(found.shape_bound) == 0
-    assert json.loads(json.dumps(found.figures()))["shape_bound_m"] is None
+    assert json.loads(json.dumps(found.to_dict()))["shape_bound_m"] is None
     assert certify(nothing, nothing).shape_bound_m == 0
 
 

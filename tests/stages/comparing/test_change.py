@@ -33,7 +33,7 @@ def test_what_came_is_new_and_what_went_is_gone():
     new, gone = sorted(found.regions, key=lambda one: one["kind"], reverse=True)
     np.testing.assert_allclose(new["point_m"], (3, 1, 0.5), atol=1e-6)
     np.testing.assert_allclose(gone["point_m"], (3, 3, 0.5), atol=1e-6)
-    told = found.figures()
+    told = found.to_dict()
     assert (told["new_regions"], told["gone_regions"]) == (1, 1)
     colors = found.painted_mesh.colors
     assert colors is not None

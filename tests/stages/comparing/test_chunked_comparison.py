@@ -52,14 +52,14 @@ def is_near(found: Any, expected: Any) -> None:
         assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if expected else expected)
 
 
-def test_figures_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
+def test_metrics_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
     light = simplify(whole, ratio=0.1).mesh
     found, signed = measured(large, whole, light)
-    is_near(found.figures(), compare(whole, light, PARAMS).figures())
+    is_near(found.to_dict(), compare(whole, light, PARAMS).to_dict())
     expected = deviations(whole, light, SIGNED)
-    is_near(signed.figures(), expected.figures())
+    is_near(signed.to_dict(), expected.to_dict())
     np.testing.assert_allclose(signed.vertex_distances, expected.vertex_distances, atol=1e-7)
-    assert found.figures()["color"] is not None
+    assert found.to_dict()["color"] is not None
     assert signed.is_signed
 
 
@@ -83,14 +83,14 @@ def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: 
     assert signed.is_signed
     np.testing.assert_allclose(signed.vertex_distances, np.hypot(0.05, 0.1))
     assert signed.samples.min() > 0
-    assert found.figures()["color"] is None
+    assert found.to_dict()["color"] is None
 
 
 def test_what_is_far_off_is_found_as_well(large: Path, whole: Mesh) -> None:
     away = np.array([[0, 0, 9.0], [1, 0, 9], [0, 1, 9]])
     triangle = Mesh(np.vstack([away, whole.vertices[:3]]), np.array([[0, 1, 2], [3, 4, 5]], np.int32))
     found, _ = measured(large, whole, triangle)
-    is_near(found.figures(), compare(whole, triangle, PARAMS).figures())
+    is_near(found.to_dict(), compare(whole, triangle, PARAMS).to_dict())
 
 
 def test_few_points_ask_a_piece_they_are_not_near(

@@ -54,7 +54,7 @@ def test_points_are_as_far_from_a_box_as_its_formula_says(seed: int) -> None:
     points = rng.uniform(-3, 3, (200, 3))
     wanted = from_box(points, half)
     found = deviations(box(half, offset), make_cloud(points + offset), tolerance=0.5)
-    told = found.figures()
+    told = found.to_dict()
     # So exact as numbers far from the origin are.
     exact = 1e-6 + 4 * np.spacing(np.abs(offset).max())
     np.testing.assert_allclose(found.sample_distances, wanted, atol=exact)
@@ -99,14 +99,14 @@ def test_two_clouds_are_compared_point_by_point(seed: int) -> None:
 @given(SEEDS, st.floats(-0.3, 0.3))
 def test_a_sheet_of_points_over_a_floor_and_a_floor_under_it(seed: int, height: float) -> None:
     points = sheet(3000, height, np.random.default_rng(seed))
-    found = deviations(FLOOR, points).figures()
+    found = deviations(FLOOR, points).to_dict()
     assert found["mean_m"] == pytest.approx(height, abs=1e-7)
     assert found["standard_deviation_m"] == pytest.approx(0, abs=1e-7)
     assert found["lowest_m"] == pytest.approx(found["highest_m"], abs=1e-7)
     # The other way round, the floor is below the points that look up, and never nearer than it is.
     small = FLOOR.with_(vertices=FLOOR.vertices * 0.4)
     back = deviations(points, small, signed_samples=5000)
-    told = back.figures()
+    told = back.to_dict()
     assert told["is_signed"]
     assert not told["is_cloud"]
     assert np.abs(back.sample_distances).min() >= abs(height) - 1e-9
@@ -120,7 +120,7 @@ def test_a_sheet_of_points_over_a_floor_and_a_floor_under_it(seed: int, height: 
 def test_without_normals_there_are_no_signs() -> None:
     points = sheet(200, 0.1, np.random.default_rng(1))
     for normals in (None, np.zeros((200, 3))):
-        told = deviations(points.with_(normals=normals), FLOOR, signed_samples=100).figures()
+        told = deviations(points.with_(normals=normals), FLOOR, signed_samples=100).to_dict()
         assert not told["is_signed"]
         assert told["mean_m"] is told["lowest_m"] is None
 
@@ -130,13 +130,13 @@ def test_the_spacing_of_a_lattice_is_its_step_even_where_points_are_there_twice(
     points = make_cloud(np.concatenate([lattice, lattice[:700]]))
     found = compare(points, points)
     assert found.clouds[0].spacing_m == pytest.approx(0.25)
-    assert found.figures()["clouds"]["b"] == {
+    assert found.to_dict()["clouds"]["b"] == {
         "points": len(points.vertices),
         "spacing_m": pytest.approx(0.25),
     }
     assert found.symmetric.maximum == 0
     assert "cloud of 2,428 points" in repr(found)
-    assert "clouds" not in compare(FLOOR, FLOOR, samples=10).figures()
+    assert "clouds" not in compare(FLOOR, FLOOR, samples=10).to_dict()
 
 
 def test_colours_of_a_cloud_and_a_surface() -> None:
@@ -149,7 +149,7 @@ def test_colours_of_a_cloud_and_a_surface() -> None:
     assert found.color_a_to_b.rmse == pytest.approx(10 / np.sqrt(3))
     assert found.color_b_to_a.rmse == pytest.approx(10 / np.sqrt(3))
     told = deviations(reference, make_cloud(points, red))
-    assert 1 < told.figures()["delta_e_2000"]["mean"] < 5
+    assert 1 < told.to_dict()["delta_e_2000"]["mean"] < 5
     assert told.painted_mesh.colors.shape == (300, 3)
     assert compare(reference, make_cloud(points), samples=10).color is None
 

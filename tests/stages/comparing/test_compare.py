@@ -33,7 +33,7 @@ def test_parallel_planes_are_their_gap_apart_everywhere():
     for side in (result.a_to_b, result.b_to_a, result.symmetric):
         assert [side.maximum, side.mean, side.rms] == pytest.approx([0.03] * 3, rel=1e-6)
     assert result.diagonal == pytest.approx(math.sqrt(2))
-    relative = result.figures()["distance"]["symmetric"]["rms_relative"]
+    relative = result.to_dict()["distance"]["symmetric"]["rms_relative"]
     assert relative == pytest.approx(0.03 / math.sqrt(2))
 
 
@@ -112,7 +112,7 @@ def _on_segments_and_face(points, triangle):
     return np.array(candidates)
 
 
-def test_figures_agree_with_trimesh_on_its_own_samples():
+def test_metrics_agree_with_trimesh_on_its_own_samples():
     a = sphere(0.3, subdivisions=2)
     rng = np.random.default_rng(3)
     b = a.with_(vertices=a.vertices * (1 + 0.05 * rng.normal(size=(len(a.vertices), 1))))
@@ -150,7 +150,7 @@ def test_colours_are_interpolated_over_triangles():
 def test_equal_colours_have_no_psnr_in_json():
     result = compare(grid(color=(9, 9, 9)), grid(color=(9, 9, 9)), samples=100)
     assert result.color.psnr == math.inf
-    color = json.loads(json.dumps(result.figures(), allow_nan=False))["color"]["symmetric"]
+    color = json.loads(json.dumps(result.to_dict(), allow_nan=False))["color"]["symmetric"]
     assert color["psnr_db"] is None
     assert color["rmse_levels"] == pytest.approx(0, abs=1e-9)
 
@@ -158,15 +158,15 @@ def test_equal_colours_have_no_psnr_in_json():
 def test_colour_is_none_unless_both_meshes_have_it():
     result = compare(grid(color=(1, 2, 3)), grid(), samples=100)
     assert result.color is None
-    assert result.figures()["color"] is None
+    assert result.to_dict()["color"] is None
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_figures_and_another_does_not():
+def test_the_same_seed_gives_the_same_metrics_and_another_does_not():
     a, b = sphere(1.0), sphere(1.02)
-    first = compare(a, b, samples=50_000, seed=4).figures()
-    assert compare(a, b, samples=50_000, seed=4).figures() == first
-    assert compare(a, b, samples=50_000, seed=5).figures() != first
+    first = compare(a, b, samples=50_000, seed=4).to_dict()
+    assert compare(a, b, samples=50_000, seed=4).to_dict() == first
+    assert compare(a, b, samples=50_000, seed=5).to_dict() != first
 
 
 def test_swapping_the_meshes_swaps_the_directions():

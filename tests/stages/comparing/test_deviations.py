@@ -31,7 +31,7 @@ def ball(radius: float, color: tuple[int, int, int] | None = None) -> Mesh:
 def test_a_larger_ball_is_outside_and_a_smaller_one_inside():
     for radius, offset in ((1.02, 0.02), (0.97, -0.03)):
         found = deviations(ball(1), ball(radius), tolerance=0.025)
-        told = found.figures()
+        told = found.to_dict()
         assert told["is_signed"]
         # The facets of both lie a little inside of the balls.
         assert told["mean_m"] == pytest.approx(offset, abs=2e-3)
@@ -45,7 +45,7 @@ def test_without_an_orientation_there_are_no_signs():
     flipped = ball(1)
     triangles = flipped.triangles.copy()
     triangles[::7] = triangles[::7, ::-1]
-    told = deviations(flipped.with_(triangles=triangles), ball(0.97), tolerance=0.01).figures()
+    told = deviations(flipped.with_(triangles=triangles), ball(0.97), tolerance=0.01).to_dict()
     assert not told["is_signed"]
     assert told["mean_m"] is told["over_ratio"] is None
     assert told["absolute_percentiles_m"]["50"] == pytest.approx(0.03, abs=2e-3)
@@ -55,12 +55,12 @@ def test_two_parallel_squares():
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
     square = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     above = square.with_(vertices=square.vertices * (0.5, 0.5, 1) + np.array((0.2, 0.2, 0.3)))
-    told = deviations(square, above).figures()
+    told = deviations(square, above).to_dict()
     assert (told["lowest_m"], told["highest_m"]) == pytest.approx((0.3, 0.3))
     assert told["standard_deviation_m"] == pytest.approx(0, abs=1e-9)
     assert told["within_ratio"] is None
     below = above.with_(vertices=above.vertices - np.array((0, 0, 0.6)))
-    assert deviations(square, below).figures()["mean_m"] == pytest.approx(-0.3)
+    assert deviations(square, below).to_dict()["mean_m"] == pytest.approx(-0.3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -83,12 +83,12 @@ def test_signs_are_those_of_an_independent_test_of_inside(seed):
 
 
 def test_colours_differ_as_the_eye_sees_it():
-    found = deviations(ball(1, (200, 30, 30)), ball(1, (200, 30, 30))).figures()["delta_e_2000"]
+    found = deviations(ball(1, (200, 30, 30)), ball(1, (200, 30, 30))).to_dict()["delta_e_2000"]
     assert found["maximum"] == pytest.approx(0, abs=1e-6)
     # White and a grey of 119 levels are 49.97 / (1 + 0.015 · 25² / √(20 + 25²)) apart in lightness.
-    grey = deviations(ball(1, (255, 255, 255)), ball(1, (119, 119, 119))).figures()["delta_e_2000"]
+    grey = deviations(ball(1, (255, 255, 255)), ball(1, (119, 119, 119))).to_dict()["delta_e_2000"]
     assert grey["mean"] == pytest.approx(36.49, abs=0.02)
-    assert deviations(ball(1), ball(1, (1, 2, 3))).figures()["delta_e_2000"] is None
+    assert deviations(ball(1), ball(1, (1, 2, 3))).to_dict()["delta_e_2000"] is None
 
 
 def test_the_worst_places_are_apart_and_worst_first():
@@ -96,7 +96,7 @@ def test_the_worst_places_are_apart_and_worst_first():
     vertices = mesh.vertices.copy()
     for k, height in ((10, 0.12), (900, 0.1), (2000, 0.08)):
         vertices[k] *= 1 + height
-    worst = deviations(mesh, mesh.with_(vertices=vertices)).figures()["worst"]
+    worst = deviations(mesh, mesh.with_(vertices=vertices)).to_dict()["worst"]
     assert len(worst) == 10
     for place, k in zip(worst, (10, 900, 2000), strict=False):
         assert np.linalg.norm(np.array(place["point_m"]) - vertices[k]) < 0.15

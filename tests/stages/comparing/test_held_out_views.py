@@ -19,13 +19,13 @@ def painted() -> Mesh:
 
 def test_a_good_texture_comes_near_and_a_grey_wall_does_not(painted):
     held_out = [photo(0, pose(0.5, 0.5)), photo(1, pose(0.48, 0.53, z=-0.6, turn=4))]
-    good = evaluate_held_out_photos(painted, held_out).figures()
+    good = evaluate_held_out_photos(painted, held_out).to_dict()
     assert good["photos"] == 2
     assert good["psnr_raw_db"] > 30
     assert good["ssim"] > 0.93
     assert good["sharpness"] == pytest.approx(1, abs=0.15)
     assert good["coverage_ratio"] > 0.9
-    grey = evaluate_held_out_photos(wall(colors=np.full((13 * 13, 3), 128, np.uint8)), held_out).figures()
+    grey = evaluate_held_out_photos(wall(colors=np.full((13 * 13, 3), 128, np.uint8)), held_out).to_dict()
     assert grey["psnr_affine_db"] < 18
     assert grey["sharpness"] < 0.1
 
@@ -84,7 +84,7 @@ def test_what_cannot_be_judged_is_named(painted):
         "the photo does not show the mesh.",
         "there is no colour image.",
     ]
-    assert found.figures()["psnr_raw_db"] is None
+    assert found.to_dict()["psnr_raw_db"] is None
     assert paint(np.array(0.5), np.array(0.5)).shape == (3,)
 
 

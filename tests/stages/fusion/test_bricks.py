@@ -236,7 +236,7 @@ def test_a_frame_skipped_for_its_colours_is_told_from_bricks_that_are_kept(
     first, again = (fuse_in_bricks(work, tmp_path / "fused.ply", brick_store=kept) for _ in range(2))
     assert again.fused_brick_count == 0
     assert [one.name for one in first.skipped] == [one.name for one in again.skipped] == [frames[3].name]
-    assert first.figures() == again.figures() | {
+    assert first.to_dict() == again.to_dict() | {
         "bricks_fused": first.fused_brick_count,
         "volume_mb": first.volume_bytes / 1e6,
     }

@@ -157,7 +157,7 @@ def test_voxels_are_as_large_as_what_is_left_asks_for() -> None:
     floor = fuse(frames("ball"), box=(-1, -1, -0.7, 1, 1, -0.5))
     thing = fuse(frames("ball"), radius=0.25)
     assert thing.voxel_size < 0.7 * floor.voxel_size
-    assert thing.figures()["crop"]["radius_m"] == 0.25
+    assert thing.to_dict()["crop"]["radius_m"] == 0.25
     assert thing.crop.center is not None
     assert np.abs(thing.crop.center - np.array([*OBJECT_POSITION, 0.08])).max() < 0.01, (
         "where the cameras look"
@@ -173,7 +173,7 @@ def test_a_ball_is_left_of_a_ball_on_a_table(roll: float, table: float) -> None:
     assert fused.support.normal[2] > np.cos(np.radians(0.1))
     assert abs(fused.support.offset_m) < 0.0005
     assert 0.0003 < fused.support.spread_m < 0.0012
-    told = fused.figures()["crop"]["plane"]
+    told = fused.to_dict()["crop"]["plane"]
     assert fused.mesh.vertices[:, 2].min() >= told["margin_m"] - 1e-3 > fused.voxel_size
     error = np.linalg.norm(fused.mesh.vertices - [*OBJECT_POSITION, BALL], axis=1) - BALL
     assert np.abs(error).max() < fused.voxel_size
@@ -278,8 +278,8 @@ def test_frames_that_show_nothing_of_it_are_no_bad_ones() -> None:
     scan = [*away, near[2], near[3], *(replace(frame, name=f"more-{frame.name}") for frame in away)]
     fused = fuse(scan, box=(-0.3, -0.3, -0.1, 0.3, 0.3, 0.4))
     assert (fused.frames, fused.outside, fused.skipped) == (2, 32, ())
-    assert fused.figures()["crop"]["frames_outside"] == 32
-    assert fused.figures()["frames_used_ratio"] == 1
+    assert fused.to_dict()["crop"]["frames_outside"] == 32
+    assert fused.to_dict()["frames_used_ratio"] == 1
     assert len(fused.mesh.triangles) > 500
 
 

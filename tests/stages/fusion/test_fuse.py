@@ -389,12 +389,12 @@ def test_progress_counts_frames_and_may_stop_the_work() -> None:
         fuse(sphere_frames(), voxel_size=VOXEL, progress=stop)
 
 
-def test_figures_are_json_with_units(sphere: FusionResult) -> None:
-    figures = json.loads(json.dumps(sphere.figures()))
-    assert figures["voxel_size_m"] == VOXEL
-    assert figures["frames_used_ratio"] == 1
-    assert 0 < figures["pixels_used_ratio"] <= figures["pixels_valid_ratio"] < 1
-    assert figures["triangles"] == len(sphere.mesh.triangles)
+def test_metrics_are_json_with_units(sphere: FusionResult) -> None:
+    metrics = json.loads(json.dumps(sphere.to_dict()))
+    assert metrics["voxel_size_m"] == VOXEL
+    assert metrics["frames_used_ratio"] == 1
+    assert 0 < metrics["pixels_used_ratio"] <= metrics["pixels_valid_ratio"] < 1
+    assert metrics["triangles"] == len(sphere.mesh.triangles)
 
 
 def test_a_real_kitchen(shared_data: Path) -> None:

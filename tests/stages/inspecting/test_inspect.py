@@ -306,8 +306,8 @@ def test_real_folders_agree_with_themselves(shared_data, folder, options):
         "size",
     ):
         assert not any(fault in text for text in map(str, found.diagnostics)), found.diagnostics
-    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
-    assert figures["frames"] == len(found.scan.frames)
+    metrics = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert metrics["frames"] == len(found.scan.frames)
     if not found.scan.is_stereo:
         assert found.pose_errors_m["as given"] < 0.015
         assert min(found.pose_errors_m, key=found.pose_errors_m.get) == "as given"
@@ -339,10 +339,10 @@ def test_what_a_real_folder_lacks_is_said_with_what_it_has(shared_data, folder, 
     with pytest.raises(InputError, match=f"no {missing[0]}"):
         read_scan(shared_data / folder)
     found = inspect(read_scan(shared_data / folder, complete=False))
-    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
-    assert figures["frames"] == frames
-    assert tuple(figures["color_size_px"]) == size
-    assert [one["message"] for one in figures["missing"]] == [f"no {text}" for text in missing]
+    metrics = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert metrics["frames"] == frames
+    assert tuple(metrics["color_size_px"]) == size
+    assert [one["message"] for one in metrics["missing"]] == [f"no {text}" for text in missing]
     assert [line for line in found.format_lines() if line.startswith(f"missing   no {missing[0]}")]
 
 
@@ -351,10 +351,10 @@ def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
     for name, source in (("image_0", "image_l"), ("image_1", "image_r")):
         (tmp_path / name).symlink_to(street / source)
     found = inspect(read_scan(tmp_path, complete=False))
-    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
-    codes = [one["code"] for one in figures["missing"]]
+    metrics = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    codes = [one["code"] for one in metrics["missing"]]
     assert codes == [CAMERA_PAIR_UNCALIBRATED.name, POSE_MISSING.name]
-    assert (figures["frames"], figures["rig"], figures["path"]) == (41, None, None)
+    assert (metrics["frames"], metrics["rig"], metrics["path"]) == (41, None, None)
     with pytest.raises(InputError, match=r"no calibration: calib\.txt.*; and no poses: poses\.txt"):
         read_scan(tmp_path)
 
@@ -380,7 +380,7 @@ def test_the_least_sharp_twentieth_is_listed():
     assert [name for name, _ in found.blurriest_frames] == ["7", "20"]
     assert found.blurriest_frames[0][1] < 0.05 < found.blurriest_frames[1][1] < 0.25
     assert any("blurred" in text and "7, 20" in text for text in map(str, found.diagnostics))
-    assert found.figures()["blurriest_frames"][0]["frame"] == "7"
+    assert found.to_dict()["blurriest_frames"][0]["frame"] == "7"
 
 
 def test_frames_equally_sharp_are_no_warning():

@@ -106,7 +106,7 @@ def test_inspect_tells_it(scan_folder):
     lines = [line for line in found.format_lines() if line.startswith("unused")]
     assert len(lines) == 13
     assert lines[-1] == "unused    and 8 more"
-    assert found.figures()["unused"][0] == {"name": "log.0", "count": 1, "looks_like": ""}
+    assert found.to_dict()["unused"][0] == {"name": "log.0", "count": 1, "looks_like": ""}
 
 
 def test_a_real_trajectory_under_a_name_of_its_own(shared_data, tmp_path):

@@ -193,7 +193,7 @@ def test_with_a_base_error_bounds_count_from_the_input() -> None:
     base = hierarchy.cut(max_shape=0.0)
     assert 0 < base.shape_bound_m <= 0.002
     assert len(base.mesh.triangles) < len(mesh.triangles) / 2
-    assert hierarchy.figures()["stored_per_input"] < 0.9
+    assert hierarchy.to_dict()["stored_per_input"] < 0.9
     for node in range(hierarchy.nodes):
         coarse = hierarchy.mesh([node], [0])
         assert distance(sampled(coarse, 500, node), mesh) <= hierarchy.shape_bound[node]

@@ -136,7 +136,7 @@ def test_a_region_is_refined_alone(hierarchy: Hierarchy) -> None:
     inside = place.contains(found.mesh.vertices)
     assert inside.any()
     assert all(tuple(v) in exact for v in found.mesh.vertices[inside])
-    assert len(found.mesh.triangles) < 0.6 * hierarchy.figures()["base_triangles"]
+    assert len(found.mesh.triangles) < 0.6 * hierarchy.to_dict()["base_triangles"]
 
 
 def test_with_hysteresis_a_small_step_back_changes_nothing(hierarchy: Hierarchy) -> None:

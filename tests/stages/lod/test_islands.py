@@ -62,8 +62,8 @@ def test_small_pieces_go_and_are_counted(mesh: Mesh, dropped: Hierarchy) -> None
         triangles_in_space(Mesh(mesh.vertices, kept)),
     )
     assert topology(dropped.cut(triangles=1).mesh).components == 21
-    figures = dropped.figures()
-    told = [figures[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
+    metrics = dropped.to_dict()
+    told = [metrics[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
     assert told == [True, 20, 1600]
     assert any(
         "20 connected components smaller than 0.1 m, with 1,600 triangles" in str(one)
@@ -89,7 +89,7 @@ def test_bounds_of_what_stays_hold_both_ways_and_those_of_all_one_way(mesh: Mesh
 def test_what_is_dropped_need_not_be_paid_for(mesh: Mesh, dropped: Hierarchy) -> None:
     whole = lod.build(mesh, **ASKED)
     assert not whole.is_one_sided
-    assert not whole.cut(triangles=1).figures()["one_sided"]
+    assert not whole.cut(triangles=1).to_dict()["one_sided"]
     assert dropped.coarse[0] < whole.coarse[0] - 20 * 4 + 1
 
 
@@ -122,9 +122,9 @@ def test_the_file_and_the_tiles_say_it(dropped: Hierarchy, tmp_path: Path) -> No
     lod.write_slod(tmp_path / "m.slod", dropped)
     read = lod.read_slod(tmp_path / "m.slod")
     assert (read.dropped_islands, read.dropped_triangles, read.is_one_sided) == (20, 1600, True)
-    assert read.figures() == dropped.figures()
+    assert read.to_dict() == dropped.to_dict()
     written = lod.write_tiles(read, tmp_path / "tiles")
-    assert written.figures()["one_sided"]
+    assert written.to_dict()["one_sided"]
     tree = json.loads((tmp_path / "tiles" / "tileset.json").read_text())
     about = tree["asset"]["extras"]
     assert (about["one_sided"], about["dropped_islands"], about["dropped_triangles"]) == (True, 20, 1600)
@@ -137,7 +137,7 @@ def test_the_file_and_the_tiles_say_it(dropped: Hierarchy, tmp_path: Path) -> No
 
 def test_two_sided_tiles_say_nothing_of_it(tmp_path: Path) -> None:
     written = lod.write_tiles(lod.build(ball(), **ASKED), tmp_path / "tiles")
-    assert not written.figures()["one_sided"]
+    assert not written.to_dict()["one_sided"]
     assert "one_sided" not in (tmp_path / "tiles" / "tileset.json").read_text()
 
 

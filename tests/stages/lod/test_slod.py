@@ -45,7 +45,7 @@ def test_what_is_up_comes_back_in_the_file_and_in_cuts(
     path = tmp_path / "m.slod"
     lod.write_slod(path, hierarchy)
     read = lod.read_slod(path)
-    assert read.up == hierarchy.up == read.figures()["up"] == up
+    assert read.up == hierarchy.up == read.to_dict()["up"] == up
     assert read.cut(triangles=100).mesh.up == up
     lod.write_slod(path, lod.build(sheet(20), **asked))
     assert lod.read_slod(path).up is None

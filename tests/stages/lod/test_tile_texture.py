@@ -415,17 +415,17 @@ def test_a_model_without_triangles_is_told(hierarchies: dict[str, Hierarchy], tm
     assert list(tmp_path.iterdir()) == []
 
 
-def test_figures_say_what_images_take(
+def test_metrics_say_what_images_take(
     models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
 ) -> None:
     written = lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"])
     root = read_tiles(tmp_path / "out")
     sizes = [len(tile.image) for tile in root.all() if tile.image is not None]
-    figures = written.figures()["images"]
+    metrics = written.to_dict()["images"]
     assert root.image is not None
-    assert (figures["total_bytes"], figures["root_bytes"]) == (sum(sizes), len(root.image))
-    assert len(written.images) == len(sizes) == written.figures()["tiles"]
-    assert lod.write_tiles(hierarchies["ball"], tmp_path / "out").figures()["images"] is None
+    assert (metrics["total_bytes"], metrics["root_bytes"]) == (sum(sizes), len(root.image))
+    assert len(written.images) == len(sizes) == written.to_dict()["tiles"]
+    assert lod.write_tiles(hierarchies["ball"], tmp_path / "out").to_dict()["images"] is None
 
 
 @pytest.mark.slow

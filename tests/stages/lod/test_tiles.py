@@ -577,18 +577,18 @@ def test_a_file_that_ends_early_gives_no_tiles(hierarchies: dict[str, Hierarchy]
     assert not (tmp_path / "out").exists()
 
 
-def test_figures_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+def test_metrics_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     written: Any = lod.write_tiles(hierarchies["open"], tmp_path / "out")
     files = sorted((tmp_path / "out" / "tiles").iterdir())
-    figures = written.figures()
-    assert figures["tiles"] == len(files)
-    assert figures["total_bytes"] == sum(path.stat().st_size for path in files)
+    metrics = written.to_dict()
+    assert metrics["tiles"] == len(files)
+    assert metrics["total_bytes"] == sum(path.stat().st_size for path in files)
     assert (
-        figures["root_bytes"]
+        metrics["root_bytes"]
         == (tmp_path / "out" / read_tiles(tmp_path / "out").tree["content"]["uri"]).stat().st_size
     )
-    assert figures["triangles"] == sum(len(tile.triangles) for tile in read_tiles(tmp_path / "out").all())
-    assert figures["positions"] == "16 bits"
+    assert metrics["triangles"] == sum(len(tile.triangles) for tile in read_tiles(tmp_path / "out").all())
+    assert metrics["positions"] == "16 bits"
 
 
 @pytest.mark.slow

@@ -386,7 +386,7 @@ def test_with_an_error_allowed_it_stays_well_below_that() -> None:
 def test_a_tolerance_that_is_given_is_taken() -> None:
     found = remesh(coloured_meshes.ring(), tolerance=3e-4, **SMALL_PARAMETERS)
     assert (found.tolerance, found.tolerance_source) == (3e-4, "given")
-    assert found.figures()["tolerance_m"] == pytest.approx(3e-4 * compute_diagonal(coloured_meshes.ring()))
+    assert found.to_dict()["tolerance_m"] == pytest.approx(3e-4 * compute_diagonal(coloured_meshes.ring()))
     assert decode(found.data).tolerance is None
 
 
@@ -480,7 +480,7 @@ def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> Non
         assert topology(level).degenerate == 0
         assert_same_topology(level, expected)
     assert found.folded_count == 0
-    assert found.figures()["exception_ratio"] < 0.03
+    assert found.to_dict()["exception_ratio"] < 0.03
 
 
 def test_the_cow_of_the_paper(shared_data: Path) -> None:
@@ -488,7 +488,7 @@ def test_the_cow_of_the_paper(shared_data: Path) -> None:
     found = remesh(mesh, levels=2, base_triangles=426, tolerance=5e-8)
     assert [len(level.triangles) for level in found.levels] == [426, 1704, 6816]
     assert "1 pinched vertex was split" in str(found.diagnostics[0])
-    assert found.figures()["exception_ratio"] <= 0.015
+    assert found.to_dict()["exception_ratio"] <= 0.015
     assert np.abs(found.base.vertices - mesh.vertices[found.base_source]).max() <= 1e-7 * compute_diagonal(
         mesh
     )

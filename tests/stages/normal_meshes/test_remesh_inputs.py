@@ -290,18 +290,18 @@ def test_meshes_of_a_few_triangles(count: int) -> None:
     ).distances.max() <= 1e-6 * compute_diagonal(mesh)
 
 
-def test_figures_are_plain_numbers() -> None:
+def test_metrics_are_plain_numbers() -> None:
     found = remesh(coloured_meshes.make_holed_sheet(), RemeshParams(levels=2), base_triangles=120)
-    figures = found.figures()
-    assert json.loads(json.dumps(figures)) == figures
-    assert figures["triangles"] == len(found.mesh.triangles) == 16 * figures["base_triangles"]
+    metrics = found.to_dict()
+    assert json.loads(json.dumps(metrics)) == metrics
+    assert metrics["triangles"] == len(found.mesh.triangles) == 16 * metrics["base_triangles"]
     kinds = np.concatenate([offsets.kinds for offsets in found.offsets])
     inside = np.count_nonzero(kinds != BOUNDARY)
-    assert figures["exceptions"] == np.count_nonzero(kinds == EXCEPTION)
-    assert figures["exception_ratio"] == pytest.approx(figures["exceptions"] / inside)
-    assert sum(one["boundary_vertices"] for one in figures["by_level"]) == len(kinds) - inside > 0
-    assert figures["file_bytes"] == figures["by_level"][-1]["file_bytes"] == len(found.data)
-    assert figures["bits_per_vertex"] == pytest.approx(8 * len(found.data) / len(found.mesh.vertices))
+    assert metrics["exceptions"] == np.count_nonzero(kinds == EXCEPTION)
+    assert metrics["exception_ratio"] == pytest.approx(metrics["exceptions"] / inside)
+    assert sum(one["boundary_vertices"] for one in metrics["by_level"]) == len(kinds) - inside > 0
+    assert metrics["file_bytes"] == metrics["by_level"][-1]["file_bytes"] == len(found.data)
+    assert metrics["bits_per_vertex"] == pytest.approx(8 * len(found.data) / len(found.mesh.vertices))
 
 
 @pytest.mark.parametrize("far", [1e7, 1e9, 1e15])

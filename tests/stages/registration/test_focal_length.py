@@ -84,7 +84,7 @@ def test_poses_are_found_with_it_and_the_frames_have_it() -> None:
     assert found.focal_estimate is not None
     assert all(frame.camera.fx == found.focal_estimate.focal_px for frame in found.frames)
     assert not found.frames[0].camera.is_guess
-    assert found.figures()["focal"]["guess_px"] == 0.9 * truth
+    assert found.to_dict()["focal"]["guess_px"] == 0.9 * truth
     assert any("the focal length is estimated to be" in str(one) for one in found.diagnostics)
     kept = register(hidden(frames, 0.9 * truth), focal=False, loops=False)
     assert kept.focal_estimate is None
@@ -99,7 +99,7 @@ def test_what_is_stated_is_not_estimated() -> None:
 
 def test_inspect_says_that_it_cannot_be_told() -> None:
     found = inspect(Scan("made", hidden(turntable_object.frames([0.0, 0.0]), 250)))
-    assert found.figures()["focal"] is None
+    assert found.to_dict()["focal"] is None
     assert any("the guess of 250 px is used" in str(one) for one in found.diagnostics)
 
 

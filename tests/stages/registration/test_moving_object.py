@@ -72,7 +72,7 @@ def test_what_turns_before_a_wall_is_registered_alone() -> None:
     before = frames[0].depth.copy()
     found = register(frames)
     assert found.subject == "object"
-    assert found.figures()["subject"] == "object"
+    assert found.to_dict()["subject"] == "object"
     assert [len(piece) for piece in found.pieces] == [len(angles)]
     turns, shifts = errors(found, angles)
     assert max(turns) < 1.2
@@ -139,7 +139,7 @@ def test_what_does_not_move_as_one_thing_ends_with_a_reason() -> None:
 def test_inspect_tells_what_will_be_registered() -> None:
     scan = Scan("made", turntable_object.frames([0.0, 25.0, 50.0, 75.0]))
     found = inspect(scan)
-    assert found.figures()["subject"] == "object"
+    assert found.to_dict()["subject"] == "object"
     assert any("register.subject=scene" in line for line in found.format_lines())
 
 
@@ -153,8 +153,8 @@ def test_a_plush_dog_on_a_marked_sheet_is_fused_without_its_background(
     config = Config().set([f"scan.intrinsics={INTRINSICS}", "fuse.voxel_size=0.003"])
     out = tmp_path / "out"
     ran = run(shared_data / TURNTABLE, out, config, until="fuse")
-    figures = ran.report["stages"]["register"]["figures"]
-    assert (figures["subject"], figures["pieces"]) == ("object", [6])
+    metrics = ran.report["stages"]["register"]["metrics"]
+    assert (metrics["subject"], metrics["pieces"]) == ("object", [6])
     assert ran.unmet_requirements == ()
     masks = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((out / "masks").iterdir())]
     assert len(masks) == 6

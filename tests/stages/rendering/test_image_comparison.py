@@ -26,7 +26,7 @@ def ball(color: int | None, subdivisions: int = 3, radius: float = 1.0) -> Mesh:
 
 def test_the_same_mesh_looks_the_same() -> None:
     for mesh in (ball(90), ball(None), wrapped_ball()):
-        told = compare_views(mesh, mesh, views=3, view_width=WIDTH).figures()
+        told = compare_views(mesh, mesh, views=3, view_width=WIDTH).to_dict()
         assert told["psnr_db"] is None
         assert told["ssim"] == pytest.approx(1)
         assert told["silhouette_iou"] == 1
@@ -36,7 +36,7 @@ def test_the_same_mesh_looks_the_same() -> None:
 
 def test_two_greys_differ_by_the_formulas() -> None:
     found = compare_views(ball(100), ball(110), views=2, view_width=WIDTH)
-    told = found.figures()
+    told = found.to_dict()
     assert told["compared"] == "colors"
     assert told["psnr_db"] == pytest.approx(20 * np.log10(255 / 10), abs=1e-3)
     # Of constants, only the first factor of SSIM is not 1.
@@ -71,17 +71,17 @@ def test_noise_beside_less_of_it_differs_by_the_formulas_over_what_both_cover() 
     picture = found.scores[0].image.astype(np.float64)
     a, b = picture[:, :WIDTH], picture[:, WIDTH : 2 * WIDTH]
     mse = ((a - b)[covered] ** 2).mean()
-    assert found.figures()["psnr_db"] == pytest.approx(10 * np.log10(255**2 / mse), abs=0.02)
+    assert found.to_dict()["psnr_db"] == pytest.approx(10 * np.log10(255**2 / mse), abs=0.02)
     whole = binary_erosion(covered, np.ones((11, 11)))
     assert whole.sum() > 500
     wanted = np.mean([similarity(a[..., k], b[..., k])[whole].mean() for k in range(3)])
-    assert found.figures()["ssim"] == pytest.approx(wanted, abs=2e-3)
+    assert found.to_dict()["ssim"] == pytest.approx(wanted, abs=2e-3)
     assert 0.2 < wanted < 0.95
 
 
 def test_what_only_one_covers_counts_for_silhouettes_alone() -> None:
     found = compare_views(ball(100), ball(100, radius=0.8), views=2, view_width=160)
-    told = found.figures()
+    told = found.to_dict()
     assert told["psnr_db"] is None
     # Nearly by area: a ball is seen a little larger than its disc.
     assert told["silhouette_iou"] == pytest.approx(0.64, abs=0.04)
@@ -94,11 +94,11 @@ def test_what_only_one_covers_counts_for_silhouettes_alone() -> None:
 
 
 def test_without_colours_shading_is_compared() -> None:
-    told = compare_views(ball(None), ball(50, 1), views=2, view_width=WIDTH).figures()
+    told = compare_views(ball(None), ball(50, 1), views=2, view_width=WIDTH).to_dict()
     assert told["compared"] == "shape"
     assert 10 < told["psnr_db"] < 40
     assert told["ssim"] < 0.996
-    closer = compare_views(ball(None), ball(50, 2), views=2, view_width=WIDTH).figures()
+    closer = compare_views(ball(None), ball(50, 2), views=2, view_width=WIDTH).to_dict()
     assert closer["psnr_db"] > told["psnr_db"]
     assert closer["ssim"] > told["ssim"]
 
@@ -108,9 +108,9 @@ def test_the_worst_view_is_that_of_the_lowest_psnr() -> None:
     colors = painted.colors.copy()
     colors[painted.vertices[:, 2] > 0.4] = 180
     found = compare_views(painted, painted.with_(colors=colors), views=4, view_width=WIDTH)
-    each = [one["psnr_db"] for one in found.figures()["each"]]
+    each = [one["psnr_db"] for one in found.to_dict()["each"]]
     finite = [np.inf if value is None else value for value in each]
-    assert found.figures()["worst"] == f"view{int(np.argmin(finite)) + 1}"
+    assert found.to_dict()["worst"] == f"view{int(np.argmin(finite)) + 1}"
     assert max(finite) - min(finite) > 3
 
 

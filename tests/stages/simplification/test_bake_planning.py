@@ -29,11 +29,11 @@ def test_a_textured_model_is_simplified_freely_and_baked() -> None:
     mesh = textured_ball(encode_jpeg(waves()), bumps=0.05)
     found = simplify(mesh, ratio=0.1, bake=True)
     assert found.method == "quadric"
-    assert found.figures()["baked"]["color"]["rmse_levels"] == found.baked.color.rmse
+    assert found.to_dict()["baked"]["color"]["rmse_levels"] == found.baked.color.rmse
     kept = simplify(mesh, ratio=0.1, keep_uv=True)
     assert kept.method == "seams"
     assert kept.baked is None
-    assert "baked" not in kept.figures()
+    assert "baked" not in kept.to_dict()
     error, error_of_kept = (stages.compare(mesh, one.mesh, samples=20_000) for one in (found, kept))
     assert error.symmetric.rms <= error_of_kept.symmetric.rms
     # Where baking loses much, the default does without it.
@@ -47,7 +47,7 @@ def test_without_options_the_bound_follows_from_the_size() -> None:
     found = simplify(mesh)
     assert found.method == "certified"
     assert found.default_max_shape == pytest.approx(derive_max_shape(mesh))
-    assert found.figures()["default_max_shape_m"] == found.default_max_shape
+    assert found.to_dict()["default_max_shape_m"] == found.default_max_shape
     assert found.details.proven
     assert found.details.shape_bound_m <= found.default_max_shape
     assert found.baked is not None
@@ -61,12 +61,12 @@ def test_without_options_the_bound_follows_from_the_size() -> None:
 
 def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
     details = {"proven": False, "shape_bound_m": 0.2, "color_bound_levels": None}
-    figures = {"details": details, "triangles_before": 10, "triangles": 5, "stopped_by": "unproven"}
+    metrics = {"details": details, "triangles_before": 10, "triangles": 5, "stopped_by": "unproven"}
     with collecting() as diagnostics:
-        report_unmet_requirements(SimplifyParams(), {**figures, "default_max_shape_m": 0.1})
+        report_unmet_requirements(SimplifyParams(), {**metrics, "default_max_shape_m": 0.1})
     assert diagnostics == []
     with collecting() as diagnostics:
-        report_unmet_requirements(SimplifyParams(max_shape=0.1), figures)
+        report_unmet_requirements(SimplifyParams(max_shape=0.1), metrics)
     assert [str(one) for one in diagnostics] == [
         "the requested bounds are not proven; 0.2 m are proven instead."
     ]

@@ -48,10 +48,10 @@ def test_the_number_of_triangles_is_met(path: Path) -> None:
     found = simplify_chunked(path, SimplifyParams(ratio=0.1), progress=lambda *told: done.append(told))
     assert 0.098 < len(found.mesh.triangles) / len(given.triangles) <= 0.1
     is_same_thing(found.mesh, given)
-    figures = found.figures()
-    assert figures["triangles_before"] == len(given.triangles)
-    assert figures["triangles"] == len(found.mesh.triangles)
-    assert figures["parts"] > 5
+    metrics = found.to_dict()
+    assert metrics["triangles_before"] == len(given.triangles)
+    assert metrics["triangles"] == len(found.mesh.triangles)
+    assert metrics["parts"] > 5
     assert done == sorted(done)
     assert done[-1][0] == done[-1][1]
     wanted = len(given.triangles) // 5
@@ -67,7 +67,7 @@ def test_bounds_are_proven_for_the_whole(path: Path) -> None:
     params = SimplifyParams(method="certified", max_shape=0.009)
     found = simplify_chunked(path, params)
     is_same_thing(found.mesh, given)
-    details = found.figures()["details"]
+    details = found.to_dict()["details"]
     assert details["proven"]
     assert details["shape_bound_m"] <= 0.009
     # By a proof of its own, of the result against what was given.
@@ -87,7 +87,7 @@ def test_what_is_large_all_the_same_is_halved(
     assert max(one["triangles_before"] for one in (*found.parts, *found.joined)) <= 1_500
     is_same_thing(found.mesh, given)
     if params.ratio is None:
-        assert found.figures()["details"]["proven"]
+        assert found.to_dict()["details"]["proven"]
         assert certify(found.mesh, given, max_shape=0.02).within_limits
     else:
         assert 0.198 < len(found.mesh.triangles) / len(given.triangles) <= 0.2

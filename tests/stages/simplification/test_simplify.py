@@ -248,7 +248,7 @@ def test_a_number_that_is_not_reached_is_reported_where_no_bound_is_given() -> N
     assert str(unmet[0]).startswith("4 triangles are left instead of 2: no other edge can collapse")
     assert unmet[0].values["wanted"] == 2
     assert tuple(emitted) == found.diagnostics
-    assert "diagnostics" not in found.figures()
+    assert "diagnostics" not in found.to_dict()
     within = simplify(tetrahedron, triangles=2, max_shape=1e-3)
     assert not any(one.severity is Severity.UNMET for one in within.diagnostics)
 
@@ -309,7 +309,7 @@ def test_same_bytes_every_time_and_in_every_thread(method: str) -> None:
     for result in results[1:]:
         assert result.mesh.vertices.tobytes() == results[0].mesh.vertices.tobytes()
         assert result.mesh.triangles.tobytes() == results[0].mesh.triangles.tobytes()
-        assert result.figures() == results[0].figures()
+        assert result.to_dict() == results[0].to_dict()
 
 
 @pytest.mark.parametrize("exponent", [-20, 20])
@@ -402,7 +402,7 @@ def test_what_is_no_manifold_is_proven_to_stay_near() -> None:
     broken = mesh.with_(triangles=np.concatenate([mesh.triangles, fin]))
     light = simplify(broken, max_shape=0.02)
     assert light.details.proven
-    assert compare(light.mesh, broken).figures()["distance"]["b_to_a"]["maximum_m"] <= 0.02
+    assert compare(light.mesh, broken).to_dict()["distance"]["b_to_a"]["maximum_m"] <= 0.02
 
 
 @pytest.mark.parametrize(
@@ -469,7 +469,7 @@ def test_nothing_to_simplify() -> None:
     points = simplify(Mesh(np.zeros((4, 3)), np.zeros((0, 3), np.int32), colors=np.zeros((4, 3), np.uint8)))
     assert points.mesh.colors is not None
     assert points.mesh.colors.shape == (0, 3)
-    json.dumps(empty.figures())
+    json.dumps(empty.to_dict())
 
 
 def test_triangles_without_area() -> None:
@@ -483,12 +483,12 @@ def test_triangles_without_area() -> None:
     assert_same_topology(result, mesh)
 
 
-def test_figures_are_plain_numbers_with_units() -> None:
+def test_metrics_are_plain_numbers_with_units() -> None:
     params = SimplifyParams(method="jia01", ratio=0.5)
-    figures = simplify(sheet(20, hills), params, max_color=100.0).figures()
-    assert json.loads(json.dumps(figures)) == figures
-    assert figures["triangles"] < figures["triangles_before"] == 800
-    assert figures["details"]["max_color_levels"] == 100.0
+    metrics = simplify(sheet(20, hills), params, max_color=100.0).to_dict()
+    assert json.loads(json.dumps(metrics)) == metrics
+    assert metrics["triangles"] < metrics["triangles_before"] == 800
+    assert metrics["details"]["max_color_levels"] == 100.0
 
 
 # -- real meshes -----------------------------------------------------------------------------------------

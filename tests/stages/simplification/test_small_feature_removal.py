@@ -58,7 +58,7 @@ def test_counts_and_areas_are_exact() -> None:
 
 def test_they_are_reported() -> None:
     found = simplify(sheet_with_faults(), ratio=0.1, drop_below=LIMIT)
-    assert found.figures()["dropped"] == found.dropped.figures()
+    assert found.to_dict()["dropped"] == found.dropped.to_dict()
     (warning,) = [str(one) for one in found.diagnostics if one.code == SIMPLIFY_COMPONENTS_REMOVED.name]
     assert warning.startswith("drop_below ")
     assert "removed 3 connected components smaller than 0.12 m (36 triangles, 0.0288 m²)" in warning
@@ -70,7 +70,7 @@ def test_nothing_is_said_where_nothing_is_small() -> None:
     mesh = sheet_with_faults()
     plain = simplify(mesh, ratio=0.1)
     assert plain.dropped is None
-    assert "dropped" not in plain.figures()
+    assert "dropped" not in plain.to_dict()
     same = simplify(mesh, ratio=0.1, drop_below=0.01)
     assert same.dropped.components == same.dropped.holes == 0
     assert same.diagnostics == plain.diagnostics

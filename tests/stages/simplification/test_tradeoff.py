@@ -90,7 +90,7 @@ def test_where_nothing_may_collapse_any_more_the_curve_ends_and_says_so() -> Non
     ]
 
 
-def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_figures() -> None:
+def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_metrics() -> None:
     found = tradeoff(wrapped_ball(), steps=4, min_ratio=0.1, samples=5000, glb_bytes=True)
     assert found.method == "seams"
     assert found.mesh.texture is not None
@@ -101,7 +101,7 @@ def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_figures()
 
 
 def test_it_prints_as_a_table(found: Tradeoff) -> None:
-    told = json.loads(json.dumps(found.figures()))
+    told = json.loads(json.dumps(found.to_dict()))
     assert [point["triangles"] for point in told["points"]] == [point.triangles for point in found.points]
     head, first, *_ = found.to_rows()
     assert head == ["triangles", "share", "RMS m", "95 % m", "maximum m", "colour levels"]

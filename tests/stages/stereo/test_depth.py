@@ -218,8 +218,8 @@ def test_depth_range_gives_the_disparities_that_are_tried() -> None:
 
     # f·b = 30: 15 to 30 px.
     assert (result.search.lowest, result.search.count) == (15, 16)
-    assert result.figures()["min_depth_m"] == 1.0
-    assert result.figures()["max_depth_m"] == 2.0
+    assert result.to_dict()["min_depth_m"] == 1.0
+    assert result.to_dict()["max_depth_m"] == 2.0
     assert np.median(result.depth[result.depth > 0]) == pytest.approx(1.5, rel=0.01)
 
 
@@ -276,7 +276,7 @@ def test_blank_pair_has_no_depth() -> None:
 
     assert not result.depth.any()
     assert not result.confidence.any()
-    assert result.figures()["median_depth_m"] is None
+    assert result.to_dict()["median_depth_m"] is None
 
 
 # Unrectified rigs -------------------------------------------------------------------------------------

@@ -127,7 +127,7 @@ def test_one_image_fills_in_what_was_not_measured(by_brightness):
     assert np.mean(filled[:, 100:180]) > 0.95
     np.testing.assert_allclose(found.depth[filled], truth[filled], rtol=0.01)
     assert (found.confidence[filled] == FILLED_CONFIDENCE).all()
-    assert found.figures()["filled_ratio"] == filled.mean()
+    assert found.to_dict()["filled_ratio"] == filled.mean()
 
 
 def test_nothing_is_filled_in_beyond_what_was_measured(by_brightness):

@@ -105,12 +105,12 @@ def test_empty():
     assert topology((np.zeros((2, 3)), np.zeros((0, 3), int))).unreferenced == 2
 
 
-def test_figures_are_plain_numbers():
+def test_metrics_are_plain_numbers():
     import json
 
-    figures = json.loads(json.dumps(of(TETRAHEDRON).figures()))
-    assert figures["euler"] == 2
-    assert figures["is_closed"] is True
+    metrics = json.loads(json.dumps(of(TETRAHEDRON).to_dict()))
+    assert metrics["euler"] == 2
+    assert metrics["is_closed"] is True
 
 
 @pytest.mark.parametrize(

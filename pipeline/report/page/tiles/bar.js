@@ -24,7 +24,7 @@ export function bar(form, picture) {
   wireframe.addEventListener("change", () => picture.set({ wireframe: wireframe.checked }));
   all.addEventListener("click", () => picture.showAll());
   form.addEventListener("submit", (event) => event.preventDefault());
-  picture.onChange(() => (figures.textContent = sentence(picture.figures())));
+  picture.onChange(() => (figures.textContent = sentence(picture.metrics())));
   show();
   return { show };
 }

@@ -101,7 +101,7 @@ class Seen:
         )
         return np.asarray(np.abs(image - PAPER[scheme]).max(axis=2) > 8)
 
-    def figures(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return dict(self.page.evaluate("scanloom.figures()"))
 
 
@@ -162,7 +162,7 @@ def test_the_model_is_whole_from_far_near_and_in_mixed_levels(
             assert own.mean() > 0.04
             assert holes(mask, view) == 0
             assert not (mask & ~grown(own, int(error) + 2)).any()
-            found[view] = seen.figures()
+            found[view] = seen.to_dict()
         assert found["far"]["triangles"] < found["mixed"]["triangles"]
         assert found["far"]["errorM"] > found["near"]["errorM"]
         assert len(set(found["mixed"]["levels"])) > 1

@@ -297,7 +297,7 @@ def test_equal_input_gives_an_equal_result() -> None:
     frames = render_frames(WALL, ROW)
     one, other = (coverage(remove_triangles(WALL, pane), frames) for _ in range(2))
 
-    assert one.figures() == other.figures()
+    assert one.to_dict() == other.to_dict()
     np.testing.assert_array_equal(one.painted_mesh.colors, other.painted_mesh.colors)
 
 
@@ -306,13 +306,13 @@ def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
     mesh = seen_by(world, frames)
     every = coverage(mesh, frames, max_defects=1000)
     few = coverage(mesh, frames, places=2)
-    figures = every.figures()["places"]
+    metrics = every.to_dict()["places"]
 
-    scores = [one["weight"] * one["area_m2"] for one in figures]
+    scores = [one["weight"] * one["area_m2"] for one in metrics]
     assert scores == sorted(scores, reverse=True)
     assert [one.point for one in few.defects] == [one.point for one in every.defects[:2]]
     assert few.omitted_count == len(every.defects) - 2
-    assert min(one["area_m2"] for one in figures) > 0
+    assert min(one["area_m2"] for one in metrics) > 0
 
 
 @pytest.mark.slow

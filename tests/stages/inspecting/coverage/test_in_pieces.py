@@ -49,8 +49,8 @@ def pieced(large: Path, frames: list[Frame]) -> Coverage:
     return found
 
 
-def test_figures_and_places_are_those_of_the_whole(whole: Coverage, pieced: Coverage) -> None:
-    expected, told = whole.figures(), pieced.figures()
+def test_metrics_and_places_are_those_of_the_whole(whole: Coverage, pieced: Coverage) -> None:
+    expected, told = whole.to_dict(), pieced.to_dict()
     assert len(expected["places"]) > 10
     assert {place.kind for place in whole.defects} == {"hidden", "few", "oblique", "unmeasured", "apart"}
     assert [one.pop("nearest_frames") for one in told["places"]] == [

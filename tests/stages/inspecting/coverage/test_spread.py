@@ -42,8 +42,8 @@ def test_of_noise_it_is_that_of_the_noise(sigma: float) -> None:
     assert np.sqrt((found.vertex_evidence.rms_height[often] ** 2).mean()) == pytest.approx(sigma, rel=0.03)
     assert found.spread_median == pytest.approx(sigma, rel=0.1)
     assert found.spread_median < found.spread_95 < 2 * sigma
-    figures = found.figures()
-    assert (figures["spread_median_m"], figures["spread_95_m"]) == (found.spread_median, found.spread_95)
+    metrics = found.to_dict()
+    assert (metrics["spread_median_m"], metrics["spread_95_m"]) == (found.spread_median, found.spread_95)
 
 
 def test_two_frames_that_disagree_are_each_half_of_that_off() -> None:

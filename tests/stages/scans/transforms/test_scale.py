@@ -58,7 +58,7 @@ def test_all_lengths_are_multiplied() -> None:
     np.testing.assert_allclose(scan.bounding_box, [[0, 0, 0], [0.25, 0.5, 0.75]])
     assert scan.rig.right_from_left[0, 3] == pytest.approx(-0.025)
     assert (scan.is_metric, scan.diagnostics) == (True, ())
-    assert scan.scale.figures() == {"metres_per_unit": 0.25, "source": "given", "spread_ratio": None}
+    assert scan.scale.to_dict() == {"metres_per_unit": 0.25, "source": "given", "spread_ratio": None}
     assert scaled(scan).diagnostics == ()
 
 

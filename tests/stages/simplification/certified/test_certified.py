@@ -182,7 +182,7 @@ def test_a_mesh_without_colours_has_bounds_on_shape_only() -> None:
     assert result.details.proven
     assert result.mesh.colors is None
     assert result.details.color_bound is None
-    assert result.figures()["details"]["color_bound_levels"] is None
+    assert result.to_dict()["details"]["color_bound_levels"] is None
     assert_bounds_hold(result, mesh)
     with pytest.raises(UsageError, match="max_color is given, but the mesh has no vertex colours"):
         simplify(mesh, max_shape=0.01, max_color=9)
@@ -252,14 +252,14 @@ def test_nothing_to_simplify() -> None:
     empty = simplify((np.zeros((0, 3)), np.zeros((0, 3), np.int32)), max_shape=0.1)
     assert empty.mesh.triangles.shape == (0, 3)
     assert (empty.details.proven, empty.stopped_by) == (True, "bounds")
-    json.dumps(empty.figures())
+    json.dumps(empty.to_dict())
 
 
-def test_figures_are_plain_numbers_with_units() -> None:
-    figures = simplify(hills(20), max_shape=0.01, max_color=30).figures()
-    assert json.loads(json.dumps(figures)) == figures
-    assert figures["method"] == "certified"
-    proven = figures["details"]
+def test_metrics_are_plain_numbers_with_units() -> None:
+    metrics = simplify(hills(20), max_shape=0.01, max_color=30).to_dict()
+    assert json.loads(json.dumps(metrics)) == metrics
+    assert metrics["method"] == "certified"
+    proven = metrics["details"]
     assert 0 < proven["shape_attained_m"] <= proven["shape_bound_m"] <= proven["max_shape_m"] == 0.01
     assert 0 < proven["color_attained_levels"] <= proven["color_bound_levels"] <= 30
     assert proven["unproven_triangles"] == [0, 0]

@@ -202,7 +202,7 @@ def test_any_ball_with_holes_keeps_the_promise(seed: int) -> None:
     bound = float(10 ** rng.uniform(-4, -1)) * diagonal(mesh)
     light = simplify(mesh, keep_uv=True, max_shape=bound)
     if light.details.proven:
-        farthest = compare(light.mesh, mesh, samples=3000).figures()["distance"]
+        farthest = compare(light.mesh, mesh, samples=3000).to_dict()["distance"]
         assert max(farthest[way]["maximum_m"] for way in ("a_to_b", "b_to_a")) <= light.details.shape_bound_m
     else:
         assert any("could not prove" in str(one) for one in light.diagnostics)

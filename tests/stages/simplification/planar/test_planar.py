@@ -277,9 +277,9 @@ def test_a_vertex_there_twice_is_no_obstacle() -> None:
 def test_patches_have_areas_planes_and_colours_of_their_own() -> None:
     mesh = box()
     found = stages.planar_patches(mesh, max_shape=0.01)
-    assert found.figures()["patches"] == 6
-    assert found.figures()["area_m2"] == pytest.approx(6)
-    assert len(found.figures()["largest_patches"]) == 6
+    assert found.to_dict()["patches"] == 6
+    assert found.to_dict()["area_m2"] == pytest.approx(6)
+    assert len(found.to_dict()["largest_patches"]) == 6
     colored = color_by_patch(mesh, found.triangle_patch)
     assert len(colored.triangles) == len(mesh.triangles)
     assert colored.colors is not None

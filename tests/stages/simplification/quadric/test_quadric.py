@@ -289,7 +289,7 @@ def test_same_bytes_on_any_number_of_threads() -> None:
         assert other.mesh.triangles.tobytes() == one.mesh.triangles.tobytes()
         assert other.vertex_source.tobytes() == one.vertex_source.tobytes()
         assert other.triangle_source.tobytes() == one.triangle_source.tobytes()
-        assert other.figures() == one.figures()
+        assert other.to_dict() == one.to_dict()
 
 
 def test_far_from_the_origin_only_rounding_differs() -> None:
@@ -385,7 +385,7 @@ def test_nothing_to_simplify() -> None:
     assert empty.mesh.vertices.shape == (0, 3)
     assert empty.record is not None
     assert empty.record.replay().mesh.triangles.shape == (0, 3)
-    json.dumps(empty.figures())
+    json.dumps(empty.to_dict())
 
 
 def test_what_is_no_part_of_the_surface_is_left_out() -> None:
@@ -411,10 +411,10 @@ def test_triangles_without_area(squash: tuple[int, int, int]) -> None:
     assert topology(result.mesh).is_manifold
 
 
-def test_figures_say_how_it_was_done() -> None:
-    figures = simplify(sheet(), ratio=0.25).figures()
-    assert json.loads(json.dumps(figures)) == figures
-    assert figures["method"] == "quadric"
-    assert figures["details"]["fitted"] is True
-    assert figures["details"]["attribute_scale_m_per_level"] > 0
-    assert figures["triangles"] <= 800 < figures["triangles_before"] == 3200
+def test_metrics_say_how_it_was_done() -> None:
+    metrics = simplify(sheet(), ratio=0.25).to_dict()
+    assert json.loads(json.dumps(metrics)) == metrics
+    assert metrics["method"] == "quadric"
+    assert metrics["details"]["fitted"] is True
+    assert metrics["details"]["attribute_scale_m_per_level"] > 0
+    assert metrics["triangles"] <= 800 < metrics["triangles_before"] == 3200

@@ -46,7 +46,7 @@ def test_poles_of_a_globe_cost_little(bumps: float, ratio: float) -> None:
     assert count_outside_charts(light.mesh, light.triangle_source, mesh) == 0
     plain = simplify(mesh.with_(texture=None), ratio=ratio, method="quadric")
     rms = [
-        compare(one.mesh, mesh, samples=30_000).figures()["distance"]["symmetric"]["rms_m"]
+        compare(one.mesh, mesh, samples=30_000).to_dict()["distance"]["symmetric"]["rms_m"]
         for one in (light, plain)
     ]
     # Without regard for any texture, the error is about half; it was forty times as much.

@@ -13,12 +13,12 @@ _RESULT_FILES = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply"
 _PICTURE_MESHES = ("textured", "simplified", "clean", "fused")
 
 
-def figures_of(result: RunResult) -> dict[str, Any]:
+def metrics_of(result: RunResult) -> dict[str, Any]:
     """Return the table metrics of a run; None for unknown values."""
     report = result.report
     scan, mesh, held_out = report["scan"], report["mesh"], report["held_out"]
     stages: Mapping[str, Mapping[str, Any]] = report["stages"]
-    of_fuse = stages.get("fuse", {}).get("figures", {})
+    of_fuse = stages.get("fuse", {}).get("metrics", {})
     placed = {path.relative_to(result.out).as_posix() for one in result.stages for path in one.results}
     return {
         "layout": scan["layout"],
