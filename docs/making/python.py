@@ -34,7 +34,7 @@ PACKAGE_HEADINGS = {
     "lod": "Levels of detail",
     "exporting": "Export",
     "comparing": "Comparison",
-    "picturing": "Pictures",
+    "rendering": "Pictures",
     "report": "Pages",
     "surface": "Meshes",
     "diagnostics": "Diagnostics and errors",

@@ -81,7 +81,7 @@ FILE_OUTPUT_REFUSED = Code(
     "file.output-refused",
     "An output path that cannot be written or replaced",
     """
-scanloom only replaces output folders that it has written itself. Move the existing folder, choose another
+Only output folders that scanloom has written are replaced. Move the existing folder, choose another
 one, or allow replacing it with `--overwrite`. If a permission is missing, `ls -l` shows the owner of the
 file.
 """,

@@ -26,18 +26,18 @@ Depth was reprojected between frames with the poses as given, inverted, with fli
 order. For photos without depth, the epipolar distances of feature matches were compared. Another convention
 fits clearly better. A run stops, because the mesh would be scattered.
 
-`--pose-convention` (`scan.pose_convention`) sets the convention of the poses: `world-to-camera`, `y-up`
+`scan.pose_convention` sets the convention of the poses: `world-to-camera`, `y-up`
 (camera axes with y up and z back, as in OpenGL), or `world-to-camera-y-up`. The message names the value.
 Poses in reverse order must be brought into frame order. If the message names two conventions, both fit
 equally well (uniform camera motion). If the check is wrong (a single flat wall fits every convention),
-disable it with `--no-check-poses`.
+disable it with `scan.check_poses=false`.
 """,
     (
         "scans/desk: the poses are probably world-to-camera: overlapping depth maps then agree to 4 mm; as "
         "given: 340 mm (compared: 340 mm as given; 4 mm world-to-camera). Set "
         "scan.pose_convention=world-to-camera, or provide camera-to-world poses with x right, y down, z "
-        "forward, in frame order. To use the poses as given, disable the check with --no-check-poses (in a "
-        "config file: check_poses = false under [scan])."
+        "forward, in frame order. To use the poses as given, use "
+        "--set scan.check_poses=false."
     ),
 )
 SCALE_DEPTH_UNIT_SUSPECT = Code(

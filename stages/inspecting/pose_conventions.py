@@ -35,8 +35,7 @@ def suggest_pose_convention(best: str) -> str:
     change = "Provide" if convention is None else f"Set scan.pose_convention={convention}, or provide"
     return (
         f"{change} camera-to-world poses with x right, y down, z forward, in frame order. To use the poses "
-        "as given, disable the check with --no-check-poses (in a config file: check_poses = false under "
-        "[scan])."
+        "as given, set scan.check_poses=false."
     )
 
 

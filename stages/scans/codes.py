@@ -58,8 +58,8 @@ CAMERA_CALIBRATION_ASSUMED = Code(
     "A calibration that was chosen or interpreted",
     """
 Several files or values were possible, or the file does not state what its numbers mean. The message states
-the assumption. If it is wrong, give the file with `--calibration` ([forms](../formats/calibrations.md)), the
-camera with `--intrinsics`, or the baseline with `--baseline`.
+the assumption. If it is wrong, give the file with `scan.calibration` ([forms](../formats/calibrations.md)), the
+camera with `--intrinsics`, or the baseline with `scan.baseline`.
 """,
     (
         "room/calib.yaml: the baseline 120 has no unit and is read as millimetres; if it is not in "
@@ -80,7 +80,8 @@ CAMERA_PAIR_UNCALIBRATED = Code(
     "Stereo pairs without a calibration",
     """
 Focal length × baseline scales every depth of a stereo pair, so scanloom does not guess them. Give a
-calibration ([forms](../formats/calibrations.md)), or for rectified images `--intrinsics` and `--baseline`.
+calibration ([forms](../formats/calibrations.md)), or for rectified images `--intrinsics` and
+`scan.baseline`.
 """,
     (
         "street: no calibration: calibration.json is missing; name a calibration with "
@@ -171,7 +172,7 @@ SCALE_TAGS_UNRELIABLE = Code(
     "Tags that give no scale, or an inaccurate one",
     """
 All tags must be printed in the same size and lie flat. Each tag must be sharp in two or more photos from
-different positions. `--tag-size` is the edge length of the black square in metres. See
+different positions. `scan.tag_size` is the edge length of the black square in metres. See
 [scale and up](../scale-and-up.md).
 """,
     "the scale from tags is only accurate to 2.3%, because their measured sizes differ",
@@ -196,7 +197,7 @@ CAMERA_INTRINSICS_GUESSED = Code(
     """
 A warning if the camera can be guessed, else an error. A wrong guess bends the mesh and scales it. Give the
 camera as `--intrinsics fx,fy,cx,cy` (`scan.intrinsics`) in pixels of the depth map, or give a file with
-`--calibration` ([forms](../formats/calibrations.md)).
+`scan.calibration` ([forms](../formats/calibrations.md)).
 
 If poses are missing, too, [register](../stages/register.md#a-camera-that-nobody-stated) estimates the focal
 length together with the poses, and `scanloom inspect` reports the estimate. The estimate needs ten frame
@@ -282,7 +283,7 @@ RECORDING_CLOCKS_DIFFER = Code(
     """
 Streams are synchronised by the timestamps in their messages. If these come from different clocks, the
 recording times are used instead, which are less accurate while the camera moves. A trajectory with another
-clock, or with frame numbers instead of times, can be matched by order with `--poses-by-order`, if it has one
+clock, or with frame numbers instead of times, can be matched by order with `scan.poses_by_order=true`, if it has one
 pose per frame.
 """,
     "room.bag: no depth map and colour image were captured at the same time.",
@@ -438,7 +439,7 @@ SCAN_LAYOUT_UNKNOWN = Code(
     "The layout of the folder is not recognised",
     """
 Give the folder that contains the image folders, not a folder above or below it. For `.bag`, `.db3`, `.mcap`,
-`.sens` and `.r3d`, give the file itself. If several layouts would fit, `scan.layout=NAME` (`--layout NAME`)
+`.sens` and `.r3d`, give the file itself. If several layouts would fit, `scan.layout=NAME`
 selects one; its reader then reports which file is missing. Any other folder can be converted to
 [plain-rgbd](../formats/scans.md#plain-rgbd): folders `color/` and `depth/`, and a `scan.json`.
 """,
@@ -489,7 +490,7 @@ SCAN_OPTION_UNUSED = Code(
     "scan.option-unused",
     "An option that has no effect",
     """
-scanloom does not ignore options silently. If the files of the layout already contain the value, change it
+Options without effect are errors. If the files of the layout already contain the value, change it
 there, or convert the images to one of the two plain layouts ([formats](../formats/scans.md)).
 """,
     (

@@ -117,7 +117,7 @@ SIMPLIFY_COMPONENTS_REMOVED = Code(
     "simplify.components-removed",
     "Removed components and holes",
     """
-`--drop-below` was given. The warning reports the number and area of the removed components and holes; check
+`simplify.drop_below` was given. The warning reports the number and area of the removed components and holes; check
 that they are as intended. Give a smaller length if something is missing. A length that would remove every
 component is an error.
 """,

@@ -27,7 +27,7 @@ DEPTH_NETWORK_UNIDENTIFIED = Code(
     "depth.network-unidentified",
     "Network with unknown conventions",
     """
-`scanloom probe` recognises common inputs and outputs only. Write the sidecar by hand: the example script of
+`scanloom lab probe` recognises common inputs and outputs only. Write the sidecar by hand: the example script of
 the network's authors shows how images are prepared.
 """,
     ("raft.onnx: its inputs (1 × 6 × 384 × 512) are neither an image nor a pair; write its sidecar by hand."),
@@ -42,7 +42,7 @@ then unit, sign or range in the sidecar are probably wrong.
 """,
     (
         "raft.onnx: its sidecar raft.toml with input and output conventions is missing; "
-        "scanloom probe raft.onnx --write guesses one."
+        "scanloom lab probe raft.onnx --write guesses one."
     ),
 )
 DEPTH_RANGE_EMPTY = Code(

@@ -122,7 +122,7 @@ def report_agreement(network: Network, confidence_map: NDArray[np.uint8]) -> Non
                 "almost no pixel passes the left–right check with this network",
                 DiagnosticLocation(file=network.file.name),
                 remedy=(
-                    "check unit, sign, range and inputs in its sidecar, or guess them with scanloom probe"
+                    "check unit, sign, range and inputs in its sidecar, or guess them with scanloom lab probe"
                 ),
             )
         )

@@ -158,7 +158,7 @@ class DepthParams:
     )
     model: str | None = param(
         None,
-        "Network file FILE.onnx with its sidecar FILE.toml (`scanloom probe` guesses it), run by "
+        "Network file FILE.onnx with its sidecar FILE.toml (`scanloom lab probe` guesses it), run by "
         "onnxruntime (`scanloom[network]`). A stereo network replaces the matcher; pixels that fail the "
         "left–right check get no depth. A monocular network fills missing depth, fitted to measured depth "
         "in scale and shift, with a confidence of 1",

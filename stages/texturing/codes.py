@@ -45,7 +45,7 @@ TEXTURE_BAKE_LEFT_OUT = Code(
     """
 `bake` transfers the colours of one mesh to another, so the original needs vertex colours or a texture. Baked
 images are opaque. Detail finer than a texel is averaged (see `--texel-size`, `--max-size` and
-`--max-texels`). Of MTL files, only `map_Kd` is baked.
+`bake.max_texels`). Of MTL files, only `map_Kd` is baked.
 """,
     (
         "images of 4096 × 4096 texels cannot show all detail of the original's images; finer detail is "

@@ -283,7 +283,7 @@ def _parse_min_confidence(entry: dict[str, Any], options: ReadingParams, name: s
     if not isinstance(value, int) or not 0 <= value <= 255:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: least_confidence must be a whole number from 0 to 255.",
+            "frame {name}: min_confidence must be a whole number from 0 to 255.",
             path,
             name=name,
         )

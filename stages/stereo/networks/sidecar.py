@@ -144,7 +144,7 @@ def read_sidecar(network: Path) -> Sidecar:
             DEPTH_NETWORK_SIDECAR_INVALID,
             (
                 "its sidecar {path_name} with input and output conventions is missing; "
-                "scanloom probe {network_name} --write guesses one."
+                "scanloom lab probe {network_name} --write guesses one."
             ),
             network,
             path_name=path.name,

@@ -71,7 +71,7 @@ def resolve_min_confidence(options: ReadingParams, levels: Sequence[int], folder
         raise InputError(
             SCAN_CONFIDENCE,
             (
-                "least_confidence is {least}, but this layout has only the levels {map}; set "
+                "min_confidence is {least}, but this layout has only the levels {map}; set "
                 "scan.min_confidence={levels} to keep only the highest level."
             ),
             folder,

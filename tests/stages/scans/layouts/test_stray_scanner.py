@@ -102,7 +102,7 @@ def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
 
 def test_more_confidence_than_there_is_would_leave_nothing(scan_folder):
     with pytest.raises(
-        InputError, match="least_confidence is 255, but this layout has only the levels 0, 1, 2"
+        InputError, match="min_confidence is 255, but this layout has only the levels 0, 1, 2"
     ):
         read_scan(scan_folder, ScanParams(min_confidence=255))
 
