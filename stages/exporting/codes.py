@@ -17,8 +17,8 @@ EXPORT_UP_UNKNOWN = Code(
     "export.up-unknown",
     "Unknown up direction",
     """
-A warning. `export.axes` rotates a mesh by its up direction, but neither its file nor `--up` states one. The mesh
-is written without rotation. State the direction, for example with `--up +z`.
+A warning. `export.axes` rotates a mesh by its up direction, but neither its file nor `--up` states one. The
+mesh is written without rotation. State the direction, for example with `--up +z`.
 """,
     "the up direction is unknown: the mesh is written as if it were y-up already; set `up`",
 )

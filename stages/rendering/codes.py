@@ -16,7 +16,8 @@ RENDER_ENCODER_MISSING = Code(
     "render.encoder-missing",
     "Missing video encoder",
     """
-Builds of OpenCV differ in their video encoders. Almost all have `turntable.codec=mpeg4`, and images always work.
+Builds of OpenCV differ in their video encoders. Almost all have `turntable.codec=mpeg4`, and images always
+work.
 """,
     "turn.mp4: this build of OpenCV has no encoder for vp9; choose another codec, or write images (.png).",
 )

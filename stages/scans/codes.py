@@ -58,8 +58,8 @@ CAMERA_CALIBRATION_ASSUMED = Code(
     "A calibration that was chosen or interpreted",
     """
 Several files or values were possible, or the file does not state what its numbers mean. The message states
-the assumption. If it is wrong, give the file with `scan.calibration` ([forms](../formats/calibrations.md)), the
-camera with `--intrinsics`, or the baseline with `scan.baseline`.
+the assumption. If it is wrong, give the file with `scan.calibration` ([forms](../formats/calibrations.md)),
+the camera with `--intrinsics`, or the baseline with `scan.baseline`.
 """,
     (
         "room/calib.yaml: the baseline 120 has no unit and is read as millimetres; if it is not in "
@@ -283,8 +283,8 @@ RECORDING_CLOCKS_DIFFER = Code(
     """
 Streams are synchronised by the timestamps in their messages. If these come from different clocks, the
 recording times are used instead, which are less accurate while the camera moves. A trajectory with another
-clock, or with frame numbers instead of times, can be matched by order with `scan.poses_by_order=true`, if it has one
-pose per frame.
+clock, or with frame numbers instead of times, can be matched by order with `scan.poses_by_order=true`, if
+it has one pose per frame.
 """,
     "room.bag: no depth map and colour image were captured at the same time.",
 )

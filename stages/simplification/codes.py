@@ -117,9 +117,9 @@ SIMPLIFY_COMPONENTS_REMOVED = Code(
     "simplify.components-removed",
     "Removed components and holes",
     """
-`simplify.drop_below` was given. The warning reports the number and area of the removed components and holes; check
-that they are as intended. Give a smaller length if something is missing. A length that would remove every
-component is an error.
+`simplify.drop_below` was given. The warning reports the number and area of the removed components and
+holes; check that they are as intended. Give a smaller length if something is missing. A length that would
+remove every component is an error.
 """,
     (
         "drop_below removed 37 connected components smaller than 0.05 m (4,410 triangles, 0.0213 m²) and "

@@ -27,8 +27,8 @@ DEPTH_NETWORK_UNIDENTIFIED = Code(
     "depth.network-unidentified",
     "Network with unknown conventions",
     """
-`scanloom lab probe` recognises common inputs and outputs only. Write the sidecar by hand: the example script of
-the network's authors shows how images are prepared.
+`scanloom lab probe` recognises common inputs and outputs only. Write the sidecar by hand: the example
+script of the network's authors shows how images are prepared.
 """,
     ("raft.onnx: its inputs (1 × 6 × 384 × 512) are neither an image nor a pair; write its sidecar by hand."),
 )

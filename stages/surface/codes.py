@@ -10,9 +10,9 @@ FUSE_TOO_LARGE = Code(
     """
 Meshes of more than 5 million triangles are cleaned, simplified, measured, drawn and searched for gaps in
 chunks, so that a run completes. `lod` starts from the simplified mesh and states [its
-distance](levels.md#levels-of-detail-of-a-large-mesh) from the clean mesh. The report page shows the result without
-the clean mesh and without the colours of gaps. Only `bake` needs the whole mesh in memory; use `texture`
-instead, which paints the simplified mesh from the photos. The chunk table, `fused.pieces.json` or
+distance](levels.md#levels-of-detail-of-a-large-mesh) from the clean mesh. The report page shows the result
+without the clean mesh and without the colours of gaps. Only `bake` needs the whole mesh in memory; use
+`texture` instead, which paints the simplified mesh from the photos. The chunk table, `fused.pieces.json` or
 `clean.pieces.json`, is stored next to the mesh in the cache and is valid for that file only.
 """,
     (
