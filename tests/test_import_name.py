@@ -98,7 +98,7 @@ if __name__ == "__main__":
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
     mesh = scanloom.Mesh(points, np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32))
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        print(type(pool.submit(simplified, mesh).result()) is scanloom.Simplified)
+        print(type(pool.submit(simplified, mesh).result()) is scanloom.SimplificationResult)
 """
     folder = write_clashing_project(tmp_path)
     (folder / "program.py").write_text(program)

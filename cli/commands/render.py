@@ -180,14 +180,14 @@ def render(
     meshes = [read_mesh_file(source) for source in sources]
     texts = _texts(sources, meshes, picture.labels)
     if is_video:
-        views = _around(meshes[0], picture, TurntableParams(**turntable))
+        views = _list_turntable_views(meshes[0], picture, TurntableParams(**turntable))
     elif free is not None:
         size = (picture.width, picture.height or round(picture.width * 3 / 4))
         angle = picture.field_of_view or _FIELD_OF_VIEW
-        view = look_at(*free, resolve_up(meshes[0], _up(picture)), *size, field=angle)
+        view = look_at(*free, resolve_up(meshes[0], _parse_up(picture)), *size, field=angle)
         views = [replace(view, cull=picture.inside)]
     else:
-        views = [_chosen(meshes[0], picture, frames)]
+        views = [_choose_viewpoint(meshes[0], picture, frames)]
     panels = Panels(meshes, texts)
     bar = panels.choose_scale_bar(views[0]) if picture.scale_bar else None
     if picture.scale_bar and bar is None:
@@ -272,19 +272,19 @@ def _texts(sources: Sequence[Path], meshes: Sequence[Mesh], labels: str) -> list
     return texts
 
 
-def _up(params: PictureParams) -> list[float] | None:
+def _parse_up(params: PictureParams) -> list[float] | None:
     direction = None if params.up is None else parse_up_direction(params.up)
     return None if direction is None else direction.tolist()
 
 
-def _chosen(mesh: Mesh, params: PictureParams, frames: Sequence[Frame]) -> Viewpoint:
+def _choose_viewpoint(mesh: Mesh, params: PictureParams, frames: Sequence[Frame]) -> Viewpoint:
     around = stages.viewpoints(
         mesh,
         max(params.viewpoint, 4),
         frames=frames,
         width=params.width,
         height=params.height,
-        up=_up(params),
+        up=_parse_up(params),
     )
     if params.viewpoint > len(around):
         raise UsageError(
@@ -297,13 +297,13 @@ def _chosen(mesh: Mesh, params: PictureParams, frames: Sequence[Frame]) -> Viewp
     return replace(chosen, cull=True) if params.inside else chosen
 
 
-def _around(mesh: Mesh, params: PictureParams, turning: TurntableParams) -> Sequence[Viewpoint]:
+def _list_turntable_views(mesh: Mesh, params: PictureParams, turning: TurntableParams) -> Sequence[Viewpoint]:
     return turntable_views(
         mesh,
         turning.frames,
         width=params.width,
         height=params.height or 2 * round(params.width * 3 / 8),
-        up=_up(params),
+        up=_parse_up(params),
         elevation=turning.elevation,
         cull=params.inside,
     )

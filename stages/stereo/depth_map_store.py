@@ -26,7 +26,7 @@ class DepthMapStore:
         self._folder = folder
         folder.mkdir(exist_ok=True)
 
-    def put(self, at: int, depth: DepthImage, confidence: NDArray[np.uint8]) -> None:
+    def store(self, at: int, depth: DepthImage, confidence: NDArray[np.uint8]) -> None:
         """Store the maps of a view.
 
         Raises

@@ -88,8 +88,8 @@ def fill_from_planes(
         if isinstance(one, SkippedFrame):
             return one
         told = crop_depth(at, compute_plane_depth(one.depth, one.confidence, one.color, seed=at))
-        measured.put(at, one.depth, one.confidence)
-        whole.put(at, np.where(one.depth > 0, one.depth, told), one.confidence)
+        measured.store(at, one.depth, one.confidence)
+        whole.store(at, np.where(one.depth > 0, one.depth, told), one.confidence)
         return strip_images(one)
 
     threads = params.threads or get_thread_count()

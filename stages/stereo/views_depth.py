@@ -193,7 +193,7 @@ def _measure_views(
                 depth = crop_to_hull(
                     _crop_to_box(result.depth, views[at], box), views[at], outline.silhouettes
                 )
-                kept.put(at, depth, result.confidence)
+                kept.store(at, depth, result.confidence)
                 searches[at], counts[at] = result.search, result.counts
             progress(at + 1, total)
 

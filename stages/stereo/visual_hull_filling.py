@@ -70,7 +70,7 @@ def fill_from_hull(
     rest: list[DepthMap | SkippedFrame] = []
     for at, one in enumerate(depth_maps):
         if isinstance(one, DepthMap):
-            maps.put(at, one.depth, one.confidence)
+            maps.store(at, one.depth, one.confidence)
         rest.append(strip_images(one) if isinstance(one, DepthMap) else one)
         progress(at + 1)
     measured = [at for at, one in enumerate(rest) if isinstance(one, DepthMap)]

@@ -5,7 +5,7 @@ import sys
 from importlib import import_module
 from types import ModuleType
 
-OTHER_SYSTEM = "posix" if sys.platform == "win32" else "windows"
+OTHER_SYSTEM = "posix_system" if sys.platform == "win32" else "windows_system"
 
 
 def import_modules(*packages: ModuleType) -> list[ModuleType]:

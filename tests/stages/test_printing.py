@@ -213,9 +213,9 @@ def test_other_results_say_what_matters(results):
     assert texts["Scan"] == "Scan(made, 4 frames, colour and depth, poses)"
     assert texts["Frame"] == "Frame(0, 64 × 48 px, colour, depth, pose)"
     assert texts["Camera"] == "Camera(64 × 48 px, fx 60, fy 60, cx 31.5, cy 23.5 px)"
-    assert texts["Fused"].startswith("Fused(")
-    assert "voxel size 0.02 m" in texts["Fused"]
-    assert "triangles" in texts["Fused"]
+    assert texts["FusionResult"].startswith("FusionResult(")
+    assert "voxel size 0.02 m" in texts["FusionResult"]
+    assert "triangles" in texts["FusionResult"]
     assert texts["Texture"] == "Texture(1 triangle, 1 material, 1 image)"
     assert texts["Comparison"].startswith("Comparison(distance rms ")
     assert texts["Material"] == "Material(paint, Image(red.png, 4 × 4 px))"
@@ -236,9 +236,16 @@ def picture_in(html: str) -> np.ndarray | None:
 def test_a_notebook_shows_a_table_and_a_picture(results):
     # A page is no table; tests/pipeline/report/page/test_show.py opens it.
     shown = [one for one in results if hasattr(one, "_repr_html_") and not isinstance(one, Page)]
-    assert {"Simplified", "Mesh", "Fused", "Baked", "NormalMesh", "Comparison", "Scan", "Frame"} <= {
-        type(one).__name__ for one in shown
-    }
+    assert {
+        "SimplificationResult",
+        "Mesh",
+        "FusionResult",
+        "BakeResult",
+        "NormalMesh",
+        "Comparison",
+        "Scan",
+        "Frame",
+    } <= {type(one).__name__ for one in shown}
     for result in shown:
         html = result._repr_html_()
         assert html.count("<tr>") >= 1

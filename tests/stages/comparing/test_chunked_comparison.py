@@ -82,7 +82,7 @@ def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: 
     found, signed = measured(path, Mesh(vertices, triangles), above)
     assert signed.is_signed
     np.testing.assert_allclose(signed.vertex_distances, np.hypot(0.05, 0.1))
-    assert signed.samples.min() > 0
+    assert signed.sample_distances.min() > 0
     assert found.to_dict()["color"] is None
 
 
@@ -101,7 +101,7 @@ def test_few_points_ask_a_piece_they_are_not_near(
     class Counting(NeedleSafeSurface):
         def find_closest_points(self, points: Floats) -> Any:
             asked.append(len(points))
-            return super().closest(points)
+            return super().find_closest_points(points)
 
     monkeypatch.setattr(chunked_comparison, "NeedleSafeSurface", Counting)
     light = simplify(whole, ratio=0.1).mesh

@@ -172,8 +172,8 @@ _ROW = """    Method(
         params=CutParams,
         details=CutDetails,
         run=cut.run,
-        needs=Need("a height", ("cut.max_height",), "give cut.max_height"),
-        takes=Takes(importance=False, record=False),
+        requirement=Requirement("a height", ("cut.max_height",), "give cut.max_height"),
+        capabilities=Capabilities(importance=False, record=False),
     ),
 """
 _PARAMS = "from scanloom.stages.simplification.sixth.params import CutParams\n"

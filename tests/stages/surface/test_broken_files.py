@@ -59,7 +59,7 @@ REFUSED = {
     "empty.off": "damaged or cut short",
     "issue623.ply": "list of length",
     "malformed.obj": "triangle 0 uses vertices",
-    "number_formats.obj": "'3.1+e2' stands where a number is expected",
+    "number_formats.obj": "'3.1+e2' is not a number",
     "obj_empty.obj": "holds no vertices",
     "obj_points.obj": "8 vertices but no triangles",
     "ply_empty_bin.ply": "holds no vertices",

@@ -353,11 +353,11 @@ def test_other_attributes_follow_their_vertices() -> None:
         ({"method": "certified"}, "certified needs an error bound"),
         (
             {"ratio": 0.5, "certified": {"tight_bounds": True}},
-            "close_bounds belongs to method certified, which needs max_shape or",
+            "tight_bounds belongs to method certified, which needs max_shape or",
         ),
         (
             {"method": "jia01", "max_shape": 0.1, "certified": {"tight_bounds": True}},
-            "close_bounds is not supported by method jia01; leave one of them out",
+            "tight_bounds is not supported by method jia01; leave one of them out",
         ),
         (
             {"method": "certified", "max_shape": 0.1, "jia01": {"resolution": 1.0}},

@@ -563,7 +563,7 @@ def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
     both = Mesh(
         mesh.vertices,
         np.concatenate([mesh.triangles, back]),
-        texture=mesh.texture.rows(np.tile(np.arange(len(back)), 2)),
+        texture=mesh.texture.select_triangles(np.tile(np.arange(len(back)), 2)),
     )
     result = simplify(both, ratio=0.2)
     # What nothing has happened to is as it was.
@@ -609,7 +609,7 @@ def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_paramet
         ({"method": "seams", "ratio": 0.5, "max_shape": 0.1}, "max_shape is not supported by method seams"),
         (
             {"method": "quadric", "ratio": 0.5, "seams": {"part_border_penalty": 1.0}},
-            "across_parts is not supported",
+            "part_border_penalty is not supported",
         ),
         ({"ratio": 0.5, "seams": {"texture_weight": -1.0}}, "texture_weight"),
         ({"ratio": 0.5, "seams": {"similar_distance": 5.0}}, "similar_distance is 5 m, far more"),

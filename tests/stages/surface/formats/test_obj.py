@@ -295,7 +295,7 @@ def test_corners_of_each_form_are_read(tmp_path, forms):
 @pytest.mark.parametrize("face", ["f 1 2 - 3", "f 1 2 3-", "f 1 -- 2 3", "f 1-2 3 1", "f - 1 2 3"])
 def test_a_minus_sign_alone_is_no_number(tmp_path, face):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
-    with pytest.raises(InputError, match=r"a\.obj: cannot be parsed: '[^']*-[^']*' stands where a number"):
+    with pytest.raises(InputError, match=r"a\.obj: cannot be parsed: '[^']*-[^']*' is not a number"):
         read_obj(tmp_path / "a.obj")
 
 

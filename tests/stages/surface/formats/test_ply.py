@@ -236,7 +236,7 @@ SQUARE = b"0 0 0 1 0 0 1 1 0 0 1 0 "
         ("element face 1\n" + FACE, b"3 0 1 2\n", "no element `vertex`"),
         (f"element vertex 4\n{XYZ}", b"0 0 0 0 0 0\n", "cut short"),
         (f"element vertex 4\n{XYZ}", b"0.25 0.25 0.25 0.25 0.25 0.25 0.25\n", "ends after 2 of 4"),
-        (f"element vertex 1\n{XYZ}", b"0 0 zero\n", "'zero' stands where a number"),
+        (f"element vertex 1\n{XYZ}", b"0 0 zero\n", "'zero' is not a number"),
         (f"element vertex 1\n{XYZ}", b"", "cut short"),
         (f"element vertex 4\n{XYZ}element face 1\n{FACE}", SQUARE + b"4 0 1", "ends within face 0"),
         (f"element vertex 4\n{XYZ}element face 1\n{FACE}", SQUARE + b"-3 0 1 2", "list of length -3"),
