@@ -5,7 +5,7 @@ import sys
 from importlib import import_module
 from types import ModuleType
 
-OTHER_SYSTEM = "posix_system" if sys.platform == "win32" else "windows_system"
+OTHER_SYSTEM = "posix" if sys.platform == "win32" else "windows"
 
 
 def import_modules(*packages: ModuleType) -> list[ModuleType]:
@@ -14,5 +14,5 @@ def import_modules(*packages: ModuleType) -> list[ModuleType]:
         import_module(found.name)
         for package in packages
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
-        if found.name.rpartition(".")[2] != OTHER_SYSTEM
+        if not found.name.rpartition(".")[2].startswith(OTHER_SYSTEM)
     ]

@@ -104,7 +104,7 @@ def test_it_prints_as_a_table(found: Tradeoff) -> None:
     told = json.loads(json.dumps(found.to_dict()))
     assert [point["triangles"] for point in told["points"]] == [point.triangles for point in found.points]
     head, first, *_ = found.to_rows()
-    assert head == ["triangles", "share", "RMS m", "95 % m", "maximum m", "colour levels"]
+    assert head == ["triangles", "ratio", "RMS m", "95 % m", "maximum m", "colour levels"]
     assert first[:2] == ["3,200", "100 %"]
     html = found._repr_html_()
     assert html.count("<tr>") > 8
