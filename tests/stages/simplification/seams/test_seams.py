@@ -179,7 +179,7 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
         np.zeros(len(mesh.vertices), bool),
         np.zeros(0),
         weight=0.0,
-        running=_kernels.Running(
+        running=_kernels.RunSettings(
             target_triangles=goal, threads=1, region_triangles=8192, record=False, partial=False
         ),
         progress=lambda _done, _total: True,
@@ -609,7 +609,7 @@ def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_paramet
         ({"method": "seams", "ratio": 0.5, "max_shape": 0.1}, "max_shape is not supported by method seams"),
         (
             {"method": "quadric", "ratio": 0.5, "seams": {"part_border_penalty": 1.0}},
-            "across_parts is not supported",
+            "part_border_penalty is not supported",
         ),
         ({"ratio": 0.5, "seams": {"texture_weight": -1.0}}, "texture_weight"),
         ({"ratio": 0.5, "seams": {"similar_distance": 5.0}}, "similar_distance is 5 m, far more"),
