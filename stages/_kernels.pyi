@@ -9,70 +9,70 @@ from typing_extensions import disjoint_base
 
 __all__ = [
     "NEEDLE",
-    "ByPatches",
-    "ByQuadrics",
-    "BySeams",
-    "BySums",
-    "Certified",
-    "DrawnMesh",
-    "Front",
+    "AtlasLayout",
+    "CertifiedResult",
+    "CertifyResult",
+    "FrontMesh",
     "InvalidMeshError",
-    "LaidOut",
-    "Levels",
+    "Jia01Result",
+    "LevelHierarchy",
     "LimitError",
+    "MeshRenderer",
     "NearestSurface",
     "NormalMesh",
     "Photo",
     "PlanarPatches",
-    "Proven",
-    "Running",
-    "SeamKnobs",
+    "PlanarResult",
+    "QuadricResult",
+    "RunSettings",
     "SeamLog",
-    "Simplified",
+    "SeamResult",
+    "SeamWeights",
+    "SimplificationResult",
     "SnmError",
     "SurfacePoints",
     "TexturedSurface",
     "View",
     "Volume",
     "WeldedSheets",
-    "agreeing",
     "assemble_front",
     "build_levels",
     "certify",
-    "color_weight",
+    "choose_color_weight",
+    "compute_side_lengths",
+    "compute_spatial_order",
+    "compute_weighted_medians",
+    "count_consistent_views",
+    "count_unoccluded_views",
     "decode_indices",
     "decode_normal_mesh",
     "decode_rows",
     "draw_sources",
     "encode_rows",
     "encode_triangles",
-    "first_inside",
+    "filter_depth",
+    "find_hull_entry",
+    "find_intersecting_triangles",
+    "find_planar_patches",
+    "find_touched_blocks",
     "fit",
-    "give_back",
-    "inside_all",
-    "intersecting_triangles",
-    "lay_out",
+    "is_inside_all_masks",
+    "lay_out_atlas",
     "locate_texels",
     "match_descriptors",
     "match_pair",
-    "not_before",
-    "oriented_depth",
-    "planar_patches",
+    "optimize_strip_order",
+    "rasterize_texels",
+    "release_free_memory",
     "remesh",
     "sample_points",
     "sample_texels",
-    "side_lengths",
     "simplify",
     "simplify_by_quadrics",
     "simplify_certified",
     "simplify_planar",
     "simplify_seams",
-    "spatial_order",
-    "strip_order",
     "sweep_planes",
-    "texels",
-    "touched_blocks",
-    "weighted_medians",
     "weld_sheets",
 ]
 
@@ -89,7 +89,7 @@ class SnmError(ValueError):
     """The bytes are not an `.snm` file, or are damaged before the end of the base mesh."""
 
 @final
-class Running:
+class RunSettings:
     """Common settings of the simplifiers."""
 
     def __new__(
@@ -100,7 +100,7 @@ class Running:
         region_triangles: int = ...,
         record: bool = False,
         partial: bool = False,
-    ) -> Running: ...
+    ) -> RunSettings: ...
     @property
     def target_triangles(self) -> int: ...
     @property
@@ -113,19 +113,19 @@ class Running:
     def partial(self) -> bool: ...
 
 @final
-class SeamKnobs:
+class SeamWeights:
     """Penalties and weights of `simplify_seams`."""
 
     def __new__(
         cls,
         *,
-        across_materials: float,
-        across_parts: float,
-        valence: float,
-        wedges: float,
-        shape: float,
+        material_border_penalty: float,
+        part_border_penalty: float,
+        valence_penalty: float,
+        duplicate_penalty: float,
+        shape_weight: float,
         seam_drift: float,
-    ) -> SeamKnobs: ...
+    ) -> SeamWeights: ...
 
 @final
 class SeamLog:
@@ -136,7 +136,7 @@ class SeamLog:
     @property
     def survivor(self) -> NDArray[np.int32]: ...
     @property
-    def places(self) -> NDArray[np.float64]: ...
+    def positions(self) -> NDArray[np.float64]: ...
     @property
     def wedge_removed(self) -> NDArray[np.int32]: ...
     @property
@@ -157,7 +157,7 @@ class SeamLog:
     def corner_vertex(self) -> NDArray[np.int32]: ...
 
 @final
-class BySeams:
+class SeamResult:
     """Mesh simplified with its texture seams."""
 
     @property
@@ -183,9 +183,9 @@ class BySeams:
     @property
     def seam_drift(self) -> float: ...
     @property
-    def fitted(self) -> bool: ...
+    def is_fitted(self) -> bool: ...
     @property
-    def provable(self) -> float | None: ...
+    def provable_distance(self) -> float | None: ...
     @property
     def log(self) -> SeamLog | None: ...
 
@@ -200,12 +200,12 @@ def simplify_seams(
     importance: NDArray[np.float64],
     locked: NDArray[np.bool_],
     *,
-    knobs: SeamKnobs,
+    knobs: SeamWeights,
     fit: bool,
     within: tuple[float, float, NDArray[np.float64]] | None = None,
-    running: Running,
+    running: RunSettings,
     progress: Callable[[int, int], object],
-) -> BySeams: ...
+) -> SeamResult: ...
 
 @final
 class WeldedSheets:
@@ -229,7 +229,7 @@ _Camera: TypeAlias = tuple[tuple[float, float, float, float, int, int], NDArray[
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
 @final
-class Certified:
+class CertifyResult:
     """Upper bounds per triangle; pairs are (shape in metres, colour in levels)."""
 
     @property
@@ -252,7 +252,7 @@ class Certified:
     def pieces(self) -> int: ...
 
 @disjoint_base
-class Simplified:
+class SimplificationResult:
     """Simplified mesh with statistics of the run."""
 
     @property
@@ -281,7 +281,7 @@ class Simplified:
     def path(self) -> NDArray[np.float64]: ...
 
 @final
-class BySums(Simplified):
+class Jia01Result(SimplificationResult):
     """Mesh simplified with JIA01, with the largest accumulated changes."""
 
     @property
@@ -304,7 +304,7 @@ class BySums(Simplified):
     @property
     def largest_texture_change(self) -> float: ...
 
-def side_lengths(
+def compute_side_lengths(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
 ) -> NDArray[np.float64]:
     """Compute the side lengths (m, 3): entry k is the side from corner k − 1 to corner k."""
@@ -320,13 +320,13 @@ def simplify(
     attribute_scale: float,
     paper_rule: bool,
     triangle_limit: int,
-    running: Running,
+    running: RunSettings,
     progress: Callable[[int, int], object],
-) -> BySums:
+) -> Jia01Result:
     """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture). Infinity disables a bound."""
 
 @final
-class ByQuadrics(Simplified):
+class QuadricResult(SimplificationResult):
     """Mesh simplified by attribute quadrics."""
 
     @property
@@ -340,9 +340,9 @@ def simplify_by_quadrics(
     importance: NDArray[np.float64],
     *,
     weight: float,
-    running: Running,
+    running: RunSettings,
     progress: Callable[[int, int], object],
-) -> ByQuadrics:
+) -> QuadricResult:
     """Simplify by attribute quadrics; `weight` is the length in metres equivalent to one attribute level."""
 
 def fit(
@@ -361,7 +361,7 @@ def fit(
     """Fit a simplified mesh to its input by least squares: vertices along their normals, and attributes."""
 
 @final
-class LaidOut:
+class AtlasLayout:
     """Surface flattened into an atlas: chart and page of each triangle (−1 for none), corners in texels."""
 
     @property
@@ -373,7 +373,7 @@ class LaidOut:
     @property
     def heights(self) -> list[int]: ...
 
-def lay_out(
+def lay_out_atlas(
     vertices: NDArray[np.float64],
     triangles: NDArray[np.int32],
     density: NDArray[np.float32],
@@ -381,13 +381,13 @@ def lay_out(
     side: int,
     padding: int,
     progress: Callable[[int, int], object],
-) -> LaidOut:
+) -> AtlasLayout:
     """Lay a surface out in images of `side` × `side` texels; `density` is texels per metre per triangle."""
 
-def give_back() -> None:
+def release_free_memory() -> None:
     """Return free memory of the allocator to the system."""
 
-def texels(
+def rasterize_texels(
     corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
     """Find the texels of one page, sorted by triangle: pixels, triangles and barycentric weights."""
@@ -399,12 +399,12 @@ class NearestSurface:
     def __new__(
         cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
     ) -> NearestSurface: ...
-    def closest(
+    def find_nearest(
         self, points: NDArray[np.float64], *, wanted_threads: int
     ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
         """Find the nearest points to points (n, 3): triangles (n,), weights (n, 3) and distances (n,)."""
 
-    def facing(
+    def find_nearest_facing(
         self,
         points: NDArray[np.float64],
         normals: NDArray[np.float64],
@@ -448,7 +448,7 @@ def sample_texels(
     triangles: NDArray[np.int32],
     corners: NDArray[np.float64],
     uvs: NDArray[np.float64],
-    is_shown: NDArray[np.bool_],
+    uses_image: NDArray[np.bool_],
     image: NDArray[np.uint8],
     *,
     wrap: tuple[str, str],
@@ -476,14 +476,14 @@ class Volume:
         truncation: float,
         *,
         color: bool,
-        most_blocks: int,
+        max_blocks: int,
         instructions: str | None = None,
     ) -> Volume: ...
     @staticmethod
-    def instructions() -> list[str]:
+    def supported_instructions() -> list[str]:
         """List the supported instruction sets, widest first; all give identical bits."""
     @property
-    def blocks(self) -> int:
+    def block_count(self) -> int:
         """Number of blocks in use."""
     @property
     def bytes(self) -> int:
@@ -499,23 +499,23 @@ class Volume:
         weighing: tuple[float, float, float],
         wanted_threads: int,
     ) -> None:
-        """Integrate a frame into the blocks with the given keys; LimitError above `most_blocks` blocks."""
-    def frame_counts(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
+        """Integrate a frame into the blocks with the given keys; LimitError above `max_blocks` blocks."""
+    def observation_histogram(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
         """Compute the histogram (256,) of observation counts near the surface, in a box of blocks."""
-    def surface(
-        self, least: int, *, within: _Blocks | None, wanted_threads: int
+    def extract_surface(
+        self, min_frames: int, *, within: _Blocks | None, wanted_threads: int
     ) -> tuple[
         tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]],
         list[NDArray[np.uint64]],
     ]:
-        """Extract the surface through voxels observed by at least `least` frames.
+        """Extract the surface through voxels observed by at least `min_frames` frames.
 
         Returns vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) of 0 to 255 and mean observation
         counts (n,). `within` restricts the surface to a box of blocks; triangle indices from n on then refer
         to foreign vertices. The list is for stitching: block keys and edge codes of foreign vertices; block
         keys, edge codes and indices of shared vertices.
         """
-    def voxels(
+    def copy_voxels(
         self,
     ) -> tuple[
         NDArray[np.int32],
@@ -527,14 +527,16 @@ class Volume:
         """Copy blocks (n, 3), distances (n, 512) in truncations, weights, observation counts and colours."""
 
 @final
-class DrawnMesh:
+class MeshRenderer:
     """Mesh for rendering from many cameras."""
 
-    def __new__(cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> DrawnMesh: ...
-    def zbuffer(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    def __new__(cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> MeshRenderer: ...
+    def render_zbuffer(
+        self, camera: _Camera, *, near: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Render depth and triangle at each pixel; infinity and −1 where nothing is visible."""
 
-    def parts(self) -> NDArray[np.uint32]:
+    def triangle_clusters(self) -> NDArray[np.uint32]:
         """Return the spatial cluster of each triangle (m,); consecutive clusters are close in space."""
 
 @final
@@ -564,8 +566,8 @@ class View:
         *,
         reach: tuple[float, float],
         measured: tuple[_Camera, NDArray[np.float32], NDArray[np.float32]] | None,
-        worth: float,
-        flattest: float,
+        weight: float,
+        min_cosine: float,
     ) -> View: ...
 
 @final
@@ -577,18 +579,18 @@ class SurfacePoints:
         vertices: NDArray[np.float64],
         normals: NDArray[np.float64],
         triangles: NDArray[np.int32],
-        of: NDArray[np.uint32],
-        shares: NDArray[np.float32],
+        point_triangles: NDArray[np.uint32],
+        weights: NDArray[np.float32],
         *,
-        kept: int,
+        samples_per_point: int,
     ) -> SurfacePoints: ...
-    def see(self, view: View, number: int, *, remember: bool, wanted_threads: int) -> NDArray[np.uint32]:
+    def add_view(self, view: View, number: int, *, remember: bool, wanted_threads: int) -> NDArray[np.uint32]:
         """Add the samples of one more view, and return the triangles that it may show.
 
-        With `remember`, `see_again` can update the view later.
+        With `remember`, `update_view_colors` can update the view later.
         """
 
-    def see_again(self, photo: Photo, number: int, *, wanted_threads: int) -> None:
+    def update_view_colors(self, photo: Photo, number: int, *, wanted_threads: int) -> None:
         """Update the colours of a view's samples at the points for which it is one of the best."""
 
     def samples(self) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]:
@@ -597,7 +599,7 @@ class SurfacePoints:
     def density(self) -> NDArray[np.float32]:
         """Return the maximum resolution of all views in pixels per metre (n,); 0 without a view."""
 
-    def flat(self) -> NDArray[np.bool_]:
+    def grazing_mask(self) -> NDArray[np.bool_]:
         """Return the mask (n,) of points that are only seen at grazing angles."""
 
     def blend(
@@ -605,7 +607,7 @@ class SurfacePoints:
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
         """Blend colours (n, 3); also returns the best view (n,), −1 for none, and the inlier count (n,)."""
 
-    def level(
+    def level_seams(
         self,
         colors: NDArray[np.float32],
         pixels: NDArray[np.uint32],
@@ -620,13 +622,14 @@ class SurfacePoints:
         pixels.
         """
 
-    def neighbours(
-        self, labels: NDArray[np.int32], pixels: NDArray[np.uint32], *, width: int, every: int
+    def collect_neighbours(
+        self, labels: NDArray[np.int32], pixels: NDArray[np.uint32], *, width: int, row_step: int
     ) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
-        """Collect adjacent points (k, 2) in every `every`-th row of an image, and their colours (k, 2, 3).
+        """Collect adjacent points (k, 2) in every `row_step`-th row of an image, and their colours (k, 2, 3).
 
         The colours are from the photo with the highest weight (`labels`, (n,), −1 for none) at the first
-        point, or else at the second. Pairs that this photo does not show are skipped. `pixels` as in `level`.
+        point, or else at the second. Pairs that this photo does not show are skipped. `pixels` as in
+        `level_seams`.
         """
 
 @final
@@ -641,29 +644,30 @@ class TexturedSurface:
         pages: NDArray[np.int32],
         images: Sequence[NDArray[np.uint8]],
     ) -> TexturedSurface: ...
-    def seen_by(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def render(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Render the surface from a camera: colours (h, w, 3), and the mask of textured pixels."""
 
-def color_weight(
+def choose_color_weight(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
     *,
     target: int,
-    tried: bool,
+    run_trial: bool,
     wanted_threads: int,
 ) -> float:
     """Compute the length in metres equivalent to one attribute level in a result of `target` triangles."""
 
 def match_descriptors(
-    source: NDArray[np.uint8], target: NDArray[np.uint8], *, distinct: float
+    source: NDArray[np.uint8], target: NDArray[np.uint8], *, max_distance_ratio: float
 ) -> NDArray[np.int64]:
     """Match descriptors that are mutual nearest neighbours; returns index pairs (m, 2), sorted by source.
 
     Parameters
     ----------
     source, target : (n, 128) SIFT descriptors, compared as RootSIFT.
-    distinct : ratio test; the nearest must be closer than this times the distance of the second nearest.
+    max_distance_ratio : ratio test; the nearest must be closer than this times the distance of the second
+        nearest.
     """
 
 def match_pair(
@@ -709,9 +713,9 @@ def sweep_planes(
     Plane index with a fraction, and margin to the second-best sum of costs.
     """
 
-def agreeing(
+def count_consistent_views(
     depth: NDArray[np.float32],
-    others: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
+    other_views: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
     *,
     tolerances: tuple[float, float],
     wanted_threads: int,
@@ -720,35 +724,39 @@ def agreeing(
 
     Parameters
     ----------
-    others : (3, 4) projections from (u z, v z, z, 1) to (u' z', v' z', z'), and depth maps.
+    other_views : (3, 4) projections from (u z, v z, z, 1) to (u' z', v' z', z'), and depth maps.
     """
 
-def inside_all(
+def is_inside_all_masks(
     depth: NDArray[np.float32],
     masks: Sequence[tuple[NDArray[np.float64], NDArray[np.bool_]]],
     *,
     wanted_threads: int,
 ) -> NDArray[np.bool_]:
-    """Check whether points are inside the masks of all views that see them; matrices as in `agreeing`."""
+    """Check whether points are inside the masks of all views that see them.
 
-def not_before(
-    depth: NDArray[np.float32],
-    others: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
-    *,
-    share: float,
-    wanted_threads: int,
-) -> NDArray[np.uint8]:
-    """Count the other views in which nothing occludes a point; matrices as in `agreeing`.
-
-    A point counts as unoccluded if the depth of the view is more than `share` times the point's depth.
+    Matrices as in `count_consistent_views`.
     """
 
-def first_inside(
+def count_unoccluded_views(
+    depth: NDArray[np.float32],
+    other_views: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
+    *,
+    min_depth_ratio: float,
+    wanted_threads: int,
+) -> NDArray[np.uint8]:
+    """Count the other views in which nothing occludes a point; matrices as in `count_consistent_views`.
+
+    A point counts as unoccluded if the depth of the view is more than `min_depth_ratio` times
+    the point's depth.
+    """
+
+def find_hull_entry(
     wanted: NDArray[np.bool_],
     masks: Sequence[tuple[NDArray[np.float64], NDArray[np.bool_]]],
     *,
-    least: int,
-    span: tuple[float, float],
+    min_views: int,
+    depth_range: tuple[float, float],
     steps: int,
     wanted_threads: int,
 ) -> NDArray[np.float32]:
@@ -756,16 +764,16 @@ def first_inside(
 
     Parameters
     ----------
-    masks : matrices as in `agreeing`, and silhouette masks.
-    least : minimum number of views that must see the point.
-    span : minimum and maximum depth, sampled in `steps` steps of inverse depth.
+    masks : matrices as in `count_consistent_views`, and silhouette masks.
+    min_views : minimum number of views that must see the point.
+    depth_range : minimum and maximum depth, sampled in `steps` steps of inverse depth.
 
     Returns
     -------
     Depth (h, w), 0 where a ray misses the hull.
     """
 
-def oriented_depth(
+def filter_depth(
     depth: NDArray[np.float32],
     pinhole: tuple[float, float, float, float, int, int],
     *,
@@ -781,7 +789,7 @@ def oriented_depth(
     `limits` are (minimum depth, maximum depth, relative jump, minimum cosine).
     """
 
-def touched_blocks(
+def find_touched_blocks(
     camera: _Camera,
     depth: NDArray[np.float32],
     normal: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
@@ -794,7 +802,7 @@ def touched_blocks(
 ) -> NDArray[np.uint64]:
     """Find the sorted keys of the blocks that a frame touches."""
 
-def weighted_medians(
+def compute_weighted_medians(
     image: NDArray[np.uint8],
     disparity: NDArray[np.float32],
     wanted: NDArray[np.bool_],
@@ -824,11 +832,11 @@ def certify(
     slack: float | None,
     threads: int,
     progress: Callable[[int, int], object],
-) -> Certified:
+) -> CertifyResult:
     """Bound the distance between two triangle soups (vertices, attributes, triangles)."""
 
 @final
-class Proven(Simplified):
+class CertifiedResult(SimplificationResult):
     """Simplified mesh with proven bounds; pairs are (shape in metres, colour in levels)."""
 
     @property
@@ -863,13 +871,13 @@ def simplify_certified(
     tolerance: tuple[float, float],
     effort: float,
     close: bool,
-    running: Running,
+    running: RunSettings,
     progress: Callable[[int, int], object],
-) -> Proven:
+) -> CertifiedResult:
     """Simplify within bounds that are proven everywhere; infinity disables a bound."""
 
 @final
-class Levels:
+class LevelHierarchy:
     """Hierarchy of levels, nodes from the root down."""
 
     @property
@@ -885,9 +893,9 @@ class Levels:
     @property
     def color_attained(self) -> NDArray[np.float64]: ...
     @property
-    def coarse(self) -> NDArray[np.int32]: ...
+    def coarse_triangle_counts(self) -> NDArray[np.int32]: ...
     @property
-    def roots(self) -> int: ...
+    def root_vertex_count(self) -> int: ...
     @property
     def vertices(self) -> NDArray[np.float64]: ...
     @property
@@ -895,9 +903,9 @@ class Levels:
     @property
     def origin(self) -> NDArray[np.int32]: ...
     @property
-    def made(self) -> NDArray[np.uint8]: ...
+    def new_vertex_counts(self) -> NDArray[np.uint8]: ...
     @property
-    def born(self) -> NDArray[np.uint8]: ...
+    def new_triangle_counts(self) -> NDArray[np.uint8]: ...
     @property
     def first_split(self) -> NDArray[np.int64]: ...
     @property
@@ -919,20 +927,20 @@ def build_levels(
     *,
     first: float,
     ratio: float,
-    most: int,
-    root: int,
+    max_cell_triangles: int,
+    root_triangles: int,
     weight: float,
     share: float,
     tolerance: tuple[float, float],
     effort: float,
     single: bool,
-    running: Running,
+    running: RunSettings,
     progress: Callable[[int, int], object],
-) -> Levels:
+) -> LevelHierarchy:
     """Build the levels of a manifold mesh."""
 
 @final
-class Front:
+class FrontMesh:
     """Mesh of a front: its triangles, their indices in the hierarchy, and the vertices they use."""
 
     @property
@@ -950,7 +958,7 @@ def assemble_front(
     start: NDArray[np.int64],
     count: NDArray[np.int64],
     below: NDArray[np.int64],
-) -> Front:
+) -> FrontMesh:
     """Assemble the mesh of a front.
 
     Each node contributes the first `count` triangles from `start` on, with vertices below `below`.
@@ -973,10 +981,10 @@ class PlanarPatches:
     @property
     def faces(self) -> NDArray[np.int32]: ...
     @property
-    def looks(self) -> int: ...
+    def neighbour_tests(self) -> int: ...
 
 @final
-class ByPatches(PlanarPatches):
+class PlanarResult(PlanarPatches):
     """Mesh simplified by near-planar patches; its vertices are the input vertices in `vertex_source`."""
 
     @property
@@ -988,7 +996,7 @@ class ByPatches(PlanarPatches):
     @property
     def triangle_patch(self) -> NDArray[np.int32]: ...
     @property
-    def kept(self) -> NDArray[np.bool_]: ...
+    def kept_all_triangles(self) -> NDArray[np.bool_]: ...
     @property
     def bounds(self) -> NDArray[np.float64]: ...
     @property
@@ -1010,10 +1018,10 @@ def simplify_planar(
     threads: int,
     partial: bool,
     progress: Callable[[int, int], object],
-) -> ByPatches:
+) -> PlanarResult:
     """Simplify by near-planar patches."""
 
-def planar_patches(
+def find_planar_patches(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
@@ -1026,7 +1034,7 @@ def planar_patches(
 ) -> PlanarPatches:
     """Compute the patches without simplifying. Raises InvalidMeshError for a non-manifold mesh."""
 
-def intersecting_triangles(
+def find_intersecting_triangles(
     vertices: NDArray[np.float64],
     triangles: NDArray[np.int32],
     *,
@@ -1035,7 +1043,7 @@ def intersecting_triangles(
 ) -> NDArray[np.uint32]:
     """Find for each triangle one that it intersects beyond their shared vertices; 2³² − 1 for none."""
 
-def spatial_order(
+def compute_spatial_order(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Compute a Z-order of vertices and triangles, so that neighbours in space are close in memory."""
@@ -1047,11 +1055,11 @@ class NormalMesh:
     @property
     def levels(self) -> int: ...
     @property
-    def promised(self) -> int: ...
+    def encoded_levels(self) -> int: ...
     @property
     def damage(self) -> str | None: ...
     @property
-    def folded(self) -> list[int]:
+    def folded_counts(self) -> list[int]:
         """Number of flipped or degenerate triangles of each level; empty after decoding."""
     @property
     def tolerance(self) -> float | None:
@@ -1099,7 +1107,7 @@ def remesh(
     levels: int | None,
     base_triangles: int,
     base_error: float,
-    at_any_price: bool,
+    ignore_cost_limit: bool,
     max_error: float,
     butterfly: bool,
     relaxations: int,
@@ -1117,13 +1125,13 @@ def remesh(
 def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:
     """Decode an `.snm` file up to a level, or all of it with -1."""
 
-def strip_order(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
+def optimize_strip_order(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
     """Reorder triangles (m, 3) for compression; `vertices` is the vertex count."""
 
 def encode_rows(rows: NDArray[np.uint8]) -> bytes:
     """Encode rows (n, k) of bytes, k a multiple of 4 up to 256, as ATTRIBUTES of EXT_meshopt_compression."""
 
-def decode_rows(packed: bytes, count: int, size: int, filtered: str) -> bytes:
+def decode_rows(packed: bytes, count: int, size: int, filter_name: str) -> bytes:
     """Decode rows of `size` bytes from ATTRIBUTES data; ValueError if the data is damaged."""
 
 def decode_indices(packed: bytes, count: int, size: int, mode: str) -> bytes:

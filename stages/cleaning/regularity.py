@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._kernels import intersecting_triangles
+from scanloom.stages._kernels import find_intersecting_triangles
 from scanloom.stages.progress import Progress
 from scanloom.stages.surface.edges import Edges, Ids, build_edges, label_fans, pair_halfedges
 from scanloom.stages.surface.mesh import Triangles, Vertices
@@ -80,7 +80,7 @@ def find_irregular(
         ascending.
     """
     places = find_local_irregular(vertices, triangles, limits)
-    other = intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
+    other = find_intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
     return places | {"intersecting_triangles": np.flatnonzero(other != NO_INTERSECTION)}
 
 

@@ -259,7 +259,7 @@ def _run_certifier(
     params: CertifyParams,
     limit: tuple[float, float] | None,
     progress: Progress,
-) -> _kernels.Certified:
+) -> _kernels.CertifyResult:
     try:
         return _kernels.certify(
             result,
@@ -281,7 +281,7 @@ def _is_within(found: tuple[float, float], limit: tuple[float, float], with_colo
 
 
 def _make_certificate(
-    found: _kernels.Certified, with_color: bool, is_within_limits: bool | None
+    found: _kernels.CertifyResult, with_color: bool, is_within_limits: bool | None
 ) -> Certificate:
     return Certificate(
         shape_bound=found.shape_bound,

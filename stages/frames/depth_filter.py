@@ -62,7 +62,7 @@ def orient_depth(
     max_angle : maximum angle between the line of sight and the surface normal, degrees.
     min_depth, max_depth : metres; nearer and farther depth is dropped.
     """
-    filtered, normal, obliqueness = _kernels.oriented_depth(
+    filtered, normal, obliqueness = _kernels.filter_depth(
         np.ascontiguousarray(depth, np.float32),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height),
         limits=(min_depth, max_depth, max_jump, math.cos(math.radians(max_angle))),

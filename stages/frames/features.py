@@ -65,7 +65,7 @@ def match_descriptors(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> N
     from scanloom.stages import _kernels
 
     # OpenBLAS is slower: its threads wait for each other in products of small matrices.
-    return _kernels.match_descriptors(source, target, distinct=_MAX_RATIO)
+    return _kernels.match_descriptors(source, target, max_distance_ratio=_MAX_RATIO)
 
 
 def find_epipolar_inliers(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -142,7 +142,7 @@ def find_touched_blocks(
     """
     surface = view.surface
     try:
-        return _kernels.touched_blocks(
+        return _kernels.find_touched_blocks(
             _to_kernel_view(view.camera, pose),
             surface.depth,
             surface.normal,
@@ -197,7 +197,7 @@ class SparseVolume:
         self._color = color
         self._threads = threads
         self._max_blocks = max(int(max_bytes / compute_block_bytes(color=color)), 1)
-        self._volume = _kernels.Volume(voxel_size, truncation, color=color, most_blocks=self._max_blocks)
+        self._volume = _kernels.Volume(voxel_size, truncation, color=color, max_blocks=self._max_blocks)
 
     @property
     def bytes(self) -> int:
@@ -261,7 +261,7 @@ class SparseVolume:
         ----------
         within : box of blocks to count in; None for all.
         """
-        return self._volume.frame_counts(within=within).astype(np.int64)
+        return self._volume.observation_histogram(within=within).astype(np.int64)
 
     def extract_mesh(self, min_weight: int) -> tuple[Mesh, ObservationCounts | None]:
         """Extract the surface through voxels observed by at least `min_weight` frames.
@@ -289,7 +289,7 @@ class SparseVolume:
             boxes; block keys (j,), edge codes (j,) and indices (j,) of own vertices that adjacent boxes may
             reference.
         """
-        found, joints = self._volume.surface(min_weight, within=within, wanted_threads=self._threads)
+        found, joints = self._volume.extract_surface(min_weight, within=within, wanted_threads=self._threads)
         places, triangles, levels, seen = found
         colors = np.rint(levels).astype(np.uint8) if self._color else None
         return Mesh(places * self._voxel_size, triangles, colors), seen, joints

@@ -282,13 +282,13 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
         found = _kernels.decode_normal_mesh(data, -1 if level is None else level)
     except _kernels.SnmError as error:
         raise InputError(LEVELS_FILE_DAMAGED, "{error}.", where, error=error) from error
-    if level is not None and level > found.promised:
+    if level is not None and level > found.encoded_levels:
         raise UsageError(
             LEVELS_LEVEL_MISSING,
             "level is {level}, but {place} was encoded with levels 0 to {promised}.",
             level=level,
             place=where,
-            promised=found.promised,
+            promised=found.encoded_levels,
         )
     if level is not None and level > found.levels:
         why = found.damage or "the file ends there"
@@ -333,7 +333,7 @@ def convert_kernel_mesh(
             for level in numbers[1:]
         ),
         confidence=confidence or None,
-        encoded_levels=found.promised,
+        encoded_levels=found.encoded_levels,
         damage=found.damage,
         data=found.data,
         level_ends=tuple(found.level_ends),

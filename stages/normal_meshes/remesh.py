@@ -272,7 +272,7 @@ def _remesh_validated(
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=tuple(triangles.astype(np.int32) for triangles in hits),
         max_distances_m=tuple(found.reached),
-        folded_by_level=tuple(found.folded),
+        folded_by_level=tuple(found.folded_counts),
         **_describe_tolerance(found, traced.mesh),
     )
 
@@ -355,7 +355,7 @@ def _run_kernel(
         levels=params.levels,
         base_triangles=target_base_triangles,
         base_error=np.inf if params.base_error is None else params.base_error,
-        at_any_price=params.base_triangles is not None or params.base_error is not None,
+        ignore_cost_limit=params.base_triangles is not None or params.base_error is not None,
         max_error=params.max_error or 0.0,
         butterfly=params.scheme == "butterfly",
         relaxations=params.relaxations,
@@ -450,13 +450,13 @@ def _report_result(
                 finest=len(found.triangles(found.levels)),
             )
         )
-    if sum(found.folded):
+    if sum(found.folded_counts):
         emit(
             LEVELS_FOLDED.warning(
                 "{count:,} triangles in all levels ({finest:,} in the finest) are flipped relative to the "
                 "surface or have no area.",
-                count=sum(found.folded),
-                finest=found.folded[-1],
+                count=sum(found.folded_counts),
+                finest=found.folded_counts[-1],
             )
         )
     if params.max_error is not None and found.reached and found.reached[-1] > params.max_error:

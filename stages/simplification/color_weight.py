@@ -47,11 +47,11 @@ def compute_balanced_weight(mesh: Mesh, triangles: int, threads: int = 1) -> flo
 
 
 def _compute_weight(mesh: Mesh, triangles: int, threads: int, *, is_tested: bool) -> float:
-    return _kernels.color_weight(
+    return _kernels.choose_color_weight(
         mesh.vertices,
         get_vertex_attributes(mesh),
         mesh.triangles,
         target=max(triangles, 1),
-        tried=is_tested,
+        run_trial=is_tested,
         wanted_threads=threads,
     )

@@ -47,14 +47,14 @@ class Task(Generic[P]):
     keep_on_interrupt: bool = False
     progress: Progress = ignore_progress
 
-    def make_kernel_options(self, region_triangles: int) -> _kernels.Running:
+    def make_kernel_options(self, region_triangles: int) -> _kernels.RunSettings:
         """Build the options of a collapse kernel.
 
         Parameters
         ----------
         region_triangles : triangles per region of the collapse engine.
         """
-        return _kernels.Running(
+        return _kernels.RunSettings(
             target_triangles=self.triangles or 0,
             threads=self.threads,
             region_triangles=region_triangles,

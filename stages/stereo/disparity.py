@@ -154,7 +154,7 @@ def stereo_disparity(
     agrees = np.abs(found - _look_up_right_disparity(found, of_right)) <= _LEFT_RIGHT_TOLERANCE
 
     def compute_medians(known: Mask, wanted: Mask, window: tuple[int, float]) -> tuple[Map, Map, Map]:
-        return _kernels.weighted_medians(
+        return _kernels.compute_weighted_medians(
             first,
             np.where(known, found, np.float32(np.nan)),
             wanted,

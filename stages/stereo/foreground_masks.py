@@ -203,7 +203,7 @@ def crop_to_hull(depth: DepthImage, view: PosedView, silhouettes: Sequence[Silho
     """
     if not silhouettes:
         return depth
-    inside = _kernels.inside_all(
+    inside = _kernels.is_inside_all_masks(
         depth, [(view.compute_projection_to(one.view), one.mask) for one in silhouettes], wanted_threads=1
     )
     return np.where(inside, depth, np.float32(0))
@@ -232,11 +232,11 @@ def compute_hull_entry(
         few = replace(view, camera=scale_camera(view.camera, *size))
         front = compute_hull_entry(few, np.ascontiguousarray(mask[::stride, ::stride]), silhouettes)
         return np.asarray(cv2.resize(front, (width, height), interpolation=cv2.INTER_NEAREST), np.float32)
-    return _kernels.first_inside(
+    return _kernels.find_hull_entry(
         mask,
         [(view.compute_projection_to(one.view), one.mask) for one in silhouettes],
-        least=min(_MIN_BOUNDING_VIEWS, len(silhouettes)),
-        span=(view.near, view.far),
+        min_views=min(_MIN_BOUNDING_VIEWS, len(silhouettes)),
+        depth_range=(view.near, view.far),
         steps=_RAY_STEPS,
         wanted_threads=1,
     )

@@ -127,13 +127,15 @@ def _mask_confirmed(
     min_view_count : minimum number of agreeing views. Measured depth may contradict in no more views than
     agree.
     """
-    same, _ = _kernels.agreeing(
+    same, _ = _kernels.count_consistent_views(
         filled_depth, filled_maps, tolerances=(_TOLERANCE, _LOOSE_TOLERANCE), wanted_threads=1
     )
-    _, nearly = _kernels.agreeing(
+    _, nearly = _kernels.count_consistent_views(
         filled_depth, measured_maps, tolerances=(_TOLERANCE, _LOOSE_TOLERANCE), wanted_threads=1
     )
-    looking = _kernels.not_before(filled_depth, measured_maps, share=0.0, wanted_threads=1)
+    looking = _kernels.count_unoccluded_views(
+        filled_depth, measured_maps, min_depth_ratio=0.0, wanted_threads=1
+    )
     return np.asarray(
         (filled_depth > 0) & (same >= min_view_count) & (looking.astype(int) - nearly <= nearly)
     )

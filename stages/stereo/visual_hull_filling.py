@@ -145,10 +145,10 @@ def remove_contradicted_depth(
     depth : (h, w) float32 metres.
     min_view_count : minimum number of other views that measured the point, or see something behind it.
     """
-    count = _kernels.not_before(
+    count = _kernels.count_unoccluded_views(
         depth,
         [(view.compute_projection_to(other), measured) for other, measured in others],
-        share=1 - _OCCLUSION_RATIO,
+        min_depth_ratio=1 - _OCCLUSION_RATIO,
         wanted_threads=1,
     )
     return np.where(count < min_view_count, depth, np.float32(0))

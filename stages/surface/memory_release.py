@@ -10,4 +10,4 @@ def release_free_memory() -> None:
 
     Otherwise fragmentation of the heap adds to the peak memory of later steps.
     """
-    _kernels.give_back()
+    _kernels.release_free_memory()

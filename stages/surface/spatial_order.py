@@ -57,7 +57,7 @@ def reorder_spatially(mesh: Mesh) -> ReorderedMesh:
     InvalidMeshError
         If an index is out of range or a value is not finite.
     """
-    vertices, triangles = _kernels.spatial_order(mesh.vertices, mesh.triangles)
+    vertices, triangles = _kernels.compute_spatial_order(mesh.vertices, mesh.triangles)
     return ReorderedMesh(permute_rows(mesh, vertices, triangles), vertices, triangles)
 
 

@@ -332,7 +332,7 @@ def _lay_out_groups(
     for number in np.unique(groups):
         chosen = np.flatnonzero(groups == number)
         part = mesh if len(chosen) == count else _select_triangles(mesh, chosen)
-        found = _kernels.lay_out(
+        found = _kernels.lay_out_atlas(
             part.vertices, part.triangles, density[chosen], side=side, padding=padding, progress=progress
         )
         is_out = found.pages < 0
@@ -421,5 +421,6 @@ def rasterize_texels(pages: AtlasLayout, page: int) -> PageTexels:
     """Rasterise the triangles of an image: the surface point under each texel."""
     width, height = pages.sizes[page]
     return PageTexels(
-        *_kernels.texels(pages.corners, pages.pages, page=page, width=width, height=height), width=width
+        *_kernels.rasterize_texels(pages.corners, pages.pages, page=page, width=width, height=height),
+        width=width,
     )

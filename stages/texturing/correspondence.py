@@ -245,7 +245,7 @@ class Correspondence:
         u, v, w = own.weights.astype(np.float64).T[:, :, None]
         points = move_inwards(u * a + v * b + w * c, (a + b + c) / 3, INWARD_OFFSET_TEXELS * self._texel_size)
         surface, reach = self._original_surface
-        return surface.facing(
+        return surface.find_nearest_facing(
             points, self._normals.take(own.triangles, axis=0), reach=reach, wanted_threads=0
         )
 
@@ -259,7 +259,7 @@ class Correspondence:
         surface = _create_surface(self._original)
         step = math.ceil(len(self._simplified.triangles) / DISTANCE_PROBES)
         middles = self._simplified.vertices[self._simplified.triangles[::step]].mean(axis=1)
-        _, _, distances = surface.closest(middles, wanted_threads=0)
+        _, _, distances = surface.find_nearest(middles, wanted_threads=0)
         return surface, 2 * float(distances.max())
 
     def _place_triangles(self, vertices: VertexLocations) -> PlacedTriangles:
@@ -373,7 +373,7 @@ class Correspondence:
 def locate_vertices(simplified: Mesh, original: Mesh) -> VertexLocations:
     """Project original vertices to the simplified mesh, and compare normals."""
     sets, first = find_equal_positions(original.vertices)
-    triangles, weights, distances = _create_surface(simplified).closest(
+    triangles, weights, distances = _create_surface(simplified).find_nearest(
         original.vertices[first], wanted_threads=0
     )
     normals = _sum_normals(original, sets)

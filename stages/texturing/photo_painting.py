@@ -290,7 +290,7 @@ class Painter:
                 mesh.triangles,
                 texels.triangles,
                 texels.weights,
-                kept=self._max_views,
+                samples_per_point=self._max_views,
             )
             is_kept = keeps_selection and self.batch_count == 1
             numbers = self._photo_selection.find_visible_photos(np.unique(drawn.parts[texels.triangles]))
@@ -338,7 +338,9 @@ def level_seams(points: _kernels.SurfacePoints, colors: NDArray[np.float32], tex
     Where the blended photos change between neighbouring texels, the colour difference is replaced by the
     difference that the photos show.
     """
-    points.level(colors, texels.pixels, width=texels.width, reach=_LEVELLING_REACH_TEXELS, wanted_threads=0)
+    points.level_seams(
+        colors, texels.pixels, width=texels.width, reach=_LEVELLING_REACH_TEXELS, wanted_threads=0
+    )
 
 
 def _count_affordable_texels(byte_limit: float, max_views: int) -> int:

@@ -65,15 +65,15 @@ class RenderMesh:
     parts : (m,) part of each triangle; parts with consecutive indices are close in space.
     """
 
-    renderer: _kernels.DrawnMesh
+    renderer: _kernels.MeshRenderer
     near_m: float
     parts: NDArray[np.uint32]
 
 
 def prepare_render_mesh(mesh: Mesh) -> RenderMesh:
     """Prepare a mesh for rendering."""
-    kernel = _kernels.DrawnMesh(mesh.vertices, mesh.triangles)
-    return RenderMesh(kernel, compute_near_plane(mesh), kernel.parts())
+    kernel = _kernels.MeshRenderer(mesh.vertices, mesh.triangles)
+    return RenderMesh(kernel, compute_near_plane(mesh), kernel.triangle_clusters())
 
 
 def compute_near_plane(mesh: Mesh) -> float:
@@ -123,7 +123,7 @@ def sample_photos(
 
     visible_parts = []
     for number, view in zip(photo_indices, _iterate_prepared(prepare, photo_indices, photos), strict=True):
-        triangles = points.see(view, number, remember=keeps_visibility, wanted_threads=0)
+        triangles = points.add_view(view, number, remember=keeps_visibility, wanted_threads=0)
         visible_parts.append(np.unique(mesh.parts[triangles]))
         progress()
     return visible_parts
@@ -163,7 +163,7 @@ def render_texture(
     """
     import cv2
 
-    rendering, is_textured = texture.seen_by(camera, near=near_m)
+    rendering, is_textured = texture.render(camera, near=near_m)
     return rendering, is_textured & (cv2.inRange(rendering, np.ones(3), np.full(3, 255.0)) > 0)
 
 
@@ -205,7 +205,7 @@ def _replace_samples(
 ) -> None:
     photo_indices = range(len(photos))
     for number, photo in zip(photo_indices, _iterate_prepared(prepare, photo_indices, photos), strict=True):
-        points.see_again(photo, number, wanted_threads=0)
+        points.update_view_colors(photo, number, wanted_threads=0)
         progress()
 
 
@@ -232,7 +232,7 @@ def _prepare_view(
     photo: Photo, colors: _kernels.Photo, mesh: RenderMesh, *, weight: float, min_cosine: float
 ) -> _kernels.View:
     render_camera = to_kernel_camera(_limit_camera(photo.camera), photo.camera_from_world)
-    depth, triangles = mesh.renderer.zbuffer(render_camera, near=mesh.near_m)
+    depth, triangles = mesh.renderer.render_zbuffer(render_camera, near=mesh.near_m)
     nearest, reach = _compute_min_depth(depth)
     if photo.valid_mask is not None:
         # Pixels near the edge of the mask are unreliable; depth 0 excludes them.
@@ -246,8 +246,8 @@ def _prepare_view(
         triangles,
         reach=(reach, measured_reach),
         measured=measured,
-        worth=weight,
-        flattest=min_cosine,
+        weight=weight,
+        min_cosine=min_cosine,
     )
 
 

@@ -84,7 +84,7 @@ def survey_photos(
     """
     triangle_ids, weights = _sample_points(mesh)
     points = _kernels.SurfacePoints(
-        mesh.vertices, normals, mesh.triangles, triangle_ids, weights, kept=max_views
+        mesh.vertices, normals, mesh.triangles, triangle_ids, weights, samples_per_point=max_views
     )
     identities = [make_identity_exposure()] * len(photos)
     visible_parts = sample_photos(points, render_mesh, photos, identities, None, progress, is_blended=False)
@@ -95,7 +95,7 @@ def survey_photos(
             "none of the {photos_count} photos shows the mesh: poses and mesh have different coordinates.",
             photos_count=len(photos),
         )
-    flat = points.flat()
+    flat = points.grazing_mask()
     direct_density, best_density = np.zeros((2, len(mesh.triangles)), np.float32)
     np.maximum.at(direct_density, triangle_ids, np.where(flat, np.float32(0), points.density()))
     np.maximum.at(best_density, triangle_ids, points.density())

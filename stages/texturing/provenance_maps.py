@@ -69,7 +69,7 @@ def _measure_texels(
     height, width = labels.shape
     corners = (texture.uvs - (0, 1)) * (width, -height)
     pages = np.where(texture.material_ids == number, 0, -1).astype(np.int32)
-    pixels, triangles, shares = _kernels.texels(corners, pages, page=0, width=width, height=height)
+    pixels, triangles, shares = _kernels.rasterize_texels(corners, pages, page=0, width=width, height=height)
     normals = compute_triangle_normals(mesh)
     of_triangles = [mesh.vertices[:, axis][mesh.triangles] for axis in range(3)]
     obliquity = np.full(labels.size, _NO_PHOTO, np.uint8)

@@ -91,7 +91,7 @@ def sum_neighbour_differences(
     (2, 2) float64: sums of CIELAB distances. Rows: across seams, within photos. Columns: texture, photos.
     """
     sums = np.zeros((2, 2))
-    pairs, shown = points.neighbours(labels, pixels, width=width, every=_ROW_STRIDE)
+    pairs, shown = points.collect_neighbours(labels, pixels, width=width, row_step=_ROW_STRIDE)
     for start in range(0, len(pairs), _BATCH_PAIRS):
         batch = slice(start, start + _BATCH_PAIRS)
         pair = pairs[batch]

@@ -44,12 +44,12 @@ def fusion_case(seed: int) -> str:
         return f"{field.count} blocks"
     threads = draw.choice((2, 3, 5))
     whole = field.fused(threads=1)
-    for name in _kernels.Volume.instructions():
-        _assert_same(whole.voxels(), field.fused(threads=threads, instructions=name).voxels(), name)
-    _assert_voxels(*whole.voxels())
+    for name in _kernels.Volume.supported_instructions():
+        _assert_same(whole.copy_voxels(), field.fused(threads=threads, instructions=name).copy_voxels(), name)
+    _assert_voxels(*whole.copy_voxels())
     least = draw.choice((0, 1, 1, 1, 1, 2, 300))
-    surface, _ = whole.surface(least, within=None, wanted_threads=1)
-    _assert_same(surface, whole.surface(least, within=None, wanted_threads=threads)[0], "threads")
+    surface, _ = whole.extract_surface(least, within=None, wanted_threads=1)
+    _assert_same(surface, whole.extract_surface(least, within=None, wanted_threads=threads)[0], "threads")
     _assert_surface(whole, surface, max(least, 1), truncation / voxel_size)
     said = _in_bricks(field, surface, least, draw)
     _assert_keeps_to_most(field, draw)
@@ -86,7 +86,7 @@ class _Field:
             self._voxel_size,
             self._truncation,
             color=self._color,
-            most_blocks=most,
+            max_blocks=most,
             instructions=instructions,
         )
         for shot, (depth, _, obliqueness), keys in zip(self._shots, self._views, self.keys, strict=True):
@@ -105,7 +105,7 @@ class _Field:
         depth, normal, obliqueness = view
 
         def found(within: BlockBox | None) -> BlockKeys:
-            return _kernels.touched_blocks(
+            return _kernels.find_touched_blocks(
                 (shot.pinhole, shot.pose),
                 depth,
                 normal,
@@ -131,7 +131,7 @@ class _Field:
 
 def _oriented(shot: Shot, limits: tuple[float, float, float, float], draw: random.Random) -> Any:
     one, other = (
-        _kernels.oriented_depth(shot.depth, shot.pinhole, limits=limits, wanted_threads=threads)
+        _kernels.filter_depth(shot.depth, shot.pinhole, limits=limits, wanted_threads=threads)
         for threads in (1, draw.choice((2, 3, 7)))
     )
     depth, normal, obliqueness = one
@@ -165,7 +165,7 @@ def _assert_surface(volume: _kernels.Volume, surface: Any, least: int, truncatio
     assert ((colors >= 0) & (colors <= 255)).all(), "a colour that is none"
     assert ((seen >= min(least, 255)) & (seen <= 255)).all(), "seen by fewer frames than are asked for"
     assert_manifold(triangles, len(places))
-    blocks, distances, _, frames, _ = volume.voxels()
+    blocks, distances, _, frames, _ = volume.copy_voxels()
     values = np.where(frames >= min(least, 255), distances, np.nan) * np.float32(truncation)
     below = np.floor(places).astype(np.int64)
     share = places - below
@@ -201,7 +201,9 @@ def _in_bricks(field: _Field, surface: Any, least: int, draw: random.Random) -> 
             box: BlockBox = (cube.low, cube.high)
             rim = _box(np.array(cube.low) - 1, np.array(cube.high) + 1)
             volume = field.fused(threads=1, within=rim)
-            (places, triangles, colors, _), joints = volume.surface(least, within=box, wanted_threads=2)
+            (places, triangles, colors, _), joints = volume.extract_surface(
+                least, within=box, wanted_threads=2
+            )
             folders.append(Path(made) / f"{cube.index}")
             folders[-1].mkdir()
             write_brick_mesh(

@@ -71,8 +71,8 @@ MUTANTS: dict[str, Mutant] = {
     "slack-of-shape": Mutant(
         "a bound on shape contains the slack of searches",
         _PIECE,
-        "let shape = farthest(&part).reach + self.slack;",
-        "let shape = 0.5 * farthest(&part).reach + self.slack;",
+        "let shape = farthest_corner(&part).reach + self.slack;",
+        "let shape = 0.5 * farthest_corner(&part).reach + self.slack;",
         "no_point_is_farther_than_its_triangles_bound",
     ),
     "far-reach": Mutant(
@@ -85,23 +85,23 @@ MUTANTS: dict[str, Mutant] = {
     "passed": Mutant(
         "a decision ends with no where a point passes the limit",
         _REFINE,
-        "let passed = goal.decide && !outcome.attained.within(goal.at_most);",
-        "let passed = goal.decide && outcome.attained.within(goal.at_most);",
+        "let passed = goal.decide && !outcome.attained.is_within(goal.at_most);",
+        "let passed = goal.decide && outcome.attained.is_within(goal.at_most);",
         "a_decision_agrees_with_the_bounds",
     ),
     "unproven-part": Mutant(
         "a part that is not proven keeps the whole from being proven",
         _DECIDE,
-        "if !outcome.bound.within(goal.at_most) {",
-        "if !outcome.bound.within(goal.at_most) && seen.pieces == 0 {",
-        "a_part_that_is_not_proven_keeps_the_whole_from_being_proven",
+        "if !outcome.bound.is_within(goal.at_most) {",
+        "if !outcome.bound.is_within(goal.at_most) && seen.pieces == 0 {",
+        "an_unproven_part_leaves_the_whole_unproven",
     ),
     "cover-limit": Mutant(
         "the quick proof keeps the slack within the limit",
         _COVER,
         "let most = limit.shape - against.slack;",
         "let most = 2.0 * limit.shape - against.slack;",
-        "no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it",
+        "no_point_exceeds_a_proven_limit",
     ),
     "fold": Mutant(
         "no triangle turns over",
@@ -120,15 +120,15 @@ MUTANTS: dict[str, Mutant] = {
     "fold-asked": Mutant(
         "every proposal is asked whether it folds a triangle",
         _ENGINE,
-        "keeps_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;",
-        "let _ = keeps_triangles(&self.star, &proposal.point);",
+        "check_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;",
+        "let _ = check_triangles(&self.star, &proposal.point);",
         "no_triangle_turns_over",
     ),
     "both-locked": Mutant(
         "an edge between two locked vertices does not collapse",
         _ENGINE,
-        "if self.star.end_stays == [true, true] {",
-        "if self.star.end_stays == [true, true] && self.attempts == 0 {",
+        "if self.star.end_is_fixed == [true, true] {",
+        "if self.star.end_is_fixed == [true, true] && self.attempts == 0 {",
         "fixed_vertices_stay_bit_for_bit",
     ),
     "locked-survives": Mutant(
@@ -141,8 +141,8 @@ MUTANTS: dict[str, Mutant] = {
     "locked-place": Mutant(
         "an edge with a locked end becomes that end, attributes included",
         _QEM,
-        "position(|&v| mesh.lock(v) == Lock::Locked);",
-        "position(|&v| mesh.lock(v) == Lock::Rim);",
+        "position(|&v| mesh.lock(v) == VertexLock::Locked);",
+        "position(|&v| mesh.lock(v) == VertexLock::Rim);",
         "fixed_vertices_stay_bit_for_bit",
     ),
     "merge-order": Mutant(
@@ -155,23 +155,23 @@ MUTANTS: dict[str, Mutant] = {
     "best-place": Mutant(
         "a vertex goes where the error is least, not to the middle",
         _PLACEMENT,
-        "const TETHER: f64 = 1e-9;",
-        "const TETHER: f64 = 1e-1;",
+        "const TETHER_STRENGTH: f64 = 1e-9;",
+        "const TETHER_STRENGTH: f64 = 1e-1;",
         "the_best_place_is_where_the_planes_meet",
     ),
     "tether": Mutant(
         "where many places are as good, a vertex goes to that nearest the middle of its edge",
         _PLACEMENT,
-        "together.minimum(&midpoint(ends[0], ends[1]), TETHER)",
-        "together.minimum(ends[0], TETHER)",
+        "together.minimum(&midpoint(ends[0], ends[1]), TETHER_STRENGTH)",
+        "together.minimum(ends[0], TETHER_STRENGTH)",
         "on_a_plane_the_best_place_is_above_the_middle",
     ),
     "shorter-first": Mutant(
         "of edges that cost nothing the shorter goes first",
         _PLACEMENT,
-        "const SHORTER_FIRST: f64 = 1e-10;",
-        "const SHORTER_FIRST: f64 = -1e-10;",
-        "of_edges_that_cost_nothing_the_shorter_goes_first",
+        "const LENGTH_COST_FACTOR: f64 = 1e-10;",
+        "const LENGTH_COST_FACTOR: f64 = -1e-10;",
+        "shorter_edge_without_cost_goes_first",
     ),
     "sign": Mutant(
         "what lies before the surface has a distance above 0",
@@ -204,8 +204,8 @@ MUTANTS: dict[str, Mutant] = {
     "most-blocks": Mutant(
         "a field takes no more blocks than it may",
         "kernels/src/fusion/block_storage.rs",
-        "if wanted > self.most {",
-        "if wanted > self.most + 1 {",
+        "if wanted > self.max_count {",
+        "if wanted > self.max_count + 1 {",
         "what_does_not_fit_is_not_begun",
     ),
     "faces": Mutant(
@@ -218,8 +218,8 @@ MUTANTS: dict[str, Mutant] = {
     "diagonals": Mutant(
         "no diagonal of a cube lies in a face of it",
         _CUBES,
-        "b - a < 2 || !is_in_a_face(around[a], around[b]);",
-        "b - a < 99 || !is_in_a_face(around[a], around[b]);",
+        "b - a < 2 || !share_face(around[a], around[b]);",
+        "b - a < 99 || !share_face(around[a], around[b]);",
         "every_cube_is_filled_with_its_loops_as_the_only_border",
     ),
     "two-fans": Mutant(

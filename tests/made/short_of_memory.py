@@ -51,7 +51,7 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
     importance = np.zeros(0)
     labels_of_all = np.zeros(triangles, np.int32)
     soup = (mesh.vertices, mesh.colors, mesh.triangles)
-    running = kernels.Running(target_triangles=triangles // 10, threads=2, record=True)
+    running = kernels.RunSettings(target_triangles=triangles // 10, threads=2, record=True)
     told = {"progress": _ignore_progress}
     lengths = np.linalg.norm(np.diff(mesh.vertices[mesh.triangles], axis=1), axis=2)
     corners = np.zeros((3 * triangles, 5))
@@ -64,22 +64,24 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
         "threads": 2,
     }
     return {
-        "side_lengths": partial(kernels.side_lengths, mesh.vertices, mesh.triangles, wanted_threads=2),
-        "intersecting_triangles": partial(
-            kernels.intersecting_triangles, mesh.vertices, mesh.triangles, wanted_threads=2, **told
+        "compute_side_lengths": partial(
+            kernels.compute_side_lengths, mesh.vertices, mesh.triangles, wanted_threads=2
         ),
-        "strip_order": partial(kernels.strip_order, mesh.triangles, count),
+        "find_intersecting_triangles": partial(
+            kernels.find_intersecting_triangles, mesh.vertices, mesh.triangles, wanted_threads=2, **told
+        ),
+        "optimize_strip_order": partial(kernels.optimize_strip_order, mesh.triangles, count),
         "encode_rows": partial(kernels.encode_rows, mesh.vertices.view(np.uint8)),
         "encode_triangles": partial(kernels.encode_triangles, mesh.triangles, count),
-        "spatial_order": partial(kernels.spatial_order, mesh.vertices, mesh.triangles),
+        "compute_spatial_order": partial(kernels.compute_spatial_order, mesh.vertices, mesh.triangles),
         "build_levels": partial(
             kernels.build_levels,
             *soup,
             locked,
             first=float(lengths.mean()) / 100,
             ratio=4.0,
-            most=500,
-            root=100,
+            max_cell_triangles=500,
+            root_triangles=100,
             weight=1e-4,
             share=0.9,
             tolerance=(0.05, 0.05),
@@ -97,8 +99,8 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             count=np.full(1, triangles, np.int64),
             below=np.full(1, count, np.int64),
         ),
-        "lay_out": partial(
-            kernels.lay_out,
+        "lay_out_atlas": partial(
+            kernels.lay_out_atlas,
             mesh.vertices,
             mesh.triangles,
             np.full(triangles, 100.0, np.float32),
@@ -106,8 +108,8 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             padding=2,
             **told,
         ),
-        "texels": partial(
-            kernels.texels,
+        "rasterize_texels": partial(
+            kernels.rasterize_texels,
             corners[:, :2].reshape(-1, 3, 2) * 1000,
             np.zeros(triangles, np.int32),
             page=0,
@@ -149,12 +151,12 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             wrap=("repeat", "mirror"),
             wanted_threads=2,
         ),
-        "zbuffer": lambda: kernels.DrawnMesh(mesh.vertices, mesh.triangles).zbuffer(
+        "render_zbuffer": lambda: kernels.MeshRenderer(mesh.vertices, mesh.triangles).render_zbuffer(
             ((800.0, 800.0, 500.0, 500.0, 1000, 1000), np.eye(4)), near=1e-3
         ),
         "weld_sheets": partial(kernels.weld_sheets, sets, mesh.triangles),
-        "color_weight": partial(
-            kernels.color_weight, *soup, target=triangles // 10, tried=True, wanted_threads=2
+        "choose_color_weight": partial(
+            kernels.choose_color_weight, *soup, target=triangles // 10, run_trial=True, wanted_threads=2
         ),
         "simplify": partial(
             kernels.simplify,
@@ -203,7 +205,7 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
         "simplify_planar": partial(
             kernels.simplify_planar, *soup, labels, locked, partial=False, **patches, **told
         ),
-        "planar_patches": partial(kernels.planar_patches, *soup, labels, **patches, **told),
+        "find_planar_patches": partial(kernels.find_planar_patches, *soup, labels, **patches, **told),
         "simplify_seams": partial(
             kernels.simplify_seams,
             mesh.vertices,
@@ -215,12 +217,12 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             np.zeros(triangles, np.int32),
             importance,
             np.zeros(count, bool),
-            knobs=kernels.SeamKnobs(
-                across_materials=1.0,
+            knobs=kernels.SeamWeights(
+                material_border_penalty=1.0,
                 part_border_penalty=1.0,
-                valence=0.1,
-                wedges=0.1,
-                shape=0.1,
+                valence_penalty=0.1,
+                duplicate_penalty=0.1,
+                shape_weight=0.1,
                 seam_drift=1.0,
             ),
             fit=True,
@@ -228,7 +230,9 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             **told,
         ),
         "match_descriptors": partial(
-            kernels.match_descriptors, *np.tile(image.reshape(2, -1, 1)[:, : side * side], 128), distinct=0.8
+            kernels.match_descriptors,
+            *np.tile(image.reshape(2, -1, 1)[:, : side * side], 128),
+            max_distance_ratio=0.8,
         ),
         "match_pair": partial(kernels.match_pair, image, image, lowest=0, count=64, wanted_threads=2),
         "sweep_planes": partial(
@@ -240,37 +244,37 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             planes=64,
             wanted_threads=2,
         ),
-        "agreeing": partial(
-            kernels.agreeing,
+        "count_consistent_views": partial(
+            kernels.count_consistent_views,
             image[..., 0].astype(np.float32),
             [(np.eye(3, 4), image[..., 0].astype(np.float32))] * 4,
             tolerances=(0.01, 0.02),
             wanted_threads=2,
         ),
-        "inside_all": partial(
-            kernels.inside_all,
+        "is_inside_all_masks": partial(
+            kernels.is_inside_all_masks,
             image[..., 0].astype(np.float32),
             [(np.eye(3, 4), image[..., 0] < 9)] * 4,
             wanted_threads=2,
         ),
-        "not_before": partial(
-            kernels.not_before,
+        "count_unoccluded_views": partial(
+            kernels.count_unoccluded_views,
             image[..., 0].astype(np.float32),
             [(np.eye(3, 4), image[..., 0].astype(np.float32))] * 4,
-            share=0.9,
+            min_depth_ratio=0.9,
             wanted_threads=2,
         ),
-        "first_inside": partial(
-            kernels.first_inside,
+        "find_hull_entry": partial(
+            kernels.find_hull_entry,
             image[..., 0] < 9,
             [(np.eye(3, 4), image[..., 0] < 9)] * 4,
-            least=1,
-            span=(1.0, 2.0),
+            min_views=1,
+            depth_range=(1.0, 2.0),
             steps=2,
             wanted_threads=2,
         ),
-        "weighted_medians": partial(
-            kernels.weighted_medians,
+        "compute_weighted_medians": partial(
+            kernels.compute_weighted_medians,
             image,
             image[..., 0].astype(np.float32),
             image[..., 0] < 9,
@@ -280,14 +284,14 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             falloff=8.0,
             wanted_threads=2,
         ),
-        "oriented_depth": partial(
-            kernels.oriented_depth,
+        "filter_depth": partial(
+            kernels.filter_depth,
             np.ones((side, side), np.float32),
             (side, side, side / 2, side / 2, side, side),
             limits=(0.0, np.inf, 0.05, 0.05),
             wanted_threads=2,
         ),
-        "touched_blocks": partial(_find_touched_blocks, side),
+        "find_touched_blocks": partial(_find_touched_blocks, side),
         "integrate": partial(_integrate_wall, side),
         "remesh": partial(_remesh, mesh),
         "remesh_alone": partial(_remesh, mesh, levels=0),
@@ -301,7 +305,7 @@ def _ignore_progress(_done: int, _total: int) -> None:
 def _find_touched_blocks(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint64]:
     """Blocks of a wall at a distance of one metre, as wide as that."""
     flat = np.zeros((side, side), np.float32)
-    return kernels.touched_blocks(
+    return kernels.find_touched_blocks(
         _make_wall_camera(side),
         flat + 1,
         (flat, flat, flat - 1),
@@ -314,7 +318,7 @@ def _find_touched_blocks(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint
 
 
 def _integrate_wall(side: int) -> object:
-    volume = kernels.Volume(2e-3, 6e-3, color=True, most_blocks=1 << 20)
+    volume = kernels.Volume(2e-3, 6e-3, color=True, max_blocks=1 << 20)
     wall = np.ones((side, side), np.float32)
     color = np.zeros((side, side, 3), np.uint8)
     keys = _find_touched_blocks(side, 2e-3)
@@ -322,7 +326,11 @@ def _integrate_wall(side: int) -> object:
         volume.integrate(
             keys, _make_wall_camera(side), wall, wall, color, weighing=(1.0, 1.0, 0.0), wanted_threads=2
         )
-    return volume.surface(1, within=None, wanted_threads=2), volume.frame_counts(within=None), volume.voxels()
+    return (
+        volume.extract_surface(1, within=None, wanted_threads=2),
+        volume.observation_histogram(within=None),
+        volume.copy_voxels(),
+    )
 
 
 def _make_wall_camera(side: int) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:
@@ -340,7 +348,7 @@ def _remesh(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
         levels=levels,
         base_triangles=len(mesh.triangles) // 50 if levels else len(mesh.triangles),
         base_error=0.0,
-        at_any_price=False,
+        ignore_cost_limit=False,
         max_error=0.0,
         butterfly=True,
         relaxations=1,

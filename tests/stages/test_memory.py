@@ -20,11 +20,11 @@ from tests.made.short_of_memory import DONE, MEMORY
 
 # Squares along the sides of the sheet that each works on: as many as a second or two of work allow.
 SIDES = {
-    "side_lengths": 500,
-    "spatial_order": 400,
-    "intersecting_triangles": 120,
+    "compute_side_lengths": 500,
+    "compute_spatial_order": 400,
+    "find_intersecting_triangles": 120,
     "weld_sheets": 400,
-    "color_weight": 120,
+    "choose_color_weight": 120,
     "simplify": 100,
     "simplify_by_quadrics": 100,
     "fit": 150,
@@ -32,38 +32,38 @@ SIDES = {
     "certify": 30,
     "build_levels": 30,
     "assemble_front": 400,
-    "strip_order": 400,
+    "optimize_strip_order": 400,
     "encode_rows": 400,
     "encode_triangles": 400,
     "decode_rows": 1500,
     "decode_indices": 2000,
-    "lay_out": 100,
-    "texels": 100,
+    "lay_out_atlas": 100,
+    "rasterize_texels": 100,
     "draw_sources": 100,
     "locate_texels": 100,
     "sample_texels": 100,
     "sample_points": 100,
     "simplify_planar": 100,
-    "planar_patches": 100,
+    "find_planar_patches": 100,
     "simplify_seams": 100,
     "remesh": 22,
     "decode_normal_mesh": 20,
     "match_descriptors": 50,
     "match_pair": 300,
     "sweep_planes": 300,
-    "agreeing": 400,
-    "inside_all": 400,
-    "not_before": 400,
-    "first_inside": 400,
-    "weighted_medians": 150,
-    "oriented_depth": 1000,
-    "touched_blocks": 700,
+    "count_consistent_views": 400,
+    "is_inside_all_masks": 400,
+    "count_unoccluded_views": 400,
+    "find_hull_entry": 400,
+    "compute_weighted_medians": 150,
+    "filter_depth": 1000,
+    "find_touched_blocks": 700,
 }
 # A kernel that goes another way for some of what it takes: a base mesh without levels is rounded. And a field
 # that grows from call to call, and a mesh that is made ready and drawn.
-OTHER_WAYS = {"remesh_alone": 60, "integrate": 700, "zbuffer": 100}
+OTHER_WAYS = {"remesh_alone": 60, "integrate": 700, "render_zbuffer": 100}
 # Takes nothing.
-NONE = {"give_back"}
+NONE = {"release_free_memory"}
 
 
 def test_every_kernel_is_here() -> None:

@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.lay_out` and `texels`.
+//! `scanloom.stages._kernels.lay_out_atlas` and `rasterize_texels`.
 
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
@@ -20,7 +20,7 @@ type TexelArrays = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
 
 /// Surface flattened into atlas images.
 #[pyclass(frozen, get_all, module = "scanloom.stages._kernels")]
-pub struct LaidOut {
+pub struct AtlasLayout {
     charts: Py<PyArray1<i32>>,
     pages: Py<PyArray1<i32>>,
     corners: Py<PyArray3<f64>>,
@@ -31,7 +31,7 @@ pub struct LaidOut {
 /// triangle.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, density, *, side, padding, progress))]
-pub fn lay_out(
+pub fn lay_out_atlas(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
@@ -39,7 +39,7 @@ pub fn lay_out(
     side: usize,
     padding: usize,
     progress: Py<PyAny>,
-) -> PyResult<LaidOut> {
+) -> PyResult<AtlasLayout> {
     if side <= 2 * padding + 1 {
         return Err(PyValueError::new_err(
             "side is too small for the padding; it must be above 2 × padding + 1 texels",
@@ -62,7 +62,7 @@ pub fn lay_out(
         let numbers = |values: Vec<i32>| PyArray1::from_vec(py, values).unbind();
         let corners = packed.corners.into_flattened().into_flattened();
         let corners = Array3::from_shape_vec((triangles.len(), 3, 2), corners).map_err(shape_error)?;
-        Ok(LaidOut {
+        Ok(AtlasLayout {
             charts: numbers(
                 charts
                     .chart_of_triangle
@@ -82,7 +82,7 @@ pub fn lay_out(
 /// Find the texels of the triangles of one image, and the texels next to their charts.
 #[pyfunction]
 #[pyo3(signature = (corners, pages, *, page, width, height))]
-pub fn texels(
+pub fn rasterize_texels(
     py: Python<'_>,
     corners: PyReadonlyArray3<'_, f64>,
     pages: PyReadonlyArray1<'_, i32>,

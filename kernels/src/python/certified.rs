@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, MeshInputs, unsupported_attributes};
 use super::background_work::run_detached;
 use super::memory_guard::with_memory_reserve;
-use super::simplification_result::{Running, Simplified};
+use super::simplification_result::{RunSettings, SimplificationResult};
 use crate::certified::sample_tracker::LimitKind;
 use crate::certified::simplify::{Options, simplify};
 use crate::certify::{self, Deviation};
@@ -15,8 +15,8 @@ use crate::collapse::engine::Refusal;
 use crate::mesh::collapse_legality::IllegalCollapse;
 
 /// Simplified mesh with proven bounds. Pairs are (shape in metres, colour in levels).
-#[pyclass(frozen, get_all, extends = Simplified)]
-pub struct Proven {
+#[pyclass(frozen, get_all, extends = SimplificationResult)]
+pub struct CertifiedResult {
     shape_bound: Py<PyArray1<f64>>,
     color_bound: Py<PyArray1<f64>>,
     bound: (f64, f64),
@@ -47,9 +47,9 @@ pub fn simplify_certified(
     tolerance: (f64, f64),
     effort: f64,
     close: bool,
-    running: PyRef<'_, Running>,
+    running: PyRef<'_, RunSettings>,
     progress: Py<PyAny>,
-) -> PyResult<Py<Proven>> {
+) -> PyResult<Py<CertifiedResult>> {
     let all = [bounds.0, bounds.1, weight, tolerance.0, tolerance.1, effort];
     if !(all.iter().all(|x| *x >= 0.0) && weight.is_finite() && share > 0.0 && share <= 1.0) {
         return Err(PyValueError::new_err(
@@ -82,9 +82,9 @@ fn simplify_points<const D: usize, const K: usize>(
     inputs: &MeshInputs<'_>,
     locked: Vec<bool>,
     options: &Options,
-    running: &Running,
+    running: &RunSettings,
     progress: &Py<PyAny>,
-) -> PyResult<Py<Proven>> {
+) -> PyResult<Py<CertifiedResult>> {
     let (points, triangles) = inputs.copy_mesh::<D>()?;
     let result = run_detached(py, Some(progress), running.partial, |progress| {
         simplify::<D, K>(points, triangles, locked, options, &running.goal(), progress)
@@ -107,7 +107,7 @@ fn simplify_points<const D: usize, const K: usize>(
         PyArray1::from_vec(py, certificate.result.iter().map(of).collect()).unbind()
     };
     let pair = |d: Deviation| (d.shape, d.color);
-    let proven = Proven {
+    let proven = CertifiedResult {
         shape_bound: bounds(|d| d.shape),
         color_bound: bounds(|d| d.color),
         bound: pair(certificate.bound),
@@ -118,7 +118,7 @@ fn simplify_points<const D: usize, const K: usize>(
         iterations: result.passes.len(),
         unproven: (own, original),
     };
-    let simplified = Simplified::new(
+    let simplified = SimplificationResult::new(
         py,
         &result.mesh,
         result.stop,

@@ -11,7 +11,7 @@ use crate::certify::{Certificate, Deviation, Options, Surface};
 
 /// Result of `certify`.
 #[pyclass(frozen, get_all)]
-pub struct Certified {
+pub struct CertifyResult {
     shape_bound: Py<PyArray1<f64>>,
     color_bound: Py<PyArray1<f64>>,
     original_shape_bound: Py<PyArray1<f64>>,
@@ -40,7 +40,7 @@ pub fn certify(
     slack: Option<f64>,
     threads: usize,
     progress: Py<PyAny>,
-) -> PyResult<Certified> {
+) -> PyResult<CertifyResult> {
     let pair = |(shape, color): (f64, f64)| Deviation { shape, color };
     let all = [tolerance, absolute_tolerance, limit.unwrap_or_default(), (effort, slack.unwrap_or_default())];
     if !all.iter().all(|&(a, b)| a >= 0.0 && b >= 0.0) {
@@ -73,7 +73,7 @@ fn certify_points<const D: usize>(
     original: &TriangleSoup<'_>,
     options: &Options,
     progress: &Py<PyAny>,
-) -> PyResult<Certified> {
+) -> PyResult<CertifyResult> {
     let soup = |(vertices, attributes, triangles): &TriangleSoup<'_>| {
         let points = copy_points::<D>(vertices, attributes)?;
         let triangles = copy_triangles(triangles, points.len())?;
@@ -91,7 +91,7 @@ fn certify_points<const D: usize>(
     let array = |bounds: &[Deviation], of: fn(&Deviation) -> f64| {
         PyArray1::from_vec(py, bounds.iter().map(of).collect()).unbind()
     };
-    Ok(Certified {
+    Ok(CertifyResult {
         shape_bound: array(&result, |d| d.shape),
         color_bound: array(&result, |d| d.color),
         original_shape_bound: array(&original, |d| d.shape),

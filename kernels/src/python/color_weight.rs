@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.color_weight`.
+//! `scanloom.stages._kernels.choose_color_weight`.
 
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
@@ -13,24 +13,24 @@ use crate::quadric::color_weight::estimate_color_weight;
 use crate::quadric::weight_trial::find_max_color_weight;
 
 /// Compute the length in metres that is equivalent to one attribute level in a result of `target` triangles.
-/// The weight is balanced; with `tried`, it is reduced by a trial simplification to what the triangle count
-/// affords.
+/// The weight is balanced; with `run_trial`, it is reduced by a trial simplification to what the triangle
+/// count affords.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, target, tried, wanted_threads))]
-pub fn color_weight(
+#[pyo3(signature = (vertices, attributes, triangles, *, target, run_trial, wanted_threads))]
+pub fn choose_color_weight(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     target: usize,
-    tried: bool,
+    run_trial: bool,
     wanted_threads: usize,
 ) -> PyResult<f64> {
     let inputs = MeshInputs { vertices, attributes, triangles };
     with_memory_reserve(inputs.row_count(), || match inputs.attribute_count() {
         0 => Ok(0.0),
-        1 => weight_of_points::<4, 1>(py, &inputs, target, tried, wanted_threads),
-        3 => weight_of_points::<6, 3>(py, &inputs, target, tried, wanted_threads),
+        1 => weight_of_points::<4, 1>(py, &inputs, target, run_trial, wanted_threads),
+        3 => weight_of_points::<6, 3>(py, &inputs, target, run_trial, wanted_threads),
         k => Err(unsupported_attributes(k)),
     })
 }
@@ -39,7 +39,7 @@ fn weight_of_points<const D: usize, const K: usize>(
     py: Python<'_>,
     inputs: &MeshInputs<'_>,
     target: usize,
-    tried: bool,
+    run_trial: bool,
     wanted_threads: usize,
 ) -> PyResult<f64> {
     let (points, triangles) = inputs.copy_mesh::<D>()?;
@@ -48,7 +48,7 @@ fn weight_of_points<const D: usize, const K: usize>(
         check_points(&points)?;
         check_indices(points.len(), &triangles)?;
         let weight = estimate_color_weight(&points, &triangles, target, threads);
-        if tried {
+        if run_trial {
             find_max_color_weight::<D, K>(&points, &triangles, target, weight, threads, progress)
         } else {
             Ok(weight)

@@ -1,5 +1,5 @@
-//! `scanloom.stages._kernels.strip_order`, `encode_rows`, `encode_triangles`, `decode_rows`, `decode_indices`
-//! and `unfilter`: buffers of EXT_meshopt_compression.
+//! `scanloom.stages._kernels.optimize_strip_order`, `encode_rows`, `encode_triangles`, `decode_rows` and
+//! `decode_indices`: buffers of EXT_meshopt_compression.
 //!
 //! meshoptimizer does the work. It allocates in C++, where a failure would end the process, so the required
 //! memory is checked before.
@@ -30,7 +30,7 @@ const BYTES_PER_ELEMENT: usize = 64;
 /// Reorder triangles (m, 3) and their first corners for compression: each is adjacent to the one before, if
 /// possible.
 #[pyfunction]
-pub fn strip_order(
+pub fn optimize_strip_order(
     py: Python<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     vertices: usize,
@@ -123,21 +123,21 @@ pub fn encode_triangles(
 
 /// Decode `count` rows of `size` bytes from the mode ATTRIBUTES.
 ///
-/// `filtered` is the filter to undo: "NONE", "OCTAHEDRAL", "QUATERNION" or "EXPONENTIAL".
+/// `filter_name` is the filter to undo: "NONE", "OCTAHEDRAL", "QUATERNION" or "EXPONENTIAL".
 #[pyfunction]
 pub fn decode_rows(
     py: Python<'_>,
     packed: &[u8],
     count: usize,
     size: usize,
-    filtered: &str,
+    filter_name: &str,
 ) -> PyResult<Py<PyBytes>> {
     if size == 0 || size > 256 || !size.is_multiple_of(4) {
         return Err(PyValueError::new_err(format!(
             "a row has {size} bytes; it must have a multiple of 4 up to 256"
         )));
     }
-    let undo = filter_decoder(filtered, size)?;
+    let undo = filter_decoder(filter_name, size)?;
     check_decoded_size(count.saturating_mul(size), packed.len(), MAX_BYTES_PER_BYTE)?;
     let filled = PyBytes::new_with(py, count * size, |rows| {
         // SAFETY: the output has `count` rows of `size` bytes, and the decoder reads at most `packed.len()`

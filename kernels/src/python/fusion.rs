@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.oriented_depth`, `touched_blocks` and `Volume`.
+//! `scanloom.stages._kernels.filter_depth`, `find_touched_blocks` and `Volume`.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -92,7 +92,7 @@ fn image_pixels<'a, T: Element>(
 /// cosine).
 #[pyfunction]
 #[pyo3(signature = (depth, pinhole, *, limits, wanted_threads))]
-pub fn oriented_depth(
+pub fn filter_depth(
     py: Python<'_>,
     depth: DepthMap<'_>,
     pinhole: Intrinsics,
@@ -120,7 +120,7 @@ pub fn oriented_depth(
 #[pyfunction]
 #[pyo3(signature = (camera, depth, normal, obliqueness, wanted, *, voxel_size, truncation, within))]
 #[allow(clippy::too_many_arguments)]
-pub fn touched_blocks(
+pub fn find_touched_blocks(
     py: Python<'_>,
     camera: PosedCamera<'_>,
     depth: DepthMap<'_>,
@@ -160,12 +160,12 @@ pub struct Volume {
 impl Volume {
     /// Create an empty volume. Lengths are in metres; the truncation is along the surface normal.
     #[new]
-    #[pyo3(signature = (voxel_size, truncation, *, color, most_blocks, instructions = None))]
+    #[pyo3(signature = (voxel_size, truncation, *, color, max_blocks, instructions = None))]
     fn new(
         voxel_size: f64,
         truncation: f64,
         color: bool,
-        most_blocks: usize,
+        max_blocks: usize,
         instructions: Option<&str>,
     ) -> PyResult<Self> {
         let are_sound = [voxel_size, truncation].iter().all(|x| x.is_finite() && *x > 0.0);
@@ -176,20 +176,20 @@ impl Volume {
         let Some((_, add)) = instruction_variants().into_iter().find(|(name, _)| *name == wanted) else {
             return Err(PyValueError::new_err(format!("this processor does not support {wanted}")));
         };
-        let field = crate::fusion::volume::TsdfVolume::new(voxel_size, truncation, color, most_blocks)
+        let field = crate::fusion::volume::TsdfVolume::new(voxel_size, truncation, color, max_blocks)
             .with_variant(add);
         Ok(Self { inner: Mutex::new(field), truncation: truncation as f32 })
     }
 
     /// List the instruction sets that this processor supports, widest first; all give identical bits.
     #[staticmethod]
-    fn instructions() -> Vec<&'static str> {
+    fn supported_instructions() -> Vec<&'static str> {
         instruction_variants().into_iter().map(|(name, _)| name).collect()
     }
 
     /// Number of blocks in use.
     #[getter]
-    fn blocks(&self) -> usize {
+    fn block_count(&self) -> usize {
         self.lock().blocks().count()
     }
 
@@ -201,7 +201,7 @@ impl Volume {
 
     /// Compute the histogram (256,) of observation counts of voxels near the surface, in a box of blocks.
     #[pyo3(signature = (*, within))]
-    fn frame_counts(&self, py: Python<'_>, within: Option<BlockCorners>) -> Py<PyArray1<u64>> {
+    fn observation_histogram(&self, py: Python<'_>, within: Option<BlockCorners>) -> Py<PyArray1<u64>> {
         PyArray1::from_slice(py, &self.lock().observation_histogram(within.map(block_box))).unbind()
     }
 
@@ -246,14 +246,14 @@ impl Volume {
         })
     }
 
-    /// Extract the surface through voxels observed by at least `least` frames: vertices (n, 3) in voxels,
-    /// triangles (m, 3), colours (n, 3) of 0 to 255, and mean observation counts (n,). `within` restricts the
-    /// surface to a box of blocks; see `StitchingArrays`.
-    #[pyo3(signature = (least, *, within, wanted_threads))]
-    fn surface(
+    /// Extract the surface through voxels observed by at least `min_frames` frames: vertices (n, 3) in
+    /// voxels, triangles (m, 3), colours (n, 3) of 0 to 255, and mean observation counts (n,). `within`
+    /// restricts the surface to a box of blocks; see `StitchingArrays`.
+    #[pyo3(signature = (min_frames, *, within, wanted_threads))]
+    fn extract_surface(
         &self,
         py: Python<'_>,
-        least: u32,
+        min_frames: u32,
         within: Option<BlockCorners>,
         wanted_threads: usize,
     ) -> PyResult<(SurfaceArrays, StitchingArrays)> {
@@ -263,7 +263,7 @@ impl Volume {
             let found = run_detached(py, None, false, |progress| {
                 extract_surface(
                     &*self.lock(),
-                    least,
+                    min_frames,
                     within.map(block_box),
                     resolve_thread_count(wanted_threads),
                     progress,
@@ -300,7 +300,7 @@ impl Volume {
     }
 
     /// Copy all voxel data, blocks in slot order; NaN for voxels that were never observed.
-    fn voxels(&self, py: Python<'_>) -> PyResult<VoxelArrays> {
+    fn copy_voxels(&self, py: Python<'_>) -> PyResult<VoxelArrays> {
         let volume = self.lock();
         let blocks = volume.blocks();
         let count = blocks.count();

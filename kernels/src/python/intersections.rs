@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.intersecting_triangles`.
+//! `scanloom.stages._kernels.find_intersecting_triangles`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -14,7 +14,7 @@ use crate::mesh::triangle_mesh::check_points;
 /// Find for each triangle (m,) one that it intersects beyond their shared vertices; 2³² − 1 for none.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, *, wanted_threads, progress))]
-pub fn intersecting_triangles(
+pub fn find_intersecting_triangles(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,

@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.simplify`, and `side_lengths` for its default resolution.
+//! `scanloom.stages._kernels.simplify`, and `compute_side_lengths` for its default resolution.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, MeshInputs, column_array, id_array, triangle_array, unsupported_attributes};
 use super::background_work::run_detached;
 use super::memory_guard::with_memory_reserve;
-use super::simplification_result::{Running, Simplified};
+use super::simplification_result::{RunSettings, SimplificationResult};
 use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
 use crate::base::parallel::{fill, resolve_thread_count};
@@ -16,8 +16,8 @@ use crate::jia01::{self, JiaRefusals, Limits, Options};
 use crate::mesh::triangle_mesh::CompactMesh;
 
 /// Mesh simplified with JIA01, with the largest accumulated changes.
-#[pyclass(frozen, get_all, extends = Simplified)]
-pub struct BySums {
+#[pyclass(frozen, get_all, extends = SimplificationResult)]
+pub struct Jia01Result {
     splits: u64,
     largest_shape_change: f64,
     largest_texture_change: f64,
@@ -45,9 +45,9 @@ pub fn simplify(
     attribute_scale: f64,
     paper_rule: bool,
     triangle_limit: usize,
-    running: PyRef<'_, Running>,
+    running: PyRef<'_, RunSettings>,
     progress: Py<PyAny>,
-) -> PyResult<Py<BySums>> {
+) -> PyResult<Py<Jia01Result>> {
     let limits = |(length, shape, texture)| Limits { length, shape, texture };
     let options = Options {
         bounds: limits(bounds),
@@ -82,9 +82,9 @@ fn simplify_points<const D: usize>(
     inputs: &MeshInputs<'_>,
     locked: Vec<bool>,
     options: &Options,
-    running: &Running,
+    running: &RunSettings,
     progress: &Py<PyAny>,
-) -> PyResult<Py<BySums>> {
+) -> PyResult<Py<Jia01Result>> {
     let (points, triangles) = inputs.copy_mesh::<D>()?;
     let result = run_detached(py, Some(progress), running.partial, |progress| {
         jia01::simplify(WholeMesh::new(points, triangles, locked)?, options, &running.goal(), progress)
@@ -99,7 +99,7 @@ fn simplify_points<const D: usize>(
         ("locked", locked),
         ("fold", fold),
     ];
-    let simplified = Simplified::new(
+    let simplified = SimplificationResult::new(
         py,
         &result.mesh,
         result.stop,
@@ -117,7 +117,7 @@ fn simplify_points<const D: usize>(
             id_array(py, mesh.triangle_source.into_iter()),
         ))
     };
-    let sums = BySums {
+    let sums = Jia01Result {
         splits: result.splits,
         largest_shape_change: result.largest_shape_change,
         largest_texture_change: result.largest_texture_change,
@@ -130,7 +130,7 @@ fn simplify_points<const D: usize>(
 /// arrays are read in place, so the GIL is held for the few milliseconds this takes.
 #[pyfunction]
 #[pyo3(signature = (vertices, triangles, *, wanted_threads))]
-pub fn side_lengths(
+pub fn compute_side_lengths(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,

@@ -4,6 +4,6 @@ use pyo3::prelude::*;
 
 /// Return free memory of the allocator to the system.
 #[pyfunction]
-pub fn give_back(py: Python<'_>) {
+pub fn release_free_memory(py: Python<'_>) {
     py.detach(crate::base::memory::release_free_memory);
 }

@@ -45,7 +45,7 @@ impl NearestSurface {
     /// Find the nearest points to points (n, 3): triangles (n,), barycentric weights (n, 3) and distances
     /// (n,).
     #[pyo3(signature = (points, *, wanted_threads))]
-    fn closest(
+    fn find_nearest(
         &self,
         py: Python<'_>,
         points: PyReadonlyArray2<'_, f64>,
@@ -63,7 +63,7 @@ impl NearestSurface {
     /// triangle faces away is replaced by one along the normal, within `reach`, that does not. Returns flags
     /// of replaced points instead of distances.
     #[pyo3(signature = (points, normals, *, reach, wanted_threads))]
-    fn facing(
+    fn find_nearest_facing(
         &self,
         py: Python<'_>,
         points: PyReadonlyArray2<'_, f64>,

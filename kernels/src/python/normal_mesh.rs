@@ -48,12 +48,12 @@ impl NormalMesh {
     }
 
     #[getter]
-    fn promised(&self) -> usize {
+    fn encoded_levels(&self) -> usize {
         self.made.header.levels.into()
     }
 
     #[getter]
-    fn folded(&self) -> Vec<usize> {
+    fn folded_counts(&self) -> Vec<usize> {
         self.made.encoder_info.as_ref().map_or(vec![], |origin| origin.fold_counts.clone())
     }
 
@@ -221,8 +221,9 @@ impl NormalMesh {
 
 /// Build a normal mesh; `colors` and `confidence` may be empty.
 #[pyfunction]
-#[pyo3(signature = (vertices, colors, confidence, triangles, original, *, levels, base_triangles, base_error, at_any_price,
-                    max_error, butterfly, relaxations, tolerance, color_tolerance, up, threads, progress))]
+#[pyo3(signature = (vertices, colors, confidence, triangles, original, *, levels, base_triangles, base_error,
+                    ignore_cost_limit, max_error, butterfly, relaxations, tolerance, color_tolerance, up,
+                    threads, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn remesh(
     py: Python<'_>,
@@ -234,7 +235,7 @@ pub fn remesh(
     levels: Option<u8>,
     base_triangles: usize,
     base_error: f64,
-    at_any_price: bool,
+    ignore_cost_limit: bool,
     max_error: f64,
     butterfly: bool,
     relaxations: u8,
@@ -270,7 +271,7 @@ pub fn remesh(
         let carried = VertexAttributes { colors, confidence };
         let settings = Settings {
             levels,
-            target: Target { triangles: base_triangles, error: base_error, ignore_cost_limit: at_any_price },
+            target: Target { triangles: base_triangles, error: base_error, ignore_cost_limit },
             max_error,
             scheme: if butterfly { Scheme::Butterfly } else { Scheme::Linear },
             relaxations,

@@ -12,7 +12,7 @@ type OrderArray = Py<PyArray1<u32>>;
 
 /// Compute a Z-order of vertices (n,) and triangles (m,), so that neighbours in space are close in memory.
 #[pyfunction]
-pub fn spatial_order(
+pub fn compute_spatial_order(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,

@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.simplify_planar` and `scanloom.stages._kernels.planar_patches`.
+//! `scanloom.stages._kernels.simplify_planar` and `scanloom.stages._kernels.find_planar_patches`.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ pub struct PlanarPatches {
     thickness: Py<PyArray1<f64>>,
     faces: Py<PyArray1<i32>>,
     /// Number of neighbour tests during the growth of the patches.
-    looks: u64,
+    neighbour_tests: u64,
 }
 
 impl PlanarPatches {
@@ -50,20 +50,20 @@ impl PlanarPatches {
             areas: PyArray1::from_vec(py, all.iter().map(|p| p.area).collect()).unbind(),
             thickness: PyArray1::from_vec(py, all.iter().map(|p| p.thickness()).collect()).unbind(),
             faces: id_array(py, all.iter().map(|p| p.faces)),
-            looks: patches.visited_faces,
+            neighbour_tests: patches.visited_faces,
         })
     }
 }
 
 /// Mesh simplified by near-planar patches.
 #[pyclass(frozen, get_all, extends = PlanarPatches)]
-pub struct ByPatches {
+pub struct PlanarResult {
     triangles: Py<PyArray2<i32>>,
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
     triangle_patch: Py<PyArray1<i32>>,
     /// True for each patch that kept all its triangles.
-    kept: Py<PyArray1<bool>>,
+    kept_all_triangles: Py<PyArray1<bool>>,
     /// (k, 2): maximum deviation of each patch in shape and in colour.
     bounds: Py<PyArray2<f64>>,
     refused: BTreeMap<&'static str, u64>,
@@ -135,7 +135,7 @@ pub fn simplify_planar(
     threads: usize,
     partial: bool,
     progress: Py<PyAny>,
-) -> PyResult<Py<ByPatches>> {
+) -> PyResult<Py<PlanarResult>> {
     let inputs = MeshInputs { vertices, attributes, triangles };
     with_memory_reserve(inputs.row_count(), || {
         let locked = inputs.per_vertex("locked", &locked)?;
@@ -156,7 +156,7 @@ fn simplify_points<const D: usize, const K: usize>(
     options: &Options,
     partial: bool,
     progress: &Py<PyAny>,
-) -> PyResult<Py<ByPatches>> {
+) -> PyResult<Py<PlanarResult>> {
     let (points, triangles) = inputs.copy_mesh::<D>()?;
     let (mesh, result, is_partial): (Mesh<D>, PlanarMesh, bool) =
         run_detached(py, Some(progress), partial, |progress| {
@@ -165,12 +165,12 @@ fn simplify_points<const D: usize, const K: usize>(
             Ok((mesh, result, progress.is_stopping_early()))
         })?;
     let patches = PlanarPatches::new(py, triangles.len(), &mesh, &result.patches)?;
-    let by_patches = ByPatches {
+    let by_patches = PlanarResult {
         triangles: triangle_array(py, &result.triangles)?,
         vertex_source: id_array(py, result.vertex_source.iter().copied()),
         triangle_source: id_array(py, result.triangle_source.iter().copied()),
         triangle_patch: id_array(py, result.triangle_patch.iter().copied()),
-        kept: PyArray1::from_vec(py, result.keeps_triangles).unbind(),
+        kept_all_triangles: PyArray1::from_vec(py, result.keeps_triangles).unbind(),
         bounds: PyArray2::from_vec2(py, &result.bounds.iter().map(|b| b.to_vec()).collect::<Vec<_>>())?
             .unbind(),
         refused: separation_reasons::REASONS.into_iter().zip(result.separation_counts).collect(),
@@ -184,7 +184,7 @@ fn simplify_points<const D: usize, const K: usize>(
 #[pyfunction]
 #[pyo3(signature = (vertices, attributes, triangles, labels, *, cosines, bounds, threads, progress))]
 #[allow(clippy::too_many_arguments)]
-pub fn planar_patches(
+pub fn find_planar_patches(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,

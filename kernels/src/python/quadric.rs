@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, MeshInputs, unsupported_attributes};
 use super::background_work::run_detached;
 use super::memory_guard::with_memory_reserve;
-use super::simplification_result::{Running, Simplified};
+use super::simplification_result::{RunSettings, SimplificationResult};
 use crate::collapse::collapse_log::{CollapseSequence, RegionLog};
 use crate::collapse::engine::Refusal;
 use crate::collapse::rounds::collapse;
@@ -16,8 +16,8 @@ use crate::mesh::collapse_legality::IllegalCollapse;
 use crate::quadric::qem::QemState;
 
 /// Mesh simplified by attribute quadrics.
-#[pyclass(frozen, get_all, extends = Simplified)]
-pub struct ByQuadrics {
+#[pyclass(frozen, get_all, extends = SimplificationResult)]
+pub struct QuadricResult {
     /// Result vertex that each input vertex was merged into, −1 for none.
     became: Py<PyArray1<i32>>,
 }
@@ -36,9 +36,9 @@ pub fn simplify_by_quadrics(
     locked: PyReadonlyArray1<'_, bool>,
     importance: PyReadonlyArray1<'_, f64>,
     weight: f64,
-    running: PyRef<'_, Running>,
+    running: PyRef<'_, RunSettings>,
     progress: Py<PyAny>,
-) -> PyResult<Py<ByQuadrics>> {
+) -> PyResult<Py<QuadricResult>> {
     if !(weight >= 0.0 && weight.is_finite()) {
         return Err(PyValueError::new_err("weight must be finite and not negative"));
     }
@@ -61,9 +61,9 @@ fn simplify_points<const D: usize, const K: usize>(
     locked: Vec<bool>,
     importance: Vec<f64>,
     weight: f64,
-    running: &Running,
+    running: &RunSettings,
     progress: &Py<PyAny>,
-) -> PyResult<Py<ByQuadrics>> {
+) -> PyResult<Py<QuadricResult>> {
     let (points, triangles) = inputs.copy_mesh::<D>()?;
     let vertices = points.len();
     let (mesh, refused, stop, collapses, became, way, attempts) =
@@ -85,8 +85,8 @@ fn simplify_points<const D: usize, const K: usize>(
             Ok((mesh, refused, outcome.stop, outcome.collapses, became, way, outcome.attempts))
         })?;
     let became = PyArray1::from_vec(py, became).unbind();
-    let simplified = Simplified::new(py, &mesh, stop, refused, collapses as u64, attempts, &way)?;
-    Py::new(py, PyClassInitializer::from(simplified).add_subclass(ByQuadrics { became }))
+    let simplified = SimplificationResult::new(py, &mesh, stop, refused, collapses as u64, attempts, &way)?;
+    Py::new(py, PyClassInitializer::from(simplified).add_subclass(QuadricResult { became }))
 }
 
 /// Follow the merges in reverse order: a removed vertex ends in the final vertex of its survivor.

@@ -22,21 +22,21 @@ fn descriptors(values: &PyReadonlyArray2<'_, u8>) -> PyResult<Vec<Descriptor>> {
 
 /// Match descriptors that are mutual nearest neighbours and pass the ratio test.
 #[pyfunction]
-#[pyo3(signature = (source, target, *, distinct))]
+#[pyo3(signature = (source, target, *, max_distance_ratio))]
 pub fn match_descriptors(
     py: Python<'_>,
     source: PyReadonlyArray2<'_, u8>,
     target: PyReadonlyArray2<'_, u8>,
-    distinct: f32,
+    max_distance_ratio: f32,
 ) -> PyResult<Py<PyArray2<i64>>> {
-    if distinct.is_nan() || distinct <= 0.0 {
-        return Err(PyValueError::new_err("distinct must be more than 0"));
+    if max_distance_ratio.is_nan() || max_distance_ratio <= 0.0 {
+        return Err(PyValueError::new_err("max_distance_ratio must be more than 0"));
     }
     // Per descriptor: bytes, RootSIFT values and the best match, 2.5 rows of 192 bytes.
     let rows = source.as_array().nrows().saturating_add(target.as_array().nrows()).saturating_mul(3);
     with_memory_reserve(rows, || {
         let (source, target) = (descriptors(&source)?, descriptors(&target)?);
-        let found = py.detach(|| match_mutual_nearest(&source, &target, distinct));
+        let found = py.detach(|| match_mutual_nearest(&source, &target, max_distance_ratio));
         let count = found.len();
         let places = found.into_iter().flatten().map(|place| place as i64).collect();
         Ok(Array2::from_shape_vec((count, 2), places).map_err(shape_error)?.into_pyarray(py).unbind())

@@ -9,38 +9,53 @@ use pyo3::prelude::*;
 use super::arrays::{column_array, copy_triangles, id_array, triangle_array};
 use super::background_work::run_detached;
 use super::memory_guard::with_memory_reserve;
-use super::simplification_result::{Running, stop_reason};
+use super::simplification_result::{RunSettings, stop_reason};
 use crate::certified::bounded_seams::{self, SampleBound};
 use crate::seams::welding::{NO_SET, weld};
 use crate::seams::{CostParameters, SeamGoal, SeamRefusals, SeamSurface, SimplifiedSurface, simplify};
 
 /// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::CostParameters`.
 #[pyclass(frozen)]
-pub struct SeamKnobs(CostParameters);
+pub struct SeamWeights(CostParameters);
 
 #[pymethods]
-impl SeamKnobs {
+impl SeamWeights {
     #[new]
-    #[pyo3(signature = (*, across_materials, across_parts, valence, wedges, shape, seam_drift))]
+    #[pyo3(signature = (*, material_border_penalty, part_border_penalty, valence_penalty, duplicate_penalty,
+                        shape_weight, seam_drift))]
     fn new(
-        across_materials: f64,
-        across_parts: f64,
-        valence: f64,
-        wedges: f64,
-        shape: f64,
+        material_border_penalty: f64,
+        part_border_penalty: f64,
+        valence_penalty: f64,
+        duplicate_penalty: f64,
+        shape_weight: f64,
         seam_drift: f64,
     ) -> PyResult<Self> {
-        let knobs = [across_materials, across_parts, valence, wedges, shape, seam_drift];
-        if !knobs.iter().all(|&x| x >= 0.0) {
+        let values = [
+            material_border_penalty,
+            part_border_penalty,
+            valence_penalty,
+            duplicate_penalty,
+            shape_weight,
+            seam_drift,
+        ];
+        if !values.iter().all(|&x| x >= 0.0) {
             return Err(PyValueError::new_err("penalties and weights must not be negative"));
         }
-        Ok(Self(CostParameters { across_materials, across_parts, valence, wedges, shape, seam_drift }))
+        Ok(Self(CostParameters {
+            material_border_penalty,
+            part_border_penalty,
+            valence: valence_penalty,
+            wedges: duplicate_penalty,
+            shape: shape_weight,
+            seam_drift,
+        }))
     }
 }
 
 /// Mesh simplified with its texture seams.
 #[pyclass(frozen, get_all)]
-pub struct BySeams {
+pub struct SeamResult {
     vertices: Py<PyArray2<f64>>,
     triangles: Py<PyArray2<i32>>,
     /// Attributes of the corners (3 q, k).
@@ -54,10 +69,10 @@ pub struct BySeams {
     collapses: u64,
     attempts: u64,
     seam_drift: f64,
-    fitted: bool,
+    is_fitted: bool,
     /// Provable maximum distance in metres, if a bound was given: the bound, or the smallest provable
     /// distance above it.
-    provable: Option<f64>,
+    provable_distance: Option<f64>,
     log: Option<Py<SeamLog>>,
 }
 
@@ -66,7 +81,7 @@ pub struct BySeams {
 pub struct SeamLog {
     removed: Py<PyArray1<i32>>,
     survivor: Py<PyArray1<i32>>,
-    places: Py<PyArray2<f64>>,
+    positions: Py<PyArray2<f64>>,
     wedge_removed: Py<PyArray1<i32>>,
     wedge_survivor: Py<PyArray1<i32>>,
     wedge_when: Py<PyArray1<i32>>,
@@ -97,12 +112,12 @@ pub fn simplify_seams(
     parts: PyReadonlyArray1<'_, i32>,
     importance: PyReadonlyArray1<'_, f64>,
     locked: PyReadonlyArray1<'_, bool>,
-    knobs: PyRef<'_, SeamKnobs>,
+    knobs: PyRef<'_, SeamWeights>,
     fit: bool,
     within: Option<(f64, f64, PyReadonlyArray1<'_, f64>)>,
-    running: PyRef<'_, Running>,
+    running: PyRef<'_, RunSettings>,
     progress: Py<PyAny>,
-) -> PyResult<BySeams> {
+) -> PyResult<SeamResult> {
     // Each corner counts as a row.
     let count = vertices.as_array().nrows() + 4 * triangles.as_array().nrows();
     with_memory_reserve(count, || {
@@ -198,7 +213,7 @@ struct SeamSettings<'a> {
     knobs: CostParameters,
     within: Option<SampleBound>,
     fit: bool,
-    running: &'a Running,
+    running: &'a RunSettings,
 }
 
 /// Surface without corner attributes.
@@ -220,7 +235,7 @@ impl BareSurface {
         corners: &PyReadonlyArray2<'_, f64>,
         how: &SeamSettings<'_>,
         progress: &Py<PyAny>,
-    ) -> PyResult<BySeams> {
+    ) -> PyResult<SeamResult> {
         let surface = SeamSurface {
             points: self.points,
             coincident_sets: self.sets,
@@ -249,7 +264,7 @@ fn to_result<const K: usize>(
     py: Python<'_>,
     outcome: SimplifiedSurface<K>,
     provable: Option<f64>,
-) -> PyResult<BySeams> {
+) -> PyResult<SeamResult> {
     let log = outcome.log.map(|log| {
         let ids = |ids: Vec<u32>| id_array(py, ids.into_iter());
         Py::new(
@@ -257,7 +272,7 @@ fn to_result<const K: usize>(
             SeamLog {
                 removed: ids(log.removed),
                 survivor: ids(log.survivor),
-                places: column_array(py, &log.survivor_points, 0..3)?,
+                positions: column_array(py, &log.survivor_points, 0..3)?,
                 wedge_removed: ids(log.wedge_removed),
                 wedge_survivor: ids(log.wedge_survivor),
                 wedge_when: ids(log.wedge_collapse_index),
@@ -282,7 +297,7 @@ fn to_result<const K: usize>(
         ("shape", shape),
         ("needle", needle),
     ];
-    Ok(BySeams {
+    Ok(SeamResult {
         vertices: column_array(py, &outcome.points, 0..3)?,
         triangles: triangle_array(py, &outcome.triangles)?,
         corners: column_array(py, &outcome.corners, 0..K)?,
@@ -294,8 +309,8 @@ fn to_result<const K: usize>(
         collapses: outcome.collapses as u64,
         attempts: outcome.attempts,
         seam_drift: outcome.seam_drift,
-        fitted: outcome.is_fitted,
-        provable,
+        is_fitted: outcome.is_fitted,
+        provable_distance: provable,
         log: log.transpose()?,
     })
 }

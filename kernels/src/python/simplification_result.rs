@@ -15,7 +15,7 @@ use crate::mesh::triangle_mesh::CompactMesh;
 /// Common settings of the simplifiers: target triangle count, threads (0 for all cores), triangles per
 /// region, whether to record the collapses, and whether Ctrl-C returns the mesh simplified so far.
 #[pyclass(frozen, get_all)]
-pub struct Running {
+pub struct RunSettings {
     target_triangles: usize,
     threads: usize,
     region_triangles: usize,
@@ -24,7 +24,7 @@ pub struct Running {
 }
 
 #[pymethods]
-impl Running {
+impl RunSettings {
     #[new]
     #[pyo3(signature = (*, target_triangles = 0, threads = 0, region_triangles = REGION_TRIANGLES, record = false, partial = false))]
     fn new(
@@ -38,7 +38,7 @@ impl Running {
     }
 }
 
-impl Running {
+impl RunSettings {
     /// Convert the settings for the collapse engine.
     pub fn goal(&self) -> Goal {
         Goal {
@@ -53,7 +53,7 @@ impl Running {
 
 /// Simplified mesh with statistics of the run.
 #[pyclass(frozen, get_all, subclass)]
-pub struct Simplified {
+pub struct SimplificationResult {
     vertices: Py<PyArray2<f64>>,
     attributes: Py<PyArray2<f64>>,
     triangles: Py<PyArray2<i32>>,
@@ -79,7 +79,7 @@ pub fn stop_reason(stop: Stop) -> &'static str {
     }
 }
 
-impl Simplified {
+impl SimplificationResult {
     /// Convert a simplified mesh and its statistics to arrays.
     pub fn new<const D: usize, const RULES: usize>(
         py: Python<'_>,

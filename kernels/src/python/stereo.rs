@@ -1,5 +1,5 @@
-//! `scanloom.stages._kernels.match_stereo_pair`, `sweep_planes`, `agreeing`, `is_inside_all_masks`, `count_unoccluded_views`,
-//! `find_hull_entry` and `compute_weighted_medians`.
+//! `scanloom.stages._kernels.match_pair`, `sweep_planes`, `count_consistent_views`, `is_inside_all_masks`,
+//! `count_unoccluded_views`, `find_hull_entry` and `compute_weighted_medians`.
 
 use numpy::ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3};
@@ -191,23 +191,27 @@ fn copy_other_view<T: Element + Copy>(given: &OtherViewArrays<'_, T>) -> PyResul
 
 /// Count the other views with a consistent depth, within the first and within the second tolerance.
 #[pyfunction]
-#[pyo3(signature = (depth, others, *, tolerances, wanted_threads))]
-pub fn agreeing(
+#[pyo3(signature = (depth, other_views, *, tolerances, wanted_threads))]
+pub fn count_consistent_views(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
-    others: Vec<OtherViewArrays<'_, f32>>,
+    other_views: Vec<OtherViewArrays<'_, f32>>,
     tolerances: [f64; 2],
     wanted_threads: usize,
 ) -> PyResult<(ImageArray<u8>, ImageArray<u8>)> {
     let size = image_size(depth.as_array().shape())?;
-    let images: usize = others.iter().map(|one| one.1.as_array().len()).sum();
+    let images: usize = other_views.iter().map(|one| one.1.as_array().len()).sum();
     with_memory_reserve((images + size.pixel_count()) / 24, || {
-        let others = others.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
+        let other_views = other_views.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
         let depth: Vec<f32> = depth.as_array().iter().copied().collect();
         let threads = resolve_thread_count(wanted_threads);
         let counts = py.detach(|| {
             crate::stereo::cross_view_checks::count_consistent_views(
-                &depth, size, &others, tolerances, threads,
+                &depth,
+                size,
+                &other_views,
+                tolerances,
+                threads,
             )
         });
         let of = |which: usize| counts.iter().map(|count| count[which]).collect();
@@ -218,7 +222,7 @@ pub fn agreeing(
 /// Check whether points are inside the masks of all views that see them.
 #[pyfunction]
 #[pyo3(signature = (depth, masks, *, wanted_threads))]
-pub fn inside_all(
+pub fn is_inside_all_masks(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
     masks: Vec<OtherViewArrays<'_, bool>>,
@@ -236,25 +240,31 @@ pub fn inside_all(
     })
 }
 
-/// Count the other views in which nothing occludes a point: their depth is more than `share` times the
-/// point's depth.
+/// Count the other views in which nothing occludes a point: their depth is more than `min_depth_ratio`
+/// times the point's depth.
 #[pyfunction]
-#[pyo3(signature = (depth, others, *, share, wanted_threads))]
-pub fn not_before(
+#[pyo3(signature = (depth, other_views, *, min_depth_ratio, wanted_threads))]
+pub fn count_unoccluded_views(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
-    others: Vec<OtherViewArrays<'_, f32>>,
-    share: f64,
+    other_views: Vec<OtherViewArrays<'_, f32>>,
+    min_depth_ratio: f64,
     wanted_threads: usize,
 ) -> PyResult<ImageArray<u8>> {
     let size = image_size(depth.as_array().shape())?;
-    let images: usize = others.iter().map(|one| one.1.as_array().len()).sum();
+    let images: usize = other_views.iter().map(|one| one.1.as_array().len()).sum();
     with_memory_reserve((images + size.pixel_count()) / 24, || {
-        let others = others.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
+        let other_views = other_views.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
         let depth: Vec<f32> = depth.as_array().iter().copied().collect();
         let threads = resolve_thread_count(wanted_threads);
         let counts = py.detach(|| {
-            crate::stereo::cross_view_checks::count_unoccluded_views(&depth, size, &others, share, threads)
+            crate::stereo::cross_view_checks::count_unoccluded_views(
+                &depth,
+                size,
+                &other_views,
+                min_depth_ratio,
+                threads,
+            )
         });
         image_array(py, size, counts)
     })
@@ -262,18 +272,18 @@ pub fn not_before(
 
 /// Find the depth at which pixels' rays enter the visual hull of the masks.
 #[pyfunction]
-#[pyo3(signature = (wanted, masks, *, least, span, steps, wanted_threads))]
-pub fn first_inside(
+#[pyo3(signature = (wanted, masks, *, min_views, depth_range, steps, wanted_threads))]
+pub fn find_hull_entry(
     py: Python<'_>,
     wanted: PyReadonlyArray2<'_, bool>,
     masks: Vec<OtherViewArrays<'_, bool>>,
-    least: usize,
-    span: [f64; 2],
+    min_views: usize,
+    depth_range: [f64; 2],
     steps: usize,
     wanted_threads: usize,
 ) -> PyResult<ImageArray<f32>> {
     let size = image_size(wanted.as_array().shape())?;
-    let [near, far] = span;
+    let [near, far] = depth_range;
     if !(near > 0.0 && far > near && far.is_finite() && steps > 0 && steps <= 1 << 20) {
         return Err(PyValueError::new_err("span must be 0 < near < far, and steps 1 to 2²⁰"));
     }
@@ -284,7 +294,13 @@ pub fn first_inside(
         let threads = resolve_thread_count(wanted_threads);
         let found = py.detach(|| {
             crate::stereo::cross_view_checks::find_hull_entry(
-                &wanted, size, &masks, least, span, steps, threads,
+                &wanted,
+                size,
+                &masks,
+                min_views,
+                depth_range,
+                steps,
+                threads,
             )
         });
         image_array(py, size, found)
@@ -295,7 +311,7 @@ pub fn first_inside(
 #[pyfunction]
 #[pyo3(signature = (image, disparity, wanted, *, lowest, count, radius, falloff, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
-pub fn weighted_medians(
+pub fn compute_weighted_medians(
     py: Python<'_>,
     image: RgbArray<'_>,
     disparity: PyReadonlyArray2<'_, f32>,

@@ -99,7 +99,7 @@ pub fn locate_texels(
 /// Write samples of an image into the texels of an atlas whose triangles use the image; other texels do not
 /// change.
 #[pyfunction]
-#[pyo3(signature = (atlas, triangles, corners, uvs, is_shown, image, *, wrap, wanted_threads))]
+#[pyo3(signature = (atlas, triangles, corners, uvs, uses_image, image, *, wrap, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
 pub fn sample_texels(
     py: Python<'_>,
@@ -107,7 +107,7 @@ pub fn sample_texels(
     triangles: PyReadonlyArray2<'_, i32>,
     corners: PyReadonlyArray3<'_, f64>,
     uvs: PyReadonlyArray3<'_, f64>,
-    is_shown: PyReadonlyArray1<'_, bool>,
+    uses_image: PyReadonlyArray1<'_, bool>,
     image: PyReadonlyArray3<'_, u8>,
     wrap: (String, String),
     wanted_threads: usize,
@@ -120,14 +120,14 @@ pub fn sample_texels(
             return Err(mismatch_error("the atlas"));
         }
         let (corners, uvs) = (borrow_corners(&corners)?, borrow_corners(&uvs)?);
-        let (triangles, is_shown) = (triangles.as_slice()?, is_shown.as_slice()?);
+        let (triangles, uses_image) = (triangles.as_slice()?, uses_image.as_slice()?);
         if uvs.len() != corners.len()
-            || is_shown.len() != corners.len()
+            || uses_image.len() != corners.len()
             || triangles.iter().any(|&t| t >= 0 && t as usize >= corners.len())
         {
             return Err(mismatch_error("a triangle"));
         }
-        let drawn = DrawnTriangles { triangles, corners, uvs, is_shown };
+        let drawn = DrawnTriangles { triangles, corners, uvs, uses_image };
         let (texels, count) = (atlas.as_slice_mut()?, resolve_thread_count(wanted_threads));
         py.detach(|| match channels {
             1 => sample::<1>(&image, &drawn, texels.as_chunks_mut().0, width, count),

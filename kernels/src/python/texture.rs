@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.DrawnMesh`, `PhotoPixels`, `View`, `SurfacePoints` and `TexturedSurface`.
+//! `scanloom.stages._kernels.MeshRenderer`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
 
 use std::sync::{Arc, Mutex};
 
@@ -61,10 +61,10 @@ fn copy_camera(camera: &CameraTuple<'_>) -> PyResult<PinholeCamera> {
 
 /// Mesh for rendering from many cameras.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
-pub struct DrawnMesh(MeshClusters);
+pub struct MeshRenderer(MeshClusters);
 
 #[pymethods]
-impl DrawnMesh {
+impl MeshRenderer {
     #[new]
     fn new(vertices: PyReadonlyArray2<'_, f64>, triangles: PyReadonlyArray2<'_, i32>) -> PyResult<Self> {
         with_memory_reserve(vertices.as_array().nrows() + triangles.as_array().nrows(), || {
@@ -77,7 +77,7 @@ impl DrawnMesh {
 
     /// Render depth and triangle at each pixel of a camera; infinity and −1 where nothing is visible.
     #[pyo3(signature = (camera, *, near))]
-    fn zbuffer(&self, py: Python<'_>, camera: CameraTuple<'_>, near: f64) -> PyResult<RenderedArrays> {
+    fn render_zbuffer(&self, py: Python<'_>, camera: CameraTuple<'_>, near: f64) -> PyResult<RenderedArrays> {
         let camera = copy_camera(&camera)?;
         with_memory_reserve(camera.width * camera.height / 16, || {
             let seen = py.detach(|| drawn(&self.0, &camera, near));
@@ -93,7 +93,7 @@ impl DrawnMesh {
 
     /// Return the cluster of each triangle (m,). Clusters are small and compact, and consecutive clusters are
     /// close in space.
-    fn parts(&self, py: Python<'_>) -> Py<PyArray1<u32>> {
+    fn triangle_clusters(&self, py: Python<'_>) -> Py<PyArray1<u32>> {
         PyArray1::from_vec(py, self.0.triangle_clusters()).unbind()
     }
 }
@@ -131,7 +131,7 @@ pub struct View(Photographed);
 #[pymethods]
 impl View {
     #[new]
-    #[pyo3(signature = (photo, mesh_camera, mesh_nearest, mesh_depth, mesh_triangles, *, reach, measured, worth, flattest))]
+    #[pyo3(signature = (photo, mesh_camera, mesh_nearest, mesh_depth, mesh_triangles, *, reach, measured, weight, min_cosine))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         photo: &Photo,
@@ -141,8 +141,8 @@ impl View {
         mesh_triangles: PyReadonlyArray2<'_, i32>,
         reach: (f64, f64),
         measured: Option<(CameraTuple<'_>, FloatMap<'_>, FloatMap<'_>)>,
-        worth: f32,
-        flattest: f64,
+        weight: f32,
+        min_cosine: f64,
     ) -> PyResult<Self> {
         let mesh = copy_depths(&mesh_camera, &mesh_nearest, &mesh_depth, reach.0)?;
         let triangles: Vec<u32> =
@@ -160,8 +160,8 @@ impl View {
             triangles,
             is_rendered_at_photo_size: is_drawn_in_size,
             measured,
-            weight: worth,
-            min_cosine: flattest,
+            weight,
+            min_cosine,
         };
         Ok(Self(view))
     }
@@ -221,52 +221,62 @@ const BASE_RESERVE_ROWS: usize = 100_000;
 
 #[pymethods]
 impl SurfacePoints {
-    /// Create points. `of` is the triangle of each point in ascending order, `shares` are barycentric
-    /// weights.
+    /// Create points. `point_triangles` is the triangle of each point in ascending order, `weights` are
+    /// barycentric weights.
     #[new]
-    #[pyo3(signature = (vertices, normals, triangles, of, shares, *, kept))]
+    #[pyo3(signature = (vertices, normals, triangles, point_triangles, weights, *, samples_per_point))]
     fn new(
         vertices: PyReadonlyArray2<'_, f64>,
         normals: PyReadonlyArray2<'_, f64>,
         triangles: PyReadonlyArray2<'_, i32>,
-        of: PyReadonlyArray1<'_, u32>,
-        shares: FloatMap<'_>,
-        kept: usize,
+        point_triangles: PyReadonlyArray1<'_, u32>,
+        weights: FloatMap<'_>,
+        samples_per_point: usize,
     ) -> PyResult<Self> {
-        with_memory_reserve(of.as_array().len(), || {
+        with_memory_reserve(point_triangles.as_array().len(), || {
             let (points, normals) = (rows::<f64, 3>(&vertices)?, rows::<f64, 3>(&normals)?);
             let triangles = copy_triangles(&triangles, points.len())?;
             crate::mesh::connectivity_builder::check_indices(points.len(), &triangles)?;
-            let (of, shares) = (of.as_array().to_vec(), rows::<f32, 3>(&shares)?);
-            let is_sorted = of.is_sorted() && of.last().is_none_or(|&t| (t as usize) < triangles.len());
+            let (point_triangles, weights) = (point_triangles.as_array().to_vec(), rows::<f32, 3>(&weights)?);
+            let is_sorted = point_triangles.is_sorted()
+                && point_triangles.last().is_none_or(|&t| (t as usize) < triangles.len());
             if !is_sorted
-                || of.len() != shares.len()
+                || point_triangles.len() != weights.len()
                 || normals.len() != points.len()
-                || !(1..=MAX_SAMPLES).contains(&kept)
+                || !(1..=MAX_SAMPLES).contains(&samples_per_point)
             {
-                return Err(PyValueError::new_err("points do not match their mesh, or kept is out of range"));
+                return Err(PyValueError::new_err(
+                    "points do not match their mesh, or samples_per_point is out of range",
+                ));
             }
             let mut first = vec![0u32; triangles.len() + 1];
-            of.iter().for_each(|&t| first[t as usize + 1] += 1);
+            point_triangles.iter().for_each(|&t| first[t as usize + 1] += 1);
             for t in 0..triangles.len() {
                 first[t + 1] += first[t];
             }
             let at = |values: &[[f64; 3]], i: usize| {
-                let corners = triangles[of[i] as usize].map(|v| values[v as usize]);
-                crate::atlas::texels::interpolate(&shares[i], &corners)
+                let corners = triangles[point_triangles[i] as usize].map(|v| values[v as usize]);
+                crate::atlas::texels::interpolate(&weights[i], &corners)
             };
-            let places = collect(of.len(), resolve_thread_count(0), |i| at(&points, i));
-            let normals = collect(of.len(), resolve_thread_count(0), |i| {
+            let places = collect(point_triangles.len(), resolve_thread_count(0), |i| at(&points, i));
+            let normals = collect(point_triangles.len(), resolve_thread_count(0), |i| {
                 crate::base::geometry::normalize(&at(&normals, i)).map(|x| x as f32)
             });
-            Ok(Self(Mutex::new(Points::new(&places, normals, first, triangles, points.len(), kept)?)))
+            Ok(Self(Mutex::new(Points::new(
+                &places,
+                normals,
+                first,
+                triangles,
+                points.len(),
+                samples_per_point,
+            )?)))
         })
     }
 
     /// Add the samples of one more view, and return the triangles that it may show. View indices are below
     /// 65,535. With `remember`, `update_view_colors` can update the view later.
     #[pyo3(signature = (view, number, *, remember, wanted_threads))]
-    fn see(
+    fn add_view(
         &self,
         py: Python<'_>,
         view: &View,
@@ -290,7 +300,13 @@ impl SurfacePoints {
 
     /// Update the colours of a view's samples at the points for which it is one of the best.
     #[pyo3(signature = (photo, number, *, wanted_threads))]
-    fn see_again(&self, py: Python<'_>, photo: &Photo, number: u16, wanted_threads: usize) -> PyResult<()> {
+    fn update_view_colors(
+        &self,
+        py: Python<'_>,
+        photo: &Photo,
+        number: u16,
+        wanted_threads: usize,
+    ) -> PyResult<()> {
         with_memory_reserve(0, || {
             run_detached(py, None, false, |progress| {
                 self.lock().update_view_colors(
@@ -334,7 +350,7 @@ impl SurfacePoints {
     }
 
     /// Return the mask (n,) of points that are only seen at grazing angles.
-    fn flat(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
+    fn grazing_mask(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
         let points = self.lock();
         PyArray1::from_vec(py, points.looks.iter().map(|&look| look == ViewKind::Grazing).collect()).unbind()
     }
@@ -378,7 +394,7 @@ impl SurfacePoints {
     /// Level colours (n, 3) in place, where the set of contributing photos changes between texels. `pixels`
     /// (n,) are row × width + column of an image.
     #[pyo3(signature = (colors, pixels, *, width, reach, wanted_threads))]
-    fn level(
+    fn level_seams(
         &self,
         py: Python<'_>,
         mut colors: PyReadwriteArray2<'_, f32>,
@@ -412,28 +428,29 @@ impl SurfacePoints {
         })
     }
 
-    /// Collect adjacent points (k, 2) in every `every`-th row of an image, and their colours (k, 2, 3) in the
-    /// photo with the highest weight (`labels`, (n,), −1 for none) at the first point, or else at the second.
-    #[pyo3(signature = (labels, pixels, *, width, every))]
-    fn neighbours(
+    /// Collect adjacent points (k, 2) in every `row_step`-th row of an image, and their colours (k, 2, 3) in
+    /// the photo with the highest weight (`labels`, (n,), −1 for none) at the first point, or else at the
+    /// second.
+    #[pyo3(signature = (labels, pixels, *, width, row_step))]
+    fn collect_neighbours(
         &self,
         py: Python<'_>,
         labels: PyReadonlyArray1<'_, i32>,
         pixels: PyReadonlyArray1<'_, u32>,
         width: usize,
-        every: usize,
+        row_step: usize,
     ) -> PyResult<NeighbourArrays> {
         let points = self.lock();
         with_memory_reserve(points.len(), || {
             let (labels, pixels) = (labels.as_slice()?, pixels.as_slice()?);
             if [labels.len(), pixels.len()] != [points.len(); 2]
                 || !is_valid_image(pixels, width)
-                || every == 0
+                || row_step == 0
             {
                 return Err(PyValueError::new_err("labels or pixels do not match the points or the image"));
             }
             let found = run_detached(py, None, false, |progress| {
-                collect_neighbours(&points, labels, pixels, width, every, progress)
+                collect_neighbours(&points, labels, pixels, width, row_step, progress)
             })?;
             let count = found.pairs.len();
             let pairs =
@@ -498,7 +515,7 @@ impl TexturedSurface {
 
     /// Render the surface from a camera: colours (h, w, 3), and mask of textured pixels.
     #[pyo3(signature = (camera, *, near))]
-    fn seen_by(&self, py: Python<'_>, camera: CameraTuple<'_>, near: f64) -> PyResult<ShadedArrays> {
+    fn render(&self, py: Python<'_>, camera: CameraTuple<'_>, near: f64) -> PyResult<ShadedArrays> {
         let camera = copy_camera(&camera)?;
         with_memory_reserve(camera.width * camera.height / 16, || {
             let (colors, shown) = py.detach(|| {

@@ -17,10 +17,10 @@ impl<const D: usize, const K: usize> SeamMeasure<'_, D, K> {
         let valence = (a.valence + b.valence).saturating_sub(4 + PENALTY_VALENCE);
         let mut factor = 1.0 + self.knobs.valence * f64::from(valence);
         if common_value(a.material, b.material) == SEVERAL {
-            factor += self.knobs.across_materials;
+            factor += self.knobs.material_border_penalty;
         }
         if common_value(a.part, b.part) == SEVERAL {
-            factor += self.knobs.across_parts;
+            factor += self.knobs.part_border_penalty;
         }
         factor + self.knobs.wedges * wedges.saturating_sub(2) as f64
     }

@@ -23,9 +23,9 @@ pub(super) const PENALTY_VALENCE: u32 = 8;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CostParameters {
     /// Relative cost increase for a collapse across materials.
-    pub across_materials: f64,
+    pub material_border_penalty: f64,
     /// Relative cost increase for a collapse across parts.
-    pub across_parts: f64,
+    pub part_border_penalty: f64,
     /// Relative cost increase for each edge of the new vertex above eight.
     pub valence: f64,
     /// Relative cost increase for each wedge of both ends above two.

@@ -67,13 +67,13 @@ pub fn is_inside_all_masks(
     })
 }
 
-/// Count the other views in which nothing occludes the point: their depth is more than `share` times the
-/// point's depth. 0 where the depth is missing.
+/// Count the other views in which nothing occludes the point: their depth is more than `min_depth_ratio`
+/// times the point's depth. 0 where the depth is missing.
 pub fn count_unoccluded_views(
     depth: &[f32],
     size: ImageSize,
     others: &[OtherView<f32>],
-    share: f64,
+    min_depth_ratio: f64,
     threads: usize,
 ) -> Vec<u8> {
     collect(size.pixel_count(), threads, |i| {
@@ -81,7 +81,7 @@ pub fn count_unoccluded_views(
         if depth[i] > 0.0 {
             for other in others {
                 if let Some((there, ahead)) = other.look_up(i % size.width, i / size.width, depth[i].into()) {
-                    count = count.saturating_add(u8::from(f64::from(there) > share * ahead));
+                    count = count.saturating_add(u8::from(f64::from(there) > min_depth_ratio * ahead));
                 }
             }
         }

@@ -96,7 +96,7 @@ pub struct DrawnTriangles<'a> {
     pub corners: &'a [Corners],
     pub uvs: &'a [Corners],
     /// Mask of the triangles that use the image.
-    pub is_shown: &'a [bool],
+    pub uses_image: &'a [bool],
 }
 
 /// Write samples of an image into the texels of an atlas whose triangles use the image, C channels.
@@ -118,7 +118,7 @@ pub fn sample<const C: usize>(
             let columns = column..column + run.len();
             column = columns.end;
             let Ok(t) = usize::try_from(run[0]) else { continue };
-            if !drawn.is_shown[t] {
+            if !drawn.uses_image[t] {
                 continue;
             }
             let (corners, uvs) = (&drawn.corners[t], &drawn.uvs[t]);
@@ -225,7 +225,8 @@ mod tests {
             SampledImage { pixels: &pixels, width: 256, height: 1, channels: 1, wrap: [WrapMode::Clamp; 2] };
         let mut texels = vec![[0u8]; 64];
         let triangles = [0; 64];
-        let drawn = DrawnTriangles { triangles: &triangles, corners: &corners, uvs: &uvs, is_shown: &[true] };
+        let drawn =
+            DrawnTriangles { triangles: &triangles, corners: &corners, uvs: &uvs, uses_image: &[true] };
         sample(&image, &drawn, &mut texels, 8, 2);
         assert_eq!(texels[2 * 8 + 1], [0]);
         assert_eq!(texels[2 * 8 + 3], [96]);

@@ -10,8 +10,8 @@ use scanloom_kernels::seams::welding::{NO_SET, weld};
 use scanloom_kernels::seams::{CostParameters, SeamGoal, SeamSurface, SimplifiedSurface, simplify};
 
 const KNOBS: CostParameters = CostParameters {
-    across_materials: 0.5,
-    across_parts: 0.5,
+    material_border_penalty: 0.5,
+    part_border_penalty: 0.5,
     valence: 0.1,
     wedges: 0.1,
     shape: 1.0,

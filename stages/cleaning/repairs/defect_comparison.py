@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanloom.stages._kernels import intersecting_triangles
+from scanloom.stages._kernels import find_intersecting_triangles
 from scanloom.stages.cleaning.regularity import NO_INTERSECTION, AngleLimits, find_local_irregular
 from scanloom.stages.cleaning.repairs.defect_indices import find_missing, is_triangle_class
 from scanloom.stages.cleaning.repairs.editable_mesh import EditableMesh
@@ -134,7 +134,7 @@ def _find_intersections(edited: EditableMesh, rows: Ids, threads: int) -> tuple[
     apart, _ = cKDTree(centres[is_one]).query(centres)
     near = there[apart <= (reach + reach[is_one].max()) * (1 + 1e-9)]
     vertices, index = np.unique(edited.triangles[near], return_inverse=True)
-    other = intersecting_triangles(
+    other = find_intersecting_triangles(
         edited.positions[vertices],
         index.reshape(-1, 3).astype(np.int32),
         wanted_threads=threads,

@@ -98,7 +98,7 @@ class _PassResult:
     """
 
     simplified: SimplificationResult[SeamsDetails]
-    proof: _kernels.Certified
+    proof: _kernels.CertifyResult
     provable: float
     measured_color: float | None
     distance_failures: tuple[Ids, Ids]
@@ -222,7 +222,9 @@ def _run_pass(task: Task[SeamsParams], target: _ProofTarget, factors: Floats) ->
     return _PassResult(light, proof, provable, None, far, discolored)
 
 
-def _prove_bounds(light: Mesh, target: _ProofTarget, limit: tuple[float, float] | None) -> _kernels.Certified:
+def _prove_bounds(
+    light: Mesh, target: _ProofTarget, limit: tuple[float, float] | None
+) -> _kernels.CertifyResult:
     def make_arrays(mesh: Mesh, triangles: NDArray[Any]) -> Any:
         colored = mesh.with_(colors=None) if target.has_image_colors else mesh
         return mesh.vertices, get_vertex_attributes(colored), triangles

@@ -87,7 +87,7 @@ def _compute_default_resolution(mesh: Mesh, threads: int) -> float:
 
     It is increased until splitting adds few triangles.
     """
-    lengths = _kernels.side_lengths(mesh.vertices, mesh.triangles, wanted_threads=threads).ravel()
+    lengths = _kernels.compute_side_lengths(mesh.vertices, mesh.triangles, wanted_threads=threads).ravel()
     resolution = RESOLUTION_PER_MEAN_EDGE * float(lengths.mean()) if len(lengths) else 0.0
     if not resolution > 0:
         return 1.0  # no edge has a length; the value has no effect

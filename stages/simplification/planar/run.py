@@ -86,7 +86,7 @@ def planar_patches(
     )
 
     def find_patches(surface: _SurfaceArrays) -> _kernels.PlanarPatches:
-        return _kernels.planar_patches(
+        return _kernels.find_planar_patches(
             *surface, cosines=cosines, bounds=bounds, threads=threads, progress=progress
         )
 
@@ -126,7 +126,9 @@ def _run_on_mesh(task: Task[PlanarParams]) -> SimplificationResult[PlanarDetails
     shape, color = _resolve_bounds(mesh, task.max_shape, task.max_color)
     cosines = _compute_cosines(task.params)
 
-    def run_search(surface: _SurfaceArrays, lock: NDArray[np.bool_]) -> FewestTriangles[_kernels.ByPatches]:
+    def run_search(
+        surface: _SurfaceArrays, lock: NDArray[np.bool_]
+    ) -> FewestTriangles[_kernels.PlanarResult]:
         return search_fewest_triangles(
             lambda bound, progress: _kernels.simplify_planar(
                 *surface,
@@ -191,7 +193,7 @@ def _run_on_mesh(task: Task[PlanarParams]) -> SimplificationResult[PlanarDetails
             max_shape_m=shape,
             patch_shape_m=fewest.max_shape,
             max_color_levels=color if with_color else None,
-            kept_patches=int(result.kept.sum()),
+            kept_patches=int(result.kept_all_triangles.sum()),
             iterations=result.rounds,
             patches=_build_patches(result, kernel_arrays.origin, input_patch),
             triangle_patch=result.triangle_patch,
@@ -275,5 +277,5 @@ def _build_patches(
         areas=found.areas,
         triangles=found.faces,
         thickness=found.thickness,
-        neighbour_test_count=found.looks,
+        neighbour_test_count=found.neighbour_tests,
     )

@@ -107,7 +107,7 @@ class _StopRequest(Exception):  # noqa: N818 (nothing went wrong)
     """Request to stop and return the mesh simplified so far."""
 
 
-def _make_finish_progress(progress: Progress, triangles: int, running: _kernels.Running) -> Progress:
+def _make_finish_progress(progress: Progress, triangles: int, running: _kernels.RunSettings) -> Progress:
     """Create a progress callback that reports 100 % during the final fit.
 
     Raises

@@ -126,7 +126,7 @@ def simplify_in_order(
         triangles_before=count,
         details=SeamsDetails(
             attribute_scale_m_per_level=attributes.color_scale,
-            fitted=found.fitted,
+            fitted=found.is_fitted,
             similar_distance_m=distance,
             joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
             texture_scale_m=attributes.uv_scale,
@@ -135,7 +135,7 @@ def simplify_in_order(
         ),
         record=record,
     )
-    return result, found.provable or 0.0
+    return result, found.provable_distance or 0.0
 
 
 def _compute_similar_distance(mesh: Mesh, diagonal: float) -> float:
@@ -166,7 +166,7 @@ def _build_record(
         changed_source=log.changed_source,
         changed_when=log.changed_when,
     )
-    return CollapseRecord(mesh, log.removed, log.survivor, log.places, lock, wedges=wedges)
+    return CollapseRecord(mesh, log.removed, log.survivor, log.positions, lock, wedges=wedges)
 
 
 def _build_attributes(
@@ -256,18 +256,18 @@ def _find_largest_side(texture: Texture | None) -> int | None:
 
 def _build_kernel_options(
     params: SeamsParams, texture: Texture | None, uv_scale: float, target: int
-) -> _kernels.SeamKnobs:
+) -> _kernels.SeamWeights:
     if params.max_seam_drift is None:
         # Repeating images cover the surface several times.
         covered = 1.0 if texture is None else max(float(np.abs(compute_signed_areas(texture.uvs)).sum()), 1.0)
         drift = min(SEAM_DRIFT_EDGES * _compute_edge_length(covered / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
     else:
         drift = params.max_seam_drift / (_find_largest_side(texture) or DEFAULT_IMAGE_SIDE)
-    return _kernels.SeamKnobs(
-        across_materials=params.material_border_penalty,
-        across_parts=params.part_border_penalty,
-        valence=params.valence_penalty,
-        wedges=params.duplicate_penalty,
-        shape=params.shape_weight,
+    return _kernels.SeamWeights(
+        material_border_penalty=params.material_border_penalty,
+        part_border_penalty=params.part_border_penalty,
+        valence_penalty=params.valence_penalty,
+        duplicate_penalty=params.duplicate_penalty,
+        shape_weight=params.shape_weight,
         seam_drift=drift * uv_scale,
     )

@@ -103,7 +103,7 @@ def reorder_for_compression(
     -------
     The reordered triangles (m, 3) with new vertex indices, and the old index of each new vertex.
     """
-    ordered = _kernels.strip_order(np.ascontiguousarray(triangles, np.int32), vertex_count)
+    ordered = _kernels.optimize_strip_order(np.ascontiguousarray(triangles, np.int32), vertex_count)
     named, first = np.unique(ordered, return_index=True)
     order = named[np.argsort(first)]
     place = np.zeros(vertex_count, np.int32)

@@ -95,7 +95,7 @@ def test_any_number_of_threads_gives_the_same_bits() -> None:
     pixels = (CAMERA.fx, CAMERA.fy, CAMERA.cx, 2.0 * CAMERA.height, CAMERA.width, 4 * CAMERA.height)
 
     def run(threads: int) -> bytes:
-        found, normal, length = _kernels.oriented_depth(
+        found, normal, length = _kernels.filter_depth(
             depth, pixels, limits=(0.0, np.inf, 0.05, 0.05), wanted_threads=threads
         )
         return b"".join(image.tobytes() for image in (found, *normal, length))

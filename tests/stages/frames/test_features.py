@@ -44,4 +44,6 @@ def test_matches_are_those_of_all_products(seed: int, there: int, more: int, off
 @pytest.mark.parametrize(("shape", "distinct"), [((3, 64), 0.8), ((3, 128), 0.0), ((3, 128), float("nan"))])
 def test_what_is_no_descriptor_is_refused(shape: tuple[int, int], distinct: float) -> None:
     with pytest.raises(ValueError, match=r"128 is expected|more than 0"):
-        _kernels.match_descriptors(np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), distinct=distinct)
+        _kernels.match_descriptors(
+            np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), max_distance_ratio=distinct
+        )

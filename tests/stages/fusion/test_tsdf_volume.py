@@ -136,7 +136,7 @@ def test_blocks_of_bricks_are_those_of_the_whole() -> None:
     camera = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 160, 120), view.pose
     surface = view.surface
     parts = [
-        _kernels.touched_blocks(
+        _kernels.find_touched_blocks(
             camera,
             surface.depth,
             surface.normal,
@@ -180,7 +180,7 @@ def test_a_cuda_device_is_none_of_our_own() -> None:
     ],
 )
 def test_what_does_not_fit_together_is_refused(wrong: dict[str, object], message: str) -> None:
-    volume = _kernels.Volume(VOXEL, 0.06, color=True, most_blocks=100)
+    volume = _kernels.Volume(VOXEL, 0.06, color=True, max_blocks=100)
     given = {
         "pixels": (140.0, 140.0, 80.0, 60.0, 160, 120),
         "pose": np.eye(4),
@@ -198,7 +198,7 @@ def test_what_does_not_fit_together_is_refused(wrong: dict[str, object], message
             weighing=(1.0, 1.0, 0.0),
             wanted_threads=1,
         )
-    assert volume.blocks == 0
+    assert volume.block_count == 0
 
 
 def test_depth_that_means_nothing_changes_nothing() -> None:
@@ -221,7 +221,7 @@ def kernel_field(**changes: Any) -> _kernels.Volume:
     """Two plates in a field of the kernel's own."""
     given = {"instructions": None, "weighing": (1.0, 1.0, 0.0)} | changes
     volume = _kernels.Volume(
-        VOXEL, 3 * VOXEL, color=True, most_blocks=1 << 16, instructions=given["instructions"]
+        VOXEL, 3 * VOXEL, color=True, max_blocks=1 << 16, instructions=given["instructions"]
     )
     for x in (0.0, 0.1):
         frame = plate(x)
@@ -244,11 +244,11 @@ def kernel_field(**changes: Any) -> _kernels.Volume:
 
 
 def test_every_set_of_instructions_gives_the_same_field() -> None:
-    sets = _kernels.Volume.instructions()
+    sets = _kernels.Volume.supported_instructions()
     assert sets[-1] == "plain"
-    usual = kernel_field().voxels()
+    usual = kernel_field().copy_voxels()
     for name in sets:
-        for one, other in zip(kernel_field(instructions=name).voxels(), usual, strict=True):
+        for one, other in zip(kernel_field(instructions=name).copy_voxels(), usual, strict=True):
             assert one is not None
             assert other is not None
             assert one.tobytes() == other.tobytes()
@@ -269,7 +269,7 @@ def test_what_a_field_cannot_be_made_of_is_refused(changes: dict[str, Any], said
 
 def test_an_image_whose_columns_single_precision_cannot_tell_apart_is_refused() -> None:
     with pytest.raises(ValueError, match="sides below 2²⁴"):
-        _kernels.oriented_depth(
+        _kernels.filter_depth(
             np.zeros((1, 8), np.float32),
             (1.0, 1.0, 0.0, 0.0, 1 << 24, 1),
             limits=(0.0, 1.0, 0.05, 0.1),

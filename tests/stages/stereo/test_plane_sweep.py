@@ -216,12 +216,14 @@ def test_what_others_say_is_what_they_see(seed: int) -> None:
     masks = [rng.random((9, 12)) < 0.7 for _ in views]
     matrices = [views[0].compute_projection_to(other) for other in views[1:]]
 
-    near, wide = _kernels.agreeing(
+    near, wide = _kernels.count_consistent_views(
         maps[0], list(zip(matrices, maps[1:], strict=True)), tolerances=(0.05, 0.2), wanted_threads=1
     )
-    inside = _kernels.inside_all(maps[0], list(zip(matrices, masks[1:], strict=True)), wanted_threads=2)
-    open_ = _kernels.not_before(
-        maps[0], list(zip(matrices, maps[1:], strict=True)), share=0.9, wanted_threads=2
+    inside = _kernels.is_inside_all_masks(
+        maps[0], list(zip(matrices, masks[1:], strict=True)), wanted_threads=2
+    )
+    open_ = _kernels.count_unoccluded_views(
+        maps[0], list(zip(matrices, maps[1:], strict=True)), min_depth_ratio=0.9, wanted_threads=2
     )
 
     for v, u in np.ndindex(maps[0].shape):

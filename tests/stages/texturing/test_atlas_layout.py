@@ -135,7 +135,7 @@ def test_what_lies_in_one_place_is_not_parted():
     wanted = np.full(len(mesh.triangles), 60.0, np.float32)
     nowhere = np.zeros(len(mesh.triangles), np.uint32)
     room = {"max_side": 128, "max_texels": 1e7, "padding": 3, "progress": ignore_progress}
-    found = _kernels.lay_out(
+    found = _kernels.lay_out_atlas(
         mesh.vertices, mesh.triangles, wanted, side=128, padding=3, progress=ignore_progress
     )
     assert np.array_equal(
@@ -207,7 +207,7 @@ def test_texels_are_those_that_triangles_cover_and_those_beside():
 def test_wrong_arrays_are_refused():
     mesh = MESHES["box"]
     with pytest.raises(ValueError, match="one value for each triangle"):
-        _kernels.lay_out(
+        _kernels.lay_out_atlas(
             mesh.vertices,
             mesh.triangles,
             np.ones(3, np.float32),
@@ -216,7 +216,7 @@ def test_wrong_arrays_are_refused():
             progress=ignore_progress,
         )
     with pytest.raises(ValueError, match="too small for the padding"):
-        _kernels.lay_out(
+        _kernels.lay_out_atlas(
             mesh.vertices,
             mesh.triangles,
             np.ones(12, np.float32),

@@ -28,7 +28,9 @@ def test_a_camera_sees_what_rays_meet(shape):
     # From outside a ball, and from inside a room whose walls reach behind the camera.
     mesh = ball() if shape == "ball" else color_trimesh(trimesh.creation.box((3, 2, 4)))
     place = pose(0.1, 0.05, z=-2.5) if shape == "ball" else pose(0.3, -0.2, z=0.4, turn=40)
-    depth, triangles = _kernels.DrawnMesh(mesh.vertices, mesh.triangles).zbuffer(camera(place), near=1e-3)
+    depth, triangles = _kernels.MeshRenderer(mesh.vertices, mesh.triangles).render_zbuffer(
+        camera(place), near=1e-3
+    )
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
     rays = np.stack([x, y, np.ones(x.shape)], axis=-1).reshape(-1, 3) @ place[:3, :3].T
@@ -59,14 +61,14 @@ def test_of_many_parts_what_is_nearest_is_seen(seed):
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     place = np.eye(4)
     place[:3, :3], place[:3, 3] = turn * np.linalg.det(turn), rng.uniform((1, 1, -1), (2.5, 2.5, 1))
-    mesh = _kernels.DrawnMesh(hills, faces)
-    parts = mesh.parts()
+    mesh = _kernels.MeshRenderer(hills, faces)
+    parts = mesh.triangle_clusters()
     assert len(np.unique(parts)) > 20
-    depth, triangles = mesh.zbuffer(camera(place), near=1e-3)
+    depth, triangles = mesh.render_zbuffer(camera(place), near=1e-3)
     # Each few triangles drawn alone, and of all what is nearest, the first of those that are as near.
     nearest, seen = np.full(depth.shape, np.float32(np.inf)), np.full(depth.shape, -1)
     for rows in np.array_split(np.arange(len(faces)), 97):
-        alone, own = _kernels.DrawnMesh(hills, faces[rows]).zbuffer(camera(place), near=1e-3)
+        alone, own = _kernels.MeshRenderer(hills, faces[rows]).render_zbuffer(camera(place), near=1e-3)
         is_nearer = alone < nearest
         nearest[is_nearer], seen[is_nearer] = alone[is_nearer], rows[own[is_nearer]]
     np.testing.assert_array_equal(depth, nearest)
@@ -81,7 +83,7 @@ def test_threads_change_nothing():
     found = []
     for threads in (1, 2, 5):
         points = _kernels.SurfacePoints(
-            mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, kept=3
+            mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, samples_per_point=3
         )
         one = load_photos(frames, ignore_progress)
         sample_photos(
@@ -98,7 +100,7 @@ def test_the_best_views_come_first_and_show_the_paint():
     of = np.arange(len(mesh.triangles), dtype=np.uint32)
     shares = np.full((len(of), 3), 1 / 3, np.float32)
     points = _kernels.SurfacePoints(
-        mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, kept=4
+        mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, samples_per_point=4
     )
     one = load_photos(frames, ignore_progress)
     sample_photos(
@@ -142,7 +144,7 @@ def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
     of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 20)
     shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
     points = _kernels.SurfacePoints(
-        mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, kept=3
+        mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, samples_per_point=3
     )
     one = load_photos([frames[number] for number in order], ignore_progress)
     # Sharpness is judged among those taken one after the other: not here.
@@ -160,16 +162,16 @@ def test_a_flat_look_counts_only_where_there_is_no_other(order):
     named = [np.append(chosen, -1) for chosen in ([n for n in order if n != 3], order)]
     straight = without.samples()[0][:, 0] >= 0
     assert 0.5 < straight.mean() < 1
-    np.testing.assert_array_equal(flat.flat(), ~straight & (flat.density() > 0))
-    assert flat.flat().any()
-    assert not without.flat().any()
+    np.testing.assert_array_equal(flat.grazing_mask(), ~straight & (flat.density() > 0))
+    assert flat.grazing_mask().any()
+    assert not without.grazing_mask().any()
 
     before, after = without.samples(), flat.samples()
     np.testing.assert_array_equal(named[0][before[0]][straight], named[1][after[0]][straight])
     for one, other in zip(before[1:], after[1:], strict=True):
         np.testing.assert_array_equal(one[straight], other[straight])
     np.testing.assert_array_equal(without.density()[straight], flat.density()[straight])
-    only = named[1][after[0]][flat.flat()]
+    only = named[1][after[0]][flat.grazing_mask()]
     assert (only[:, 0] == 3).all()
     assert (only[:, 1:] == -1).all()
 
@@ -179,8 +181,8 @@ def test_a_photo_alone_may_be_flatter_than_one_of_several():
     low = replace(make_grazing_photo(0, z=-0.03, turn=-85), depth=None)
     away = replace(low, name="away", world_from_camera=pose(9, 9))
     alone, beside = looked_at([low], [0]), looked_at([low, away], [0, 1])
-    assert alone.flat().mean() > 0.5
-    assert beside.flat().mean() < 0.2 * alone.flat().mean()
+    assert alone.grazing_mask().mean() > 0.5
+    assert beside.grazing_mask().mean() < 0.2 * alone.grazing_mask().mean()
 
 
 def test_a_flat_look_does_not_see_through_what_is_before_it():
@@ -197,7 +199,7 @@ def test_a_flat_look_does_not_see_through_what_is_before_it():
     of = np.arange(len(mesh.triangles), dtype=np.uint32)
     shares = np.full((len(of), 3), 1 / 3, np.float32)
     points = _kernels.SurfacePoints(
-        both.vertices, compute_vertex_normals(both), both.triangles, of, shares, kept=1
+        both.vertices, compute_vertex_normals(both), both.triangles, of, shares, samples_per_point=1
     )
     one = load_photos([frame], ignore_progress)
     sample_photos(points, prepare_render_mesh(both), one, [make_identity_exposure()], None, lambda: None)

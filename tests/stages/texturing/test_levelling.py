@@ -34,7 +34,7 @@ class Seen(NamedTuple):
 
     def levelled(self, threads: int = 1, reach: float = REACH) -> np.ndarray:
         found = self.colors.copy()
-        self.points.level(found, self.pixels, width=SIDE, reach=reach, wanted_threads=threads)
+        self.points.level_seams(found, self.pixels, width=SIDE, reach=reach, wanted_threads=threads)
         return found
 
 
@@ -62,7 +62,7 @@ def seen(offsets: list[float], there: np.ndarray | None = None) -> Seen:
         mesh.triangles,
         is_second[order].astype(np.uint32),
         shares[order].astype(np.float32),
-        kept=2,
+        samples_per_point=2,
     )
     used = load_photos(frames, ignore_progress)
     used = replace(used, weights=np.ones(len(used)))
@@ -164,7 +164,7 @@ def labels_of(one: Seen) -> np.ndarray:
 def test_neighbours_are_those_of_some_rows_as_the_photo_shows_them_that_counts_most():
     one = seen(OFFSETS, np.random.default_rng(3).random((SIDE, SIDE)) < 0.7)
     labels = labels_of(one)
-    pairs_found, shown = one.points.neighbours(labels, one.pixels, width=SIDE, every=3)
+    pairs_found, shown = one.points.collect_neighbours(labels, one.pixels, width=SIDE, row_step=3)
     views, colors, scores = one.points.samples()
     wanted = {}
     for a, b in pairs(one.pixels):
@@ -186,11 +186,11 @@ def test_neighbours_want_what_goes_with_the_points():
         {"labels": labels[1:]},
         {"pixels": one.pixels[1:]},
         {"width": 0},
-        {"every": 0},
+        {"row_step": 0},
     ):
-        given = {"labels": labels, "pixels": one.pixels, "width": SIDE, "every": 1, **wrong}
+        given = {"labels": labels, "pixels": one.pixels, "width": SIDE, "row_step": 1, **wrong}
         with pytest.raises(ValueError, match="do not match the points"):
-            one.points.neighbours(given.pop("labels"), given.pop("pixels"), **given)
+            one.points.collect_neighbours(given.pop("labels"), given.pop("pixels"), **given)
 
 
 def test_borders_that_are_blended_differ_as_photos_do_and_those_of_one_photo_by_more():
@@ -253,14 +253,14 @@ def test_what_means_nothing_is_refused(named: dict[str, float]):
     one = seen([0.0])
     given = {"width": SIDE, "reach": REACH, "wanted_threads": 1} | named
     with pytest.raises(ValueError, match="do not match"):
-        one.points.level(one.colors, one.pixels, **given)
+        one.points.level_seams(one.colors, one.pixels, **given)
 
 
 def test_points_need_a_pixel_each():
     one = seen([0.0])
     for pixels in (one.pixels[:-1], np.full_like(one.pixels, 2**32 - 1)):
         with pytest.raises(ValueError, match="do not match"):
-            one.points.level(one.colors, pixels, width=SIDE, reach=REACH, wanted_threads=1)
+            one.points.level_seams(one.colors, pixels, width=SIDE, reach=REACH, wanted_threads=1)
 
 
 def test_a_texture_of_photos_that_differ_shows_fewer_borders(monkeypatch: pytest.MonkeyPatch):

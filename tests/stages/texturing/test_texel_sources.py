@@ -220,7 +220,7 @@ def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
     mesh = ball()
     surface = _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=threads)
     points = np.random.default_rng(0).normal(size=(3000, 3))
-    triangles, weights, distances = surface.closest(points, wanted_threads=threads)
+    triangles, weights, distances = surface.find_nearest(points, wanted_threads=threads)
     expected = RaycastingSurface(
         mesh, np.array([points.min(axis=0), points.max(axis=0)])
     ).find_closest_points(points)
@@ -230,11 +230,13 @@ def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
     # Points within look outwards, those beyond inwards: the nearest side of the ball, or the one behind.
     normals = points / np.linalg.norm(points, axis=1)[:, None]
     for sign in (1, -1):
-        found, _, is_turned = surface.facing(points, sign * normals, reach=1e9, wanted_threads=threads)
+        found, _, is_turned = surface.find_nearest_facing(
+            points, sign * normals, reach=1e9, wanted_threads=threads
+        )
         towards = np.einsum("kx,kx->k", compute_triangle_normals(mesh)[found], sign * normals)
         assert (towards > 0).all()
         assert is_turned.all() == (sign < 0)
-    _, _, is_turned = surface.facing(points, -normals, reach=1e-3, wanted_threads=threads)
+    _, _, is_turned = surface.find_nearest_facing(points, -normals, reach=1e-3, wanted_threads=threads)
     assert not is_turned.any()
 
 
@@ -243,11 +245,11 @@ def test_a_surface_refuses_what_it_cannot_find() -> None:
     surface = _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=1)
     nowhere = np.full((1, 3), np.nan)
     with pytest.raises(ValueError, match="not finite"):
-        surface.closest(nowhere, wanted_threads=1)
+        surface.find_nearest(nowhere, wanted_threads=1)
     with pytest.raises(ValueError, match="not finite"):
-        surface.facing(nowhere, nowhere, reach=1.0, wanted_threads=1)
+        surface.find_nearest_facing(nowhere, nowhere, reach=1.0, wanted_threads=1)
     with pytest.raises(ValueError, match="each point"):
-        surface.facing(np.zeros((2, 3)), np.zeros((1, 3)), reach=1.0, wanted_threads=1)
+        surface.find_nearest_facing(np.zeros((2, 3)), np.zeros((1, 3)), reach=1.0, wanted_threads=1)
     with pytest.raises(ValueError, match="needs a triangle"):
         _kernels.NearestSurface(mesh.vertices, mesh.triangles[:0], wanted_threads=1)
     with pytest.raises(ValueError, match="vertex"):
@@ -299,7 +301,7 @@ def test_what_cannot_be_sampled_is_refused() -> None:
         "triangles": triangles,
         "corners": one,
         "uvs": one,
-        "is_shown": np.ones(1, bool),
+        "uses_image": np.ones(1, bool),
         "image": noise(4, 4, 3),
         "wrap": ("clamp", "clamp"),
         "wanted_threads": 1,
@@ -313,7 +315,7 @@ def test_what_cannot_be_sampled_is_refused() -> None:
         {"corners": np.full((1, 3, 2), np.nan)},
         {"uvs": np.full((1, 3, 2), np.inf)},
         {"uvs": np.zeros((2, 3, 2))},
-        {"is_shown": np.ones(2, bool)},
+        {"uses_image": np.ones(2, bool)},
         {"image": np.zeros((0, 4, 3), np.uint8)},
         {"image": np.zeros((4, 4, 2), np.uint8)},
         {"wrap": ("clamp", "border")},

@@ -105,7 +105,7 @@ def test_no_triangle_turns_over(ratio: float) -> None:
 def test_regions_of_any_size_keep_the_mesh_whole(name: str, region: int) -> None:
     mesh = MESHES[name]()
     assert mesh.colors is not None
-    running = _kernels.Running(target_triangles=200, region_triangles=region)
+    running = _kernels.RunSettings(target_triangles=200, region_triangles=region)
     result = _kernels.simplify_by_quadrics(
         mesh.vertices,
         mesh.colors.astype(np.float64),

@@ -179,7 +179,7 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
         np.zeros(len(mesh.vertices), bool),
         np.zeros(0),
         weight=0.0,
-        running=_kernels.Running(
+        running=_kernels.RunSettings(
             target_triangles=goal, threads=1, region_triangles=8192, record=False, partial=False
         ),
         progress=lambda _done, _total: True,
