@@ -82,7 +82,7 @@ def test_values_where_one_parameter_is_meant(offered: Offered) -> None:
     ]
     # One alone would be taken, and a space put behind it.
     assert offered("scanloom run x --set fuse.voxel_s") == ["fuse.voxel_size=", "fuse.voxel_size=none"]
-    assert offered("scanloom run x --set texture.rou") == [
+    assert offered("scanloom run x --set texture.alignment_i") == [
         "texture.alignment_iterations=",
         "texture.alignment_iterations=1",
     ]

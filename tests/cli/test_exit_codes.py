@@ -94,9 +94,9 @@ def test_a_limit_loosens_no_number_that_is_printed(scanloom: Run, clean_ball: Pa
     limited = scanloom("mesh", "certify", light, clean_ball, "--max-shape", 0.9, "--json")
     assert limited.exit_code == 0
     assert limited.json["shape_bound_m"] <= bound
-    alone = scanloom("certify", light, clean_ball, "--check-only")
+    alone = scanloom("mesh", "certify", light, clean_ball, "--check-only")
     assert (alone.exit_code, "--check-only requires a limit" in alone.stderr) == (2, True)
-    decided = scanloom("certify", light, clean_ball, "--max-shape", 0.9, "--check-only", "--json")
+    decided = scanloom("mesh", "certify", light, clean_ball, "--max-shape", 0.9, "--check-only", "--json")
     assert (decided.exit_code, decided.json["shape_bound_m"]) == (0, 0.9)
 
 

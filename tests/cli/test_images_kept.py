@@ -92,7 +92,7 @@ def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tm
     assert light.texture is not None
     assert count_edges(weld_corners(light))[0] <= count_edges(weld_corners(read_mesh(textured)))[0]
     assert ran.json["baked"]["charts"] > 0
-    ran = scanloom("remesh", textured, target, "--no-bake")
+    ran = scanloom("mesh", "remesh", textured, target, "--no-bake")
     assert "remesh discards the texture" in ran.stderr
 
 

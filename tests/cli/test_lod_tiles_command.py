@@ -105,7 +105,7 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
         (
             ("{slod}", "full"),
             3,
-            "full: this folder is not empty and is not a tileset of scanloom; name a new one.",
+            "full: this folder is not empty and is not a tileset of scanloom; give a new folder.",
         ),
         (("{slod}", "out", "--texture", "absent.glb"), 3, "absent.glb: there is no such file."),
         (
@@ -121,7 +121,7 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
         (
             ("{slod}", "out", "--set", "tiles.up=y"),
             2,
-            "--set tiles.up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none.",
+            "--set tiles.up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none, or three numbers.",
         ),
     ],
 )

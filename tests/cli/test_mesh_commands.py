@@ -52,7 +52,7 @@ def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: P
     assert metrics["bound_m"] <= metrics["max_shape_m"] == 0.01
     assert len(read_mesh(target).vertices) == 35
     assert "1 of 3 needles not repaired: 1 at a border; the first at (" in ran.stderr
-    ran = scanloom("clean", source, target, "--repair", "--repair-angle", 0.1)
+    ran = scanloom("clean", source, target, "--repair", "--set", "clean.repair_angle=0.1")
     assert re.search(r"^repair bound +0 m$", ran.stdout, re.M)
     assert "needles" not in ran.stdout
 
@@ -192,7 +192,9 @@ def test_simplify_warns_when_too_few_triangles_are_wanted(scanloom: Run, ball: P
     assert f"warning: {ball}: 100% of the remaining edges belong to holes" in ran.stderr
     assert "diagnostics" not in ran.stdout
     (warning,) = scanloom("simplify", ball, light, "--triangles", 1, "--json").warnings
-    assert "warning: " + warning in ran.stderr
+    # JSON names parameters as in a file, stderr as they are typed.
+    typed = re.sub(r"\b(clean\.\w+)", r"--set \1", warning)
+    assert "warning: " + typed in ran.stderr
     assert "warning" not in scanloom("simplify", ball, light, "--ratio", 0.5).stderr
 
 
@@ -335,7 +337,7 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
                 "simplify.planar.crease_angle=30",
             ),
             2,
-            "--crease-angle is not supported by method jia01; leave one of them out.",
+            "--set simplify.planar.crease_angle is not supported by method jia01; leave one of them out.",
         ),
         (
             ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--save-bounds", "b.ply"),
@@ -343,12 +345,20 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
             "give --max-shape",
         ),
         (("simplify", "ball.ply", "out.ply", "--max-shape", "1", "--save-bounds", "b.npz"), 2, "use .ply"),
-        (("certify", "ball.ply", "missing.ply"), 3, "missing.ply: there is no such file."),
-        (("certify", "ball.ply", "ball.ply", "--effort", "-1"), 2, "--effort is -1"),
-        (("replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or not a collapse record."),
-        (("replay", "missing.npz", "out.ply"), 3, "missing.npz: there is no such file."),
-        (("replay", "ball.ply", "out.ply", "--ratio", "0.5", "--collapses", "3"), 2, "give one of them"),
-        (("compare", "ball.ply", "ball.ply", "--samples", "0"), 2, "--samples is 0"),
+        (("mesh", "certify", "ball.ply", "missing.ply"), 3, "missing.ply: there is no such file."),
+        (
+            ("mesh", "certify", "ball.ply", "ball.ply", "--set", "certify.effort=-1"),
+            2,
+            "--set certify.effort is -1",
+        ),
+        (("mesh", "replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or not a collapse record."),
+        (("mesh", "replay", "missing.npz", "out.ply"), 3, "missing.npz: there is no such file."),
+        (
+            ("mesh", "replay", "ball.ply", "out.ply", "--ratio", "0.5", "--set", "replay.collapses=3"),
+            2,
+            "give one of them",
+        ),
+        (("compare", "ball.ply", "ball.ply", "--set", "compare.samples=0"), 2, "--set compare.samples is 0"),
         (("knit",), 2, "knit"),
     ],
 )

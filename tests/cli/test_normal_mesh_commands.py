@@ -94,7 +94,7 @@ def test_a_damaged_file_gives_what_is_whole_with_a_warning(scanloom: Run, kept: 
     assert ran.json["damage"]
     ran = scanloom("mesh", "decode", kept, tmp_path / "none.ply", "--level", 2)
     assert ran.exit_code == 3
-    assert ran.stderr.startswith(f"scanloom: {kept}: has no level 2, only levels 0 to 1 are whole")
+    assert ran.stderr.startswith(f"scanloom: {kept}: has no level 2; only levels 0 to 1 are intact")
     assert not (tmp_path / "none.ply").exists()
     kept.write_bytes(data[:end])
     assert "warning" not in scanloom("mesh", "decode", kept, target).stderr
@@ -146,7 +146,7 @@ def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> N
         (
             ("mesh", "decode", "kept.snm", "out.ply", "--level", "3"),
             2,
-            "kept.snm was made with levels 0 to 2",
+            "kept.snm was encoded with levels 0 to 2",
         ),
         (("mesh", "decode", "kept.snm", "out.ply", "--level", "-1"), 2, "level is -1"),
         (("mesh", "decode", "kept.snm", "out.snm"), 2, "the extension .snm stands for no format"),

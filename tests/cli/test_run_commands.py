@@ -467,16 +467,16 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.stat().st_mtime_ns == before
     assert scanloom(*words, "--set", "simplify.ratio=0.5").exit_code == 0
     assert page.stat().st_mtime_ns != before
-    assert "no point is farther" not in page.read_text()
+    assert "proven bound for all points" not in page.read_text()
     # What is proven stands beside what was sampled.
     assert scanloom(*words, "--set", "simplify.max_shape=0.02").exit_code == 0
-    assert "no point is farther" in page.read_text()
+    assert "proven bound for all points" in page.read_text()
     # Of another result none stays, also where all of it is cached; asked for again, it is there again.
     assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     assert not page.exists()
     back = scanloom(*words, "--set", "report.page=true", "--json")
     assert {stage["cached"] for stage in back.json["stages"].values()} == {True}
-    assert "no point is farther" not in page.read_text()
+    assert "proven bound for all points" not in page.read_text()
     assert scanloom(*words, "--set", "report.enabled=false").exit_code == 0
     assert not page.exists()
     assert scanloom(*words, "--set", "report.enabled=false", "--set", "report.enabled=true").exit_code == 0
@@ -523,7 +523,7 @@ def test_a_crop_is_typed_as_numbers_and_told_in_the_metrics(
         (("--box", 0, 0, 0, 1, 1), "Option '--box' requires 6 arguments"),
         (("--box", 1, 0, 0, 0, 1, 1), "--box is 1 0 0 0 1 1 m; the first three numbers must be the lowest"),
         (("--box", 8, 8, 8, 9, 9, 9), "the crop is empty: none of "),
-        (("--radius", 0), "--radius is 0 m; it must be more than 0 m."),
+        (("--set", "fuse.radius=0"), "--set fuse.radius is 0 m; it must be more than 0 m."),
     ],
 )
 def test_a_crop_that_is_none_is_wrong_usage(

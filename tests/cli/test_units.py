@@ -38,7 +38,7 @@ def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path
 
 
 def test_inspect_says_the_scale_that_it_has(scanloom: Run, unit_scan: Path) -> None:
-    text = scanloom("inspect", unit_scan, "--known-distance", "2 0.5").stdout
+    text = scanloom("inspect", unit_scan, "--set", "scan.known_distance=2 0.5").stdout
     assert "scale     0.25 m per unit, a known distance" in text
     assert " units" not in text
     assert "no metric scale" not in text
