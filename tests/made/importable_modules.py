@@ -5,7 +5,7 @@ import sys
 from importlib import import_module
 from types import ModuleType
 
-OTHER_SYSTEM = "posix" if sys.platform == "win32" else "windows"
+OTHER_SYSTEM = {"posix"} if sys.platform == "win32" else {"windows", "windows_system"}
 
 
 def import_modules(*packages: ModuleType) -> list[ModuleType]:
@@ -14,5 +14,5 @@ def import_modules(*packages: ModuleType) -> list[ModuleType]:
         import_module(found.name)
         for package in packages
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
-        if found.name.rpartition(".")[2] != OTHER_SYSTEM
+        if found.name.rpartition(".")[2] not in OTHER_SYSTEM
     ]
