@@ -32,7 +32,7 @@ from scanloom.stages.stereo.depth import DepthParams
 class Config(Sections):
     """All parameters of a run by section; each section's class describes its parameters.
 
-    `Config()` has the defaults, `Config.of("draft")` the values of a quality preset.
+    `Config()` has the defaults, `Config.from_quality("draft")` the values of a quality preset.
     """
 
     QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = QUALITIES

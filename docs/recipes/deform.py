@@ -81,7 +81,7 @@ class BentRegion:
     tree: cKDTree
     is_bent: NDArray[np.bool_]
 
-    def holds(self, points: Floats) -> NDArray[np.bool_]:
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
         """Select the points (n, 3) whose nearest vertex of the front is bent."""
         _, nearest = self.tree.query(points)
         return np.asarray(self.is_bent[nearest])

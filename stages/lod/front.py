@@ -203,7 +203,7 @@ class Front:
             end between two levels.
         error_px : maximum proven error of visible nodes, pixels; requires a view.
         max_shape : maximum proven error, metres.
-        region : object with `holds(points)`, such as Sphere and Box. Only nodes with a vertex inside are
+        region : object with `contains(points)`, such as Sphere and Box. Only nodes with a vertex inside are
             refined, and completely if there is no other limit.
         keep : hysteresis factor, at least 1. Nodes that are already refined stay refined until their error is
             below the requested error divided by this factor. With 2, small camera movements change nothing.

@@ -34,7 +34,7 @@ def test_entry_comes_back_as_it_was_stored(cache):
     assert entry.key == RECIPE.key == folder.name
     assert entry.metrics == {"triangles": 7}
     assert entry.manifest["made"] == {"seconds": 1.5}
-    assert entry.manifest["recipe"] == RECIPE.as_json()
+    assert entry.manifest["recipe"] == RECIPE.to_json()
     assert sorted(entry.files) == ["fused.ply", "maps/0.bin"]
     assert (folder / "maps" / "0.bin").read_bytes() == bytes(range(200))
     assert list_drafts(cache) == []

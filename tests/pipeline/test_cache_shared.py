@@ -104,7 +104,7 @@ def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cac
 def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
     # Its lock may be held where this machine cannot see it.
     with monkeypatch.context() as patched:
-        patched.setattr("scanloom.pipeline.cache.store.machine_mark", lambda: "m00000000")
+        patched.setattr("scanloom.pipeline.cache.store.get_host_id", lambda: "m00000000")
         cache._create_draft("fuse")[1].release()
     store_entry(cache)
     cache.remove_abandoned()

@@ -94,7 +94,7 @@ def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here
     assert first["kind"] == "hole"
     np.testing.assert_allclose(first["point_m"], (0.1, 0, 1), atol=0.06)
     assert first["area_m2"] == pytest.approx(0.2 * 0.15, rel=0.6)
-    assert {one["why"] for one in first["nearest_frames"]} == {"has no depth there"}
+    assert {one["why"] for one in first["nearest_frames"]} == {"no depth there"}
     report = json.loads((out / "report.json").read_text())
     assert report["stages"]["coverage"]["metrics"]["places"] == len(told["places"])
     assert {*report["placed"]["coverage"]} == {*OWN}

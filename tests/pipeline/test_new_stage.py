@@ -20,9 +20,9 @@ FUNCTION = '''"""Area of a mesh."""
 
 from dataclasses import dataclass
 
-from scanloom.stages.params import check, param
+from scanloom.stages.params import check_parameters, param
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.topology import compute_areas
 
 RESULT_VERSION = 1
 
@@ -34,17 +34,17 @@ class AreaParams:
     factor: float = param(1.0, "Multiply the area by this.", low=0, common=True)
 
     def __post_init__(self) -> None:
-        check(self)
+        check_parameters(self)
 
 
 def area(mesh: Mesh, params: AreaParams) -> float:
-    return params.factor * float(areas(mesh.vertices, mesh.triangles).sum())
+    return params.factor * float(compute_areas(mesh.vertices, mesh.triangles).sum())
 '''
 STEP = '''"""The stage `area`: the area of the clean mesh."""
 
 from dataclasses import dataclass
 
-from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.stage import Artifact, Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.stages.area.area import AreaParams, area
@@ -70,10 +70,10 @@ STAGE = Stage(
     name="area",
     section=AreaParams,
     inputs=Inputs,
-    writes=AreaFile,
+    artifact=AreaFile,
     run=_run,
-    versions=always(area),
-    results=("area.txt",),
+    versions=make_fixed_versions(area),
+    result_names=("area.txt",),
     headline="{area_m2:.3g} m²",
 )
 '''

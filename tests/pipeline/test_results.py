@@ -220,8 +220,8 @@ def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
 
     plan = (replace(toy.PLAN[0], run=hungry), *toy.PLAN[1:])
     mix, cut, _ = toy.run(scan, tmp_path / "out", plan=plan)
-    assert mix.made["peak_memory_bytes"] > 200_000_000
-    assert cut.made["peak_memory_bytes"] < mix.made["peak_memory_bytes"] - 100_000_000
+    assert mix.compute_cost["peak_memory_bytes"] > 200_000_000
+    assert cut.compute_cost["peak_memory_bytes"] < mix.compute_cost["peak_memory_bytes"] - 100_000_000
 
 
 @pytest.mark.slow

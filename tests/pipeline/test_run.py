@@ -508,7 +508,7 @@ def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path,
     def killed(*_):
         raise KilledError
 
-    for at in ("copy_whole", "Results.write_report"):
+    for at in ("copy_atomically", "OutputFolder.write_report"):
         with monkeypatch.context() as patched:
             patched.setattr(f"scanloom.pipeline.run.output_folder.{at}", killed)
             with pytest.raises(KilledError):

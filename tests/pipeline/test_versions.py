@@ -115,7 +115,7 @@ def test_parameters_that_suit_no_method_are_left_for_the_stage_to_refuse():
 
 
 def test_depth_has_the_version_of_views_only_for_views():
-    assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth", "view_poses"}
+    assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth", "epipolar_check"}
     unchecked = versions(stage_named("depth"), VIEWS, "scan.check_poses=false")
     assert set(unchecked) == {"depth", "views_depth"}
     assert set(versions(stage_named("depth"), PAIRS)) == {"depth"}
@@ -123,7 +123,7 @@ def test_depth_has_the_version_of_views_only_for_views():
 
 def test_depth_has_the_version_of_networks_only_with_one():
     found = set(versions(stage_named("depth"), PAIRS, "depth.model=net.onnx"))
-    assert found == {"depth", "by_network", "network"}
+    assert found == {"depth", "network_depth", "network"}
 
 
 def name_in_keys(module: ModuleType) -> str:

@@ -89,7 +89,7 @@ def test_patterns_choose(scans: Path):
 
 def test_results_are_not_searched(scans: Path):
     write_small_scan(scans / "out" / "copy", frames=2)
-    assert "out/copy" not in names(scans, besides=[scans / "out"])
+    assert "out/copy" not in names(scans, excluded_folders=[scans / "out"])
 
 
 def test_a_stated_layout_takes_every_folder(scans: Path):

@@ -657,10 +657,10 @@ def test_buffers_that_cannot_be_packed_are_errors() -> None:
         with pytest.raises(ValueError, match="it must have a multiple of 4 up to 256"):
             _kernels.encode_rows(rows)
     for triangles in (np.array([[0, 1, 3]], np.int32), np.array([[0, 1, -1]], np.int32)):
-        for call in (_kernels.strip_order, _kernels.encode_triangles):
+        for call in (_kernels.optimize_strip_order, _kernels.encode_triangles):
             with pytest.raises(_kernels.InvalidMeshError, match="only 3 vertices"):
                 call(triangles, 3)
-    for call in (_kernels.strip_order, _kernels.encode_triangles):
+    for call in (_kernels.optimize_strip_order, _kernels.encode_triangles):
         with pytest.raises(ValueError, match="triangles must be m × 3"):
             call(np.zeros((1, 2), np.int32), 3)
-    assert _kernels.strip_order(np.zeros((0, 3), np.int32), 0).shape == (0, 3)
+    assert _kernels.optimize_strip_order(np.zeros((0, 3), np.int32), 0).shape == (0, 3)
