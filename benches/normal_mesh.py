@@ -117,7 +117,7 @@ def make_reader(name: str) -> Callable[[Path], Mesh]:
 
 
 def read_kitchen(data: Path) -> Mesh:
-    """Read a coloured room fused at 2 cm, cleaned to a manifold."""
+    """Load a coloured room scan, fused at 2 cm and cleaned to a manifold."""
     return clean(make_reader("redkitchen_fused_vertexcolor.ply")(data)).mesh
 
 
@@ -332,7 +332,7 @@ def count_flipped(mesh: Mesh, result: Mesh) -> tuple[int, int]:
     """Count triangles that face away from the original.
 
     A triangle is flipped if its normal is more than 90° from the normal of the original's triangle nearest to
-    its centroid. The second count leaves out triangles where the original itself is flipped against the
+    its centroid. The second count omits triangles where the original itself is flipped relative to the
     surface around it.
     """
     middles, facing = result.vertices[result.triangles].mean(axis=1), compute_unit_normals(mesh)

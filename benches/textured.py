@@ -224,9 +224,9 @@ def measure_glb_bytes(mesh: Mesh) -> int:
 
 
 def has_same_images(mesh: Mesh, simplified: Mesh) -> bool:
-    """Check if the images are the original's.
+    """Check if the simplified mesh still has the original images.
 
-    In new images, charts may be mirrored.
+    Newly baked images may contain mirrored charts.
     """
     if mesh.texture is None or simplified.texture is None:
         return False

@@ -1,11 +1,11 @@
-"""The program `scanloom`: run a command, and turn failures into a sentence and an exit code."""
+"""The program `scanloom`: run a command and convert failures to a message and an exit code."""
 
 from __future__ import annotations
 
 from scanloom.cli import interrupts
 
 if __name__ == "__main__":
-    # Ctrl-C may come during the imports below.
+    # Ctrl-C may arrive during the imports below.
     interrupts.exit_on_interrupt()
 
 import functools
@@ -33,7 +33,7 @@ from scanloom.stages.diagnostics.errors import ScanloomError, is_out_of_memory
 
 @functools.cache
 def app(only: str = "") -> typer.Typer:
-    """Return the program with all its commands, or with one command or group alone."""
+    """Return the program with all commands, or with a single command or group."""
     program = typer.Typer(
         name="scanloom",
         cls=HelpGroup,
@@ -66,7 +66,7 @@ def _add_command(program: typer.Typer, words: tuple[str, ...]) -> None:
 
 
 def _first_command(arguments: Sequence[str]) -> str:
-    """Return the command or group that words begin with; "" if they begin with anything else."""
+    """Return the command or group that the arguments begin with; "" if there is none."""
     first = arguments[0] if arguments else ""
     return first if any(first in names for names in COMMANDS.values()) else ""
 
@@ -132,7 +132,7 @@ def run_command(arguments: Sequence[str]) -> int:
 
 @contextmanager
 def _warnings_in_a_line(debug: bool) -> Iterator[None]:
-    """Print warnings of libraries on stderr, one line each; with `debug` as Python prints them."""
+    """Print warnings of libraries on stderr, one line each; unchanged with `debug`."""
     with warnings.catch_warnings():
         usual = warnings.showwarning
 
@@ -147,7 +147,7 @@ def _warnings_in_a_line(debug: bool) -> Iterator[None]:
 
 
 def _check_memory() -> None:
-    """Raise MemoryError if not even the smallest command can run; argument parsers would abort."""
+    """Raise MemoryError if memory is too low for any command; argument parsers would abort."""
     try:
         mmap.mmap(-1, _MIN_MEMORY).close()
     except OSError as error:
@@ -186,7 +186,7 @@ def _run(arguments: Sequence[str]) -> int:
             else errors.explain_bug(error)
         )
         return _report_failure(bug, error, arguments)
-    if code == exit_codes.INTERRUPTED:  # typer keeps the KeyboardInterrupt to itself
+    if code == exit_codes.INTERRUPTED:  # typer swallows the KeyboardInterrupt
         return _report_failure(errors.explain_failure(KeyboardInterrupt()), None, arguments)
     return code or 0
 

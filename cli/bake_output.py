@@ -27,7 +27,7 @@ def _has_image(mesh: Mesh) -> bool:
 
 
 def bake_lost_image(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
-    """Bake the image of an original anew if the simplified mesh has lost it and the format holds one.
+    """Bake the original's image again if the simplified mesh lost it and the format supports images.
 
     Returns the metrics, or None if the mesh is still to be written.
     """
@@ -43,7 +43,7 @@ def bake_or_warn(target: Path, light: Mesh, original: Mesh, out: Output) -> dict
     except ScanloomError as error:
         emit(
             SIMPLIFY_IMAGES_NOT_BAKED.warning(
-                "the image is left out; it could not be baked anew: {reason}", target, reason=str(error)
+                "the image is left out; it could not be baked again: {reason}", target, reason=str(error)
             )
         )
         return None

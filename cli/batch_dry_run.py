@@ -23,7 +23,7 @@ def print_batch_plan(
     more: dict[str, Any],
     out: Output,
 ) -> None:
-    """Print the stages, time and memory that each scan of a batch needs; unreadable scans are rows, too."""
+    """Print the stages, time and memory required by each scan of a batch, unreadable scans included."""
     from scanloom.pipeline.run.dry_run import DryRun, predict_run
 
     found: list[DryRun | ScanloomError] = []
@@ -55,11 +55,14 @@ def print_batch_plan(
             [job.name, one.layout, *metrics, format_size(one.memory_bytes) if one.memory_bytes else ""]
         )
         scans.append({**one.to_dict(), "scan": job.name, **one.to_dict()["scan"]})
-        lines += [f"{job.name}: would be refused: {one.refusal_reason}"] if one.refusal_reason else []
+        lines += [f"{job.name}: would be rejected: {one.refusal_reason}"] if one.refusal_reason else []
     runs = [one for one in found if isinstance(one, DryRun)]
     seconds = sum(one.seconds for one in runs)
     most = max((one.memory_bytes for one in runs), default=0)
-    total = f"{len(queued):,} scans, about {seconds:,.0f} s in a row, {format_size(most)} at the most for one"
+    total = (
+        f"{len(queued):,} scans, about {seconds:,.0f} s one after another, "
+        f"at most {format_size(most)} of memory per scan"
+    )
     out.result(
         {
             "dry_run": True,

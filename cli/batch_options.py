@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from scanloom.pipeline.batch.worker_events import WorkerEventHandler
 
 AUTO = "auto"
-# Seconds. A limit that shall never be reached has another value for that.
+# Seconds. Larger limits are rejected; 0 disables `timeout`.
 _MAX_SECONDS = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerParams:
-    """Work on the scans of a batch."""
+    """Parameters of a worker."""
 
     jobs: str = param(
         AUTO,
@@ -51,8 +51,8 @@ class WorkerParams:
     )
     worker_timeout: float | None = param(
         None,
-        "A worker without a sign of life for this long is given up, and its scans are taken over. Default: "
-        "60, or the value that the batch was started with.",
+        "A worker without a heartbeat for this long is presumed dead, and other workers take over its scans. "
+        "Default: 60, or the value that the batch was started with.",
         unit="s",
         low=0.5,
         high=_MAX_SECONDS,
@@ -69,7 +69,7 @@ class WorkerParams:
         Raises
         ------
         UsageError
-            If `jobs` is no number.
+            If `jobs` is not a number.
         """
         jobs = self.jobs
         if jobs == AUTO:
@@ -94,7 +94,7 @@ def create_worker(
     *,
     stay: bool = True,
 ) -> Worker:
-    """Create a worker on a queue, as parameters say.
+    """Create a worker for a queue from parameters.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Defects that `check` finds, as lists and as colours of a mesh."""
+"""Output of the defects found by `check`: lists and a coloured mesh."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _REGULAR = (190, 190, 190)
 
 
 def list_places(found: CheckResult) -> dict[str, Any]:
-    """Return all defects of each class by their indices, with a point of each in metres."""
+    """Return the indices of all defects by class, with one point of each in metres."""
     return {
         name: {
             "kind": CLASSES[name][0],
@@ -65,7 +65,7 @@ def list_places(found: CheckResult) -> dict[str, Any]:
 
 
 def write_colored_classes(path: Path, mesh: Mesh, found: CheckResult, out: Output) -> None:
-    """Write a mesh with its triangles coloured by class of defect, and remark the colours."""
+    """Write a mesh with its triangles coloured by class of defect, and print the colours."""
     triangles = mesh.triangles
     colors = np.full((len(triangles), 3), _REGULAR, np.uint8)
     for name, color in COLORS.items():

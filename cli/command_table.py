@@ -1,7 +1,7 @@
 """Table of all commands.
 
-A command is the function of its name in the file of its name in cli/commands/. A command is imported when it
-runs, because importing all commands takes twice as long.
+Each command is a function of the same name in a file of the same name in cli/commands/. A command is imported
+when it runs, because importing all commands takes twice as long.
 """
 
 from __future__ import annotations

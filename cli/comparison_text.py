@@ -1,4 +1,4 @@
-"""Tables of `compare`, with a unit at every number."""
+"""Tables of `compare`; every number has a unit."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from scanloom.stages.printing import format_position
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 _MEASURES = {"maximum": "maximum", "mean": "mean", "rms": "RMS"}
 
-# Lengths from here on are printed in metres, shorter ones in millimetres.
+# Metres. Lengths from this value on are printed in metres, shorter ones in millimetres.
 _LONG = 1.0
 
-# A length in the unit of the tables, with a sign if that is wanted.
+# Formats a length in the unit of the tables, optionally with a sign.
 Length = Callable[..., str]
 
 
 def comparison_text(metrics: Mapping[str, Any]) -> str:
     """Return the metrics of a comparison as tables."""
-    # Of one unit in all tables, so that numbers are compared at a glance.
+    # The same unit in all tables, so that numbers can be compared at a glance.
     length = _metres if metrics["distance"]["symmetric"]["maximum_m"] >= _LONG else _millimetres
     clouds = metrics.get("clouds", {"a": None, "b": None})
     parts = [
@@ -34,9 +34,9 @@ def comparison_text(metrics: Mapping[str, Any]) -> str:
     ]
     if clouds["a"] is not None:
         gap = _fitting(clouds["a"]["spacing_m"])
-        parts += ["", f"A is a cloud: a distance below {gap}, as its points are apart, is as good as none."]
+        parts += ["", f"A is a point cloud: distances below its point spacing, {gap}, are not meaningful."]
         if clouds["b"] is None:
-            parts += ["The other way round, compare B A, its points are measured from B exactly."]
+            parts += ["`compare B A` measures the exact distances of its points from B."]
     if metrics["alignment"] is not None:
         parts += ["", _alignment_text(metrics["alignment"], length)]
     if metrics["change"] is not None:
@@ -64,11 +64,9 @@ def _place(point: Any) -> str:
 
 def _compared(name: str, cloud: Mapping[str, Any] | None, samples: int) -> str:
     if cloud is None:
-        return f"{name.upper()}: surface, {samples:,} samples spread evenly over its area, and its vertices"
+        return f"{name.upper()}: surface, {samples:,} samples, uniform over its area, and all vertices"
     apart = _fitting(cloud["spacing_m"])
-    return (
-        f"{name.upper()}: cloud of {cloud['points']:,} points, all of them measured; {apart} apart (median)"
-    )
+    return f"{name.upper()}: point cloud of {cloud['points']:,} points, all measured; median spacing {apart}"
 
 
 def _distance_text(metrics: Mapping[str, Any], length: Length) -> str:
@@ -83,7 +81,7 @@ def _distance_text(metrics: Mapping[str, Any], length: Length) -> str:
 
 def _color_text(color: Mapping[str, Any] | None) -> str:
     if color is None:
-        return "No colours compared: A or B has none."
+        return "Colours were not compared: A or B has no colours."
     rows = [["colour, of 255 levels", "RMSE", "PSNR", "maximum"]]
     for key, way in _WAYS.items():
         of = color[key]
@@ -105,18 +103,16 @@ def _deviation_text(metrics: Mapping[str, Any], length: Length) -> str:
     ]
     rows.append(["RMS", length(metrics["rms_m"])])
     if metrics["is_signed"]:
-        rows.append(["mean, with signs", length(metrics["mean_m"], "+")])
+        rows.append(["signed mean", length(metrics["mean_m"], "+")])
         rows.append(["standard deviation", length(metrics["standard_deviation_m"])])
-        rows.append(["lowest", length(metrics["lowest_m"], "+")])
-        rows.append(["highest", length(metrics["highest_m"], "+")])
+        rows.append(["minimum", length(metrics["lowest_m"], "+")])
+        rows.append(["maximum", length(metrics["highest_m"], "+")])
     worst = metrics["worst"][0]
     rows.append([f"worst, at {_place(worst['point_m'])}", length(worst["distance_m"], signed)])
     text = format_table(rows)
     if not metrics["is_signed"]:
-        lacks = (
-            "normals, which would tell sides" if metrics["reference_spacing_m"] else "side that it looks to"
-        )
-        text += f"\n\nWithout signs: A has no {lacks}."
+        reason = "has no normals" if metrics["reference_spacing_m"] else "is not consistently oriented"
+        text += f"\n\nDeviations are unsigned, because A {reason}."
     if metrics["within_ratio"] is not None:
         text += f"\n\n{metrics['within_ratio']:.2%} within {metrics['tolerance_m']:g} m"
         if metrics["is_signed"]:
@@ -125,37 +121,40 @@ def _deviation_text(metrics: Mapping[str, Any], length: Length) -> str:
     if metrics["delta_e_2000"] is not None:
         of_color = metrics["delta_e_2000"]
         most = of_color["percentiles"]["95"]
-        text += f"\n\nColours differ by {of_color['mean']:.3g} ΔE2000 on average; 95 % by {most:.3g} at most."
+        text += (
+            f"\n\nColours differ by {of_color['mean']:.3g} ΔE2000 on average; "
+            f"95 % by at most {most:.3g} ΔE2000."
+        )
     return text
 
 
 def _alignment_text(moved: Mapping[str, Any], length: Length) -> str:
     return (
-        f"B was moved onto A by {length(moved['moved_rms_m'])} RMS, and turned by "
-        f"{moved['angle_degrees']:.4g}°; {moved['overlap']:.0%} of it has a partner, whose plane is "
-        f"{length(moved['rms_m'])} away (RMS)."
+        f"B was aligned with A: moved by {length(moved['moved_rms_m'])} RMS and rotated by "
+        f"{moved['angle_degrees']:.4g}°; {moved['overlap']:.0%} of B overlaps, with a point-to-plane "
+        f"distance of {length(moved['rms_m'])} RMS."
     )
 
 
 def _places(count: int) -> str:
-    return f"{count:,} place" if count == 1 else f"{count:,} places"
+    return f"{count:,} region" if count == 1 else f"{count:,} regions"
 
 
 def _change_text(metrics: Mapping[str, Any], length: Length) -> str:
     text = (
-        f"New in B: {metrics['new_area_m2']:.4g} m² in {_places(metrics['new_regions'])}; gone of A: "
-        f"{metrics['gone_area_m2']:.4g} m² in {_places(metrics['gone_regions'])}; farther than "
-        f"{length(metrics['distance_m'])} from the other."
+        f"New in B: {metrics['new_area_m2']:.4g} m² in {_places(metrics['new_regions'])}; removed from A: "
+        f"{metrics['gone_area_m2']:.4g} m² in {_places(metrics['gone_regions'])}; distance threshold "
+        f"{length(metrics['distance_m'])}."
     )
     if not metrics["largest"]:
         return text
-    rows = [["largest changes", "area", "in the middle"]]
+    rows = [["largest changes", "area", "location"]]
     rows += [[one["kind"], f"{one['area_m2']:.4g} m²", _place(one["point_m"])] for one in metrics["largest"]]
     return f"{text}\n\n{format_table(rows)}"
 
 
 def _views_text(metrics: Mapping[str, Any]) -> str:
-    rows = [["drawn", "PSNR", "SSIM", "silhouettes shared", "pixels of both"]]
+    rows = [["viewpoint", "PSNR", "SSIM", "silhouette IoU", "common pixels"]]
     rows += [
         [
             one["viewpoint"],
@@ -167,7 +166,9 @@ def _views_text(metrics: Mapping[str, Any]) -> str:
         for one in [*metrics["each"], {**metrics, "viewpoint": "all"}]
     ]
     compared = {
-        "colors": "Their colours are compared, without any light",
-        "shape": "Shading alone is compared, for A or B has no colours",
+        "colors": "The comparison uses unlit colours",
+        "shape": "The comparison uses shading only, because A or B has no colours",
     }
-    return f"{format_table(rows)}\n\n{compared[metrics['compared']]}. The worst is {metrics['worst']}."
+    return (
+        f"{format_table(rows)}\n\n{compared[metrics['compared']]}. The worst viewpoint is {metrics['worst']}."
+    )

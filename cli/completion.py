@@ -1,6 +1,6 @@
-"""Words that a shell offers: parameters and their values, and names of stages.
+"""Shell completion of parameters, their values, and stage names.
 
-Nothing is imported before the shell asks.
+Modules are imported only when the shell requests completions.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-# Maximum characters of the description of a word. A shell takes a second line for another word.
+# Maximum characters of a description. Shells break the list if a description exceeds a line.
 _MAX_TEXT = 70
 
 
@@ -21,9 +21,9 @@ def complete_stages() -> list[str]:
 
 
 def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the words that `--set` can go on with, each with its meaning.
+    """Return the completions of a word of `--set`, each with its description.
 
-    These are sections; then the parameters of one; then its choices, or the default.
+    Completes the section, then the parameter, then one of its choices or its default.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tu
     section, dot, name = incomplete.partition(".")
     near = [one for one in sections if one.startswith(section)]
     if not dot and len(near) != 1:
-        # Without the dot, shells put a space behind a section.
+        # Without the dot, shells append a space to a section.
         return [(f"{one}.", summarize(type(sections[one]))) for one in near]
     section = section if dot else near[0]
     if section not in sections:
@@ -46,7 +46,7 @@ def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tu
     for key, about in matches.items():
         word, text = f"{section}.{key}=", _shorten(about.text)
         words.append((word, text))
-        # Shells put a space behind the only word they are offered.
+        # Shells append a space to a single completion.
         if len(matches) == 1 or key == name:
             values = about.choices or _example_values(get_hint(type(params), key), get_value(params, key))
             words += [(word + value, text) for value in values]
@@ -54,7 +54,7 @@ def complete_assignment(incomplete: str, sections: Mapping[str, Any]) -> list[tu
 
 
 def summarize(cls: type) -> str:
-    """Return the first line about a parameter class, shortened."""
+    """Return the first docstring line of a parameter class, shortened."""
     return _shorten((cls.__doc__ or "").split("\n")[0])
 
 

@@ -1,4 +1,4 @@
-"""Exceptions as one sentence and an exit code."""
+"""Conversion of exceptions to a message and an exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from scanloom.stages.files.codes import FILE_PATH_INVALID
 # Base class of typer's exceptions for a wrong command line, which has no public name.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
 
-# Errors of the operating system that another path or permission fixes. Others are errors of the machine.
+# Operating system errors that another path or permission resolves. Others are errors of the machine.
 _PATH_ERRORS = {
     errno.ENOENT: "there is no such file or folder",
     errno.EACCES: "the permission is missing",

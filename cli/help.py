@@ -1,4 +1,4 @@
-"""Help texts: plain lines, as wide as the terminal, but 100 columns at most."""
+"""Help texts: plain lines as wide as the terminal, up to 100 columns."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class HelpCommand(TyperCommand):
     load_sections: Callable[[], Mapping[str, type]] = dict
 
     def find_keys(self, option: str) -> list[str]:
-        """Return the parameters that an option would have, if it existed, such as `fuse.truncation`."""
+        """Return the parameters with the name of an unknown option, such as `fuse.truncation`."""
         name = option.lstrip("-").replace("-", "_")
         return [
             f"{section}.{key}"
@@ -49,7 +49,7 @@ class HelpGroup(TyperGroup):
     """A group of commands with help in plain lines."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that words name; for a command of a group, refer to the group."""
+        """Return the named command; for a command of a group, raise an error that names the group."""
         name = args[0]
         group = next((one for one, about in GROUPS.items() if name in about.files), None)
         if ctx.parent is None and group is not None and name not in self.commands:

@@ -1,7 +1,7 @@
-"""Ctrl-C before and after the work of a command: one sentence and an exit code, no traceback.
+"""Handling of Ctrl-C before and after a command: a message and an exit code, no traceback.
 
-During imports Python would print a traceback. Nothing has to be cleaned up then, so the process exits at
-once. While a command works, KeyboardInterrupt is raised as usual.
+During imports Python would print a traceback. There is nothing to clean up then, so the process exits
+immediately. While a command works, KeyboardInterrupt is raised as usual.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from types import FrameType
 
 from scanloom.cli.exit_codes import INTERRUPTED
 
-SENTENCE = "Interrupted; what was finished is kept."
+SENTENCE = "Interrupted; finished results are kept."
 
 _happened = False
 
@@ -28,7 +28,7 @@ def raise_interrupt() -> None:
 
 
 def was_interrupted() -> bool:
-    """Check if Ctrl-C was pressed; some libraries replace KeyboardInterrupt by another error."""
+    """Check if Ctrl-C was pressed; some libraries replace KeyboardInterrupt with another error."""
     return _happened
 
 

@@ -37,10 +37,10 @@ def read_mesh_file(path: Path) -> Mesh:
 
 
 def read_mesh_or_cloud_file(path: Path, out: Output) -> Mesh:
-    """Read the mesh or point cloud of a file, and remark if it is a cloud."""
+    """Read a mesh or point cloud, and print a remark for a cloud."""
     mesh = read_mesh_or_cloud(require_file(path))
     if is_cloud(mesh):
-        out.remark(f"{path}: no triangles; it is taken as a cloud of {len(mesh.vertices):,} points.")
+        out.remark(f"{path}: no triangles; treated as a point cloud of {len(mesh.vertices):,} points.")
     return mesh
 
 
@@ -51,7 +51,7 @@ def read_with_up(path: Path) -> Mesh:
 
 @contextmanager
 def locate_diagnostics(path: Path, called: str = "mesh") -> Iterator[None]:
-    """Name the file in diagnostics about the mesh read from it, which a stage calls `called`."""
+    """Replace the location `called` by the file in diagnostics about the mesh read from it."""
 
     def locate(diagnostic: Diagnostic) -> Diagnostic:
         is_about_mesh = diagnostic.where is None or diagnostic.where == DiagnosticLocation(called)
@@ -67,7 +67,7 @@ def locate_diagnostics(path: Path, called: str = "mesh") -> Iterator[None]:
 
 
 def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
-    """Write a mesh, and remark its size; the folder is created if it does not exist.
+    """Write a mesh and print its size; the folder is created if missing.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None =
     if lost := list_unsupported_data(path.suffix.lower(), mesh if original is None else original):
         emit(
             MESH_LEFT_OUT.warning(
-                "{format} holds the shape alone: the {lost} are left out",
+                "{format} stores geometry only: the {lost} are left out",
                 path,
                 remedy="write .ply or .glb.",
                 format=path.suffix,
@@ -89,7 +89,7 @@ def write_mesh_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None =
 
 
 def remark_written(path: Path, mesh: Mesh, out: Output) -> None:
-    """Remark the size of a written mesh."""
+    """Print the size of a written mesh."""
     if is_cloud(mesh):
         out.remark(f"{path}: {len(mesh.vertices):,} points")
     else:

@@ -2,7 +2,7 @@
 
 A command names a parameter class in its signature and gets an instance. `with_options` replaces the argument
 by an option for each common parameter. `--set section.parameter=value` sets all others; the name of the
-argument is the section. Names, texts, units, ranges and defaults are those of the class.
+argument is the section. The class declares names, texts, units, ranges and defaults.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SET_ONLY = "set only"
 
 @dataclass(frozen=True)
 class SetWords:
-    """Annotation of an argument that gets the words of `--set` for the sections of a configuration.
+    """Annotation of an argument that receives the assignments of `--set` to configuration sections.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class ParameterGroup:
 
     @property
     def options(self) -> dict[str, str]:
-        """Return the names of parameters with an option, by the name of the option's value."""
+        """Map option names to the parameters that they set."""
         if self.is_set_only:
             return {}
         names = [name for name, about in describe_all(self.cls).items() if about.common]
@@ -191,10 +191,10 @@ def parameter_groups(function: Callable[..., None]) -> list[ParameterGroup]:
 
 
 def describe_set(function: Callable[..., None]) -> str:
-    """Return the last line of a help: how to list the parameters for `--set`, if any."""
+    """Return the last help line, which explains how to list parameters for `--set`, if any."""
     sections = list(dict.fromkeys(group.section for group in parameter_groups(function)))
     if any(map(_is_set_words, get_type_hints(function, include_extras=True).values())):
-        # The section `scan` is one of all.
+        # `--all` includes the section `scan`.
         sections = ["--all", *(section for section in sections if section != "scan")]
     elif not _needs_set(function):
         return ""
@@ -221,7 +221,7 @@ def _is_set_words(hint: Any) -> bool:
 
 @dataclass(frozen=True)
 class _AssignmentReader:
-    """Reads and completes the words of `--set` of one command."""
+    """Parser and completer of `--set` for one command."""
 
     groups: tuple[ParameterGroup, ...]
     words: tuple[SetWords, ...]
@@ -270,14 +270,14 @@ class _AssignmentReader:
                 raise UsageError(
                     USAGE_OPTIONS_CONFLICT,
                     "both {option} and --set {key} are given",
-                    remedy="leave one of them out.",
+                    remedy="omit one of them.",
                     option=options[key],
                     key=key,
                 )
         return assignments
 
     def words_of(self, one: SetWords, words: Sequence[str]) -> list[str]:
-        """Return the words for the sections of a configuration."""
+        """Return the assignments to sections of the configuration."""
         known = one.load() if words else {}
         return [word for word in words if word.partition(".")[0].strip() in known]
 
@@ -308,7 +308,7 @@ def _nest(name: str, value: Any) -> dict[str, Any]:
 
 
 def _merge(changes: dict[str, Any], more: Mapping[str, Any]) -> None:
-    """Add changes in place; a mapping adds to a nested section."""
+    """Merge changes in place, recursively for nested sections."""
     for name, value in more.items():
         if isinstance(value, Mapping):
             _merge(changes.setdefault(name, {}), value)
@@ -317,7 +317,7 @@ def _merge(changes: dict[str, Any], more: Mapping[str, Any]) -> None:
 
 
 def _pick(params: Any, names: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of the named parameters; a nested section is a mapping."""
+    """Return the values of the named parameters; nested sections as mappings."""
     return {
         name: _pick(getattr(params, name), nested) if isinstance(nested, dict) else getattr(params, name)
         for name, nested in names.items()
@@ -325,7 +325,7 @@ def _pick(params: Any, names: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def help_of(about: ParameterInfo, default: Any) -> str:
-    """Return the text of a parameter with unit, range and default."""
+    """Return the help text of a parameter with unit, range and default."""
     facts = ", ".join(_facts(about, default))
     text = about.text.rstrip().removesuffix(".").replace("`", "")
     return f"{text}. [{facts}]" if facts else f"{text}."
@@ -395,14 +395,14 @@ def _metavar(about: ParameterInfo, hint: Any, kind: Any) -> str | None:
 
 
 def _plain_type(hint: Any) -> Any:
-    """Return the type that an option is read as: the widest number type, without None."""
+    """Return the type of an option's value: the widest number type, without None."""
     kinds = get_allowed_types(hint)
     if get_row_length(hint):
         return kinds[0]
     for wide in (Path, float, int, bool, str):
         if wide in kinds:
             return wide
-    raise TypeError(f"no option can be made for {hint}")
+    raise TypeError(f"no option type for {hint}")
 
 
 def _join(names: Sequence[str]) -> str:
@@ -420,7 +420,7 @@ def _common_options(*, can_warn: bool, has_progress: bool) -> list[inspect.Param
 
 
 def _output(values: Mapping[str, Any]) -> Output:
-    # A failure may come before the options are parsed, so the handler of failures looks up --debug itself.
+    # A failure may occur before the options are parsed, so the error handler looks up --debug itself.
     return Output(
         as_json=values.get("as_json", False),
         quiet=values.get("quiet", False),
@@ -431,7 +431,7 @@ def _output(values: Mapping[str, Any]) -> Output:
 
 @contextmanager
 def _count_library_warnings(out: Output) -> Iterator[None]:
-    """Count the warnings of libraries, which Python prints."""
+    """Count warnings of libraries, which Python prints itself."""
     original = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

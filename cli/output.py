@@ -22,23 +22,23 @@ from scanloom.stages.progress import Progress, ignore_progress
 
 # Control characters, among them line breaks and terminal escapes, and the line separators of Unicode.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-# Maximum length of a message, in characters. Longer ones quote a damaged file.
+# Maximum length of a message, in characters. Longer messages quote a damaged file.
 _MAX_LINE = 2000
 
 
 class Output:
-    """Output of one command; `result` is called once, last.
+    """Output of one command; call `result` once, at the end.
 
     Parameters
     ----------
     as_json : print one JSON object to stdout, and only warnings, unmet requirements and failures to stderr.
     quiet : print no progress and no remarks.
     strict : exit with code 1 if there is a warning.
-    can_warn : JSON has `diagnostics` even if there are none.
+    can_warn : JSON includes `diagnostics`, possibly empty.
 
     Attributes
     ----------
-    before_line : called before a line is written; a progress draw_progress_bar removes itself then.
+    before_line : called before a line is written; progress bars remove themselves then.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Output:
         self.before_line: Callable[[], None] = _do_nothing
         self._strict = strict
         self._can_warn = can_warn
-        # In order, each once.
+        # Unique, in the order of their first report.
         self._diagnostics: dict[Diagnostic, None] = {}
 
     @property
@@ -64,7 +64,7 @@ class Output:
             self._print(text)
 
     def report(self, diagnostic: Diagnostic) -> None:
-        """Print a diagnostic to stderr, once, and keep it for JSON and the exit code.
+        """Print a diagnostic to stderr once, and record it for JSON and the exit code.
 
         Warnings and unmet requirements are printed with --quiet, too.
         """
@@ -80,11 +80,11 @@ class Output:
             self._print(f"scanloom: {text}")
 
     def count(self, diagnostic: Diagnostic) -> None:
-        """Keep a diagnostic that is printed elsewhere."""
+        """Record a diagnostic that is printed elsewhere."""
         self._diagnostics[diagnostic] = None
 
     def result(self, metrics: Mapping[str, Any], text: str | None = None) -> None:
-        """Print the result: JSON with --json, otherwise `text`, or the figures line by line."""
+        """Print the result: JSON with --json, otherwise `text`, or the metrics line by line."""
         if self.as_json:
             diagnostics = [one.to_dict() for one in self._diagnostics]
             text = to_json(
@@ -128,13 +128,13 @@ def _do_nothing() -> None:
 
 
 def to_one_line(text: str) -> str:
-    r"""Return text as one line: escape control characters (a line break as \n), and shorten the middle."""
+    r"""Return text as a single line: escape control characters, and shorten the middle."""
     line = _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text.rstrip())
     return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE // 2]} … {line[-_MAX_LINE // 2 :]}"
 
 
 def add_schema(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return figures with the version of the JSON schema."""
+    """Return metrics with the version of the JSON schema."""
     return {"schema": SCHEMA, **metrics}
 
 
@@ -181,7 +181,7 @@ def _is_nested(value: Any) -> bool:
 
 
 def format_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as columns: the first flush left, the others flush right."""
+    """Format rows as a table: first column left-aligned, others right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for first, *others in rows:

@@ -16,9 +16,9 @@ def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh) -> No
     if gap is not None:
         emit(
             COMPARE_MESHES_APART.unmet(
-                "lies {gap:.3g} m from {other_file}, which is more than their size",
+                "is {gap:.3g} m from {other_file}, which is more than their size",
                 file,
-                remedy="give meshes of one thing, in the same world and unit.",
+                remedy="give meshes of the same object, in the same coordinates and unit.",
                 gap=gap,
                 other_file=other_file,
             )

@@ -11,7 +11,9 @@ from scanloom.stages.params import check_parameters, param
 class PageParams:
     """Page in one file."""
 
-    size: float = param(5.0, "Size of the page; its models are simplified to fit.", unit="MB", low=1.2)
+    size: float = param(
+        5.0, "Maximum size of the page; its models are simplified to fit.", unit="MB", low=1.2
+    )
 
     def __post_init__(self) -> None:
         check_parameters(self)

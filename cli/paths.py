@@ -22,7 +22,10 @@ def require_scan(folder: Path) -> Path:
     """Return the path of a scan, which is a folder or a file, if it exists."""
     if not folder.exists():
         raise InputError(
-            FILE_PATH_INVALID, "there is no such folder or file", folder, remedy="give that of a scan."
+            FILE_PATH_INVALID,
+            "there is no such folder or file",
+            folder,
+            remedy="give a scan folder or recording.",
         )
     return folder
 
@@ -50,7 +53,7 @@ def require_new_file(path: Path, suffixes: tuple[str, ...]) -> Path:
         known = ", ".join(suffixes)
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "the extension {detail} stands for no format",
+            "unknown file extension {detail}",
             remedy="use {known}.",
             where=path,
             detail=path.suffix or "(none)",

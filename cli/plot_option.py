@@ -11,7 +11,7 @@ from scanloom.cli.paths import require_new_file
 
 
 def plot_option(what: str) -> Any:
-    """Return the option that draws `what`."""
+    """Return the option --plot that draws `what`."""
     return typer.Option(
         "--plot",
         metavar="FILE",
@@ -21,7 +21,7 @@ def plot_option(what: str) -> Any:
 
 
 def require_plot(path: Path | None) -> None:
-    """Check that a plot can be drawn and written to a path; None is no plot."""
+    """Check that a plot can be drawn and written; None means no plot."""
     if path is None:
         return
     from scanloom.stages.rendering.plots import SUFFIXES, require_plots

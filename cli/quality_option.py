@@ -1,4 +1,4 @@
-"""Option --quality, and the configuration that --quality and --config result in."""
+"""Option --quality, and the configuration from --quality and --config."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ QualityOption = Annotated[
     typer.Option(
         "--quality",
         metavar="|".join(QUALITIES),
-        help="Defaults of parameters: for a first look, as usual, or for best results. Default: that of "
-        f"--config, else {STANDARD}.",
+        help="Preset of parameter defaults, from fastest to best. Default: the preset of --config, else "
+        f"{STANDARD}.",
         autocompletion=lambda: list(QUALITIES),
         show_default=False,
     ),
@@ -61,9 +61,7 @@ def load_config(file: Path | None, quality: str | None) -> Config:
 def format_quality(quality: str) -> str:
     """Return the line of TOML that names a quality, after a comment with the parameters that it sets."""
     sets = [f"{section}.{name}" for section, values in QUALITIES[quality].items() for name in flatten(values)]
-    effect = (
-        f"{quality} sets {', '.join(sets)}." if sets else f"{quality} sets nothing: all are the defaults."
-    )
+    effect = f"{quality} sets {', '.join(sets)}." if sets else f"{quality} changes no parameter."
     words = f"Defaults of the other parameters: {', '.join(QUALITIES)}. {effect}"
     comment = textwrap.wrap(words, 100, initial_indent="# ", subsequent_indent="# ")
     return "\n".join([*comment, f'quality = "{quality}"', ""])

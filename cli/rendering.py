@@ -1,4 +1,4 @@
-"""Diagnostics in the words of the command line.
+"""Formatting of diagnostics with parameters as options of the command line.
 
 Messages name parameters by their keys, such as `fuse.voxel_size`, with or without a value. `name_as_typed`
 decides how the user of the running command types each: as an option, or with `--set`.
@@ -15,13 +15,13 @@ from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, CONFIG_U
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.params import describe_all, get_allowed_types, get_hint
 
-# A key of a parameter, perhaps with a value, but no part of a path or of a longer word. A "set" before the
-# key is part of the match, because `--set` says the same.
+# A key of a parameter, optionally with a value, but not as part of a path or longer word. A "set" before the
+# key is part of the match, because `--set` replaces it.
 _KEY = re.compile(
     r"(?<![\w./-])(?:--set |\b(?P<set>[Ss]et ))?(?P<key>[a-z]\w*(?:\.[a-z]\w*)+)"
     r"(?:(?P<equals>=)(?P<switch>true\b|false\b)?)?(?![\w/])"
 )
-# Mistakes in keys are named as keys: the user has typed one, and may have done so in a file.
+# Errors about keys keep the key: the user typed it, possibly in a file.
 _OF_KEYS = (CONFIG_PARAMETER_UNKNOWN.name, CONFIG_UNREADABLE.name)
 
 
@@ -45,7 +45,7 @@ class CommandParameters:
         return next((key for key, cls in self.sections.items() if name in describe_all(cls)), None)
 
 
-# Of the command that runs; a failure is rendered after it has returned, and from any thread.
+# Parameters of the running command. Failures are formatted after it returns, and from any thread.
 _running = CommandParameters()
 
 
@@ -98,7 +98,7 @@ def _replace_key(found: re.Match[str]) -> str:
 
 
 def _class_of(key: str) -> type | None:
-    """Return the class that has a parameter; None if the key is of none, such as the name of a file."""
+    """Return the class that has a parameter; None if there is no such class, for example for a file name."""
     from scanloom.pipeline.config import Config
 
     section, _, name = key.partition(".")
@@ -115,7 +115,7 @@ def render(diagnostic: Diagnostic) -> str:
 
 
 def _location(where: DiagnosticLocation) -> str:
-    """Return a location, with the parameter as it is typed; in a file it is a key."""
+    """Return a location, with the parameter as typed on the command line, or as key in a file."""
     if where.parameter is None or (where.file is not None and where.section is not None):
         return str(where)
     section = where.section or _running.find_section(where.parameter)

@@ -1,4 +1,4 @@
-"""Options that `run` and `batch` share, and the configuration that they result in."""
+"""Options shared by `run` and `batch`, and the configuration built from them."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ class LimitsParams:
 
     memory: str | None = param(
         None,
-        "Memory limit, such as `8 GB` (a number alone is MB). Work that would exceed the limit ends with "
-        "advice.",
+        "Memory limit, such as `8 GB` (a number alone is MB). Work that would exceed the limit stops "
+        "with an error.",
         common=True,
     )
     disk: str | None = param(
         None,
         "Limit of the disk space of results and cache, such as `20 GB`. Work that would exceed the limit "
-        "ends with advice.",
+        "stops with an error.",
     )
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class RunParams:
 
 
 def split_words(text: str | None) -> tuple[str, ...]:
-    """Return the words of a list with commas."""
+    """Split a comma-separated list."""
     return tuple(word for part in (text or "").split(",") if (word := part.strip()))
 
 
@@ -127,7 +127,7 @@ ConfigWords = Annotated[list[str], SetWords(config_sections)]
 def load_run_config(
     file: Path | None, quality: str | None, words: Sequence[str], scan: Mapping[str, Any] | None = None
 ) -> Config:
-    """Return the configuration that options result in, checked as far as is possible without the scan.
+    """Build the configuration from options, with all checks that need no scan.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def load_run_config(
 
     config = load_config(file, quality).set(words)
     config = replace(config, scan=replace(config.scan, **(scan or {})))
-    # A conflict of parameters of `simplify` is an error now, not after hours of fusion.
+    # Report conflicting parameters of `simplify` now, not after hours of fusion.
     select_method(config.simplify)
     return config
 
@@ -149,7 +149,7 @@ def _parse_size(size: str | None, name: str) -> int | None:
     Raises
     ------
     UsageError
-        If the text is no size, or 0.
+        If the text is not a size, or is 0.
     """
     from scanloom.pipeline.cache.cache_size import parse_size
 

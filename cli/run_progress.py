@@ -23,7 +23,7 @@ from scanloom.pipeline.run.events import (
 from scanloom.stages.printing import format_upper_bound
 from scanloom.stages.progress import Progress
 
-# A figure in metres in such a line.
+# A metric in metres in a stage's format string.
 _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
 
 

@@ -14,7 +14,7 @@ from scanloom.stages.params import describe_all
 
 @dataclass(frozen=True)
 class CommandSection:
-    """A section of a command, as far as it is not in the configuration.
+    """Parameters of a command's section that the configuration lacks.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ def all_sections() -> dict[str, type]:
 
 
 def complete_sections(incomplete: str) -> list[tuple[str, str]]:
-    """Return the sections that begin with a word, each with its summary, for a shell."""
+    """Return the sections with a prefix and their summaries, for shell completion."""
     types = all_sections()
     return [(name, summarize(cls)) for name, cls in types.items() if name.startswith(incomplete)]
 

@@ -6,8 +6,8 @@ import os
 
 from scanloom.cli import interrupts
 
-# Threads of OpenBLAS, which NumPy multiplies with, spin for some 20 ms after each product, in the way of
-# those that have work; 2⁴ turns are the least it knows. It is read where NumPy is loaded.
+# OpenBLAS threads spin for about 20 ms after each matrix product and delay working threads. 2⁴ iterations
+# are the minimum setting. OpenBLAS reads the setting when NumPy is imported.
 _SPIN = ("OPENBLAS_THREAD_TIMEOUT", "4")
 # OpenCV prints lines about damaged images, which are reported as diagnostics as well.
 _QUIET = ("OPENCV_LOG_LEVEL", "OFF")

@@ -1,4 +1,4 @@
-"""Progress bar that disappears while something else is written, and shows one task after another."""
+"""Progress bar that is hidden while other output is written, for consecutive tasks."""
 
 from __future__ import annotations
 

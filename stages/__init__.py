@@ -4,9 +4,10 @@
 >>> fused = fuse(read_scan("my_scan"))
 >>> light = simplify(clean(fused.mesh).mesh, ratio=0.1).mesh
 
-Each name below that is a verb is a function, in a file of its name in the room of its stage. A room is
-imported when one of its names is first used, and Open3D, OpenCV, SciPy and trimesh when a function first
-needs them, so importing this package costs nothing.
+Each stage is a package; functions are in files of the same name. A package is imported on first use of one of
+its names, and Open3D, OpenCV, SciPy and trimesh on the first call that needs them. Importing
+`scanloom.stages`
+is therefore fast.
 """
 
 from __future__ import annotations
@@ -287,7 +288,7 @@ __all__ = [
 ]
 
 
-# Hidden from type checkers: to them, what the imports above do not name is not there.
+# Hidden from type checkers, so that they report names missing from the imports above.
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:

@@ -100,7 +100,7 @@ def _get_mesh_path(name: str) -> str:
 
 
 def _make_method_jobs() -> Iterator[Job]:
-    """Yield each method on each model: count, bounds, both, own parameters."""
+    """Yield jobs that simplify each model with each method and its parameters."""
     for name, model in MODELS.items():
         shape = f"--max-shape {model.shape}"
         bounds = f"{shape} --max-color 40" if model.is_colored else shape
@@ -153,7 +153,7 @@ def _make_method_jobs() -> Iterator[Job]:
 
 
 def _make_region_jobs() -> Iterator[Job]:
-    """Yield simplification with regions, locks and importance, by command and API."""
+    """Yield jobs that simplify with regions, locks and importance, by command and API."""
     sphere = '--region "sphere 0 0.3 0.3 0.3 20"'
     box = '--region "box -9 -9 -9 9 0 9 lock"'
     for method, options in {
@@ -177,7 +177,7 @@ def _make_region_jobs() -> Iterator[Job]:
 
 
 def _make_record_jobs() -> Iterator[Job]:
-    """Yield records of each method that writes them, replayed at several counts.
+    """Yield jobs that record a simplification with each method and replay the record.
 
     The record of the first checkout is also replayed by the second.
     """
@@ -222,7 +222,7 @@ def _make_record_jobs() -> Iterator[Job]:
 
 
 def _make_normal_mesh_jobs() -> Iterator[Job]:
-    """Yield normal meshes: encoding, all levels, and truncated files."""
+    """Yield jobs on normal meshes: encoding, all levels, and truncated files."""
     for name, path, options in (
         ("horse", _get_mesh_path("horse"), ""),
         (
@@ -261,7 +261,7 @@ def _make_normal_mesh_jobs() -> Iterator[Job]:
 
 
 def _make_texture_jobs() -> Iterator[Job]:
-    """Yield simplified meshes with baked textures."""
+    """Yield jobs that simplify meshes and bake textures."""
     for name in ("duck", "airplane", "fuze"):
         original = _get_mesh_path(name)
         yield Job(
@@ -278,7 +278,7 @@ def _make_texture_jobs() -> Iterator[Job]:
 
 
 def _make_measurement_jobs() -> Iterator[Job]:
-    """Yield distances, certificates and planar patches."""
+    """Yield jobs that compare, certify, and find planar patches."""
     for name, model in MODELS.items():
         original = _get_mesh_path(name)
         max_color = "--max-color 60" if model.is_colored else ""
@@ -304,7 +304,7 @@ def _make_measurement_jobs() -> Iterator[Job]:
 
 
 def _make_rendering_jobs() -> Iterator[Job]:
-    """Yield renderings of textured, coloured and plain meshes."""
+    """Yield jobs that render textured, coloured and plain meshes."""
     for name in MODELS:
         yield Job(
             f"pictures/{name}",
@@ -318,7 +318,7 @@ def _make_rendering_jobs() -> Iterator[Job]:
 
 
 def _make_cleaning_jobs(data: Path) -> Iterator[Job]:
-    """Yield cleaning of each mesh, and of two meshes with each option."""
+    """Yield jobs that clean each mesh, and two meshes with each option."""
     for path in _find_mesh_files(data):
         yield Job(f"cleaning/{path.name}", (f"clean '{{data}}/{path}' clean.ply --json",))
     for name, path in {
@@ -338,13 +338,13 @@ def _make_cleaning_jobs(data: Path) -> Iterator[Job]:
 
 
 def _make_format_jobs(data: Path) -> Iterator[Job]:
-    """Yield each mesh written in all formats and read back."""
+    """Yield jobs that write each mesh in all formats and read it back."""
     for path in _find_mesh_files(data):
         yield Job(f"formats/{path.name}", (f"formats.py '{{data}}/{path}'",))
 
 
 def _make_damaged_file_jobs(data: Path) -> Iterator[Job]:
-    """Yield damaged files: their errors, or results if they can be repaired."""
+    """Yield jobs that read damaged files; the result is an error, or a mesh if the file can be repaired."""
     for path in sorted((data / "broken").iterdir()):
         yield Job(
             f"broken/{path.name}",
@@ -362,7 +362,7 @@ def _find_mesh_files(data: Path) -> list[Path]:
 
 
 def _make_recording_jobs() -> Iterator[Job]:
-    """Yield recordings in every format, complete and truncated."""
+    """Yield jobs that read recordings in every format, complete and truncated."""
     whole = ("realsense.bag", "realsense_raw.db3", "realsense_png.db3", "realsense_zstd.db3")
     whole += ("ros1_none.bag", "ros1_bz2.bag", "ros1_lz4.bag", "ros1_png.bag")
     whole += ("ros2.db3", "ros2_zstd.db3", "ros2.mcap", "ros2_zstd.mcap")
@@ -383,7 +383,7 @@ def _make_recording_jobs() -> Iterator[Job]:
 
 
 def _make_scan_jobs(data: Path) -> Iterator[Job]:
-    """Yield inspections of each scan folder."""
+    """Yield jobs that inspect each scan folder."""
     for sample in ("rgbd", "stereo"):
         scan = f"{{samples}}/{sample}"
         yield Job(
@@ -425,7 +425,7 @@ def _make_scan_jobs(data: Path) -> Iterator[Job]:
 
 
 def _make_stage_jobs() -> Iterator[Job]:
-    """Yield single stages that read scans."""
+    """Yield jobs of single stages that read scans."""
     stereo, rgbd = "{samples}/stereo", "{samples}/rgbd"
     yield Job(
         "stages/depth",
@@ -474,7 +474,7 @@ def _make_stage_jobs() -> Iterator[Job]:
 
 
 def _make_kitchen_jobs() -> Iterator[Job]:
-    """Yield a fused room with colours, holes and islands."""
+    """Yield jobs on a fused room with colours, holes and islands."""
     yield Job(
         "kitchen/methods",
         (
@@ -503,7 +503,7 @@ def _make_kitchen_jobs() -> Iterator[Job]:
 
 
 def _make_run_jobs() -> Iterator[Job]:
-    """Yield complete runs.
+    """Yield jobs of complete runs.
 
     A second run in the same folder reports the stages that it repeats and the reasons.
     """
@@ -528,7 +528,7 @@ def _make_run_jobs() -> Iterator[Job]:
 
 
 def _make_message_jobs() -> Iterator[Job]:
-    """Yield text for people: output without --json, and usage errors."""
+    """Yield jobs whose output is text for people: without --json, and usage errors."""
     spot, duck = _get_mesh_path("spot"), _get_mesh_path("duck")
     yield Job(
         "words/text",

@@ -46,7 +46,7 @@ def adjust(
             "these are images without depth",
             folder,
             remedy=(
-                "run `scanloom depth {folder} OUTDIR` and adjust OUTDIR, or `scanloom run` for the whole way."
+                "run `scanloom depth {folder} OUTDIR` and adjust OUTDIR, or run all stages: `scanloom run`."
             ),
             folder=folder,
         )

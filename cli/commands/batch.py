@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class BatchParams:
-    """Scans of a batch, and who processes them."""
+    """Parameters of `batch`: ignored scans and the Dask scheduler."""
 
     exclude: str | None = param(
         None, "Ignore scans whose name matches one of these patterns, such as `old/*,test-*`."
@@ -49,7 +49,7 @@ class BatchParams:
     dask: str | None = param(
         None,
         "Process the scans with Dask (needs the extra `dask`): the address of a running scheduler, such as "
-        "tcp://host:8786, or slurm, pbs, sge, lsf, oar or htcondor, by which dask-jobqueue starts --jobs "
+        "tcp://host:8786, or slurm, pbs, sge, lsf, oar or htcondor, where dask-jobqueue starts --jobs "
         "workers.",
     )
 
@@ -92,8 +92,8 @@ def batch(
 
     OUT/SCAN gets the results of `scanloom run` for each scan. index.html shows all results with pictures,
     metrics and warnings; batch.csv has the metrics. Scans are found in nested folders, too; other folders
-    are named. If a scan fails, the others go on, the table has the reason, and the exit code is 1. A second
-    batch repeats only what has changed, and resumes an interrupted batch.
+    are listed. If a scan fails, the others continue, the table has the reason, and the exit code is 1. A
+    second batch only processes changed scans, and resumes an interrupted batch.
 
     --queue-only lets several machines share the work: run scanloom worker OUT on each.
 
@@ -118,7 +118,7 @@ def batch(
     if where == folder or target == folder:
         raise UsageError(
             BATCH_ALREADY_EXISTS,
-            "results and cache cannot stand among the scans",
+            "the output folder and the cache cannot be the folder of the scans",
             remedy="name other folders.",
             where=folder,
         )
@@ -179,7 +179,7 @@ def _portable(config: Config) -> Config:
     for section, names in named.items():
         params = getattr(config, section)
         values = {name: getattr(params, name) for name in names}
-        # Other files are looked for in the folder of each scan.
+        # Paths that do not exist here are searched in the folder of each scan.
         there = {name: str(Path(one).resolve()) for name, one in values.items() if one and Path(one).exists()}
         config = replace(config, **{section: replace(params, **there)})
     return config
@@ -209,13 +209,13 @@ def _find_scans(
     )
     if not found:
         why = f"; {others[0].path.name}: {others[0].reason}" if others else ""
-        which = " that is asked for" if include or exclude else ""
+        which = " that --include and --exclude select" if include or exclude else ""
         raise InputError(
-            BATCH_SCANS_NOT_DONE, "there is no scan{which} in it{why}.", folder, which=which, why=why
+            BATCH_SCANS_NOT_DONE, "the folder contains no scan{which}{why}.", folder, which=which, why=why
         )
     return [(one.path, one.name) for one in found], others
 
 
 def _remark_others(others: list[FolderWithoutScan], out: Output) -> None:
     for one in others:
-        out.remark(f"no scan: {one.path}: {one.reason}")
+        out.remark(f"not a scan: {one.path}: {one.reason}")

@@ -48,12 +48,12 @@ def certify(
         write_bounds(save_bounds, mesh, found.shape_bound, found.color_bound, out)
     metrics = found.to_dict()
     if found.within_limits is False:
-        emit(SIMPLIFY_BOUND_NOT_PROVEN.unmet("the limits are not proven to be kept.", result))
+        emit(SIMPLIFY_BOUND_NOT_PROVEN.unmet("the limits are not proven.", result))
     out.result(metrics, None if out.as_json else _certificate_text(metrics))
 
 
 def _certificate_text(metrics: Mapping[str, Any]) -> str:
-    rows = [["", "found", "proven to be at most"]]
+    rows = [["", "attained", "proven maximum"]]
     measures = (("distance m", "shape", "m"), ("colour difference levels", "color", "levels"))
     for name, key, unit in measures:
         found, bound = (metrics[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
@@ -63,5 +63,5 @@ def _certificate_text(metrics: Mapping[str, Any]) -> str:
             )
     text = format_table(rows)
     if metrics["within_limits"] is not None:
-        text += f"\n\nLimits {'are kept' if metrics['within_limits'] else 'are not proven to be kept'}."
-    return f"{text}\n\n{metrics['slack_m']:.3g} m of that are for searches in single precision."
+        text += f"\n\nThe limits are {'proven' if metrics['within_limits'] else 'not proven'}."
+    return f"{text}\n\nThe bounds include {metrics['slack_m']:.3g} m for searches in single precision."

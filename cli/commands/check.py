@@ -26,7 +26,7 @@ def check(
         str,
         typer.Option(
             metavar="WORDS",
-            help="Requirements, with commas; the exit code is 1 if one is not met: "
+            help="Requirements, separated by commas; the exit code is 1 if one is not met: "
             + ", ".join(REQUIREMENTS)
             + ".",
             show_default=False,
@@ -68,12 +68,12 @@ def _text(found: CheckResult) -> str:
     rows = [["", ""]]
     rows += [[w.removeprefix("is_"), "yes" if h else "no"] for w, h in zip(words, holds, strict=True)]
     rows += [[name, f"{getattr(topology, name):,}"] for name in ("vertices", "triangles", "components")]
-    rows += [["pieces that look inwards", f"{found.inside_out_count:,}"]]
+    rows += [["inside-out components", f"{found.inside_out_count:,}"]]
     if metrics["thickness_min_m"] is not None:
         keys = ("thickness_min_m", "thickness_5_percent_of_triangles_m", "thickness_median_m")
-        rows += [["thickness: least, 5 %, median", ", ".join(f"{metrics[key]:.4g}" for key in keys) + " m"]]
+        rows += [["thickness: minimum, 5 %, median", ", ".join(f"{metrics[key]:.4g}" for key in keys) + " m"]]
     text = format_table(rows) + "\n\n"
-    irregular: list[list[str]] = [["class", "places", "first at (m)"]]
+    irregular: list[list[str]] = [["class", "count", "first location (m)"]]
     for name, (_, _, what) in CLASSES.items():
         points: Any = found.defect_points[name]
         where = ", ".join(f"{x:.4g}" for x in points[0]) if len(points) else ""

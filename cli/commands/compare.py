@@ -39,9 +39,9 @@ from scanloom.stages.surface.mesh_files import GEOMETRY_ONLY_EXTENSIONS, set_def
 from scanloom.stages.surface.point_cloud import is_cloud
 from scanloom.stages.surface.raycasting import RaycastingSurface
 
-# Formats that keep the colours of a change.
+# Formats that support the colours of --change.
 COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in GEOMETRY_ONLY_EXTENSIONS)
-# Points of a cloud that are drawn.
+# Maximum number of drawn points of a cloud.
 _MAX_SPOTS = 400_000
 # The picture of deviations, px: each view, the bar of colours, and the scale that the bar is part of.
 _VIEW_WIDTH, _BAR, _SCALE_WIDTH = 1000, 28, 200
@@ -72,7 +72,7 @@ def compare(
         typer.Option(
             "--align",
             metavar="none|icp",
-            help="icp moves B onto A first, rigidly; B has to lie there roughly. [default: none]",
+            help="icp first aligns B with A rigidly; it needs a rough initial alignment. [default: none]",
             show_default=False,
         ),
     ] = "none",
@@ -91,13 +91,13 @@ def compare(
         typer.Option(metavar="FILE", help="Picture (.png) of the deviation.", show_default=False),
     ] = None,
     show_change: Annotated[
-        bool, typer.Option("--change", help="Report what is new in B and what of A is gone, with areas.")
+        bool, typer.Option("--change", help="Report new surface in B and removed surface of A, with areas.")
     ] = False,
     save_change: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Mesh file for --change: B in grey, new in green, gone in red.",
+            help="Mesh file for --change: B in grey, new surface in green, removed surface in red.",
             show_default=False,
         ),
     ] = None,
@@ -122,15 +122,15 @@ def compare(
     """Measure the deviation between meshes or point clouds.
 
     Reports distance (both ways) and colour difference (levels and ΔE2000), percentiles, the worst points, and
-    the share within --tolerance. Deviations have a sign if A is oriented: positive in front of A. Relative
+    the ratio within --tolerance. Deviations have a sign if A is oriented: positive in front of A. Relative
     distances refer to the diagonal of the bounding box of A. Distances to a cloud are those to its nearest
     point; distances to a surface are exact.
 
-    --change is for two scans of one place: surface farther than change.change_distance from the other mesh is
-    new or gone. Surface that the later scan did not see counts as gone. views.views draws A and B and
-    reports PSNR and SSIM of the pictures.
+    --change is for two scans of one location: surface farther than change.change_distance from the other mesh
+    is new or removed. Surface that the later scan did not observe counts as removed. views.views
+    draws A and B and reports PSNR and SSIM of the pictures.
 
-    The exit code is 1 if the meshes lie farther apart than the size of the smaller one.
+    The exit code is 1 if the distance between the meshes exceeds the size of the smaller one.
 
     Example: scanloom compare fused.ply simplified.ply --tolerance 0.002 --picture off.png
 
@@ -141,7 +141,7 @@ def compare(
     if save_aligned is not None:
         if align == "none":
             raise UsageError(
-                USAGE_OPTIONS_CONFLICT, "--save-aligned needs --align icp: nothing is moved without it."
+                USAGE_OPTIONS_CONFLICT, "--save-aligned needs --align icp; without it B is not moved."
             )
         require_new_file(save_aligned, MESH_SUFFIXES)
     if save_change is not None:
@@ -206,7 +206,7 @@ def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:
         if is_wanted and cloud is not None:
             raise UsageError(
                 COMPARE_POINT_CLOUD,
-                "{option} needs two surfaces, and {cloud} is a cloud of points",
+                "{option} needs two meshes, but {cloud} is a point cloud",
                 remedy="leave it out.",
                 option=option,
                 cloud=cloud,

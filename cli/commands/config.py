@@ -100,7 +100,7 @@ def _common_names(cls: type) -> list[str]:
 
 
 def _section_texts(configuration: Config, name: str) -> list[str]:
-    """Return all parameters of a section as TOML; those of commands are comments."""
+    """Return all parameters of a section as TOML; parameters of commands become comments."""
     texts = []
     if name in configuration.get_types():
         texts.append(section_toml(name, getattr(configuration, name)).rstrip())

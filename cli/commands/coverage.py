@@ -40,7 +40,7 @@ def coverage(
 ) -> None:
     """Find gaps of a scan and where to capture them.
 
-    Lists holes, space that no frame saw, and surface that was measured by few frames, obliquely, from far, or
+    Lists holes, unobserved space, and surface that was measured by few frames, obliquely, from far away, or
     inconsistently; the most important first, each with a viewpoint and the nearest frames. OUT gets
     coverage.json, coverage.ply and coverage.glb, the mesh coloured by kind, and report.html shows the same.
     The outer boundary of the scan is not listed.
@@ -66,8 +66,8 @@ def _lines(metrics: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
     m, m2 = ("m", "m²") if is_metric else ("units", "units²")
     places = metrics["places"]
     if not places:
-        return ["nothing is missing: the surface has no holes, and all of it was seen well."]
-    rows = [["", "what", m2, f"at ({m})", f"look from ({m})", "nearest frame", "which"]]
+        return ["No gaps: the surface has no holes and is well observed everywhere."]
+    rows = [["", "defect", m2, f"location ({m})", f"viewpoint ({m})", "nearest frame", "view of the frame"]]
     for number, one in enumerate(places, 1):
         nearest = one["nearest_frames"][0]
         rows.append(
@@ -84,18 +84,18 @@ def _lines(metrics: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
     lines = [format_table(rows), ""]
     if metrics["places_omitted"]:
         lines.append(
-            f"{metrics['places_omitted']:,} smaller places are not listed; see coverage.max_defects and "
+            f"{metrics['places_omitted']:,} smaller defects are not listed; see coverage.max_defects and "
             "coverage.min_area."
         )
     missing, thin = sum(metrics["missing_m2"].values()), sum(metrics["weakly_observed_m2"].values())
     surface = metrics["surface_m2"]
     lines.append(
-        f"{_area(missing)} {m2} open to what no frame saw, beside {_area(surface)} {m2} of surface, of which "
-        f"{thin / surface:.0%} was hardly seen; {format_count(metrics['frames_used'], 'frame')}"
+        f"{_area(surface)} {m2} of surface, {thin / surface:.0%} of it weakly observed; {_area(missing)} "
+        f"{m2} next to space that no frame observed; {format_count(metrics['frames_used'], 'frame')}"
     )
     lines.append(
-        f"frames are within {metrics['spread_median_m']:.2g} {m} of half of what they measured, RMS, "
-        f"and within {metrics['spread_95_m']:.2g} {m} of 95 % of it"
+        f"disagreement of frames, RMS: median {metrics['spread_median_m']:.2g} {m}, "
+        f"95th percentile {metrics['spread_95_m']:.2g} {m}"
     )
     return lines
 

@@ -37,7 +37,7 @@ def decode(
 ) -> None:
     """Decode a level of a normal mesh.
 
-    The mesh is bit-identical to the result of `scanloom mesh remesh`. If the file is damaged or cut short,
+    The mesh is bit-identical to the result of `scanloom mesh remesh`. If the file is damaged or truncated,
     the intact levels can still be decoded, with a warning.
 
     Example: scanloom mesh decode normal.snm coarse.ply --level 2
@@ -49,7 +49,7 @@ def decode(
     if found.damage is not None:
         emit(
             LEVELS_FILE_DAMAGED.warning(
-                "only levels 0 to {level} are whole: {damage}",
+                "only levels 0 to {level} are intact: {damage}",
                 source,
                 level=len(found.offsets),
                 damage=found.damage,

@@ -46,11 +46,11 @@ def doctor(
     found = describe_machine()
     if bundle is None:
         if of_run is not None:
-            raise UsageError(USAGE_OPTIONS_CONFLICT, "--run needs --bundle: it says which run goes into it.")
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "--run needs --bundle: it names the run to include.")
     else:
         require_new_file(bundle, (".zip",))
         _write(bundle, found, of_run)
-        out.remark(f"{bundle}: look into it before you send it")
+        out.remark(f"{bundle}: check the content before you send it")
     out.result(found, None if out.as_json else _text(found))
 
 
@@ -60,12 +60,16 @@ def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
         report = of_run / REPORT
         if not report.is_file():
             raise InputError(
-                FILE_PATH_INVALID, "holds no {report}", of_run, remedy="give the OUT of a run.", report=REPORT
+                FILE_PATH_INVALID,
+                "contains no {report}",
+                of_run,
+                remedy="give the output folder of a run.",
+                report=REPORT,
             )
         texts[REPORT] = read_input_text(report, "utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     home = str(Path.home())
-    # As it is, and as JSON has it: where folders are parted by \, or names are of other letters than English.
+    # Plain, and escaped as in JSON: backslashes of Windows paths and non-ASCII characters differ.
     homes = dict.fromkeys((json.dumps(home)[1:-1], json.dumps(home, ensure_ascii=False)[1:-1], home))
     with write_file_atomically(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, text in texts.items():
@@ -83,10 +87,10 @@ def _text(found: Mapping[str, Any]) -> str:
         if isinstance(value, dict):
             rows += [[key, "not installed" if version is None else version] for key, version in value.items()]
         elif value is None:
-            rows.append([name.removesuffix("_bytes").replace("_", " "), "not known"])
+            rows.append([name.removesuffix("_bytes").replace("_", " "), "unknown"])
         elif name.endswith("_bytes"):
             rows.append([name.removesuffix("_bytes").replace("_", " "), format_size(value)])
         else:
             words = ", ".join(value) if isinstance(value, list) else str(value)
             rows.append([name.replace("_", " "), words])
-    return "\n".join([format_table(rows), *(f"odd: {sentence}" for sentence in found["platform_notes"])])
+    return "\n".join([format_table(rows), *(f"note: {sentence}" for sentence in found["platform_notes"])])

@@ -48,7 +48,7 @@ def fuse(
             "these are {what} without depth",
             folder,
             remedy=(
-                "run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, or `scanloom run` for the whole way."
+                "run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, or run all stages: `scanloom run`."
             ),
             what=what,
             folder=folder,

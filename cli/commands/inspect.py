@@ -34,7 +34,8 @@ def inspect(
 ) -> None:
     """Describe a scan folder and its problems.
 
-    Prints layout, frames, sizes, calibration, poses and depth, and warns about what would spoil a mesh.
+    Prints layout, frames, sizes, calibration, poses and depth, and warns about problems that would degrade a
+    mesh.
 
     Example: scanloom inspect my_scan --picture my_scan.png
     """

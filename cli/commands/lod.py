@@ -36,13 +36,13 @@ Slod = Annotated[
 ]
 Point = tuple[float, float, float]
 _Y_AXIS = (0.0, 1.0, 0.0)
-# In place of a model: no texture.
+# Value of --texture for no texture.
 NO_TEXTURE = "none"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewParams:
-    """Picture that levels of detail are selected for."""
+    """View for which levels of detail are selected."""
 
     up: tuple[float, float, float] = param(_Y_AXIS, "Up direction of the picture.")
     width: int = param(1280, "Width of the picture.", unit="px", low=1)
@@ -143,11 +143,11 @@ def cut(
     model_file = None if texture in (None, NO_TEXTURE) else Path(str(texture))
     require_new_file(target, MESH_SUFFIXES if model_file is None else TEXTURED_SUFFIXES)
     if (eye is None) != (look is None):
-        raise UsageError(USAGE_OPTIONS_CONFLICT, "a view needs both --eye and --look.")
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "a viewpoint needs both --eye and --look.")
     camera = None
     if eye is not None and look is not None:
         camera = levels.View(eye, look, view.up, view.width, view.height, view.field_of_view)
-    # The effect of a region, which `simplify` needs, has no meaning here.
+    # `parse_region` requires an effect, which is not used here.
     where = None if region is None else parse_region(f"{region} lock")
     hierarchy = levels.read_slod(require_file(source))
     emit(*hierarchy.diagnostics)
@@ -163,7 +163,7 @@ def cut(
     if max_shape is not None and metrics["shape_bound_m"] > max_shape:
         emit(
             LEVELS_LEVEL_MISSING.unmet(
-                "the finest level is proven within {bound} m alone.",
+                "the proven error of the finest level is {bound} m, which exceeds max_shape.",
                 source,
                 bound=format_upper_bound(metrics["shape_bound_m"]),
             )
@@ -190,7 +190,7 @@ def _print_levels(hierarchy: Hierarchy, path: Path, out: Output) -> None:
 
 
 def _text(metrics: Mapping[str, Any]) -> str:
-    rows = [["level", "cells", "triangles", "largest cell", "proven within m", "levels of colour"]]
+    rows = [["level", "cells", "triangles", "largest cell", "proven error m", "colour levels"]]
     for level in metrics["levels"]:
         color = level["color_bound_levels"]
         rows.append(
@@ -215,22 +215,24 @@ def _text(metrics: Mapping[str, Any]) -> str:
         ]
     )
     text = (
-        f"{format_table(rows)}\n\n{metrics['stored_triangles']:,} triangles are kept for "
-        f"{metrics['input_triangles']:,} of the input, in {format_size(metrics['bytes'])}."
+        f"{format_table(rows)}\n\n{metrics['stored_triangles']:,} triangles stored for "
+        f"{metrics['input_triangles']:,} input triangles, in {format_size(metrics['bytes'])}."
     )
     if metrics["one_sided"]:
         text += (
-            f"\n{metrics['dropped_islands']:,} loose pieces, of {metrics['dropped_triangles']:,} triangles, "
-            "were dropped: what is proven holds from each level to the input, and back from all else of it."
+            f"\n{metrics['dropped_islands']:,} small components, {metrics['dropped_triangles']:,} triangles, "
+            "were dropped. Bounds from the input to a level do not cover them."
         )
     return text
 
 
 def _cut_text(metrics: Mapping[str, Any]) -> str:
     color = metrics["color_bound_levels"]
-    proven = "proven" if metrics["proven"] else "of the next coarser level, between two that are proven"
+    proven = (
+        "proven" if metrics["proven"] else "the bound of the next coarser level, not proven between levels"
+    )
     if metrics["one_sided"]:
-        proven += ", but for the loose pieces that were dropped"
+        proven += "; dropped components are not covered"
     colors = "" if color is None else f" and {format_upper_bound(color)} levels"
     return (
         f"{metrics['triangles']:,} triangles of {metrics['nodes']:,} cells, "

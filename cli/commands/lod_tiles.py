@@ -21,7 +21,7 @@ from scanloom.stages.lod.tiles import TILESET, TILESET_DESCRIPTION, is_tileset
 from scanloom.stages.params import param
 from scanloom.stages.printing import format_upper_bound
 
-# In place of a model: no texture.
+# Value of --texture for no texture.
 NO_TEXTURE = "none"
 
 
@@ -99,8 +99,9 @@ def _text(metrics: Mapping[str, Any]) -> str:
         f"the root {format_size(metrics['root_bytes'])}, the median {format_size(metrics['median_bytes'])}, "
         f"the largest {format_size(metrics['largest_bytes'])}.\n"
         f"Positions have {metrics['positions']}, on a grid of {metrics['grid_step_m']:.3g} m, which moves "
-        f"them by at most {format_upper_bound(metrics['grid_displacement_m'])} m; this is in each "
-        "geometricError." + ("" if metrics["images"] is None else f"\n{_images_text(metrics['images'])}")
+        f"them by at most {format_upper_bound(metrics['grid_displacement_m'])} m; each "
+        "geometricError includes this."
+        + ("" if metrics["images"] is None else f"\n{_images_text(metrics['images'])}")
     )
 
 

@@ -42,9 +42,9 @@ def probe(
     if write and target.exists():
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
-            "is there already",
+            "this file already exists",
             target,
-            remedy="move it away, or leave out --write.",
+            remedy="rename or remove it, or omit --write.",
         )
     with out.progress("probe", "ways") as progress:
         found = probe_network(network, progress=progress)
@@ -52,12 +52,12 @@ def probe(
     if found.error_px is None:
         emit(
             DEPTH_NETWORK_UNIDENTIFIED.warning(
-                "of one image no shift is known: range, mean, std, unit and sign are the usual ones",
+                "a network for single images cannot be probed: range, mean, std, unit and sign are guessed",
                 remedy="compare them with the documentation of the network",
             )
         )
     if found.alternatives:
-        out.remark(f"the pair does not tell it apart from {'; '.join(found.alternatives)}")
+        out.remark(f"the image pair cannot distinguish this from {'; '.join(found.alternatives)}")
     if write:
         with write_file_atomically(target) as draft:
             draft.write_text(text, encoding="utf-8", newline="\n")

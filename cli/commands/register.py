@@ -46,7 +46,7 @@ def register(
             "these are stereo pairs without depth",
             folder,
             remedy=(
-                "run `scanloom depth {folder} OUTDIR`, register OUTDIR, or `scanloom run` for the whole way."
+                "run `scanloom depth {folder} OUTDIR`, register OUTDIR, or run all stages: `scanloom run`."
             ),
             folder=folder,
         )

@@ -33,7 +33,7 @@ def remesh(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="File (.snm) for all levels, for scanloom mesh decode; its beginning is a coarser mesh.",
+            help="File (.snm) for all levels, for scanloom mesh decode; truncated, it is a coarser mesh.",
             show_default=False,
         ),
     ] = None,
@@ -90,8 +90,8 @@ def _confidence(path: Path) -> NDArray[np.float64] | None:
     if values is not None and not np.isfinite(values).all():
         raise InputError(
             MESH_NO_SURFACE,
-            "has a confidence that is not finite",
+            "the vertex property `confidence` has values that are not finite",
             path,
-            remedy="remove the property `confidence`.",
+            remedy="remove the property.",
         )
     return values

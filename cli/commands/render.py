@@ -164,7 +164,7 @@ def render(
     *sources, target = files
     if not sources:
         raise UsageError(
-            RENDER_NOTHING_TO_DRAW, "give one or more mesh files, and last the picture or the video to write."
+            RENDER_NOTHING_TO_DRAW, "give one or more mesh files, then the picture or video to write."
         )
     require_new_file(target, _SUFFIXES)
     is_video = target.suffix.lower() == _VIDEO
@@ -208,7 +208,7 @@ def render(
 
 def _free_view(eye: Point | None, look: Point | None) -> tuple[Point, Point] | None:
     if (eye is None) != (look is None):
-        raise UsageError(USAGE_OPTIONS_CONFLICT, "a free view needs both --eye and --look.")
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "a viewpoint needs both --eye and --look.")
     return None if eye is None or look is None else (eye, look)
 
 
@@ -238,7 +238,7 @@ def _require_effect(
     if is_free and (has_scan or params.viewpoint != 1):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "--eye and --look are a viewpoint: omit --viewpoint and --scan.",
+            "--eye and --look define the viewpoint: omit --viewpoint and --scan.",
         )
     if params.field_of_view is not None and not is_free:
         raise UsageError(USAGE_OPTIONS_CONFLICT, "picture.field_of_view needs --eye and --look.")

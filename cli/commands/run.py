@@ -40,7 +40,7 @@ class SingleRunParams(RunParams):
 
     plot: str | None = param(
         None,
-        "Picture (.png or .svg) of how long each stage took; needs the extra `plot`.",
+        "Picture (.png or .svg) of the time of each stage; needs the extra `plot`.",
         is_path=True,
     )
 
@@ -85,7 +85,8 @@ def run(
     plot = None if run.plot is None else Path(run.plot)
     if dry_run and plot is not None:
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT, "run.plot draws how long stages took; --dry-run writes nothing."
+            USAGE_OPTIONS_CONFLICT,
+            "run.plot plots the times of stages, but --dry-run runs none; omit one of them.",
         )
     require_plot(plot)
     config = load_run_config(config_file, quality, words, scan)
@@ -123,9 +124,9 @@ def _plot(path: Path, result: RunResult) -> None:
 
 
 def _print_plan(found: DryRun, out: Output) -> None:
-    """Print what a run would do."""
+    """Print the stages that a run would execute, with time and memory."""
     metrics = found.to_dict()
-    rows = [["stage", "", "seconds", "memory", "expected from"]]
+    rows = [["stage", "", "seconds", "memory", "estimated from"]]
     for one in found.stages:
         take = one.estimate
         rows.append(
@@ -146,16 +147,16 @@ def _print_plan(found: DryRun, out: Output) -> None:
             "",
             *reasons,
             "",
-            f"about {found.seconds:.0f} s, and {format_size(found.memory_bytes)} at the most",
+            f"about {found.seconds:.0f} s, at most {format_size(found.memory_bytes)} of memory",
         ]
     out.result(metrics, "\n".join(lines))
 
 
-# Sources of an expected time, in words.
+# Descriptions of the sources of an estimated time.
 _BASES = {
-    "measured": "the same work before",
-    "scaled": "other work before",
-    "estimated": "the size of the scan (an estimate)",
+    "measured": "an earlier identical computation",
+    "scaled": "earlier computations, scaled",
+    "estimated": "the size of the scan (rough)",
 }
 
 
@@ -170,8 +171,9 @@ def _summary(result: RunResult) -> str:
         color = (mesh["to_fused"]["color"] or {}).get("b_to_a")
         lines += [
             f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold",
-            f"off the fused mesh by {distance['rms_m']:.3g} {m} RMS, {distance['maximum_m']:.3g} {m} at most"
-            + (f"; colour by {color['rmse_levels']:.3g} of 255 levels RMS" if color else ""),
+            f"distance to the fused mesh: {distance['rms_m']:.3g} {m} RMS, "
+            f"{distance['maximum_m']:.3g} {m} maximum"
+            + (f"; colour error {color['rmse_levels']:.3g} of 255 levels RMS" if color else ""),
         ]
     held_out = result.report.get("held_out")
     if held_out and held_out["photos"]:

@@ -77,12 +77,12 @@ def simplify(
 
     Size and bounds:
 
-    - with --triangles or --ratio: to this size, with the least error;
+    - with --triangles or --ratio: to this size, with minimal error;
     - with --max-shape, --max-color or both: as far as these bounds are proven at every point;
     - with a size and bounds: to the size, but never beyond the bounds; "stopped by" names the first reached;
     - with neither: a textured model within 1/1000 of its size, other meshes within default bounds.
 
-    Textures are baked anew if OUT is .glb, .obj or .ply. --keep-uv keeps images and texture coordinates, at
+    Textures are baked again if OUT is .glb, .obj or .ply. --keep-uv keeps images and texture coordinates, at
     the cost of shape; so does simplification to a size where baking loses much more colour, unless --bake is
     given. A quantized or compressed glTF file stays so if OUT is glTF.
 
@@ -107,7 +107,7 @@ def simplify(
         if not select_method(simplify).proves_bounds:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "--save-bounds is for bounds that are proven; {how_to_prove}.",
+                "--save-bounds needs a method that proves bounds; {how_to_prove}.",
                 how_to_prove=_how_to_prove(),
             )
     regions = [parse_region(text) for text in region or ()]
@@ -167,14 +167,14 @@ def simplify(
     if simplified.kept_images is not None:
         kept = simplified.kept_images
         text += (
-            f"\n\nThe texture coordinates and images of IN are kept: colour error {kept.rmse_levels:.3g} "
+            f"\n\nOUT keeps the texture coordinates and images of IN: colour error {kept.rmse_levels:.3g} "
             f"levels, {kept.baked_rmse_levels:.3g} levels with baked images (--bake)."
         )
     if simplified.baked is not None:
         text += f"\n\n{format_bake(simplified.baked.to_dict())}"
     if rounding:
         text += (
-            f"\n\nOUT is compressed as IN is ({packing.compress}): positions are rounded by at most "
+            f"\n\nOUT is compressed like IN ({packing.compress}): positions are rounded by at most "
             f"{format_upper_bound(rounding)} m."
         )
     if simplified.details.describe():
@@ -215,8 +215,8 @@ def _default_bound(simplified: SimplificationResult[Any]) -> str:
     kept = f"the shape stays within {goal} m, 1/1000 of the model's size"
     if not details.proven:
         proven = format_upper_bound(details.shape_bound_m)
-        kept = f"the goal is {goal} m, 1/1000 of the model's size, and {proven} m are proven"
-    return f"No number and no bound was given: {kept}. Give --max-shape or --ratio for another goal."
+        kept = f"the shape bound was {goal} m, 1/1000 of the model's size, but only {proven} m are proven"
+    return f"Neither a size nor a bound was given: {kept}. Set --max-shape or --ratio to change this."
 
 
 def _is_table(value: Any) -> bool:
@@ -233,4 +233,4 @@ def _how_to_prove() -> str:
         for name in method.requirement.parameters
     ]
     names = " or ".join(method.name for method in proving)
-    return f"give {' or '.join(options)}, and what leads to no other method than {names}"
+    return f"give {' or '.join(options)}, and no option that selects a method other than {names}"

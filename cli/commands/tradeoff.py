@@ -26,7 +26,7 @@ def tradeoff(
         str | None,
         typer.Option(
             metavar="N,N,…",
-            help="Numbers of triangles to measure, with commas, instead of tradeoff.steps.",
+            help="Triangle counts to measure, separated by commas, instead of tradeoff.steps.",
             show_default=False,
         ),
     ] = None,
@@ -44,10 +44,10 @@ def tradeoff(
         ),
     ] = None,
 ) -> None:
-    """Measure deviation against number of triangles.
+    """Measure the deviation for several triangle counts.
 
-    The mesh is simplified once, to the smallest number; the meshes on the way are compared with IN, both
-    ways, in shape and in colour. `scanloom simplify IN OUT --triangles N` then makes the chosen mesh.
+    The mesh is simplified once, to the smallest number; the intermediate meshes are compared with IN in both
+    directions, in shape and colour. `scanloom simplify IN OUT --triangles N` then makes the chosen mesh.
 
     Example: scanloom mesh tradeoff clean.ply --plot curve.png
 
@@ -75,7 +75,7 @@ def tradeoff(
     if found.suggested_triangles is None and tradeoff.max_distance is not None:
         emit(
             SIMPLIFY_TRADEOFF.unmet(
-                "none of these numbers keeps {bound}",
+                "no measured triangle count meets {bound}",
                 remedy="give more triangles with --counts.",
                 bound=found.criterion,
             )
@@ -90,7 +90,7 @@ def _count(word: str) -> int:
         raise UsageError(
             USAGE_VALUE_INVALID,
             "--counts has {word!r}",
-            remedy="give whole numbers, say 50000,20000,5000.",
+            remedy="give whole numbers, such as 50000,20000,5000.",
             word=word,
         ) from None
 

@@ -73,7 +73,8 @@ def view(
     is_tiles = (what / TILESET).is_file()
     if is_tiles and target is not None:
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT, "tiles are many files; lod tiles --page writes their page beside them."
+            USAGE_OPTIONS_CONFLICT,
+            "tiles cannot be written as a single file; lod tiles --page writes a page next to them.",
         )
     if is_tiles:
         _serve(what, make_tileset_page(), port, open_browser, out)
@@ -95,7 +96,7 @@ def view(
 def _serve(folder: Path, pages: dict[str, bytes], port: int, open_browser: bool | None, out: Output) -> None:
     try:
         with FolderServer(folder, port, pages) as server:
-            out.result({"address": server.address}, f"{server.address}  (Ctrl-C ends it)")
+            out.result({"address": server.address}, f"{server.address}  (stop with Ctrl-C)")
             if open_browser or (open_browser is None and sys.stdout.isatty()):
                 webbrowser.open_new_tab(server.address)
             server.serve_forever()

@@ -30,17 +30,17 @@ def worker(
         bool,
         typer.Option(
             "--wait/--no-wait",
-            help="When no scan is left, wait for the other workers, and take over the scans of one that "
-            "dies. [default: on]",
+            help="When no scan is left, wait for the other workers, and take over the scans of a "
+            "worker that dies. [default: on]",
             show_default=False,
         ),
     ] = True,
 ) -> None:
-    """Process scans of a batch, with other machines.
+    """Process scans of a batch together with other machines.
 
     Any number of workers may share a batch; each machine only needs access to OUT and the scans. If a worker
-    dies, others continue its scans from the cache. Clocks need not agree. The last worker writes the tables
-    and the page.
+    dies, others continue its scans from the cache. Clocks need not be synchronised. The last worker writes
+    the tables and the page.
 
     Example: scanloom worker shared/out --jobs 4
     """
@@ -51,7 +51,7 @@ def worker(
     if queue is None:
         raise InputError(
             BATCH_ALREADY_EXISTS,
-            "no batch was begun here; begin one with scanloom batch SCANS -o OUT.",
+            "this folder contains no batch; start one with scanloom batch SCANS -o OUT.",
             target,
         )
     require_writable(queue.folder)
@@ -70,7 +70,8 @@ def require_version(version: str) -> None:
     if version != __version__:
         emit(
             BATCH_ALREADY_EXISTS.warning(
-                "the batch was begun by scanloom {batch_version}, and this worker is {version}.",
+                "the batch was started with scanloom {batch_version}, but this worker has version {version}; "
+                "results may differ.",
                 batch_version=version,
                 version=__version__,
             )

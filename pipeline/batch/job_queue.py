@@ -207,7 +207,7 @@ def _parse_number(folder: Path) -> int:
 def _find_current_folder(out: Path) -> Path | None:
     """Return the folder of the current queue.
 
-    A queue that is being written is waited for.
+    Waits for a queue that is being written.
     """
     end = time.monotonic() + _WRITE_TIMEOUT
     while True:

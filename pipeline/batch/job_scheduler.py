@@ -16,7 +16,8 @@ from scanloom.pipeline.batch.heartbeat import HeartbeatObserver
 from scanloom.pipeline.batch.job_queue import BatchQueue
 from scanloom.pipeline.batch.job_records import FAILED, JobRecord, JobRecords
 
-# Attempts that end in the same stage without a result, and crashes, after which a job is given up.
+# Maximum attempts that end in the same stage without a result, and maximum crashes. Beyond either, the job
+# has failed.
 _MAX_ATTEMPTS, _MAX_CRASHES = 6, 2
 # Interval of checks as a ratio of `take_over_after`, and its minimum and maximum in seconds.
 _CHECK_RATIO, _MIN_INTERVAL, _MAX_INTERVAL = 0.05, 0.05, 3.0
@@ -85,7 +86,7 @@ class JobScheduler:
         self._ended.add(number)
 
     def pop_given_up(self) -> Iterator[JobRecord]:
-        """Yield failure records of jobs that were given up, for the caller to write."""
+        """Yield failure records of jobs that exceeded the maximum attempts, for the caller to write."""
         while self._given_up:
             yield self._given_up.pop()
 

@@ -124,9 +124,9 @@ def _search_folder(
 
 
 def _is_collection(path: Path, reason: str, files: Sequence[Path]) -> bool:
-    """Return True if a folder only collects recordings.
+    """Return True if a folder is a collection of recordings instead of a scan.
 
-    Such a folder is recognised as a scan because of a recording in it.
+    The layout detection accepts such a folder because of one of its recordings.
     """
     if reason not in {file.name for file in files}:
         return False

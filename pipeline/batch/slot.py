@@ -12,14 +12,15 @@ from scanloom.pipeline.batch.process_handle import JobProcess
 
 @dataclass
 class RunningJob:
-    """Running job.
+    """Progress of a running job.
 
     Attributes
     ----------
     stage : current stage.
     completed_ratio : completed ratio of the stage, 0 to 1.
-    is_awaiting_admission : True while the job waits for permission to start, which cannot hang.
-    is_blocked : True while the job waits for another run into the same folder.
+    is_awaiting_admission : True while the job waits for permission to start. This time does not count as
+    idle.
+    is_blocked : True while the job waits for another run that uses the same output folder.
     idle_seconds : seconds without progress.
     """
 

@@ -51,14 +51,14 @@ _SAME_VERTEX_RATIO = 1e-5
 
 
 def make_mesh_page(name: str, mesh: Mesh, max_bytes: int) -> bytes:
-    """Make the page of a mesh, of at most `max_bytes` if possible."""
+    """Create the page of a mesh; at most `max_bytes` if possible."""
     return make_packed_page(name, {name: PageModelSource(mesh)}, max_bytes)
 
 
 def make_run_page(folder: Path, max_bytes: int) -> bytes:
-    """Make the page of an output folder, of at most `max_bytes` if possible.
+    """Create the page of an output folder; at most `max_bytes` if possible.
 
-    Measurements of the report are used; without a report, deviations are computed.
+    Uses the measurements of the report; without a report, computes the deviations.
 
     Raises
     ------

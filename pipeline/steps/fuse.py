@@ -134,7 +134,7 @@ def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, i
 
 
 def _compute_memory_bound(config: Sections) -> float:
-    # The volume keeps to fuse.memory by fusing in bricks; everything else takes about as much again.
+    # Fusion in bricks limits the volume to fuse.memory; everything else takes about as much again.
     return BASE_BYTES + 2e6 * config.get(FuseParams).memory
 
 

@@ -47,9 +47,9 @@ _MIN_DIRECTION_RATIO = 0.2
 _GRID_BLUR_PX, _REFINE_BLUR_PX = 1.5, 0.8
 _REFINE_STEPS_PX = (1.0, 0.5, 0.25, 0.1, 0.05)
 # Criteria of a clear offset. It has at least `_MIN_OFFSET_PX` pixels, and exceeds the change of object width,
-# which is not quite equal on all sides (depth from stereo matching seems to be off by nearly 2 px). Both
-# halves of the frames find it within `_MAX_DIFFERENCE_PX` pixels or the ratio `_MAX_DIFFERENCE_RATIO`. The
-# offset found by one half raises the gradient of the other half by the factor `_MIN_GRADIENT_GAIN`.
+# which is not quite equal on all sides (depth from stereo matching seems to have an error of nearly 2 px).
+# Both halves of the frames find it within `_MAX_DIFFERENCE_PX` pixels or the ratio `_MAX_DIFFERENCE_RATIO`.
+# The offset found by one half raises the gradient of the other half by the factor `_MIN_GRADIENT_GAIN`.
 _MIN_OFFSET_PX, _MAX_DIFFERENCE_PX, _MAX_DIFFERENCE_RATIO, _MIN_GRADIENT_GAIN = 2.0, 1.0, 0.25, 1.05
 # Quantiles of relative inverse depth that represent far and near silhouettes.
 _FAR_NEAR_QUANTILES = (0.1, 0.9)

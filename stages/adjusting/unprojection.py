@@ -54,7 +54,7 @@ def unproject_pixels(
         seen = transform_points(back, way * z[:, None])
         measured = sample_depth(views, view_indices, seen)
         known = measured > 0
-        # Without depth at the projection, the search goes on from the same point of the ray.
+        # Without depth at the projection, the search continues from the same point of the ray.
         seen *= (np.where(known, measured, seen[:, 2]) / seen[:, 2])[:, None]
         before, z = z, np.maximum(transform_points(apart, seen)[:, 2], 1e-3)
     known &= np.abs(z - before) < _CONVERGENCE_RATIO * z

@@ -12,8 +12,8 @@ Exit code 1. The meshes are in different coordinate systems or units: millimetre
 another program centred. `--align icp` aligns them if they overlap roughly; it never changes the scale.
 """,
     (
-        "scan.ply: lies 812 m from truth.ply, which is more than their size; give meshes of one thing, in "
-        "the same world and unit."
+        "scan.ply: is 812 m from truth.ply, which is more than their size; give meshes of the same object, "
+        "in the same coordinates and unit."
     ),
 )
 TEXTURE_PHOTOS_MISMATCH = Code(

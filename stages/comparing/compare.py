@@ -379,7 +379,10 @@ def _measure_points(points: SamplePoints, target: DistanceTarget) -> DistanceSum
 
 
 def compute_sums(colors: Levels | None, nearest: NearestPoints) -> DistanceSums:
-    """Compute the sums for query points with colours (k, 3) and their nearest points."""
+    """Sum up the distances and colour differences of query points.
+
+    `colors` (k, 3) are the colours of the query points.
+    """
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
     if colors is not None and nearest.colors is not None:

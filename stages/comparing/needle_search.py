@@ -1,8 +1,9 @@
 """Closest-point search that is exact for needle triangles.
 
-For needles (triangles far longer than high), Open3D's closest point in single precision is off by up to their
-height; CAD parts are full of needles. Needles are therefore cut across into pieces of moderate aspect ratio,
-which the search finds reliably. The distance is then computed on the original needle in double precision.
+For needles (triangles far longer than high), Open3D's closest point in single precision has an error of up to
+the height of the needle. CAD parts contain many needles. Needles are therefore cut across into pieces of
+moderate aspect ratio, which the search finds reliably. The distance is then computed on the original needle
+in double precision.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def generate_pose_candidates(
     """Yield candidate poses of a photo.
 
     They are the given pose, the pose from feature matches, and the pose refined by optical flow. A pose that
-    cannot be estimated is left out.
+    cannot be estimated is omitted.
 
     Parameters
     ----------

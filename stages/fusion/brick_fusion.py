@@ -361,7 +361,7 @@ class _TemporaryBrickStore:
     folder: Path
 
     def get(self, brick: BlockCube, frames: Sequence[int], inputs: Mapping[str, Any]) -> None:
-        """Return None: every brick is fused anew."""
+        """Return None: every brick is fused again."""
 
     def store(
         self,

@@ -82,7 +82,7 @@ def convert_read_errors(folder: Path) -> Iterator[None]:
     """Convert errors of reading a brick's files to a StageError.
 
     The store validates bricks when it finds them, so an error here means damage during the run. The next run
-    validates again and fuses the damaged brick anew.
+    validates again and fuses the damaged brick again.
     """
     try:
         yield

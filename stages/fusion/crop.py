@@ -106,7 +106,7 @@ def mask_triangles_inside(mesh: Mesh, crop: Crop) -> Mask:
 
 
 def select_triangles(mesh: Mesh, kept: Mask) -> Mesh:
-    """Return a mesh with the triangles selected by the mask `kept` (m,). The order is preserved."""
+    """Return a mesh with the triangles selected by the mask `kept` (m,), in unchanged order."""
     triangles, used = mesh.triangles[kept], mask_used_vertices(mesh, kept)
     rank = np.cumsum(used, dtype=np.int32) - 1
     colors = None if mesh.colors is None else mesh.colors[used]

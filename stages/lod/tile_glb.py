@@ -168,8 +168,9 @@ def _add_image(tree: JsonObject, image: Image, view: int) -> list[str]:
 def _encode_container(tree: JsonObject, views: list[tuple[NDArray[Any], int]], compress: bool) -> bytes:
     """Encode a glTF tree and its buffers as a GLB file.
 
-    Packed views also state their place in a second buffer, as the extension requires; that buffer is not
-    stored.
+    As EXT_meshopt_compression requires, compressed views also declare their range in a second buffer, which
+    is
+    not stored.
     """
     tree["bufferViews"], pieces, size, plain_size = [], [], 0, 0
     for values, target in views:

@@ -3,8 +3,8 @@
 The resolution follows the proven shape error of each tile. The finest tiles sample their colours from the
 source model, at the nearest point that faces the same way. Coarser tiles sample the next finer tiles, once
 these show more detail than a few samples per texel can resolve. Each texel is thus the mean of the surface
-under it. Mip levels of the model's image would bleed between its charts instead. Sampling looks up all tiles
-around, so colours are continuous across tile borders.
+under it. Mip levels of the model's image would bleed between its charts instead. Sampling includes the
+neighbouring tiles, so colours are continuous across tile borders.
 """
 
 from __future__ import annotations

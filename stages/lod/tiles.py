@@ -153,7 +153,7 @@ def write_tiles(
 
     The output is `outdir/tileset.json` and one GLB file per tile. A tile is the coarse mesh of a node; below
     each leaf, one more tile is the base mesh. The children of a tile replace it together. A tile with a
-    single child of hardly more triangles is skipped. Tiles of different levels fit without cracks, because
+    single child and hardly more triangles is skipped. Tiles of different levels fit without cracks, because
     all positions are on one grid.
 
     The `geometricError` of a tile is its proven two-sided shape bound plus the displacement by the grid, in

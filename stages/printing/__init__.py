@@ -183,12 +183,12 @@ def format_extent(points: NDArray[np.float64]) -> str:
 
 
 def _get_mesh_facts(candidate: Any) -> list[str]:
-    """Return the facts of a mesh; an empty list for other objects."""
+    """Return the texts that describe a mesh, such as its size; an empty list for other objects."""
     return list(candidate._facts()) if hasattr(candidate, "_facts") else []
 
 
 def _get_own_metrics(result: Any) -> dict[str, Any]:
-    """Return the metrics without those that the mesh facts already contain."""
+    """Return the metrics without those that `_get_mesh_facts` already contains."""
     known_names = {"vertices", "triangles"} if _get_mesh_facts(getattr(result, "mesh", None)) else set()
     return {name: value for name, value in result.to_dict().items() if name not in known_names}
 

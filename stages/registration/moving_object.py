@@ -102,7 +102,7 @@ def detect_moving_object(frames: Sequence[Frame], subject: str, where: Path | No
 def has_moving_object(frames: Sequence[Frame]) -> bool:
     """Check whether something moves in front of a static camera.
 
-    This is the case in which `auto` registers the object alone.
+    In this case, `auto` registers the moving object only.
     """
     _, is_still, moves = _detect_motion(frames)
     return is_still and moves

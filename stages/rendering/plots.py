@@ -129,7 +129,7 @@ def _create_figure(height: float, parts: int) -> tuple[Any, Any]:
     require_plots()
     from matplotlib.figure import Figure
 
-    # Not pyplot, which keeps all figures and may require a display.
+    # Not pyplot, which keeps references to all figures and may require a display.
     figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, layout="constrained")
     return figure, figure.subplots(parts, 1, sharex=True, squeeze=False)[:, 0]
 

@@ -46,9 +46,9 @@ def report_lock_blocking(result: SimplificationResult[Any]) -> None:
 
 
 def compute_refused_ratio(result: SimplificationResult[Any], *rules: str) -> float:
-    """Compute the ratio of remaining edges that some rules refused.
+    """Compute the ratio of remaining edges whose collapse was refused by the given rules.
 
-    The result is 0 if the ratio is clearly below one half.
+    Returns 0 without counting the edges if the ratio is clearly below one half.
     """
     count, triangles = sum(result.refused.get(rule, 0) for rule in rules), result.mesh.triangles
     # A mesh has at least half as many edges as triangle sides. This avoids counting the edges.

@@ -158,7 +158,7 @@ def simplify(
     Returns
     -------
     Simplified
-        With `details` of the method's type. Images of the input are baked anew (`baked`, see
+        With `details` of the method's type. Images of the input are baked again (`baked`, see
         `scanloom.stages.simplification.bake_planning`), unless `keep_uv` or a method that preserves them is
         given. Without images, the mesh has vertex colours if the input has. `diagnostics` contain lost
         attributes and unmet requirements: a triangle count without a bound, and bounds that are not proven.

@@ -18,8 +18,8 @@ from scanloom.stages.stereo.posed_views import PosedView
 _NEIGHBOUR_RANKS = (1, 2, 4, 8, 16)
 # Maximum angle between the optical axes of a pair, degrees.
 _MAX_AXIS_ANGLE_DEG = 45.0
-# Maximum epipolar distance of a match relative to the image diagonal: 8 px for 640×480. Poses of phones are
-# off by several pixels.
+# Maximum epipolar distance of a match relative to the image diagonal: 8 px for 640×480. Poses from phones
+# have errors of several pixels.
 _TOLERANCE_RATIO = 0.01
 # Minimum number of inliers, and minimum ratio of inliers among the matches, for views that overlap.
 _MIN_INLIERS, _MIN_INLIER_RATIO = 12, 0.3

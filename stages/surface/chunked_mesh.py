@@ -226,7 +226,7 @@ class SingleChunkMesh:
         self._batch = TriangleBatch(mesh, self.box, self._normals, np.arange(self.vertex_count))
 
     def iterate_batches(self, *, with_normals: bool = False) -> Iterator[TriangleBatch]:  # noqa: ARG002
-        """Yield the only batch; it always has normals."""
+        """Yield the mesh as a single batch, with normals."""
         yield self._batch
 
     def iterate_chunks(self) -> Iterator[MeshChunk]:

@@ -61,9 +61,7 @@ def read_clustered_mesh(path: Path, max_vertices: int) -> ClusteredMesh:
     ----------
     path : PLY file.
     max_vertices : maximum vertex count, up to 1,048,576. The cell size is 1/2048 of the longest side of the
-    bounding
-    box,
-        doubled until the count is reached.
+        bounding box, doubled until the count is reached.
 
     Raises
     ------
@@ -148,7 +146,10 @@ def _compute_cell_means(
 
 
 def _collect_triangles(faces: BinaryRows, cell_of_vertex: NDArray[np.int32], path: Path) -> NDArray[np.int64]:
-    """Return the distinct triangles between three different cells, smallest index first."""
+    """Map triangles to grid cells; drop degenerate and duplicate triangles.
+
+    Each triangle starts at its smallest cell index.
+    """
     found = [np.zeros(0, np.int64)]
     for rows in faces.read_chunks(_ROWS_PER_CHUNK):
         corners = rows[CORNERS_FIELD]

@@ -13,7 +13,7 @@ stated reason. `scanloom bake LIGHT ORIGINAL OUT.glb` may succeed with other par
 `--max-size`.
 """,
     (
-        "light.glb: the image is left out; it could not be baked anew: mesh: has too many charts for an "
+        "light.glb: the image is left out; it could not be baked again: mesh: has too many charts for an "
         "image of 4096 × 4096 texels."
     ),
 )

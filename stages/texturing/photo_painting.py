@@ -196,7 +196,7 @@ class Painter:
         return painted
 
     def forget(self) -> None:
-        """Release the view selection kept for painting again."""
+        """Release the view selection that was kept for repainting."""
         self._kept_points = None
 
     def estimate_corrections(

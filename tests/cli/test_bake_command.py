@@ -47,13 +47,13 @@ def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("bake", "{ball}", "{ball}", "out.stl"), 2, "stands for no format"),
+        (("bake", "{ball}", "{ball}", "out.stl"), 2, "unknown file extension"),
         (
             ("bake", "{ball}", "{ball}", "out.glb", "--set", "bake.max_size=100"),
             2,
             "--set bake.max_size is 100 texels; it must be a",
         ),
-        (("simplify", "{ball}", "out.off", "--bake"), 2, "stands for no format"),
+        (("simplify", "{ball}", "out.off", "--bake"), 2, "unknown file extension"),
         (("bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),
     ],
 )

@@ -44,7 +44,7 @@ def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans
     out = tmp_path / "out"
     ran = scanloom("batch", scans, "-o", out, *QUICK)
     assert ran.exit_code == 1
-    assert f"no scan: {scans / 'notes'}: its layout is unknown" in ran.stderr
+    assert f"not a scan: {scans / 'notes'}: its layout is unknown" in ran.stderr
     assert re.search(r"^scan-0001  done, [\d.]+ s", ran.stderr, re.MULTILINE)
     assert "scanloom: 1 of 3 scans are not done: 1 unusable; the table has the reasons." in ran.stderr
     assert re.search(r"^more/broken +unusable", ran.stdout, re.MULTILINE)
@@ -205,7 +205,7 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             process.send_signal(sent)
             _, said = process.communicate(timeout=60)
         assert process.returncode == 130, said
-        assert "scanloom: Interrupted; what was finished is kept." in said
+        assert "scanloom: Interrupted; finished results are kept." in said
         assert not list((out / "cache" / "drafts").iterdir())
         queue = read_current_queue(out)
         assert queue is not None
@@ -217,10 +217,18 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
     ("words", "code", "said"),
     [
         (("batch", "none", "-o", "out"), 3, "none: there is no such folder"),
-        (("batch", "empty", "-o", "out"), 3, "empty: there is no scan in it"),
-        (("batch", "scans", "-o", "out", "--include", "x*"), 3, "there is no scan that is asked for in it"),
-        (("batch", "scans", "-o", "scans"), 2, "results and cache cannot stand among the scans"),
-        (("batch", "scans", "-o", "out", "--cache", "scans"), 2, "results and cache cannot stand among"),
+        (("batch", "empty", "-o", "out"), 3, "empty: the folder contains no scan"),
+        (
+            ("batch", "scans", "-o", "out", "--include", "x*"),
+            3,
+            "the folder contains no scan that --include and --exclude select",
+        ),
+        (
+            ("batch", "scans", "-o", "scans"),
+            2,
+            "the output folder and the cache cannot be the folder of the scans",
+        ),
+        (("batch", "scans", "-o", "out", "--cache", "scans"), 2, "the output folder and the cache cannot be"),
         (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is many; it must be a number"),
         (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is 0"),
         (("batch", "scans", "-o", "out", "--memory", "lots"), 2, "--memory is 'lots'; it must be a size"),
@@ -244,8 +252,8 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
         (("batch", "scans", "-o", "out", "--set", "batch.dusk=slurm"), 2, "did you mean batch.dask?"),
         (("batch", "scans", "-o", "taken"), 3, "index.html: this file was not written by a batch"),
         (("batch", "scans", "-o", "taken/index.html"), 3, "this is a file; results need a folder"),
-        (("worker", "empty"), 3, "no batch was begun here"),
-        (("worker", "none"), 3, "no batch was begun here"),
+        (("worker", "empty"), 3, "this folder contains no batch"),
+        (("worker", "none"), 3, "this folder contains no batch"),
     ],
 )
 def test_what_is_wrong_is_one_sentence_and_nothing_is_written(

@@ -27,10 +27,10 @@ def test_a_table_of_places_is_printed_and_json_tells_the_same(scanloom: Run, out
 
     assert ran.exit_code == 0
     lines = ran.stdout.splitlines()
-    assert lines[0].split()[:2] == ["what", "m²"]
-    assert "open to what no frame saw, beside" in lines[-2]
+    assert lines[0].split()[:2] == ["defect", "m²"]
+    assert "next to space that no frame observed" in lines[-2]
     told = json.loads(scanloom("coverage", out, "--json").stdout)
-    assert f"within {told['spread_median_m']:.2g} m of half of what they measured" in lines[-1]
+    assert f"median {told['spread_median_m']:.2g} m, 95th percentile" in lines[-1]
     assert len(told["places"]) == len(json.loads((out / "coverage.json").read_text())["places"])
     assert [line.split()[0] for line in lines[1 : len(told["places"]) + 1]] == [
         str(number + 1) for number in range(len(told["places"]))
@@ -53,7 +53,7 @@ def test_options_are_those_of_the_stage(scanloom: Run, out: Path) -> None:
     assert told["oblique_deg"] == pytest.approx(45)
     assert told["places_omitted"] > 0
     assert (
-        "smaller places are not listed; see --set coverage.max_defects"
+        "smaller defects are not listed; see --set coverage.max_defects"
         in scanloom("coverage", out, "--set", "coverage.max_defects=1").stdout
     )
 
@@ -62,14 +62,14 @@ def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
     ran = scanloom("coverage", out, "--set", "coverage.min_area=100")
 
     assert ran.exit_code == 0
-    assert ran.stdout.startswith("nothing is missing")
+    assert ran.stdout.startswith("No gaps")
 
 
 @pytest.mark.parametrize(
     ("words", "code", "why"),
     [
         (["missing"], 3, "there is no such folder; give the output folder of a run"),
-        ([".", "--scan", "nowhere"], 3, "there is no such folder or file; give that of a scan"),
+        ([".", "--scan", "nowhere"], 3, "there is no such folder or file; give a scan folder or recording"),
         (["."], 3, "this folder has no results of a run"),
         ([".", "--set", "coverage.few_frames=0"], 2, "--set coverage.few_frames is 0"),
         ([], 2, "OUT"),

@@ -65,7 +65,7 @@ def test_the_bundle_holds_no_home_as_json_writes_it(
 
 def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scanloom.stages.inspecting.system.is_case_insensitive", lambda folder: True)  # noqa: ARG005
-    lines = [line for line in scanloom("doctor").stdout.splitlines() if line.startswith("odd: ")]
+    lines = [line for line in scanloom("doctor").stdout.splitlines() if line.startswith("note: ")]
     assert len(lines) == 1
     assert "upper and lower case" in lines[0]
     assert len(scanloom("doctor", "--json").json["platform_notes"]) == 1
@@ -75,8 +75,8 @@ def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.Mo
     ("words", "code", "message"),
     [
         (("--run", "out"), 2, "needs --bundle"),
-        (("--bundle", "b.tar"), 2, "stands for no format"),
-        (("--bundle", "b.zip", "--run", "none"), 3, "holds no report.json"),
+        (("--bundle", "b.tar"), 2, "unknown file extension"),
+        (("--bundle", "b.zip", "--run", "none"), 3, "contains no report.json"),
     ],
 )
 def test_what_cannot_be(

@@ -83,8 +83,8 @@ def test_a_limit_that_is_not_kept_ends_with_1_and_a_sentence(scanloom: Run, clea
     scanloom("simplify", clean_ball, light, "--ratio", 0.3)
     ran = scanloom("mesh", "certify", light, clean_ball, "--max-shape", 1e-6)
     assert ran.exit_code == 1
-    assert f"scanloom: {light}: the limits are not proven to be kept." in ran.stderr
-    assert "Limits are not proven to be kept." in ran.stdout
+    assert f"scanloom: {light}: the limits are not proven." in ran.stderr
+    assert "The limits are not proven." in ran.stdout
 
 
 def test_a_limit_loosens_no_number_that_is_printed(scanloom: Run, clean_ball: Path) -> None:
@@ -114,7 +114,7 @@ def test_meshes_of_different_things_end_with_1(
         )
         ran = scanloom(command, clean_ball, far, *some)
         assert ran.exit_code == code, ran.stderr
-        assert ("in the same world and unit" in ran.stderr) == bool(code)
+        assert ("in the same coordinates and unit" in ran.stderr) == bool(code)
         assert ran.stdout
         assert target.is_file() == (command == "bake")
 
@@ -205,7 +205,7 @@ def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float
     if delay <= 0.05:
         assert started.returncode == 130
     if started.returncode == 130:
-        assert rest[-1] == "scanloom: Interrupted; what was finished is kept."
+        assert rest[-1] == "scanloom: Interrupted; finished results are kept."
     assert rest
     assert all(line.startswith("scanloom: ") for line in rest)
 

@@ -81,7 +81,7 @@ def test_formats_of_the_shape_alone_say_so(
 ) -> None:
     ran = scanloom("simplify", textured, tmp_path / f"light{suffix}", "--ratio", 0.5, "--quiet")
     assert ran.exit_code == 0
-    assert f"{suffix} holds the shape alone: the colours are left out; write .ply or .glb" in ran.stderr
+    assert f"{suffix} stores geometry only: the colours are left out; write .ply or .glb" in ran.stderr
 
 
 def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_keep_uv_leaves_the_image_as_it_is(scanloom: Run, textured: Path, tmp_pa
 def test_without_a_goal_the_bound_is_told(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     ran = scanloom("simplify", textured, tmp_path / "light.glb")
     assert ran.exit_code == 0, ran.stderr
-    assert "No number and no bound was given: the shape stays within" in ran.stdout
+    assert "Neither a size nor a bound was given: the shape stays within" in ran.stdout
     assert "Colour error on the original:" in ran.stdout
     assert "Proven: no point is more than" in ran.stdout
     assert "colours differ by" not in ran.stdout

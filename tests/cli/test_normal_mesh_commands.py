@@ -87,7 +87,7 @@ def test_a_damaged_file_gives_what_is_whole_with_a_warning(scanloom: Run, kept: 
     kept.write_bytes(data[: end + 3])
     ran = scanloom("mesh", "decode", kept, target)
     assert ran.exit_code == 0
-    assert f"warning: {kept}: only levels 0 to 1 are whole: " in ran.stderr
+    assert f"warning: {kept}: only levels 0 to 1 are intact: " in ran.stderr
     assert len(read_mesh(target).triangles) == 4 * 80
     ran = scanloom("mesh", "decode", kept, target, "--json")
     assert ran.json["levels"] == 1
@@ -116,14 +116,14 @@ def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> N
     write_ply(source, mesh, vertex_values={"confidence": np.full(len(mesh.vertices), np.nan)})
     ran = scanloom("mesh", "remesh", source, target)
     assert ran.exit_code == 3
-    assert f"{source}: has a confidence that is not finite" in ran.stderr
+    assert f"{source}: the vertex property `confidence` has values that are not finite" in ran.stderr
 
 
 @pytest.mark.parametrize(
     ("words", "exit_code", "sentence"),
     [
         (("mesh", "remesh", "missing.ply", "out.ply"), 3, "missing.ply: there is no such file."),
-        (("mesh", "remesh", "clean.ply", "out.xyz"), 2, "the extension .xyz stands for no format"),
+        (("mesh", "remesh", "clean.ply", "out.xyz"), 2, "unknown file extension .xyz"),
         (("mesh", "remesh", "clean.ply", "out.ply", "--save", "out.npz"), 2, "use .snm"),
         (("mesh", "remesh", "clean.ply", "out.ply", "--save-levels", "clean.ply"), 3, "clean.ply"),
         (
@@ -149,7 +149,7 @@ def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> N
             "kept.snm was encoded with levels 0 to 2",
         ),
         (("mesh", "decode", "kept.snm", "out.ply", "--level", "-1"), 2, "level is -1"),
-        (("mesh", "decode", "kept.snm", "out.snm"), 2, "the extension .snm stands for no format"),
+        (("mesh", "decode", "kept.snm", "out.snm"), 2, "unknown file extension .snm"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(

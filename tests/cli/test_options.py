@@ -139,7 +139,7 @@ def test_the_last_of_two_assignments_counts(knit: Any) -> None:
         (("--set", "wash.warmth=-1"), "--set wash.warmth is -1 °C"),
         (
             ("--rows", "3", "--set", "knitting.rows=4"),
-            "both --rows and --set knitting.rows are given; leave one of them out.",
+            "both --rows and --set knitting.rows are given; omit one of them.",
         ),
     ],
 )

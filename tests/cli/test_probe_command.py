@@ -26,13 +26,13 @@ def test_it_prints_the_page_or_writes_it(tmp_path: Path, capsys):
     assert get_sidecar_path(network).read_text(encoding="utf-8").strip() == printed.strip()
     assert told["sidecar"]["sign"] == read_sidecar(network).sign == -1
     assert run_command(["lab", "probe", str(network), "--write"]) == 3
-    assert "is there already" in capsys.readouterr().err
+    assert "this file already exists" in capsys.readouterr().err
 
 
 def test_what_is_only_custom_is_warned_of(tmp_path: Path, capsys):
     network = onnx_networks.write_brightness_network(tmp_path / "net.onnx")
     assert run_command(["lab", "probe", str(network), "--strict"]) == 1
-    assert "of one image no shift is known" in capsys.readouterr().err
+    assert "a network for single images cannot be probed" in capsys.readouterr().err
 
 
 def test_no_network_is_bad_input(tmp_path: Path, capsys):

@@ -144,7 +144,7 @@ def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Pat
     assert scanloom(*words, "--every", 2).json["scan"]["frames"] == 3
     twice = scanloom(*words, "--set", "scan.every=2", "--every", 1)
     assert twice.exit_code == 2
-    assert "both --every and --set scan.every are given; leave one of them out." in twice.stderr
+    assert "both --every and --set scan.every are given; omit one of them." in twice.stderr
 
 
 def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -410,7 +410,7 @@ def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path
     stdout, stderr = program.communicate(timeout=30)
     assert program.returncode == 130
     assert stdout == ""
-    assert stderr.splitlines()[-1] == "scanloom: Interrupted; what was finished is kept."
+    assert stderr.splitlines()[-1] == "scanloom: Interrupted; finished results are kept."
     assert "Traceback" not in stderr
     assert list(out.rglob("*")) == []
     assert [path for path in cache.rglob("*") if path.is_dir() and path.name not in ("drafts", "runs")] == []

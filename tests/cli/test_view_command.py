@@ -104,9 +104,9 @@ def test_a_page_of_a_mesh_is_one_file(scanloom: Run, clean_ball: Path, tmp_path:
     [
         (("none.ply",), 3, "no such file or folder"),
         ((".",), 3, "the folder has none of textured.glb"),
-        (("none.ply", "-o", "page.txt"), 2, "stands for no format"),
+        (("none.ply", "-o", "page.txt"), 2, "unknown file extension"),
         (("notes.txt",), 3, "unknown format"),
-        (("tiles", "-o", "page.html"), 2, "tiles are many files"),
+        (("tiles", "-o", "page.html"), 2, "tiles cannot be written as a single file"),
     ],
 )
 def test_what_cannot_be_shown(

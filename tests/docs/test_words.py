@@ -102,8 +102,8 @@ def test_two_scans_are_compared(
 
     assert len(lines) == 4
     told = capsys.readouterr().out
-    assert re.search(r"B was moved onto A by 1\.00\d mm RMS", told)
-    assert "New in B: 0 m² in 0 places; gone of A: 0.1016 m² in 1 place;" in told
+    assert re.search(r"B was aligned with A: moved by 1\.00\d mm RMS", told)
+    assert "New in B: 0 m² in 0 regions; removed from A: 0.1016 m² in 1 region;" in told
     for name in ("off.png", "change.ply"):
         assert (tmp_path / name).stat().st_size > 10_000
 

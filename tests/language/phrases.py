@@ -19,6 +19,10 @@ PHRASES: tuple[tuple[str, str], ...] = (
     (r"\bwhich of\b.*\bis\b.*\bthat\b", "two sentences"),
     (r"\b(?:goes on|went on|go on) (?:with|until|to)\b|\bin silence\b", "continue; silently"),
     (r"\bmade (?:lighter|larger|smaller|anew)\b|\banew\b", "simplify, enlarge, reduce; again"),
+    (r"\b(?:begun|given up|at the most|parted|at hand)\b", "started, abandoned, at most, separate"),
+    (r"\b(?:is|are|was|were) as good as\b|\bby (?:itself|themselves)\b", "name the limit; alone"),
+    (r"\bgo(?:es)? on\b|\bwhole way\b|\ball else\b", "continue; all stages; everything else"),
+    (r"\b(?:is|are|was|were|be) off by\b(?! default)", "has an error of"),
     (r"\bput right\b|\btaken for granted\b|\bof (?:late|old)\b", "repair, assume"),
 )
 _COMPILED = tuple((re.compile(pattern, re.IGNORECASE), advice) for pattern, advice in PHRASES)

@@ -237,7 +237,7 @@ def create_smoothings(
 
 
 def _get_opposite(around: Neighbourhood, halfedges: Ids) -> Ids:
-    """Return the opposite halfedge on edges of two triangles."""
+    """Return the opposite halfedges; each edge must have two triangles."""
     edges = around.edges
     start = edges.start[edges.of_halfedge[halfedges]]
     return np.asarray(edges.halfedges[start] + edges.halfedges[start + 1] - halfedges)

@@ -266,11 +266,10 @@ def _find_source_vertices(
     triangles: tuple[Ids, Ids],
     is_unprovable: NDArray[np.bool_],
 ) -> Ids:
-    """Return the input vertices behind triangles with colours out of bounds.
+    """Return the input vertices of triangles whose colours exceed the bound.
 
-    `triangles` are indices into the simplified mesh and into the input.
-
-    Triangles that are not provable anyway are skipped. Locking these vertices restores the input's triangles.
+    `triangles` are indices into the simplified mesh and into the input. Triangles that are unprovable in the
+    input, too, are skipped. Locking these vertices restores the input's triangles.
     """
     of_input = np.concatenate([light.triangle_source[triangles[0]], triangles[1]])
     return np.unique(mesh.triangles[of_input[~is_unprovable[of_input]]])
