@@ -90,7 +90,7 @@ def test_a_notebook_of_its_cells_runs_and_shows(tmp_path: Path, monkeypatch: pyt
     NotebookClient(book, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
 
     shown = [cell.outputs[-1].data["text/html"] for cell in book.cells]
-    names = ("Scan", "Mesh", "Tradeoff", "Simplified")
+    names = ("Scan", "Mesh", "Tradeoff", "SimplificationResult")
     assert [re.match(r"<div><b>(\w+)</b>", html)[1] for html in shown[:4]] == list(names)
     assert all(html.count("<img") == 1 for html in shown[:4])
     assert shown[4].startswith('<iframe title="mesh"')
