@@ -337,11 +337,7 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
                 "simplify.planar.crease_angle=30",
             ),
             2,
-<<<<<<< HEAD
             "--set simplify.planar.crease_angle is not supported by method jia01; leave one of them out.",
-=======
-            "--crease-angle is not supported by method jia01; omit one of them.",
->>>>>>> w-random
         ),
         (
             ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--save-bounds", "b.ply"),
