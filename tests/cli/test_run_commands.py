@@ -422,9 +422,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--dry-run")
     ran = scanloom(*words)
     assert (ran.exit_code, ran.stderr) == (0, "")
-    assert re.search(
-        r"^fuse +runs +[\d.]+ +[\d.]+ MB +the size of the scan \(an estimate\)$", ran.stdout, re.M
-    )
+    assert re.search(r"^fuse +runs +[\d.]+ +[\d.]+ MB +the size of the scan \(rough\)$", ran.stdout, re.M)
     assert "fuse: first run" in ran.stdout
     found = scanloom(*words, "--json").json
     assert found["dry_run"]

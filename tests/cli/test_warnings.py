@@ -85,7 +85,7 @@ def test_that_polygons_became_triangles_is_only_remarked(scanloom: Run, tmp_path
 def test_colours_that_a_format_cannot_hold_are_warned_of(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     ran = scanloom("clean", ball, tmp_path / "out.stl", "--quiet")
     assert ran.exit_code == 0
-    assert ran.stderr.startswith(f"warning: {tmp_path / 'out.stl'}: .stl holds the shape alone")
+    assert ran.stderr.startswith(f"warning: {tmp_path / 'out.stl'}: .stl stores geometry only")
     assert scanloom("clean", ball, tmp_path / "out.obj", "--quiet").stderr == ""
 
 

@@ -27,8 +27,8 @@ def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     text = "from scanloom.stages.diagnostics.codes import MACHINE_BUG\n"
     text += "from scanloom.stages.diagnostics.collector import emit\n"
     text += "from scanloom.stages.diagnostics.errors import InputError\n"
-    text += "from scanloom.stages.files.subprocess_reader import answer\n\n"
-    text += f"def work(words):\n    {body}\n\ndef main():\n    answer(work)\n"
+    text += "from scanloom.stages.files.subprocess_reader import serve_request\n\n"
+    text += f"def work(words):\n    {body}\n\ndef main():\n    serve_request(work)\n"
     (folder / "made_for_a_test.py").write_text(text)
     monkeypatch.syspath_prepend(str(folder))
     return "made_for_a_test"

@@ -162,7 +162,7 @@ def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path
     assert [one.name for one in joined.skipped] == [frames[3].name]
     assert (whole.mesh.vertices == joined.mesh.vertices).all()
     assert whole.frames == joined.frames
-    with pytest.raises(InputError, match="max_bad_share allows 0%"):
+    with pytest.raises(InputError, match="max_skipped_ratio allows 0%"):
         fuse(broken, voxel_size=0.02, brick_size=0.3, max_skipped_ratio=0)
 
 

@@ -238,7 +238,7 @@ def test_a_sound_pair_raises_no_warning():
     found = stereo_inspection(*textured_pair(12))
     assert found.diagnostics == ()
     assert found.stereo_depth_m == pytest.approx((1.0, 30.0))
-    assert not any(line.startswith("path") for line in found.lines())
+    assert not any(line.startswith("path") for line in found.format_lines())
 
 
 def test_left_and_right_exchanged_is_noticed():

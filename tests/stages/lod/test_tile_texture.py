@@ -323,10 +323,10 @@ def test_the_same_bytes_on_any_number_of_threads(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("scanloom.stages.lod.tile_texture.workers", lambda: 1)
+    monkeypatch.setattr("scanloom.stages.lod.tile_texture.get_worker_count", lambda: 1)
     lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
     assert contents(tmp_path / "out") == contents(folders["patchwork"])
-    monkeypatch.setattr("scanloom.stages.lod.tile_texture.workers", lambda: 5)
+    monkeypatch.setattr("scanloom.stages.lod.tile_texture.get_worker_count", lambda: 5)
     lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
     assert contents(tmp_path / "out") == contents(folders["patchwork"])
 

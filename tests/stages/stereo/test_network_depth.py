@@ -80,7 +80,7 @@ def test_a_wrong_sign_is_said(tmp_path):
     assert diagnostic.code == DEPTH_NETWORK_SIDECAR_INVALID.name
     assert str(diagnostic) == (
         "net.onnx: almost no pixel passes the left–right check with this network; check unit, sign, range "
-        "and inputs in its sidecar, or guess them with scanloom probe"
+        "and inputs in its sidecar, or guess them with scanloom lab probe"
     )
 
 

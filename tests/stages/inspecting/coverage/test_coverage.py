@@ -305,7 +305,7 @@ def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
     mesh = seen_by(world, frames)
     every = coverage(mesh, frames, max_defects=1000)
-    few = coverage(mesh, frames, places=2)
+    few = coverage(mesh, frames, max_defects=2)
     metrics = every.to_dict()["places"]
 
     scores = [one["weight"] * one["area_m2"] for one in metrics]

@@ -72,7 +72,7 @@ def test_colours_and_what_is_known_of_vertices_are_those_of_the_whole(
     # Where pieces meet, normals are sums in single precision.
     assert off.max() <= 1
     np.testing.assert_array_equal(pieced.vertex_kinds, whole.vertex_kinds)
-    for name in ("frames", "cosine", "distance", "pixel", "mean_cosine", "spread"):
+    for name in ("frame_counts", "max_cosine", "min_distance", "min_pixel_size", "mean_cosine", "rms_height"):
         values = getattr(pieced.vertex_evidence, name)
         np.testing.assert_allclose(values, getattr(whole.vertex_evidence, name), rtol=1e-4, atol=1e-7)
     assert len(whole.painted_mesh.vertices) > len(whole.vertex_kinds) == len(pieced.vertex_kinds)
@@ -83,7 +83,7 @@ def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(la
     assert len(one.tails) > 100
     for name in ("tails", "heads", "starts", "ends"):
         np.testing.assert_array_equal(getattr(many, name), getattr(one, name))
-    for name in ("facing", "beside"):
+    for name in ("normal_sums", "triangle_normals"):
         np.testing.assert_allclose(getattr(many, name), getattr(one, name), atol=1e-6)
 
 
