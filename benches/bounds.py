@@ -64,7 +64,10 @@ BARYCENTRIC_SAMPLES = np.array(
 
 
 def check_sum_bounds(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
-    """Yield table row and measured / bound for each bound of `jia01`."""
+    """Yield a table row and the ratio of measured to required distance.
+
+    One pair for each bound in SUM_BOUNDS, for the method `jia01`.
+    """
     for relative, texture in SUM_BOUNDS:
         size = compute_diagonal(mesh)
         bound = relative * size

@@ -50,9 +50,9 @@ MAX_DEPTH = 4.0
 
 
 class RunTimes:
-    """Time stamps of a run: start and completion of its volume.
+    """Start time of a fusion run, and the time when its volume is complete.
 
-    Each is a pair of wall-clock and CPU seconds.
+    Each time is a pair of wall-clock and CPU seconds.
     """
 
     def __init__(self) -> None:

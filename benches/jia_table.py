@@ -122,7 +122,7 @@ def list_sides(mesh: Mesh) -> np.ndarray:
 
 
 def format_contrasts(mesh: Mesh) -> str:
-    """Format the ratio of edges above each contrast limit."""
+    """Format the ratio of edges whose colour contrast exceeds each limit."""
     assert mesh.colors is not None
     contrast = np.linalg.norm(np.diff(mesh.colors[list_sides(mesh)].astype(float), axis=1), axis=2)
     shares = (

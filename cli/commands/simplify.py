@@ -183,7 +183,7 @@ def simplify(
 
 
 def _text(simplified: SimplificationResult[Any], metrics: Mapping[str, Any]) -> str:
-    """Return the metrics without warnings and tables."""
+    """Format the metrics as text, without tables."""
     shown = {**metrics, **simplified.details.to_dict()}
     for name in ("details", "baked", "default_max_shape_m"):
         shown.pop(name, None)

@@ -22,7 +22,7 @@ class CachedBrickStore:
     Parameters
     ----------
     context : context of the stage, which gives access to the cache.
-    scan : scan with final poses, as it is fused.
+    scan : scan to fuse, with final poses.
     versions, libraries : code and library versions that determine the result of the stage.
     """
 

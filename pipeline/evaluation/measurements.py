@@ -59,8 +59,8 @@ def measure_and_draw(
         be chunked.
     frames : frames of the scan, whose poses determine the viewpoints.
     compare_params : parameters of the comparison.
-    color_by_photo : returns the textured mesh coloured by the photo with the largest weight, which is drawn,
-    too.
+    color_by_photo : returns the textured mesh with a colour per photo, for an additional picture. Each face
+        is coloured by the photo with the largest weight.
     held_out : held-out frames with corrected poses.
 
     Raises

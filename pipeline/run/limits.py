@@ -57,9 +57,9 @@ NO_LIMITS = Limits()
 
 
 def limit_volume_memory(config: Config, limits: Limits) -> Config:
-    """Reduce fuse.memory to a third of the memory limit; no result depends on it.
+    """Limit fuse.memory to a third of the memory limit.
 
-    The remainder is needed for mesh extraction and per-frame data.
+    The remainder is needed for mesh extraction and per-frame data. `fuse.memory` does not affect results.
     """
     if limits.memory is None:
         return config

@@ -103,11 +103,9 @@ def _select_flips(edges: Edges, count: int) -> NDArray[np.bool_]:
 def _compute_tree_parity(
     count: int, a: Ids, b: Ids, differ: NDArray[np.bool_], chosen: NDArray[np.bool_], sheet: Ids
 ) -> NDArray[np.bool_]:
-    """Select triangles (m,) to flip along a spanning tree per sheet.
+    """Select triangles (m,) to flip so that neighbours are oriented consistently.
 
-    The tree is breadth-first.
-
-    After the flips, all neighbours along tree edges agree.
+    Each sheet has a breadth-first spanning tree. After the flips, all neighbours along its edges agree.
     """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import breadth_first_order

@@ -130,5 +130,8 @@ def _make_extent(
 
 
 def _find_chunk_indices(voxels: NDArray[np.int64], level: int) -> BlockKeys:
-    """Return the Z-order indices (n,) of the cubes containing voxels (n, 3)."""
+    """Return the Z-order indices (n,) of the chunks that contain voxels (n, 3).
+
+    A chunk is a cube of 2^level blocks per side.
+    """
     return encode_z_order(voxels // BLOCK_SIDE >> level, level)

@@ -127,13 +127,16 @@ def _transform_points(points: NDArray[np.float32], pose: Pose) -> NDArray[np.flo
 
 
 class Open3DVolume:
-    """TSDF volume in Open3D's VoxelBlockGrid, grown by the blocks that layers touch.
+    """TSDF volume in Open3D's VoxelBlockGrid.
+
+    Each depth map is integrated in layers of similar obliqueness, see `split_by_obliqueness`. Blocks are
+    allocated when a layer first reaches them.
 
     Parameters
     ----------
     voxel_size, truncation : metres; truncation along the surface normal.
     max_depth : metres, the maximum depth of any layer.
-    color : whether voxels store colour.
+    color : True if voxels store colour.
     blocks : initial capacity in blocks.
     max_bytes : memory limit of the volume.
     device : "CPU:0" or "CUDA:0".

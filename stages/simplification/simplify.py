@@ -378,7 +378,11 @@ def _run_method(
 
 
 def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: SimplificationResult[Any]) -> bool:
-    """Return True if the model's own images may beat baked ones."""
+    """Return True if simplifying with the original images may beat baking.
+
+    This requires method `auto`, a target triangle count without a shape bound, a visibly different baked
+    result, and a mesh with few texture seams.
+    """
     is_count = params.triangles is not None or params.ratio is not None
     is_open = params.method == AUTO and params.bake is None
     is_bounded = params.max_shape is not None

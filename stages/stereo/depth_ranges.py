@@ -1,9 +1,9 @@
 """Depth range of the scene in each view.
 
-The scan may state it, as a bounding box or as reconstructed points in each view. Otherwise it follows from
-feature matches between views (see scanloom.stages.stereo.triangulation). Without matches, the views are
-assumed to look at one object: it is where the optical axes intersect, and its size is the median field of
-view there.
+A scan can state the range, as a bounding box or as reconstructed points in each view. Otherwise, the range is
+estimated from feature matches between views (see scanloom.stages.stereo.triangulation). Without matches, the
+scene is assumed to be one object at the intersection of the optical axes. The size of the object is the
+median width of the field of view at that point.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Foreground of single views, from masks or a backdrop.
 
-Masks that cut one object out of all views are its silhouettes. Without such masks, a backdrop around the
-object in all views separates it. In other views, only plain areas are excluded.
+If the masks of all views show one object, they are its silhouettes. Without such masks, the object is
+separated from a backdrop, if all views have one. Without a backdrop, only textureless areas are
+excluded.
 
 Points that project outside of a silhouette are not part of the object (Laurentini, "The visual hull concept
 for silhouette-based image understanding", 1994). Not every mask is a silhouette: masks of moving objects hide

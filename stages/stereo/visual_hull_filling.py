@@ -138,12 +138,14 @@ def compute_hull_depth(
 def remove_contradicted_depth(
     view: PosedView, depth: DepthImage, others: Sequence[tuple[PosedView, DepthImage]], min_view_count: int
 ) -> DepthImage:
-    """Remove depth that other views contradict or have measured.
+    """Remove depth at points that enough other views see unoccluded.
+
+    A view sees a point unoccluded if it measured a surface at the point or behind it.
 
     Parameters
     ----------
     depth : (h, w) float32 metres.
-    min_view_count : minimum number of other views that measured the point, or see something behind it.
+    min_view_count : minimum number of such views for removal.
     """
     count = _kernels.count_unoccluded_views(
         depth,

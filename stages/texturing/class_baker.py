@@ -321,7 +321,10 @@ class ClassBaker:
             texels[at] = encode_normals(directions, new.interpolate(own.triangles, own.weights))
 
     def _make_map_key(self, path: TexturePath) -> Any:
-        """Return a key that is equal for maps with equal results."""
+        """Return a cache key for a baked map.
+
+        Maps with equal keys have equal images and are baked once.
+        """
         is_normal = path[-1].lower().endswith("normaltexture")
         images = tuple(
             id(get_image(self._texture.materials[number], path)) for number in self._class.material_indices

@@ -116,7 +116,10 @@ def find_words(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _sort_in_bulk(data: bytes) -> ObjStatements | None:
-    """Sort a file's lines with array operations; None if its layout is unusual."""
+    """Group the lines of a file by keyword, with array operations.
+
+    Returns None if the file needs the line-by-line parser.
+    """
     characters = np.frombuffer(data, np.uint8)
     ends = np.flatnonzero(characters == ord("\n")) + 1
     starts = np.concatenate([[0], ends[:-1]])

@@ -1,6 +1,6 @@
-"""World axes of ScanNet, and its alignment of walls with the axes.
+"""World axes of ScanNet scans: z is up.
 
-z is up. axisAlignment rotates the world so that walls run along x and y.
+The optional axisAlignment matrix rotates the world so that walls run along x and y.
 """
 
 from __future__ import annotations
