@@ -65,7 +65,7 @@ def select_pareto_front(files: Iterable[EncodedMesh]) -> list[EncodedMesh]:
 
 
 def find_smallest(files: list[EncodedMesh], rms: float) -> EncodedMesh | None:
-    """Find the smallest file of a Pareto front within an RMS."""
+    """Find the smallest file of a Pareto front whose RMS error is within a limit."""
     return next((file for file in files if file.rms <= rms), None)
 
 

@@ -92,11 +92,11 @@ _STEP_NUMBER = re.compile(r"\b\d+(?= \S+(:| exit code| stderr))")
 
 @dataclass(frozen=True)
 class Side:
-    """Checkout and working folder of its jobs.
+    """One of the two compared checkouts, with the working folder of its jobs.
 
     Attributes
     ----------
-    identity : digest of everything that determines its outputs; None if unknown.
+    identity : digest of everything that determines the outputs; None if unknown.
     """
 
     checkout: Path
@@ -368,9 +368,9 @@ def conclude(rows: Sequence[JobComparison]) -> int:
 
 
 def print_kinds(rows: Iterable[JobComparison]) -> None:
-    """Print the number of jobs for each kind of difference.
+    """Print the number of jobs for each kind of unexpected difference.
 
-    The list helps to write EXPECTED.
+    The list helps to write the patterns in EXPECTED.
     """
     kinds = Counter(
         kind for row in rows for kind in {_STEP_NUMBER.sub("*", str(one)) for one in row.unexpected}

@@ -295,7 +295,10 @@ def _convert(
 def _nest_value(
     sections: list[str], key: str, cls: type, text: str, types: Mapping[str, type], where: str
 ) -> dict[str, Any]:
-    """Return the value of a parameter, in mappings for the nested sections that its key names."""
+    """Parse the text of a parameter whose key may name nested sections.
+
+    Returns nested mappings for a dotted key: `planar.patch_angle` gives {"planar": {"patch_angle": value}}.
+    """
     first, dot, rest = key.partition(".")
     nested = find_nested(cls).get(first)
     if dot and nested is not None:

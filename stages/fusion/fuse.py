@@ -61,10 +61,9 @@ class FusionResult(FusionStatistics):
 
     Attributes
     ----------
-    mesh : with uint8 vertex colours if the frames have colour.
+    mesh : fused mesh, with uint8 vertex colours if the frames have colour.
     observation_counts : (n,) float32, number of frames that observed each vertex, capped at 255. None for a
-    single frame,
-        for Open3D's backend, and for fusion in bricks.
+        single frame, for Open3D's backend, and for fusion in bricks.
     """
 
     mesh: Mesh

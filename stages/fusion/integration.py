@@ -238,7 +238,12 @@ def _process_frames(
 def collect_statistics(
     work: FusionJob, outcomes: Sequence[FrameOutcome], min_weight: int, volume_bytes: int, device: str
 ) -> dict[str, Any]:
-    """Return the fields of `Facts` as keyword arguments. `outcomes` has one entry per frame of the scan."""
+    """Collect the fields of `FusionStatistics` as keyword arguments.
+
+    Parameters
+    ----------
+    outcomes : one entry per frame of the scan.
+    """
     plan = work.plan
     read = [one for one in outcomes if isinstance(one, PixelCounts)]
     pixels, valid, used = (sum(getattr(one, name) for one in read) for name in ("pixels", "valid", "used"))

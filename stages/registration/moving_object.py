@@ -116,8 +116,9 @@ def mask_to_object(
 ) -> dict[int, Frame]:
     """Mask posed frames to the moving object.
 
-    If matched points and marks connect all frames, their poses replace the poses from surfaces. A surface of
-    revolution slides along itself, and the edge of a mask moves with the object.
+    If all posed frames have initial poses, the initial poses replace the registered poses. Initial poses come
+    from features on the object and marks below it. Registration by surfaces is less reliable: a surface of
+    revolution can slide along itself, and the borders of masks move with the object.
 
     Parameters
     ----------

@@ -126,7 +126,9 @@ class EditableMesh:
 
         Parameters
         ----------
-        seen, written, moved : as in `EditRound`, with the new corners and positions. Edit indices start at 0.
+        dependencies, written, moved : as in `EditRound`, but with the new corners and positions instead of
+        the
+            previous ones. Edits are numbered from 0 within this call.
         count : number of edits.
         """
         numbers = np.arange(self.edit_count, self.edit_count + count)

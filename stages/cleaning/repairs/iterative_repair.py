@@ -92,7 +92,12 @@ def _repair_neighbourhood(
     log: RepairLog,
     progress: Callable[[], object],
 ) -> Ids:
-    """Repair within a fixed neighbourhood.
+    """Repair defects in a neighbourhood until no valid operation is left.
+
+    Parameters
+    ----------
+    rows : triangles of the neighbourhood.
+    is_inner : (n,) mask of the vertices whose triangles are all in the neighbourhood.
 
     Returns
     -------

@@ -93,7 +93,7 @@ def _group_stretches(border: SurfaceBoundary, cell_size: float) -> tuple[Floats,
 def _pair_stretches(
     positions: Floats, directions: Floats, normals: Floats, min_width: float, max_width: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Find pairs of stretches that face each other across a gap.
+    """Find pairs of boundary stretches that face each other across a gap.
 
     Parameters
     ----------

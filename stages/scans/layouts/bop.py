@@ -181,9 +181,9 @@ def _parse_values(table: CameraTable, key: str, count: int, path: Path) -> NDArr
 
 
 def _parse_pose(table: CameraTable, path: Path) -> Pose | None:
-    """Return the camera-to-world pose in metres, or None without one.
+    """Parse the camera-to-world pose of a frame, in metres.
 
-    None if the scene has no world frame or the pose is not finite (lost tracking).
+    Returns None if the scene has no world frame, or the pose is not finite (lost tracking).
     """
     if not any(key in table for key in _POSE_KEYS):
         return None

@@ -112,7 +112,7 @@ class _PassResult:
 def run_with_corner_attributes(
     task: Task[CertifiedParams], shape: float
 ) -> SimplificationResult[CertifiedDetails]:
-    """Simplify within a proven distance of `max_shape` metres.
+    """Simplify within `shape` metres of the input, with proof.
 
     The colour difference is bounded by `task.max_color`: proven for vertex colours, measured for images.
     """
