@@ -19,7 +19,7 @@ class RunningJob:
     stage : current stage.
     completed_ratio : completed ratio of the stage, 0 to 1.
     is_awaiting_admission : True while the job waits for permission to start. This time does not count as
-    idle.
+        idle.
     is_blocked : True while the job waits for another run that uses the same output folder.
     idle_seconds : seconds without progress.
     """

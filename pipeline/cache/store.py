@@ -262,7 +262,7 @@ class Cache:
 
         Parameters
         ----------
-        waiting : called once if another run is using the folder.
+        on_wait : called once if another run is using the folder.
         """
         with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
             path = self._get_record_path(out).with_suffix(".lock")

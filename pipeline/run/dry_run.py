@@ -58,7 +58,7 @@ class DryRun:
     Attributes
     ----------
     refusal_reason : reason why the run would not start: a file in the output folder that it must not replace.
-    None
+        None
         otherwise.
     """
 

@@ -100,8 +100,8 @@ class OutputFolder:
 
         Parameters
         ----------
-        wanted : names of the entry's files to copy; names of folders end in /.
-        decided : recipe and input parts, for the record.
+        names : names of the entry's files to copy; names of folders end in /.
+        inputs : recipe and input parts, for the record.
 
         Returns
         -------
@@ -181,7 +181,7 @@ class OutputFolder:
 
         Parameters
         ----------
-        of : digest of the page parameters; results used by this run are added to it.
+        params_digest : digest of the page parameters; results used by this run are added to it.
         """
         known = self._stages.get(PAGE, {})
         content = known.get("placed", {}).get(PAGE)

@@ -48,7 +48,7 @@ class Adjustment:
     offset_before, offset_after : photo-to-depth offset at silhouettes; None if too few were found.
         `measure_offset` is also None if the colour camera did not change.
     error_before, error_after : transfer errors of held-out points. If no bundle adjustment ran,
-    `error_before` is measured on a
+        `error_before` is measured on a
         few frame pairs, and `error_after` is None.
     key_frame_count : number of frames in the bundle adjustment.
     point_count : number of tracks in the bundle adjustment, each seen in at least three key frames.

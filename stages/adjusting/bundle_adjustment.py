@@ -57,7 +57,7 @@ class BundleResult:
     is_camera_adjusted : the colour camera was adjusted.
     is_shutter_adjusted : rolling-shutter rotations were adjusted.
     errors_before, errors_after : (n,) transfer errors of the held-out matches that have an error in both
-    cases, pixels.
+        cases, pixels.
     point_count : number of adjusted points.
     observation_counts : (m,) number of observations in each view.
     """
@@ -92,7 +92,7 @@ def run_bundle_adjustment(
     camera : fit the colour camera; None accepts it only if held-out points become clearly better.
     shutter : fit rolling-shutter rotations; None as for `camera`.
     apply_silhouettes : corrects a fitted colour camera by silhouettes and returns it with a prior. If the
-    offset is
+        offset is
         unclear, it returns the cameras unchanged and None.
     on_step : called after each of five parts of the work.
 

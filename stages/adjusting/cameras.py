@@ -31,7 +31,7 @@ class Cameras:
         (`View.size`), then the distortion coefficients k1, k2, p1, p2, k3.
     color_from_depth : (m, 4, 4) extrinsics of the colour cameras, metres.
     readout_rotations : (m, 3) rotation of each depth camera from its first to its last image row (rolling
-    shutter).
+        shutter).
         Rotation vectors in camera axes, radians. `pose_steps` refer to the middle row.
     """
 
@@ -77,9 +77,9 @@ class Cameras:
 
         Parameters
         ----------
-        poses : (m, 6) translation and rotation of each view in its own axes, metres and radians; (m, 9) also
-            changes `readout_rotations`.
-        camera : (10,) step of all colour cameras, see `CAMERA_PARAMETER_COUNT`.
+        pose_steps : (m, 6) translation and rotation of each view in its own axes, metres and radians; (m, 9)
+            also changes `readout_rotations`.
+        camera_step : (10,) step of all colour cameras, see `CAMERA_PARAMETER_COUNT`.
         """
         lenses = self.lenses.copy()
         lenses[:, :2] *= np.exp(camera_step[0])

@@ -83,8 +83,8 @@ class AdjustmentState:
 
         Parameters
         ----------
-        poses, camera : (m, 6) or (m, 9), and (10,), see `Cameras.apply_step`.
-        points : (p, 3) metres, world.
+        pose_steps, camera_step : (m, 6) or (m, 9), and (10,), see `Cameras.apply_step`.
+        point_steps : (p, 3) metres, world.
         """
         return AdjustmentState(
             self.cameras.apply_step(pose_steps, camera_step),
@@ -124,9 +124,9 @@ class TangentPlanes:
 
         Parameters
         ----------
-        view : (n,) index of the view of each point.
+        view_indices : (n,) index of the view of each point.
         points : (n, 3) metres, depth-camera axes of that view.
-        share : factor on the standard deviation of depth.
+        sigma_factor : factor on the standard deviation of depth.
         """
         normals, depths, slopes = measure_planes(views, view_indices, points)
         deviations = sigma_factor * np.hypot(compute_depth_sigma(depths), slopes)
@@ -148,7 +148,7 @@ class TangentPlanes:
 
         Parameters
         ----------
-        behind : (n,) residuals, see `compute_residuals`.
+        residuals : (n,) residuals, see `compute_residuals`.
 
         Returns
         -------
@@ -403,7 +403,7 @@ class TransformedSurfacePoints(NamedTuple):
     other_readout : (k, 3) metres, axes of the other view at the readout time of its row.
     readout_times : (k,) that readout time, see stages/adjusting/rolling_shutter.py.
     rotations, readout_rotations : (k, 3, 3) rotations from `first_middle` to `other_middle`, and from
-    `other_middle` to `other_readout`.
+        `other_middle` to `other_readout`.
     """
 
     first_middle: NDArray[np.float64]
@@ -439,7 +439,7 @@ class LinearisedProblem:
     residuals : (n, 3) pixel x, pixel y and depth, weighted, in standard deviations.
     by_pose, by_camera, by_point : Jacobians (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3).
     pose_gradient, camera_gradient : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour
-    camera, (10,).
+        camera, (10,).
     pose_weights, camera_weights : second derivatives of the priors: diagonal (6,) or (9,), and (10, 10).
     """
 

@@ -64,7 +64,7 @@ class SilhouetteObservation:
     Attributes
     ----------
     points, outer_points : (n, 3) silhouette points, and points one pixel further outwards; metres,
-    depth-camera axes.
+        depth-camera axes.
     photo : (h, w, 3) uint8, with lens distortion, blurred, at most 640 wide.
     full_size : (width, height) of the stored photo.
     """
@@ -211,7 +211,7 @@ class _GradientProfiles(NamedTuple):
     Attributes
     ----------
     gradient_sums : (depths, directions, 2 reach + 1) sums of squared gradients, normalised per silhouette
-    point.
+        point.
     counts : (depths, directions) number of points.
     nearness : (depths,) sums of the inverse depth relative to the typical one, minus 1.
     """

@@ -22,7 +22,7 @@ class SurfacePoints:
     Attributes
     ----------
     pair_indices : (c, 2) indices of the view that measures the points, and of the view whose surface the
-    points
+        points
         should meet.
     pair_of_point : (k,) index of the frame pair of each point.
     points : (k, 3) metres, depth-camera axes of the first view, at the readout time of the point's row.
@@ -67,7 +67,7 @@ class SurfacePoints:
 
         Parameters
         ----------
-        view : (n,) index of the view of each point.
+        view_indices : (n,) index of the view of each point.
         points : (n, 3) metres, depth-camera axes of that view.
         """
         fy, cy, height = self.row_intrinsics[view_indices].T

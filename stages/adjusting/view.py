@@ -47,7 +47,7 @@ class AdjustmentView:
     lens : (9,) colour camera as given, see `Cameras.lenses`.
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
     has_adjustable_lens : the lens of the colour camera can be adjusted (no fisheye, at most five
-    coefficients).
+        coefficients).
     """
 
     name: str

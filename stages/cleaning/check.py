@@ -171,7 +171,7 @@ class CheckResult:
     defects : per class in CLASSES, the defective vertices (k,), edges (k, 2) as vertex pairs, or triangles
         (k,). Indices refer to the given mesh. Duplicate vertices are represented by the first one.
     defect_points : per class, one point (k, 3) per defect, in metres: the vertex, or the centre of the edge
-    or
+        or
         triangle.
     thickness : (m,) thickness of the solid behind each triangle, metres; NaN where it is undefined.
     min_thickness : metres; triangles below this thickness are reported as thin.

@@ -64,7 +64,7 @@ def clean_chunked(
 
     Returns
     -------
-    Statistics, as `Cleaned.to_dict` returns them.
+    Statistics, as `CleaningResult.to_dict` returns them.
 
     Raises
     ------

@@ -157,7 +157,7 @@ class CleaningResult:
     changes : counts of the changes.
     min_island_area : m², the limit that was applied.
     repair_result : result of the repairs, None without repairs. Its indices refer to the mesh before the
-    repairs.
+        repairs.
     """
 
     mesh: Mesh

@@ -111,7 +111,7 @@ class RepairResult:
     vertex_source : (n,) input vertex of each vertex.
     triangle_source : (m,) input triangle that each triangle replaces.
     found_defects : defects of the input: per class in `scanloom.stages.cleaning.check.CLASSES` except thin
-    triangles,
+        triangles,
         vertices (k,), edges (k, 2) or triangles (k,).
     repaired_defects : defects that no longer exist; some disappear through repairs of others.
     remaining_defects : defects that remain.

@@ -45,7 +45,7 @@ class Alignment:
     overlap_ratio : ratio of the mesh's sample points with a correspondence after alignment.
     rms_m : RMS point-to-plane distance of these correspondences, metres.
     displacement_rms_m, angle_deg : RMS displacement of the mesh's vertices in metres, and rotation angle in
-    degrees.
+        degrees.
     """
 
     reference_from_mesh: NDArray[np.float64]

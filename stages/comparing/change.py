@@ -61,7 +61,7 @@ class Changes:
     regions : connected changed regions, largest first: `kind` ("new" or "gone"), `area_m2`, `point_m`
         (centroid).
     painted_mesh : later mesh in grey with new surface in green, plus the gone surface of the earlier mesh in
-    red.
+        red.
     """
 
     change_distance: float

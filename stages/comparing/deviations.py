@@ -97,7 +97,7 @@ class Deviations:
     delta_e : (k,) colour differences ΔE2000 at `sample_points`; None unless both have colours.
     tolerance : metres, or None.
     in_tolerance_limit, color_range : metres; distances up to `in_tolerance_limit` get the in-tolerance
-    colour, distances from
+        colour, distances from
         `color_range` the last colour.
     painted_mesh : the measured mesh or cloud, coloured by deviation.
     """

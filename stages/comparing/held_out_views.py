@@ -78,7 +78,7 @@ class HeldOutEvaluation:
     ----------
     scores : one entry per photo that could be evaluated.
     comparison_images : "worst" and "median" photo by affine PSNR, photo and rendering side by side, (h, 2w,
-    3) uint8.
+        3) uint8.
     skipped : frames that could not be evaluated, with the reason.
     """
 

@@ -41,7 +41,7 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
     ----------
     name : key of PRESETS.
     suffix : extension of the output file. Values that this format does not support are dropped from the
-    preset.
+        preset.
 
     Raises
     ------

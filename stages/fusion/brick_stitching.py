@@ -52,7 +52,7 @@ class SharedVertices:
     Attributes
     ----------
     referenced : referenced vertices of neighbours: Z-order keys of their blocks (k,) and their edge codes
-    (k,),
+        (k,),
         uint64.
     own : own vertices on the lower faces, which neighbours may reference: block keys (j,), edge codes (j,)
         and vertex indices (j,).
@@ -119,7 +119,7 @@ class StitchedMesh:
     Attributes
     ----------
     vertex_offsets, triangle_offsets : (k + 1,) cumulative counts: index of the first element of each brick,
-    and the
+        and the
         total.
     vertex_count, triangle_count : totals.
 

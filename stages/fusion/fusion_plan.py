@@ -72,7 +72,7 @@ class FusionPlan:
     scene : extent of the scan before cropping.
     crop : region to fuse.
     crop_margin : metres; the volume extends this far outside the crop, so that it is complete at the
-    boundary.
+        boundary.
     support_plane : support plane that is removed with everything below it; None if no plane is removed.
     """
 

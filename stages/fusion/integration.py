@@ -89,7 +89,7 @@ class PreparedFrame:
     view : filtered depth and pose.
     fused_count : number of pixels that are fused.
     volume_input : volume-specific input, as returned by `TsdfVolume.prepared`: touched blocks or depth
-    layers.
+        layers.
     color : (h, w, 3) uint8 at the size of the depth map; None without colour.
     """
 

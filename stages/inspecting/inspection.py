@@ -37,7 +37,7 @@ class Inspection:
     reprojection_error_px : median reprojection error between frames, pixels; None if not measured.
     pose_errors_m : median depth error after reprojection, by pose convention; empty if not measured.
     blurriest_frames : names and sharpness of the 5 % blurriest frames, the worst first. Sharpness is the
-    variance
+        variance
         of the Laplacian, relative to the median frame. Long scans are sampled.
     scene : extent of the scan in world coordinates; only for RGB-D scans with poses.
     fusion_estimate : estimated resources of fusion; only for RGB-D scans with poses.

@@ -42,9 +42,9 @@ class Offsets:
     ----------
     kinds : (k,) uint8, SCALAR, EXCEPTION or BOUNDARY.
     values : (k, 3) float64, metres: components along the normal and two tangents. A SCALAR has only the
-    first.
+        first.
     predicted : (k, 3) float64, predicted positions in metres. A SCALAR vertex is at `predicted` plus its
-    value
+        value
         times the normal.
     normals : (k, 3) float64, unit normals estimated from the level before.
     """
@@ -68,7 +68,7 @@ class NormalMesh:
     Attributes
     ----------
     levels : the base mesh, then one mesh per refinement. Each has four times the triangles of the level
-    before
+        before
         and begins with the vertices of that level, unchanged.
     offsets : `offsets[k]` refines `levels[k]` to `levels[k + 1]`.
     confidence : (n,) float64 per level; None if the vertices have no confidence.
@@ -83,7 +83,7 @@ class NormalMesh:
     folded_by_level : number of triangles per level that are flipped relative to the surface or have no area;
         empty if decoded.
     tolerance : maximum distance by which rounding moves a vertex off the surface, as a ratio of the diagonal
-    of
+        of
         the input's bounding box; None if decoded.
     tolerance_m : the same in metres.
     tolerance_source : origin of the tolerance as text for people; None if decoded.

@@ -166,7 +166,7 @@ class RemeshParams:
 
         Parameters
         ----------
-        triangles : triangle count of the input.
+        triangle_count : triangle count of the input.
 
         Returns
         -------
@@ -207,7 +207,7 @@ def remesh(
         and a warning is emitted. Unreferenced vertices and triangles that repeat a vertex are dropped.
     params : RemeshParams; single fields can be given by name instead.
     confidence : (n,) finite numbers per vertex, interpolated like colours and stored with 8 bits between
-    their
+        their
         minimum and maximum.
     progress : called about ten times per second with the number of finished levels and the maximum number of
         levels, both including levels of candidate base meshes. An exception raised by it aborts the work.

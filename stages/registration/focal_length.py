@@ -112,7 +112,7 @@ class _MatchedPair:
     Attributes
     ----------
     source_pixels, target_pixels : (n, 2) pixels in the first and in the second view, relative to the image
-    centre.
+        centre.
     source_depth, target_depth : (n,) metres, in the first and in the second view.
     """
 

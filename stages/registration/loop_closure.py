@@ -134,7 +134,7 @@ def _select_pairs_between_parts(
     Parameters
     ----------
     similarity : (n, n) similarity of views. It is unreliable for small overlaps, so few pairs are all
-    selected.
+        selected.
     parts : (n,) index of the part of a broken chain for each key frame.
     """
     later, earlier = np.nonzero(np.tril(parts[:, None] != parts))

@@ -1,7 +1,7 @@
 """Registration subject: the whole scene, or an object that moves in front of a static camera.
 
 Matched points and marks give initial poses of the object (see `turning`); surfaces refine these poses. The
-final masks are computed in `belonging`.
+final masks are computed in `object_segmentation`.
 """
 
 from __future__ import annotations

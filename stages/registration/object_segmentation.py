@@ -152,7 +152,7 @@ class _Votes:
     ----------
     object_lead : votes for the moving object minus votes for the static background, by depth and colour.
     see_through_lead : frames that see through the pixel as part of the object, minus those that see through
-    the
+        the
         pixel as part of the background.
     """
 
@@ -168,7 +168,7 @@ class _ObjectExtent:
     ----------
     axis : rotation axis of the object.
     radius, min_height, max_height : maximum distance from the axis, and range of heights along the axis,
-    metres.
+        metres.
     table_height : height of the table, metres; None without a table.
     height_tolerance_m : tolerance of this height, metres.
     """

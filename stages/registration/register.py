@@ -167,7 +167,7 @@ def _register_frames(
     ----------
     initial_poses : initial world_from_camera by frame index; may be empty.
     given_poses : world_from_camera by frame index that stay unless improved, and define the world; may be
-    empty.
+        empty.
     """
     max_depth = params.max_depth or _compute_max_depth(frames)
     with limit_threads():

@@ -106,7 +106,7 @@ class StaticBackground:
     is_occluded_sometimes : (h, w) something nearer is seen here in some frames.
     moving_region : (h, w) region with changes, gaps and holes filled.
     support_region : (h, w) convex hull of that region with a margin, so that it includes the support of the
-    object.
+        object.
     """
 
     depth: NDArray[np.float32]

@@ -41,7 +41,7 @@ class RegistrationView:
         mean point-to-plane information matrix, with lengths relative to the root-mean-square radius of the
         points.
     information_per_point : (6, 6) information matrix of rotation and translation, averaged over the points of
-    the surface.
+        the surface.
     depth_m : median depth, metres.
     valid_pixel_count : number of pixels of `image` with depth.
     mean_color : mean grey level, 0 to 255; NaN if the colour image was not read.

@@ -72,7 +72,7 @@ class ViewScore:
     ----------
     name : of the viewpoint.
     pixels, mean_squared : number of pixels that both cover, and the mean of their squared differences,
-    levels².
+        levels².
     window_count, ssim_sum : number of SSIM windows that both cover completely, and the sum of their SSIM.
     both_pixels, either_pixels : number of pixels that both cover, and that at least one covers.
     image : A | B | difference, side by side. The difference is white for 0 and amplified 4 times; pixels that

@@ -133,7 +133,7 @@ class RenderModel:
 
         Parameters
         ----------
-        places : (k, 2) pixel coordinates.
+        positions : (k, 2) pixel coordinates.
 
         Returns
         -------

@@ -79,7 +79,7 @@ class CornerAttributes:
         Parameters
         ----------
         mesh : the input.
-        left : kernel result.
+        simplified : kernel result.
         """
         uvs, colors, normals = self.split(simplified.corners)
         kept = simplified.corner_source >= 0

@@ -23,7 +23,7 @@ def select_method(params: SimplifyParams, *, has_corner_attributes: bool = False
     ----------
     params : parameters of `simplify`.
     has_corner_attributes : True if the mesh has texture, materials, parts or corner normals. Methods that
-    preserve these
+        preserve these
         are then tried first.
 
     Raises

@@ -129,7 +129,7 @@ class Tradeoff:
     method : simplification method.
     points : errors, by decreasing triangle count.
     suggested_triangles : triangle count; None if no count is within the requested error, or there are too few
-    counts.
+        counts.
     criterion : criterion of the suggestion, in words.
     mesh : mesh at the suggested count, or at the smallest one without a suggestion.
     record : collapses, which restore the mesh at any other count.

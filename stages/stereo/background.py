@@ -101,7 +101,7 @@ def segment_foreground(image: ColorImage, backdrop: Backdrop, min_texture: float
     ----------
     image : (h, w, 3) uint8.
     min_texture : texture threshold, as in `mask_textured_surroundings`. Pixels of the backdrop's colour are
-    foreground if no plain
+        foreground if no plain
         pixel of this colour is within a window of them.
 
     Returns
@@ -130,7 +130,7 @@ def mask_textured_surroundings(image: NDArray[np.uint8], min_texture: float) -> 
     ----------
     image : (h, w) uint8.
     min_texture : minimum mean difference between pixels two apart (horizontally or vertically), grey levels.
-    It
+        It
         must hold in every window that contains the pixel.
     """
     import cv2

@@ -47,7 +47,7 @@ def restore_and_fill(
     depth_maps : depth map of each view without images, as returned by `strip_images`.
     frames : frames of the views.
     compute_depths : function from view index and colour image to measured depth, its confidence, and depth to
-    fill
+        fill
         in.
     threads : thread count.
 

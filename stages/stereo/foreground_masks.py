@@ -69,7 +69,7 @@ class ObjectOutline:
     silhouettes : silhouettes from masks; nothing outside of them belongs to the object.
     backdrop : backdrop around the object, if there are no silhouettes.
     hull_silhouettes : silhouettes, from masks or from the backdrop, whose visual hull approximates the
-    object, because
+        object, because
         the views surround it; empty otherwise. With a backdrop, parts of the object in the backdrop's colour
         may be outside.
     """

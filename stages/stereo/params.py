@@ -325,8 +325,8 @@ class DepthParams:
 
         Parameters
         ----------
-        pairs : number of pairs in the scan.
-        volume : bytes of the cost volumes.
+        pair_count : number of pairs in the scan.
+        volume_bytes : bytes of the cost volumes.
         """
         if self.matcher != AUTO:
             return self.matcher == CENSUS

@@ -125,7 +125,7 @@ def _mask_confirmed(
     filled_depth : (h, w) filled depth, metres.
     filled_maps, measured_maps : other views with their filled, and only measured, depth.
     min_view_count : minimum number of agreeing views. Measured depth may contradict in no more views than
-    agree.
+        agree.
     """
     same, _ = _kernels.count_consistent_views(
         filled_depth, filled_maps, tolerances=(_TOLERANCE, _LOOSE_TOLERANCE), wanted_threads=1

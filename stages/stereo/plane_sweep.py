@@ -65,7 +65,7 @@ class SweepResult:
     ----------
     depth : (h, w) float32 metres along the optical axis; 0 only outside of the object's window.
     distinctness : (h, w) float32 from 0 to 1, distinctness of the best plane from its competitors; one half
-    at a
+        at a
         cost margin of 120.
     plane_count : number of planes.
     """
@@ -85,7 +85,7 @@ def sweep_view(
     main : the view; planes are between its `near` and `far`. Only a window around the object is processed.
     partners : one or more other views of the same scene.
     hull_depth : (h, w) metres, minimum depth of each pixel from the visual hull, 0 where unknown. Where
-    images are
+        images are
         ambiguous, depth close to it is preferred.
     threads : thread count; results do not depend on it.
 

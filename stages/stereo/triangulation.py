@@ -34,7 +34,7 @@ class VerifiedMatches:
     Attributes
     ----------
     epipolar_error : median epipolar distance of the inliers, pixels. Values above one mean that poses or
-    calibration do
+        calibration do
         not fit the images.
     depths : triangulated depths (n,) of well-conditioned matches, metres, in the first and the second view.
     pixels : inlier pixels (n, 2) in the first and the second view.

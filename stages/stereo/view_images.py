@@ -25,7 +25,7 @@ class ViewImage:
     view : posed view.
     grey : (h, w) uint8.
     object_mask : (h, w), pixels that may show the object that masks cut out of all views; None without such
-    masks.
+        masks.
     """
 
     view: PosedView

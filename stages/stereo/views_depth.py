@@ -106,7 +106,7 @@ def views_depth(
     ----------
     scan : with colour and poses, without depth.
     params, changes : parameters of the depth stage, and changes to them by name. `select_partners`,
-    `count_supporting_views`
+        `count_supporting_views`
         and `agreement` apply to single views only.
     progress : called after each view of each pass.
 

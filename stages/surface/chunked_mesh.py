@@ -126,7 +126,7 @@ class ChunkedMesh:
 
         Parameters
         ----------
-        facing : True to compute vertex normals.
+        with_normals : True to compute vertex normals.
         """
         for number in range(len(self._chunks)):
             part = self._chunks.read_chunk(number)

@@ -62,10 +62,10 @@ class Mesh:
     normals : (n, 3) float64 unit vertex normals, or None.
     texture : texture coordinates per corner and a material per triangle (see Texture), or None.
     corner_normals : (m, 3, 3) float64 unit normals per corner, or None. Present if the corners of a vertex
-    differ,
+        differ,
         as along sharp edges; 0 for a corner without a normal. `normals` is then None or holds means.
     part_ids : (m,) int32 index in `part_names`, -1 for no part; or None. Parts are OBJ objects and groups,
-    and
+        and
         glTF nodes.
     part_names : names of the parts; not necessarily unique.
     diagnostics : data that the file reader or a conversion changed or dropped.
@@ -124,11 +124,11 @@ class Mesh:
         ----------
         triangles : (k, 3) int32.
         source : (k,) source triangle of each new triangle, -1 for none: no material, texture coordinates or
-        part. Or a
+            part. Or a
             boolean mask (m,) of the triangles to keep.
         uvs : (k, 3, 2), if the corners differ from the source's; ignored for a mesh without texture.
         corner_normals : (k, 3, 3), if the corners differ from the source's; ignored for a mesh without corner
-        normals.
+            normals.
             By default, triangles without a source get 0.
         """
         texture, part_ids = self.texture, self.part_ids

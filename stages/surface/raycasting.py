@@ -96,7 +96,7 @@ class RaycastingSurface:
     ----------
     mesh : mesh with at least one triangle.
     box : (2, 3) minimum and maximum corner of mesh and query points; None for the mesh's bounding box. Far
-    outside
+        outside
         it, the selection of the triangle loses precision.
 
     Attributes

@@ -93,7 +93,7 @@ class Material:
     name : name in the file; empty if it has none.
     image : base colour image, or None. Materials with the same image share the object.
     base_color : sRGB red, green, blue, and alpha, 0 to 1; None if the file states none. It multiplies the
-    image in
+        image in
         linear light, as in glTF. Kd of an MTL file is used only without an image, because programs disagree
         on its effect on an image.
     wrap : wrap modes of the image along u and v: "repeat", "clamp" or "mirror".
@@ -118,7 +118,7 @@ class Texture:
     Attributes
     ----------
     uvs : (m, 3, 2) float64 per corner, finite; (0, 0) is the lower left corner of the image. Values outside 0
-    to 1
+        to 1
         follow the material's `wrap`. (0, 0) at all three corners means no coordinates.
     material_ids : (m,) int32 index in `materials`; -1 for none.
     materials : in file order.

@@ -127,7 +127,7 @@ class UpEstimate:
     ----------
     direction : (3,) float64 unit vector.
     source : origin of the direction: `surface`, `plane_normal`, `cameras`, or the source of a known
-    direction.
+        direction.
     """
 
     direction: Floats
@@ -153,8 +153,8 @@ def estimate_up_of_scene(
     poses : (n, 4, 4) camera-to-world, n >= 1.
     known_up : unit vector (3,) and its source.
     plane_normal : unit normal (3,), pointing up, of a table or floor removed from the mesh; replaces the
-    estimate
-    from the
+        estimate
+        from the
         surface.
     """
     camera_up = estimate_up_from_cameras(poses)

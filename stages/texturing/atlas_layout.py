@@ -398,7 +398,7 @@ class PageTexels:
 
         Parameters
         ----------
-        places : (m,) position of each triangle of the mesh along a space-filling curve.
+        curve_positions : (m,) position of each triangle of the mesh along a space-filling curve.
         count : maximum texels of a chunk.
         """
         if len(self.pixels) <= count:

@@ -58,7 +58,7 @@ def paint_pages(
     samples : samples along each side of a texel.
     color_lookup : colour lookup on the original.
     continues_beyond : the mesh is a part of a larger surface, so colours are continued beyond its boundary.
-    If False,
+        If False,
         the colour of the boundary is repeated there.
     threads : number of threads; by default all that help.
     progress : called with the number of finished rows of the images and their total.

@@ -139,7 +139,7 @@ class BakeResult:
     padding : minimum number of texels around each chart that continue its colours.
     samples : samples along each side of a texel.
     turned_ratio : ratio of samples whose nearest point faced away and was replaced by a point that faces the
-    same
+        same
         way.
     color : colour difference from the original, sampled on the original.
     vertex_color : the same for the vertex colours of the simplified mesh; None without vertex colours.
@@ -219,7 +219,7 @@ def bake(
     Parameters
     ----------
     simplified : the simplified mesh: Mesh, Open3D or trimesh mesh, or a pair of arrays; need not be manifold.
-    Its
+        Its
         colours and texture are replaced.
     original : mesh in the same coordinates, with vertex colours or a texture.
     params : see BakeParams; single parameters can be given by keyword.

@@ -83,7 +83,7 @@ class TexelSources:
     is_filled : (h, w) bool, texels of charts and a border of one texel around each.
     placed : triangles of the original in the atlas.
     placed_indices : (h, w) int32, index into `placed` for each texel; −1 for gaps and for texels in
-    `update_planes`.
+        `update_planes`.
     looked_up : source points of the texels that no triangle in `placed` covers.
     turned_count : texels whose nearest point faced away and was replaced by a point that faces the same way.
     """

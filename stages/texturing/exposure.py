@@ -98,7 +98,7 @@ class Exposures:
     ----------
     photos : exposure of each photo; the mean log gain is 0.
     difference_before, difference_after : median difference of a sample from the mean of its point, in levels,
-    without and with
+        without and with
         exposure correction.
     differences : (n,) the median difference of each photo, after correction.
     samples : (n,) number of points of each photo that another photo also shows.

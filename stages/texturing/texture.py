@@ -164,7 +164,7 @@ class TextureResult:
     filled_ratio : ratio of the images that shows the surface.
     texel_size : median size of a texel on the surface, metres.
     coverage_ratio : ratio of the surface area that at least one photo shows; the rest keeps the vertex
-    colours.
+        colours.
     photos_per_texel : mean number of photos blended per texel.
     difference_before, difference_after : median difference between photos and their mean, in levels, without
         and with exposure correction.
@@ -173,10 +173,10 @@ class TextureResult:
     shift_ratio : median over the photos of their mean shift, as a ratio of the photo's width.
     residual_exposure_levels : median over the photos of their mean local exposure correction, levels.
     seam_ratio : mean colour difference (CIE 1976) across seams, relative to other neighbouring texels; None
-    if
+        if
         there are too few pairs.
     seam_ratio_over_photos : `seam_ratio` divided by the same ratio in single photos that show both texels.
-    Photos often
+        Photos often
         end at occlusion boundaries; this ratio compensates for that.
     labels : for each image, (h, w) int32, photo with the highest weight; -1 if no photo shows the surface.
     photo_counts : for each image, (h, w) uint8, number of blended photos.

@@ -131,7 +131,7 @@ def make_single_file_page(
     title : page title.
     models : one or more models in the same upright frame.
     report_data : JSON-ready report data. `warnings`: list of sentences. `tables`: each with `title`, `head`,
-    `rows`
+        `rows`
         of text, and `places` to fly to, with `target` (3,) in the upright frame, z up, and the distance
         `away` or the viewpoint `eye` (3,). `texts`: each with `title` and `text`. `unit`: unit of lengths, if
         not metres.

@@ -31,7 +31,7 @@ class EditRound:
     ----------
     dependencies : edits (k,) and the triangles (k,) they depend on.
     written : edits (w,), triangles (w,) they wrote, a subset of `dependencies`, and the previous corners (w,
-    3).
+        3).
     moved : edits (v,), vertices (v,) they moved, and the previous positions (v, 3) in metres.
     """
 
@@ -127,7 +127,7 @@ class EditableMesh:
         Parameters
         ----------
         dependencies, written, moved : as in `EditRound`, but with the new corners and positions instead of
-        the
+            the
             previous ones. Edits are numbered from 0 within this call.
         count : number of edits.
         """

@@ -116,8 +116,8 @@ class ViewpointPlanner:
 
         Parameters
         ----------
-        looks : candidate viewpoints.
-        is_seen : (p, k) visibility of each point from each candidate.
+        candidates : candidate viewpoints.
+        is_visible : (p, k) visibility of each point from each candidate.
         """
         is_outside = ~self._space.is_inside(candidates.positions)
         is_free = self._space.is_free(candidates.positions)

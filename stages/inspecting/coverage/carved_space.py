@@ -45,13 +45,13 @@ class Frontier:
     points : (k, 3) float64, face centres relative to the origin, metres.
     normals : (k, 3) float64, towards free space.
     state_behind : (k,) int8, state of the unknown cell. `OCCLUDED`: behind a measurement of some frame.
-    `NO_DEPTH`:
+        `NO_DEPTH`:
         frames that looked there have no depth. `UNSEEN`: no frame looked there.
     component_labels : (k,) int64, label of the connected component; `state_behind` is constant in a
-    component.
+        component.
     is_near_surface : (k,) bool, True close to the surface.
     neighbour_counts : (k,) number of frontier cells among the 27 cells around the cell: 3 along a line, 9 in
-    a plane.
+        a plane.
     face_area : area of a face, m².
     """
 

@@ -30,7 +30,7 @@ class DefectPatch:
     areas : (k,) float64, m².
     area : m²; for faces of a grid, less than the sum of `areas`.
     display_triangles : (t, 3, 3) float64, triangles to display missing surface, relative to the origin; empty
-    for
+        for
         existing surface.
     """
 

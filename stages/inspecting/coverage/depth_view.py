@@ -41,9 +41,9 @@ class DepthView:
         coordinates.
     depth : (h, w) float32, metres; 0 if missing.
     coarse_depth : (h', w') float32, minimum depth of `downsampling` × `downsampling` pixels; 0 if missing in
-    all of them.
+        all of them.
     filled_depth : `coarse_depth` with small gaps filled from the nearest pixel; infinite where a mask
-    excludes the scene.
+        excludes the scene.
     downsampling : downsampling factor, pixels.
     """
 
@@ -84,7 +84,7 @@ class DepthView:
         Parameters
         ----------
         columns, rows, z : (n,) projected points.
-        step : 1 for indices into `depth`; the view's `downsampling` for `coarse_depth`.
+        downsampling : 1 for indices into `depth`; the view's `downsampling` for `coarse_depth`.
         """
         width, height = self.camera.width, self.camera.height
         (inside,) = np.nonzero(

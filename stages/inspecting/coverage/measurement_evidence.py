@@ -48,7 +48,7 @@ class Evidence:
     max_cosine : (n,) float32, largest cosine between normal and line of sight; 0 without measurement.
     min_distance : (n,) float32, smallest measured depth in metres; infinite without measurement.
     min_pixel_size : (n,) float32, smallest pixel footprint on the surface in metres; infinite without
-    measurement.
+        measurement.
     cosine_sum : (n,) float32, sum of the cosines over all measuring frames.
     squared_height_sum : (n,) float32, sum of the squared heights above the surface, m².
     """

@@ -34,7 +34,7 @@ class OcclusionTest:
         Parameters
         ----------
         origins, directions : (k, 3), metres in mesh coordinates, and unit vectors.
-        reaches : (k,) maximum distance of a hit, metres.
+        max_distances : (k,) maximum distance of a hit, metres.
         """
         hit = np.zeros(len(origins), bool)
         for piece in self._surface.iterate_batches():

@@ -48,7 +48,7 @@ def paint_coverage(
     surface : mesh in batches.
     probes : vertices that represent their neighbourhoods.
     kinds : (k + 1,) index in `WEAK_KINDS` of each probe, −1 if well observed; the last is for vertices
-    without a
+        without a
         probe.
     caps : defect kind and corners (k, 3, 3) in metres of the triangles that would close holes.
     """

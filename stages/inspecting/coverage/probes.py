@@ -65,7 +65,7 @@ class Probes:
     points, normals : (k, 3) float32; points in metres relative to the origin.
     grid, keys : the grid, and the ascending keys (k,) of the probes.
     rim_indices, rim_probes : ascending global indices of vertices that use another probe than their cube's,
-    and those
+        and those
         probes.
     """
 
@@ -84,7 +84,7 @@ class Probes:
         Parameters
         ----------
         vertices, normals : (n, 3), in mesh coordinates, metres.
-        numbers : (n,) global vertex indices.
+        global_indices : (n,) global vertex indices.
         """
         own = find_sorted(self.keys, self.grid.compute_keys(vertices, normals))
         at_rim = find_sorted(self.rim_indices, global_indices)

@@ -402,7 +402,7 @@ class Scan:
     missing : data that a mesh requires and the scan lacks: diagnostics of the codes pose.missing and
         camera.pair-uncalibrated.
     bounding_box : (2, 3) float64 metres, minimum and maximum corner of the scanned volume, if the folder
-    states it.
+        states it.
     held_out : frames that no stage uses, for evaluation.
     up : up direction in world coordinates, if the layout or the folder states it.
     is_metric : lengths are metres; otherwise poses and depth have the same unknown unit.

@@ -52,7 +52,7 @@ class Accelerometer:
     read : return a reading (3,) in m/s², in the axes of the sensor. At rest it points up. Raises InputError
         if the file is damaged.
     camera_from_sensor : (3, 3) float64 rotation from the sensor axes to the axes of the frames' camera; None
-    if
+        if
         the recording does not contain it.
     """
 

@@ -15,7 +15,7 @@ unchanged.
 
 For meshes with texture coordinates, materials, parts or corner normals, edges collapse as in method `seams`.
 Only the distance is proven then. `max_color` is checked at samples as dense as the texels, and reported as
-measured (`along_seams.py`).
+measured (`corner_attribute_run.py`).
 
 Importance divides the bounds around a vertex, and so must be at least 1. With `partial`, Ctrl-C still proves
 the deviation of the mesh simplified so far.

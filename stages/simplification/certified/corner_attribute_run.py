@@ -69,7 +69,7 @@ class _ProofTarget:
     max_shape : maximum distance, metres.
     max_color : maximum colour difference, levels; infinite without a bound.
     has_image_colors : True if colours come from images. Their difference is measured. Vertex colours are
-    linear and
+        linear and
         their difference is proven.
     is_ambiguous : (m,) bool, input triangles at positions with several colours.
     surface : (m, 3) int32, input triangles that the proof covers.

@@ -89,7 +89,7 @@ class ReplayState:
     triangle_indices : (q,) int64, remaining triangles.
     triangles : (q, 3) int32, their corners, as indices into `vertex_count`.
     merged_into : (n,) int32, index into `vertex_count` of the vertex that each vertex was merged into; −1 for
-    none.
+        none.
     """
 
     collapses: int

@@ -65,7 +65,7 @@ def simplify_in_order(
     task : arguments of the method.
     expected_triangles : expected triangle count, from which the weights of colours and normals are derived.
     distance_bound : bound on the distance in metres, ratio of the bound that vertices may use, and factors
-    (n,) on
+        (n,) on
         the bound per vertex; None for no bound.
 
     Returns

@@ -202,7 +202,7 @@ class Network:
         ----------
         images : padded images by role: left, right or image.
         name : name of the input.
-        taken : role of the input in the sidecar, such as "pair" or "left/2".
+        role : role of the input in the sidecar, such as "pair" or "left/2".
         """
         import cv2
 

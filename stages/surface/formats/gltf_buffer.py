@@ -54,8 +54,8 @@ class GltfBuffer:
         Parameters
         ----------
         values : (n, columns) array.
-        kind : accessor type, such as "VEC3".
-        code : component type, such as 5126 for float.
+        element_type : accessor type, such as "VEC3".
+        component_type : component type, such as 5126 for float.
         target : buffer view target: vertex attributes or indices.
         details : further properties of the accessor.
         """

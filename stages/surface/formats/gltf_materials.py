@@ -55,7 +55,7 @@ class GltfMaterialSource:
     textures : image and sampler by texture index.
     color, image, wrap : the `Material` fields derived from `tree`, to detect later changes.
     multiplies_vertex_colors : True if the file has vertex colours on this material; they multiply the base
-    colour.
+        colour.
     """
 
     tree: JsonObject

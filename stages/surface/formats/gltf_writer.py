@@ -75,18 +75,18 @@ def write_gltf(
     path : output file; its extension selects the container.
     mesh : mesh in metres.
     compress : one of COMPRESSIONS. `quantize`: positions with up to 65,535 steps along the longest side (the
-    step
+        step
         is a power of two), normals with 8 bits, texture coordinates inside the image with 16 bits; viewers
         need KHR_mesh_quantization. `meshopt`: the same, losslessly compressed, with triangles and vertices
         reordered; viewers need EXT_meshopt_compression.
     shading : one of SHADINGS. `keep`: as the materials state; vertex colours without a material are lit.
-    `bare`:
+        `bare`:
         the same, but uncompressed files have no material for vertex colours, because trimesh drops colours
         next to a material. `unlit`: colours are displayed without lighting, and normals are dropped; no
         effect on a mesh without colours. `lit`: overrides the materials.
     position_bits : bits per component of a compressed position, 1 to 16.
     texel_steps : steps of compressed texture coordinates per texel; viewers need KHR_texture_transform. 0 for
-    16
+        16
         bits per image side, without that extension.
     values : (n, 4) additional 8-bit values per vertex, written as attribute `_VALUES`, which other programs
         ignore.

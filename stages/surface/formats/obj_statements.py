@@ -39,7 +39,7 @@ class ObjStatements:
     Attributes
     ----------
     positions, uvs, normals, faces : lines of v, vt, vn and f without the keyword, separated by line feeds;
-    all
+        all
         other white space is spaces.
     counts_before_face : (faces, 3) number of v, vt and vn statements before each face.
     materials, parts : (index of the first face, name) of each change of material or part.

@@ -26,7 +26,7 @@ class Layout:
     up : up direction of the world, if the layout defines it. If only some folders define it, `read` sets
         `Scan.up` instead.
     is_gravity_aligned : `up` comes from the device's accelerometer, so that each pose implies the up
-    direction of its
+        direction of its
         camera.
     """
 

@@ -82,9 +82,9 @@ class RealSenseRecording:
     streams : image streams, by name.
     read_camera : return the camera message of a stream, or None.
     read_depth_units : return all depth units, in metres, that the sensor of a stream had during the
-    recording.
+        recording.
     read_extrinsics : return the transforms (4, 4) from reference frames to the camera of a stream, by name of
-    the
+        the
         reference.
     accelerometers : accelerometer topics, by name of the stream.
     """
