@@ -108,7 +108,7 @@ class Coverage:
 
     @property
     def vertex_kinds(self) -> NDArray[np.int8]:
-        """Defect kind per vertex as index into `THIN`, (n,); -1 if well observed."""
+        """Defect kind per vertex as index into `WEAK_KINDS`, (n,); -1 if well observed."""
         return self.surface_coverage.kinds[self._vertex_probes]
 
     @cached_property
