@@ -43,8 +43,8 @@ for name in sorted(names):
 assert all(sys.modules[name] is None for name in MISSING_MODULES)
 assert "scanloom.pipeline.cache.windows" in sys.modules and "scanloom.pipeline.cache.posix" not in sys.modules
 print(len(names))
-from scanloom.stages.inspecting.machine_report import machine
-told = machine()
+from scanloom.stages.inspecting.machine_report import describe_machine
+told = describe_machine()
 assert told["memory_total_bytes"] == 8 << 30 and told["memory_available_bytes"] == 5 << 30
 notes = told["platform_notes"]
 assert ["Linux" in notes[0], "260 characters" in notes[1]] == [True, True], told

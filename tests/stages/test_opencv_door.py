@@ -8,11 +8,11 @@ import pytest
 
 LACKING = """
 import numpy
-from scanloom.stages.files.image_bytes import encoded_png
-from tests.made.short_of_memory import limit
-limit({spare} << 20)
+from scanloom.stages.files.image_bytes import encode_png
+from tests.made.short_of_memory import limit_memory
+limit_memory({spare} << 20)
 try:
-    encoded_png(numpy.zeros((4, 4, 3), numpy.uint8))
+    encode_png(numpy.zeros((4, 4, 3), numpy.uint8))
 except MemoryError:
     print("memory")
 """

@@ -220,8 +220,7 @@ NO_WORKER = """
 import sys
 from pathlib import Path
 import scanloom.pipeline.batch.dask_executor
-from scanloom.pipeline.batch.job_queue import Job, Settings, new_queue
-from scanloom.pipeline.batch.worker_events import Noted
+from scanloom.pipeline.batch.job_queue import BatchSettings, Job, create_queue
 
 def tell(told):
     print(told.text, flush=True)
@@ -229,8 +228,8 @@ def tell(told):
         raise InterruptedError
 
 scanloom.pipeline.batch.dask_executor._WORKER_CHECK_INTERVAL = 0.2
-queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
-scanloom.pipeline.batch.dask_executor.run_with_dask(queue, "slurm", workers=1, tell=tell)
+queue = create_queue(Path(sys.argv[1]), 1, BatchSettings(""), [Job(0, "x", "x")])
+scanloom.pipeline.batch.dask_executor.run_with_dask(queue, "slurm", workers=1, on_event=tell)
 """
 
 
@@ -246,14 +245,14 @@ def test_scans_that_wait_for_a_worker_are_told(slurm: dict[str, str], tmp_path: 
 CTRL_C = """
 import signal, sys
 from pathlib import Path
-from scanloom.pipeline.batch.dask_executor import work_by_dask
-from scanloom.pipeline.batch.job_queue import Job, Settings, new_queue
+from scanloom.pipeline.batch.dask_executor import run_with_dask
+from scanloom.pipeline.batch.job_queue import BatchSettings, Job, create_queue
 from scanloom.stages.diagnostics.errors import InputError
 
-queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
+queue = create_queue(Path(sys.argv[1]), 1, BatchSettings(""), [Job(0, "x", "x")])
 try:
     # Nothing says how many processors a worker has.
-    work_by_dask(queue, "slurm", workers=1)
+    run_with_dask(queue, "slurm", workers=1)
 except InputError:
     assert "dask_jobqueue" in sys.modules
     signal.raise_signal(signal.SIGINT)

@@ -8,11 +8,11 @@ import pytest
 
 LACKING = """
 import numpy
-from scanloom.stages.files import blas_buffers
-from tests.made.short_of_memory import limit
-limit(30 << 20)
+from scanloom.stages.files import blas_memory
+from tests.made.short_of_memory import limit_memory
+limit_memory(30 << 20)
 try:
-    blas_buffers.require_buffers(4)
+    blas_memory.reserve_blas_buffers(4)
 except MemoryError:
     print("memory")
 """
