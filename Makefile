@@ -4,6 +4,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+COMPILERS := $(VENV)/.compilers
+DEPENDENCIES := $(VENV)/.dependencies
+KERNELS := $(VENV)/.kernels
 STUBS_FIT := $(VENV)/.stubs-fit
 # Tests wait for processes, browsers and each other: three at a time keep two cores busy.
 WORKERS ?= $(shell $(PYTHON) -c "import os; print(-(-3 * os.cpu_count() // 2))")
@@ -24,7 +27,8 @@ SITE := build/docs
 
 .PHONY: docs page browser packages demo check test suite test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy rust-tests collected clean
 
-demo: $(READY)
+demo:
+	@$(MAKE) --no-print-directory --jobs=2 $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
 	@echo
 	@echo "The mesh is demo/rgbd/textured.glb (and simplified.ply), the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
@@ -46,10 +50,12 @@ test: export CARGO_INCREMENTAL = 0
 test: export CARGO_PROFILE_TEST_LTO = off
 test: export CARGO_PROFILE_TEST_CODEGEN_UNITS = 2
 test: export CARGO_PROFILE_TEST_DEBUG = 0
-# Types and style are checked while tests run: each leaves a core free at times.
+# The kernels take longest and keep one core busy: they start first, and everything that works without them runs beside.
 test:
-	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target clippy rust-tests browser packages collected
-	@$(MAKE) --no-print-directory --jobs=2 python-lint suite
+	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target \
+	  $(KERNELS) $(DEPENDENCIES) rust-tests clippy mypy ruff browser packages
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target collected stubtest
+	@$(MAKE) --no-print-directory suite
 
 suite: $(READY)
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m "not thorough"
@@ -59,9 +65,9 @@ test-all: test mypy-windows
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m thorough
 
 # Tests of pages need Chromium, best without the parts that draw windows: with them each start takes seconds. Where it
-# cannot be had, they say so: CI fails then, a developer's run skips them. After the environment, which may need the
-# system's packages, too: these are installed one at a time.
-browser: | $(READY)
+# cannot be had, they say so: CI fails then, a developer's run skips them. After the compilers, because the system's
+# packages are installed one at a time.
+browser: | $(COMPILERS)
 	@command -v chromium-headless-shell >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
 	  get="$$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends"; \
@@ -102,11 +108,11 @@ collected: $(READY)
 python-lint: $(READY)
 	@$(MAKE) --no-print-directory --jobs --output-sync=target ruff mypy stubtest
 
-ruff:
+ruff: | $(DEPENDENCIES)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-mypy: $(PACKAGE_LINKS)
+mypy: $(PACKAGE_LINKS) | $(DEPENDENCIES)
 	$(BIN)/mypy
 
 $(PACKAGE_LINKS):
@@ -123,11 +129,11 @@ $(STUBS_FIT): stages/_kernels.pyi $(READY) | $(PACKAGE_LINKS)
 	MYPYPATH=build/types $(BIN)/python -m mypy.stubtest scanloom.stages._kernels
 	@touch $@
 
-clippy:
+clippy: | $(COMPILERS)
 	cd kernels && cargo fmt --check
 	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
 
-rust-tests:
+rust-tests: | $(COMPILERS)
 	cd kernels && MAKEFLAGS= cargo test --locked --quiet --lib
 
 bench:
@@ -138,16 +144,31 @@ format: $(READY)
 	$(BIN)/ruff format .
 	cd kernels && cargo fmt
 
-# Installing is what compiles the kernels; a changed source or dependency list installs again. Of the Python that comes
-# with it most is never imported: the rest is compiled when it is.
-$(READY): pyproject.toml $(KERNEL_SOURCES)
+$(COMPILERS):
 	@command -v cargo >/dev/null || { echo "cargo is missing: the mesh kernels are built with Rust 1.89 or later."; exit 1; }
 	@command -v c++ >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
 	  $$root apt-get update -qq && $$root apt-get install -y -qq --no-install-recommends g++ >/dev/null; \
 	} || { echo "c++ is missing: the kernels include a library in C++. On Debian: apt-get install g++"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { echo "On Debian: apt-get install python3-venv"; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[dev]'
+	@touch $@
+
+# Most of what is installed is never imported: Python compiles the rest when it is.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
+$(DEPENDENCIES): pyproject.toml packaging/list_requirements.py | $(COMPILERS)
+	@echo "Installing the Python packages that scanloom needs"
+	@$(BIN)/python packaging/list_requirements.py > $(VENV)/requirements.txt
+	@$(PIP) --requirement $(VENV)/requirements.txt
+	@touch $@
+
+# Installing compiles the kernels. Without dependencies, so that both run side by side.
+$(KERNELS): pyproject.toml $(KERNEL_SOURCES) | $(COMPILERS)
+	@echo "Compiling the kernels; this takes minutes"
+	@$(PIP) --no-deps --editable .
+	@touch $@
+
+$(READY): $(DEPENDENCIES) $(KERNELS)
 	@touch $@
 
 clean:
