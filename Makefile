@@ -25,7 +25,7 @@ PACKAGES := $(PAGE)/node_modules/.package-lock.json
 # The site of docs/, which opens from the disk: build/docs/index.html.
 SITE := build/docs
 
-.PHONY: docs page browser packages demo check test suite test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy rust-tests collected clean
+.PHONY: docs page browser packages demo check test suite test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy clippy-benches rust-tests collected clean
 
 demo:
 	@$(MAKE) --no-print-directory --jobs=2 $(READY)
@@ -61,7 +61,7 @@ suite: $(READY)
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m "not thorough"
 
 # Real scans, wheels, the documentation site, simulated clusters and systems, benches, kills and random damage.
-test-all: test mypy-windows
+test-all: test mypy-windows clippy-benches
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m thorough
 
 # Tests of pages need Chromium, best without the parts that draw windows: with them each start takes seconds. Where it
@@ -131,7 +131,10 @@ $(STUBS_FIT): stages/_kernels.pyi $(READY) | $(PACKAGE_LINKS)
 
 clippy: | $(COMPILERS)
 	cd kernels && cargo fmt --check
-	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
+	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --tests --features python -- -D warnings
+
+clippy-benches: | $(COMPILERS)
+	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --benches --features python,bench -- -D warnings
 
 rust-tests: | $(COMPILERS)
 	cd kernels && MAKEFLAGS= cargo test --locked --quiet --lib

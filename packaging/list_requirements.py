@@ -16,4 +16,5 @@ else:
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-print(*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["dev"], sep="\n")
+LINES = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["dev"]]
+sys.stdout.write("\n".join(LINES) + "\n")
