@@ -19,9 +19,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         "adjust",
         "fuse",
         "clean",
+        "refine",
         "simplify",
         "texture",
-        "bake",
         "lod",
         "export",
     ),
@@ -50,8 +50,8 @@ GROUPS = {
         {"build": "lod", "info": "lod", "cut": "lod", "tiles": "lod_tiles"},
     ),
     "mesh": Group(
-        "Remesh, certify, replay and examine meshes",
-        {name: name for name in ("remesh", "decode", "certify", "tradeoff", "replay", "patches")},
+        "Bake, remesh, certify, replay and examine meshes",
+        {name: name for name in ("bake", "remesh", "decode", "certify", "tradeoff", "replay", "patches")},
     ),
     "cache": Group(
         "List, verify and prune cached results",

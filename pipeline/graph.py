@@ -1,10 +1,12 @@
 """Stages of the pipeline, in execution order.
 
-scan ──depth──▶ frames ──────────────fuse──▶ fused_mesh ──clean──▶ clean_mesh ──simplify──▶ simplified_mesh
+scan ──depth──▶ frames ──────────────fuse──▶ fused_mesh ──clean──▶ clean_mesh ──refine──▶ refined_mesh
                   ├─register─▶ poses ─▲
                   └─adjust──▶ adjusted_cameras
 
-simplified_mesh ──texture──▶ textured_mesh      clean_mesh ──lod──▶ levels ──tiles──▶ tileset
+refined_mesh ──simplify──▶ simplified_mesh
+
+simplified_mesh ──texture──▶ textured_mesh      refined_mesh ──lod──▶ levels ──tiles──▶ tileset
 simplified_mesh ──bake────▶ baked_mesh          simplified_mesh ──export──▶ exported_models
 simplified_mesh ──remesh──▶ normal_mesh         clean_mesh ──coverage──▶ coverage_map
 clean_mesh ──upright──▶ up_direction            all meshes ──report──▶ report
@@ -29,6 +31,7 @@ from scanloom.pipeline.steps import (
     export,
     fuse,
     lod,
+    refine,
     register,
     remesh,
     report,
@@ -46,6 +49,7 @@ STAGES: tuple[AnyStage, ...] = (
     adjust.STAGE,
     fuse.STAGE,
     clean.STAGE,
+    refine.STAGE,
     upright.STAGE,
     simplify.STAGE,
     texture.STAGE,

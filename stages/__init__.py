@@ -53,6 +53,8 @@ if TYPE_CHECKING:
     from scanloom.stages.inspecting.inspection import Inspection
     from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
     from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
+    from scanloom.stages.refinement.params import RefineParams
+    from scanloom.stages.refinement.refine import RefinementResult, refine
     from scanloom.stages.registration.params import RegisterParams
     from scanloom.stages.registration.register import register
     from scanloom.stages.registration.registration_result import Registration
@@ -128,6 +130,8 @@ _NAMES_OF = {
     "rendering.image_comparison": ("ViewComparison", "ViewsParams", "compare_views"),
     "rendering.render": ("Viewpoint", "render"),
     "rendering.viewpoints": ("viewpoints",),
+    "refinement.params": ("RefineParams",),
+    "refinement.refine": ("RefinementResult", "refine"),
     "registration.params": ("RegisterParams",),
     "registration.register": ("register",),
     "registration.registration_result": ("Registration",),
@@ -216,6 +220,8 @@ __all__ = [
     "PatchParams",
     "Patches",
     "PlanarParams",
+    "RefineParams",
+    "RefinementResult",
     "RegisterParams",
     "Registration",
     "RemeshParams",
@@ -270,6 +276,7 @@ __all__ = [
     "read_cloud",
     "read_mesh",
     "read_scan",
+    "refine",
     "register",
     "remesh",
     "render",

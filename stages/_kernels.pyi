@@ -467,6 +467,53 @@ def sample_points(
     """Sample the first channels of an image at texture coordinates (n, 2), v up."""
 
 @final
+class SurfaceRefiner:
+    """Mesh under refinement.
+
+    Show all frames, then `filter`; again, then `correct`, once or more; then `flatten`.
+    """
+
+    def __new__(
+        cls,
+        vertices: NDArray[np.float64],
+        triangles: NDArray[np.int32],
+        *,
+        strength: float,
+        wanted_threads: int,
+    ) -> SurfaceRefiner: ...
+    def observe(self, camera: _Camera, depth: NDArray[np.float32], noise: tuple[float, float]) -> None:
+        """Compare the surface with a filtered depth map.
+
+        `noise` is (constant, quadratic): the standard deviation of depth z is constant + quadratic · z²,
+        metres.
+        """
+    def filter(self) -> None:
+        """Measure the deviation of each vertex, and filter the surface."""
+    def correct(self) -> None:
+        """Move the surface to the observations, smoothly."""
+    def flatten(self) -> None:
+        """Make planar patches planar and their creases straight."""
+    def finish(
+        self,
+    ) -> tuple[
+        tuple[
+            NDArray[np.float64],
+            NDArray[np.int32],
+            NDArray[np.uint32],
+            NDArray[np.uint32],
+            NDArray[np.float64],
+        ],
+        tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32], NDArray[np.int32], int],
+    ]:
+        """Return the mesh and the values of its vertices.
+
+        The mesh: vertices (n, 3), triangles (m, 3), input vertex of the first n − k vertices, and the ends
+        (k, 2) and shares (k,) of the others, which were split off edges. The values (n,): moves and
+        deviations in metres, number of frames that saw the vertex, and its plane, −1 for none; then the number
+        of planes.
+        """
+
+@final
 class Volume:
     """TSDF volume in blocks of 8³ voxels; lengths in metres."""
 

@@ -38,7 +38,7 @@ def bake(
     nearest point of ORIGINAL that faces the same way. A GLB file holds the images; OBJ and PLY have separate
     image files.
 
-    Example: scanloom bake light.ply clean.ply light.glb
+    Example: scanloom mesh bake light.ply clean.ply light.glb
     """
     require_new_file(target, TEXTURED_SUFFIXES)
     mesh, reference = read_mesh_file(light), read_mesh_file(original)

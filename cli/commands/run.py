@@ -62,13 +62,13 @@ def run(
 ) -> None:
     """Turn a scan into a textured mesh.
 
-    OUT gets fused.ply, clean.ply, simplified.ply, textured.glb (simplified.glb if frames have no colour),
-    report.json, and report.html, a page that shows the result. A second run repeats only the stages whose
-    input or parameters have changed.
+    OUT gets fused.ply, clean.ply, refined.ply, simplified.ply, textured.glb (simplified.glb if frames have no
+    colour), report.json, and report.html, a page that shows the result. A second run repeats only the
+    stages whose input or parameters have changed.
 
     --quality draft is for a first look, best for final results; --config and --set override it.
 
-    Further results: --set bake.enabled=true (baked.glb, the colours of the clean mesh in a texture),
+    Further results: --set bake.enabled=true (baked.glb, the colours of the refined mesh in a texture),
     remesh.enabled=true (remeshed.ply and remeshed.snm), lod.enabled=true (lod.slod and tiles/),
     export.web=true (web.glb), coverage.enabled=true. --set scan.hold_out=10 withholds every tenth frame
     from all stages and compares its photo with the result. --set report.page=false omits the page.

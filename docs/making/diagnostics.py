@@ -94,9 +94,10 @@ PAGE_TABLE = {
         "`path.ply` shows the path of the camera in the point cloud.",
     ),
     "fuse-and-clean": Page(
-        ("fuse", "clean"),
-        "Fusion, cleaning, checking",
-        "Diagnostics of [fuse](../stages/fuse.md), [clean](../stages/clean.md) and `scanloom check`.",
+        ("fuse", "clean", "refine"),
+        "Fusion, cleaning, refinement, checking",
+        "Diagnostics of [fuse](../stages/fuse.md), [clean](../stages/clean.md), "
+        "[refine](../stages/refine.md) and `scanloom check`.",
     ),
     "simplify": Page(
         ("simplify",),

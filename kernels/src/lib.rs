@@ -20,6 +20,7 @@
 //! | [`recognition`] | matching of image descriptors | `base` |
 //! | [`stereo`] | disparity of a rectified stereo pair by semi-global matching | `base` |
 //! | [`fusion`] | depth maps fused into a TSDF, and surface extraction | `base` |
+//! | [`refinement`] | a fused mesh without the noise of the sensor, with planes and straight creases | `fusion`, `mesh`, `planar` |
 //! | [`snm`] | the file format of normal meshes | `subdivision` |
 //! | [`normal`] | normal meshes: base mesh, levels, and the search for vertex positions | `collapse`, `quadrics`, `subdivision`, `snm` |
 
@@ -38,6 +39,7 @@ pub mod planar;
 pub mod quadric;
 pub mod quadrics;
 pub mod recognition;
+pub mod refinement;
 pub mod seams;
 pub mod snm;
 pub mod stereo;

@@ -28,6 +28,9 @@ mod seams {
 mod planar {
     mod simplify;
 }
+mod refinement {
+    mod steps;
+}
 mod normal {
     mod locking;
     mod remesh;

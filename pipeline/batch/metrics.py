@@ -8,9 +8,9 @@ from typing import Any
 from scanloom.pipeline.run.run import RunResult
 
 # Main result files, best first.
-_RESULT_FILES = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply", "fused.ply")
+_RESULT_FILES = ("textured.glb", "simplified.glb", "simplified.ply", "refined.ply", "clean.ply", "fused.ply")
 # Mesh whose overview picture represents the run, best first.
-_PICTURE_MESHES = ("textured", "simplified", "clean", "fused")
+_PICTURE_MESHES = ("textured", "simplified", "refined", "fused")
 
 
 def metrics_of(result: RunResult) -> dict[str, Any]:

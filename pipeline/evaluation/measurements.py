@@ -55,7 +55,7 @@ def measure_and_draw(
 
     Parameters
     ----------
-    meshes : meshes by name: "fused", "clean", "simplified" and, if available, "textured". The first two may
+    meshes : meshes by name: "fused", "refined", "simplified" and, if available, "textured". The first two may
         be chunked.
     frames : frames of the scan, whose poses determine the viewpoints.
     compare_params : parameters of the comparison.
@@ -85,7 +85,7 @@ def measure_and_draw(
     tasks: list[Callable[[], Any]] = [
         # Longest task first, for the best use of threads.
         partial(_measure_from_fused, measured_meshes, compare_params),
-        partial(_measure_from_clean, folder, measured_meshes, compare_params),
+        partial(_measure_from_refined, folder, measured_meshes, compare_params),
         partial(measure_simplified, small["simplified"]),
         partial(write_photos, folder, frames, params.photos, held_out),
     ]
@@ -97,9 +97,9 @@ def measure_and_draw(
     tasks += [partial(one.draw, folder) for one in drawings]
     # Chunked meshes are processed one at a time to save memory.
     threads = 1 if large else get_worker_count()
-    to_fused, (to_clean, deviation), measured, photos, *_ = _run_parallel(tasks, progress, threads)
+    to_fused, (to_refined, deviation), measured, photos, *_ = _run_parallel(tasks, progress, threads)
     return {
-        "mesh": measured | {"to_fused": to_fused, "to_clean": to_clean},
+        "mesh": measured | {"to_fused": to_fused, "to_refined": to_refined},
         "deviation": deviation,
         "pictures": [file for one in drawings for file in one.files],
         "photos": photos,
@@ -163,12 +163,12 @@ def _measure_from_fused(meshes: _MeasuredMeshes, params: CompareParams) -> dict[
     return compare_surfaces(meshes.get_surface("fused"), meshes.get_surface("simplified"), params).to_dict()
 
 
-def _measure_from_clean(
+def _measure_from_refined(
     folder: Path, meshes: _MeasuredMeshes, params: CompareParams
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Measure the two-sided error of simplification, and the signed deviation of the result.
 
-    Both are relative to the clean mesh. Islands are already removed from it, so only simplification
+    Both are relative to the refined mesh. Islands are already removed from it, so only simplification
     contributes.
     """
     final = meshes.small["simplified"]
@@ -176,16 +176,18 @@ def _measure_from_clean(
     fewer = replace(params, samples=math.ceil(params.samples / 4))
     signed = DeviationParams(signed_samples=SIGNED_SAMPLES)
     found: Deviations | None
-    if "clean" in meshes.large:
+    if "refined" in meshes.large:
         compared, found = compare_chunked(
-            meshes.large["clean"], final, fewer, box=meshes.box, signed=(result, signed)
+            meshes.large["refined"], final, fewer, box=meshes.box, signed=(result, signed)
         )
         assert found is not None, "it was asked for"
     else:
-        box = compute_bounding_box(meshes.small["clean"], final, result)
-        clean = NeedleSafeSurface(meshes.get_surface("clean"), box)
-        compared = compare_needle_safe(clean, NeedleSafeSurface(meshes.get_surface("simplified"), box), fewer)
-        found = measure_deviations_from(clean, result, signed)
+        box = compute_bounding_box(meshes.small["refined"], final, result)
+        refined = NeedleSafeSurface(meshes.get_surface("refined"), box)
+        compared = compare_needle_safe(
+            refined, NeedleSafeSurface(meshes.get_surface("simplified"), box), fewer
+        )
+        found = measure_deviations_from(refined, result, signed)
     return compared.to_dict(), write_deviations(folder, found)
 
 

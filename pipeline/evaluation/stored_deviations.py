@@ -1,4 +1,4 @@
-"""Files with the deviation of the result from the clean mesh."""
+"""Files with the deviation of the result from the refined mesh."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def make_deviation_colormap(
         safe=_to_css(colorize_distances(middles, within, max_deviation, "safe")),
     )
     return VertexColormap(
-        unit_factor * deviations.at_vertices, scale, "deviation of the result from the clean mesh"
+        unit_factor * deviations.at_vertices, scale, "deviation of the result from the refined mesh"
     )
 
 

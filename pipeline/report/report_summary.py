@@ -64,7 +64,7 @@ def make_deviation_tables(
     deviation: Mapping[str, Any],
     proven_bound: float | None,
     targets: Sequence[Mapping[str, Any]],
-    title: str = "Deviation of the result from the clean mesh, sampled",
+    title: str = "Deviation of the result from the refined mesh, sampled",
     *,
     is_metric: bool = True,
 ) -> list[dict[str, Any]]:

@@ -82,16 +82,16 @@ def make_run_page(folder: Path, max_bytes: int) -> bytes:
     models = {}
     stored = None
     is_metric = get_nested(report, "scan", "metric", default=True)
-    if (folder / "clean.ply").is_file():
-        if exceeds_chunk_limit(read_row_count(folder / "clean.ply", "face")):
-            clean = None
-            models["clean mesh"] = coarsen_mesh(
-                folder / "clean.ply", result.up, "before simplification", is_metric=is_metric
+    if (folder / "refined.ply").is_file():
+        if exceeds_chunk_limit(read_row_count(folder / "refined.ply", "face")):
+            refined = None
+            models["refined mesh"] = coarsen_mesh(
+                folder / "refined.ply", result.up, "before simplification", is_metric=is_metric
             )
         else:
-            clean = stages.read_mesh(folder / "clean.ply").with_(up=result.up)
-            models["clean mesh"] = PageModelSource(clean, "before simplification")
-        stored = _load_deviations(folder / PICTURES, clean, result)
+            refined = stages.read_mesh(folder / "refined.ply").with_(up=result.up)
+            models["refined mesh"] = PageModelSource(refined, "before simplification")
+        stored = _load_deviations(folder / PICTURES, refined, result)
     if stored is not None:
         bound, proven = _read_bounds(folder / REPORT, report)
         away = _FLY_DISTANCE_RATIO * _compute_size(result)
@@ -122,14 +122,14 @@ def make_run_page(folder: Path, max_bytes: int) -> bytes:
     return make_packed_page(folder.resolve().name, models, max_bytes, report_data, cameras)
 
 
-def _load_deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> StoredDeviations | None:
+def _load_deviations(pictures: Path, refined: Mesh | None, result: Mesh) -> StoredDeviations | None:
     """Return the deviations of the result, stored or computed."""
     with convert_parse_errors(pictures):
         stored = read_deviations(pictures)
     if stored is not None and _is_same(stored.vertices, result):
         return stored
-    if clean is not None:
-        return make_stored_deviations(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+    if refined is not None:
+        return make_stored_deviations(stages.deviations(refined, result, signed_samples=SIGNED_SAMPLES))
     return None if stored is None else _transfer_deviations(stored, result)
 
 

@@ -55,7 +55,7 @@ def compose_report(
         "normal_mesh": final.get("normal_mesh"),
         # None unless frames were held out.
         "held_out": final.get("held_out"),
-        # Signed deviation of the result from the clean mesh; None unless the run reached the report.
+        # Signed deviation of the result from the refined mesh; None unless the run reached the report.
         "deviation": final.get("deviation"),
         "pictures": final.get("pictures", []),
     }

@@ -32,7 +32,7 @@ def continue_run(
 
     Parameters
     ----------
-    out : output folder of a run that has written clean.ply.
+    out : output folder of a run that has written refined.ply.
     stage : stage whose section has the parameter `enabled`.
     changes : other parameters of the stage.
     scan : new location of the scan, if it was moved.
@@ -86,10 +86,10 @@ def _read_request(out: Path, cache_dir: Path | None) -> RunRequest:
             remedy="give the cache of the run with --cache, or run `scanloom run` again.",
             cache=cache,
         )
-    if not (out / "clean.ply").is_file():
+    if not (out / "refined.ply").is_file():
         raise InputError(
             REPORT_NO_RUN,
-            "clean.ply is missing, because the run ended before it",
+            "refined.ply is missing, because the run ended before it",
             out,
             remedy="complete the run with `scanloom run`.",
         )

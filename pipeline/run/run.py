@@ -142,11 +142,12 @@ def run(
     Parameters
     ----------
     scan_folder : scan folder, never written to.
-    out : output folder, created if needed. Files: fused.ply, clean.ply, simplified.ply, report.json,
-        report.html, pictures/; textured.glb and texture_maps/ if frames have colour, else simplified.glb;
-        adjusted/ if the adjustment was accepted; points.ply for stereo; web.glb with `export.web`; baked.glb
-        with `bake.enabled`; remeshed.ply, remeshed.snm and levels/ with `remesh.enabled`; lod.slod and tiles/
-        with `lod.enabled`. Outdated files that a run placed there are removed.
+    out : output folder, created if needed. Files: fused.ply, clean.ply, refined.ply, simplified.ply,
+        report.json, report.html, pictures/; textured.glb and texture_maps/ if frames have colour, else
+        simplified.glb; adjusted/ if the adjustment was accepted; points.ply for stereo; web.glb with
+        `export.web`; baked.glb with `bake.enabled`; remeshed.ply, remeshed.snm and levels/ with
+        `remesh.enabled`; lod.slod and tiles/ with `lod.enabled`. Outdated files that a run placed
+        there are removed.
     until : last stage to run.
     force : stages to recompute even if their results are cached.
     cache_dir : see `get_cache_folder`.

@@ -1,6 +1,6 @@
 """Optional stage `bake`: bakes vertex colours into a texture.
 
-The colours are taken from the clean mesh; the texture is for the simplified mesh.
+The colours are taken from the refined mesh; the texture is for the simplified mesh.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scanloom.pipeline.cost_model import CostModel
 from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
-from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.refine import RefinedMesh
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
 from scanloom.stages.comparing.compare import compare_surfaces
 from scanloom.stages.inspecting.libraries import list_installed_versions
@@ -33,7 +33,7 @@ class BakeSection(BakeParams):
 
     enabled: bool = param(
         False,
-        "Bake the colours of the clean mesh into a texture of the simplified mesh, at full resolution.",
+        "Bake the colours of the refined mesh into a texture of the simplified mesh, at full resolution.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
@@ -54,13 +54,13 @@ class BakedMesh(Artifact):
 class BakeInputs:
     """Inputs of the stage `bake`."""
 
-    clean_mesh: CleanMesh
+    refined_mesh: RefinedMesh
     simplified_mesh: SimplifiedMesh
     up_direction: UpDirection
 
 
 def _run(inputs: BakeInputs, params: BakeSection, context: Context) -> Mapping[str, Any]:
-    simplified, original = inputs.simplified_mesh.load(), inputs.clean_mesh.load_in_memory("bake")
+    simplified, original = inputs.simplified_mesh.load(), inputs.refined_mesh.load_in_memory("bake")
     up = inputs.up_direction.load()
     return write_baked(context.folder, simplified, original, up, params, context.progress)
 

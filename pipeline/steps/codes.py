@@ -23,7 +23,7 @@ LEVELS_MESH_LARGE = Code(
 Warnings: the clean mesh has more than 5 million triangles, so levels of detail are built from the
 simplified mesh. With a proven simplification, the bounds of levels and tiles are relative to the clean
 mesh, else to the simplified mesh. report.json has the measured distance between the two under `mesh`,
-`to_clean`.
+`to_refined`.
 """,
     (
         "the clean mesh is too large: levels are built from the simplified mesh, which is proven to be "

@@ -1,6 +1,6 @@
 """Optional stage `coverage`: finds gaps of the scan.
 
-coverage.ply    clean mesh coloured by coverage, with faces that close its holes; vertex properties: VALUES
+coverage.ply    refined mesh coloured by coverage, with faces that close its holes; vertex properties: VALUES
 coverage.glb    the same, rotated upright; not written for a mesh above the in-memory limit
 coverage.json   list of gaps and metrics
 """
@@ -24,7 +24,7 @@ from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Artifact, Context, Stage
-from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.refine import RefinedMesh
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.inspecting.codes import COVERAGE_LIMITED
 from scanloom.stages.inspecting.coverage.coverage import coverage
@@ -64,7 +64,7 @@ class CoverageSection(CoverageParams):
 
 @dataclass(frozen=True)
 class CoverageMap(Artifact):
-    """Clean mesh coloured by coverage, and the list of gaps."""
+    """Refined mesh coloured by coverage, and the list of gaps."""
 
     NAME = "coverage_map"
 
@@ -73,13 +73,13 @@ class CoverageMap(Artifact):
 class CoverageInputs(PosedFrames):
     """Inputs of the stage `coverage`."""
 
-    clean_mesh: CleanMesh
+    refined_mesh: RefinedMesh
     up_direction: UpDirection
 
 
 def _run(inputs: CoverageInputs, params: CoverageSection, context: Context) -> Mapping[str, Any]:
     scan = inputs.load_posed()
-    mesh, up = inputs.clean_mesh.load_surface(), inputs.up_direction.load()
+    mesh, up = inputs.refined_mesh.load_surface(), inputs.up_direction.load()
     metrics = write_coverage(context.folder, mesh, scan.frames, params, up, context.progress)
     warn_skipped_frames(metrics["frames_skipped"])
     return metrics

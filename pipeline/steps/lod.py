@@ -1,6 +1,6 @@
 """Optional stage `lod`: builds levels of detail.
 
-The input is the clean mesh, or the simplified mesh if the clean mesh exceeds the in-memory limit.
+The input is the refined mesh, or the simplified mesh if the refined mesh exceeds the in-memory limit.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from scanloom.pipeline.cost_model import CostModel
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
-from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
 from scanloom.pipeline.steps.codes import LEVELS_MESH_LARGE, LEVELS_NOISE_UNKNOWN
+from scanloom.pipeline.steps.refine import RefinedMesh, is_refined_mesh_large
 from scanloom.pipeline.steps.simplify import (
     SIMPLIFICATION_FUNCTIONS,
     Proof,
@@ -43,18 +43,18 @@ _NOISE_RATIO = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class LodSection(LevelsParams):
-    """Levels of detail of the clean mesh."""
+    """Levels of detail of the refined mesh."""
 
     enabled: bool = param(
         False,
-        "Build levels of detail of the clean mesh, each with a proven error bound.",
+        "Build levels of detail of the refined mesh, each with a proven error bound.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
     )
     base_error: float | None = param(
         None,
-        "Proven distance of the finest level from the clean mesh; 0 for the clean mesh itself. By default "
+        "Proven distance of the finest level from the refined mesh; 0 for that mesh itself. By default "
         "half of the depth noise: the standard deviation of a frame's depth at the median depth, estimated "
         "from neighbouring frames.",
         unit="m",
@@ -79,26 +79,26 @@ class LodInputs(PosedFrames):
 
     Attributes
     ----------
-    simplified_mesh : used instead of the clean mesh if that exceeds the in-memory limit.
+    simplified_mesh : used instead of the refined mesh if that exceeds the in-memory limit.
     """
 
-    clean_mesh: CleanMesh
+    refined_mesh: RefinedMesh
     simplified_mesh: SimplifiedMesh | None = None
     up_direction: UpDirection
 
 
 def _run(inputs: LodInputs, params: LodSection, context: Context) -> Mapping[str, Any]:
-    clean, up = inputs.clean_mesh, inputs.up_direction.load()
-    if not clean.is_large:
+    refined, up = inputs.refined_mesh, inputs.up_direction.load()
+    if not refined.is_large:
         frames = inputs.load_posed().frames
-        return write_levels(context.folder, clean.load().with_(up=up), frames, params, context.progress)
+        return write_levels(context.folder, refined.load().with_(up=up), frames, params, context.progress)
     simplified = inputs.simplified_mesh
     assert simplified is not None
     return write_levels_of_simplified(
         context.folder,
         simplified.load().with_(up=up),
         simplified.load_proof(),
-        clean.triangle_count,
+        refined.triangle_count,
         params,
         context.progress,
     )
@@ -126,7 +126,7 @@ def write_levels(
 
     Parameters
     ----------
-    mesh : clean mesh.
+    mesh : refined mesh.
     frames : frames with poses and depth, to estimate the depth noise.
     """
     error, noise = params.base_error, None
@@ -136,7 +136,7 @@ def write_levels(
         if noise == 0:
             emit(
                 LEVELS_NOISE_UNKNOWN.warning(
-                    "the depth noise cannot be estimated, so the finest level is the unsimplified clean mesh",
+                    "the depth noise cannot be estimated, so the finest level is the refined mesh itself",
                     remedy="set lod.base_error to simplify it.",
                 )
             )
@@ -149,7 +149,7 @@ def write_levels_of_simplified(
     folder: Path,
     mesh: Mesh,
     proof: Proof | None,
-    clean_triangles: int,
+    refined_triangles: int,
     params: LodSection,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -157,28 +157,28 @@ def write_levels_of_simplified(
 
     Parameters
     ----------
-    mesh : simplified mesh, used because the clean mesh exceeds the in-memory limit.
-    proof : proven distance from the clean mesh, which is added to all bounds. None if not proven; bounds are
-        then relative to the simplified mesh.
-    clean_triangles : triangle count of the clean mesh.
+    mesh : simplified mesh, used because the refined mesh exceeds the in-memory limit.
+    proof : proven distance from the refined mesh, which is added to all bounds. None if not proven;
+        bounds are then relative to the simplified mesh.
+    refined_triangles : triangle count of the refined mesh.
     """
     distance = 0.0 if proof is None else proof.shape_bound_m
     error = max((params.base_error or 0.0) - distance, 0.0)
     hierarchy = _build_hierarchy(mesh, error, params, progress)
     if proof is None:
         warning = LEVELS_MESH_LARGE.warning(
-            "the clean mesh is too large: levels are built from the simplified mesh, whose distance from the "
-            "clean mesh is not proven",
+            "the refined mesh is too large: levels are built from the simplified mesh, whose distance from "
+            "the refined mesh is not proven",
             remedy="set simplify.max_shape for a proven distance.",
         )
     else:
         warning = LEVELS_MESH_LARGE.warning(
-            "the clean mesh is too large: levels are built from the simplified mesh, which is proven to be "
-            "within {distance} m of the clean mesh. The bound of each level includes this distance.",
+            "the refined mesh is too large: levels are built from the simplified mesh, which is proven to be "
+            "within {distance} m of the refined mesh. The bound of each level includes this distance.",
             distance=format_upper_bound(distance),
         )
         hierarchy = widen_bounds(hierarchy, distance, proof.color_bound_levels or 0.0)
-        hierarchy = replace(hierarchy, input_triangles=clean_triangles)
+        hierarchy = replace(hierarchy, input_triangles=refined_triangles)
     emit(warning)
     # Store the warning in the file, too: viewers open it without the run.
     hierarchy = replace(hierarchy, diagnostics=(*hierarchy.diagnostics, warning))
@@ -215,7 +215,7 @@ STAGE = Stage(
     versions=_list_versions,
     libraries=list_installed_versions("scanloom", "opencv", "scipy"),
     result_names=(LOD_FILE,),
-    input_conditions={"simplified_mesh": is_clean_mesh_large},
+    input_conditions={"simplified_mesh": is_refined_mesh_large},
     skip_reason=_get_skip_reason,
     cost=CostModel(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
     headline="{levels} levels from {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "

@@ -14,8 +14,8 @@ from scanloom.pipeline.evaluation.params import ReportParams
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
-from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.pipeline.steps.fuse import FusedMesh
+from scanloom.pipeline.steps.refine import RefinedMesh
 from scanloom.pipeline.steps.remesh import NormalMeshFiles
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
 from scanloom.pipeline.steps.texture import TexturedMesh
@@ -42,7 +42,7 @@ class ReportInputs(PosedFrames):
     """
 
     fused_mesh: FusedMesh
-    clean_mesh: CleanMesh
+    refined_mesh: RefinedMesh
     simplified_mesh: SimplifiedMesh
     textured_mesh: TexturedMesh | None = None
     normal_mesh: NormalMeshFiles | None = None
@@ -57,7 +57,7 @@ def _run(inputs: ReportInputs, params: ReportParams, context: Context) -> Mappin
     simplified = inputs.simplified_mesh.load()
     meshes = {
         "fused": inputs.fused_mesh.load_in_chunks(),
-        "clean": inputs.clean_mesh.load_in_chunks(),
+        "refined": inputs.refined_mesh.load_in_chunks(),
         "simplified": simplified,
     }
     textured, by_photo = inputs.textured_mesh, None

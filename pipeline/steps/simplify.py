@@ -1,4 +1,4 @@
-"""Stage `simplify`: reduces the triangles of the clean mesh."""
+"""Stage `simplify`: reduces the triangles of the refined mesh."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Context, Stage
-from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
+from scanloom.pipeline.steps.refine import RefinedMesh, is_refined_mesh_large
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare_surfaces
 from scanloom.stages.diagnostics.errors import UsageError
@@ -69,17 +69,17 @@ class SimplifiedMesh(MeshFile):
 class SimplifyInputs:
     """Inputs of the stage `simplify`."""
 
-    clean_mesh: CleanMesh
+    refined_mesh: RefinedMesh
 
 
 def _run(inputs: SimplifyInputs, params: SimplifyParams, context: Context) -> Mapping[str, Any]:
-    clean, folder = inputs.clean_mesh, context.folder
+    refined, folder = inputs.refined_mesh, context.folder
     simplified: SimplificationResult[Any] | ChunkedSimplifyResult
-    if clean.is_large:
-        simplified = simplify_chunked(clean.path, params, scratch=folder, progress=context.progress)
+    if refined.is_large:
+        simplified = simplify_chunked(refined.path, params, scratch=folder, progress=context.progress)
         _write_proof(folder, simplified.to_dict())
     else:
-        simplified = simplify(clean.load(), params, progress=context.progress)
+        simplified = simplify(refined.load(), params, progress=context.progress)
     write_ply(folder / SimplifiedMesh.FILE, simplified.mesh)
     return simplified.to_dict()
 
@@ -99,13 +99,13 @@ def list_method_versions() -> dict[str, int]:
 def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     params = config.get(SimplifyParams)
     try:
-        method = select_method(params)  # The clean mesh has no texture that could require another method.
+        method = select_method(params)  # The refined mesh has no texture that could require another method.
     except UsageError:
         return collect_result_versions(simplify)  # No method applies; the stage itself reports the error.
     return {
-        # The clean mesh has no images, so baking only happens on request.
+        # The refined mesh has no images, so baking only happens on request.
         **collect_result_versions(*(SIMPLIFICATION_FUNCTIONS if params.bake else (simplify,))),
-        **(collect_result_versions(simplify_chunked) if is_clean_mesh_large(known) else {}),
+        **(collect_result_versions(simplify_chunked) if is_refined_mesh_large(known) else {}),
         method.name: method.result_version,
         **(collect_result_versions(certify) if method.proves_bounds else {}),
     }

@@ -282,6 +282,13 @@ class ReadingKeywords(TypedDict, total=False):
     hold_out: int | None
 
 
+class RefineKeywords(TypedDict, total=False):
+    """Fields of `RefineParams`."""
+
+    strength: float
+    planes: bool
+
+
 class RegisterKeywords(TypedDict, total=False):
     """Fields of `RegisterParams`."""
 

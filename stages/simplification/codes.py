@@ -143,7 +143,7 @@ SIMPLIFY_COORDINATES_UNUSABLE = Code(
     "Unusable texture coordinates",
     """
 Coordinates far outside 0 to 1, or all at one position, come from broken exporters. Create a new texture
-(`scanloom texture` from photos, `scanloom bake` from the mesh's colours), or remove it.
+(`scanloom texture` from photos, `scanloom mesh bake` from the mesh's colours), or remove it.
 """,
     (
         "mesh: texture coordinates are too small to be weighted against the shape; create a new texture, or "

@@ -9,7 +9,7 @@ SIMPLIFY_IMAGES_NOT_BAKED = Code(
     "Images that are not baked",
     """
 A warning. The simplified mesh is written without the image of the original, because baking failed for the
-stated reason. `scanloom bake LIGHT ORIGINAL OUT.glb` may succeed with other parameters, such as a larger
+stated reason. `scanloom mesh bake LIGHT ORIGINAL OUT.glb` may succeed with other parameters, such as a larger
 `--max-size`.
 """,
     (
@@ -21,8 +21,8 @@ SIMPLIFY_IMAGES_SMALLER = Code(
     "simplify.images-smaller",
     "Baked images with a reduced resolution",
     """
-A warning. An atlas with all detail would make the file larger than the input. `scanloom bake LIGHT ORIGINAL
-OUT.glb` has no such limit.
+A warning. An atlas with all detail would make the file larger than the input. `scanloom mesh bake LIGHT
+ORIGINAL OUT.glb` has no such limit.
 """,
     (
         "baked images have 71% of the resolution of the original images along each side, so that the file is "

@@ -38,7 +38,7 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
 def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     light, target = tmp_path / "light.ply", tmp_path / "new" / "light.glb"
     assert scanloom("simplify", clean_ball, light, "--ratio", 0.1).exit_code == 0
-    ran = scanloom("bake", light, clean_ball, target, "--set", "bake.max_size=64")
+    ran = scanloom("mesh", "bake", light, clean_ball, target, "--set", "bake.max_size=64")
     assert ran.exit_code == 0, ran.stderr
     assert "dB) with the texture" in ran.stdout
     assert read_mesh(target).texture.images[0].pixels.shape == (64, 64, 3)
@@ -47,14 +47,14 @@ def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("bake", "{ball}", "{ball}", "out.stl"), 2, "unknown file extension"),
+        (("mesh", "bake", "{ball}", "{ball}", "out.stl"), 2, "unknown file extension"),
         (
-            ("bake", "{ball}", "{ball}", "out.glb", "--set", "bake.max_size=100"),
+            ("mesh", "bake", "{ball}", "{ball}", "out.glb", "--set", "bake.max_size=100"),
             2,
             "--set bake.max_size is 100 texels; it must be a",
         ),
         (("simplify", "{ball}", "out.off", "--bake"), 2, "unknown file extension"),
-        (("bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),
+        (("mesh", "bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(

@@ -33,7 +33,7 @@ COMMANDS = {
     "compare": "compare mesh.ply light.ply",
     "certify": "certify light.ply mesh.ply",
     "patches": "patches mesh.ply out.ply",
-    "bake": "bake mesh.ply light.ply out.glb",
+    "bake": "mesh bake mesh.ply light.ply out.glb",
     "export": "export mesh.ply out.glb --preset web",
     "view": "view mesh.ply -o page.html",
     "doctor": "doctor --bundle out.zip",

@@ -30,7 +30,7 @@ def test_islands_that_were_removed_do_not_count_as_an_error_of_simplification(tm
     mesh = make(tmp_path, MESHES, [], CompareParams(samples=1000), SMALL)["mesh"]
     assert mesh["to_fused"]["distance"]["b_to_a"]["maximum_m"] == pytest.approx(0.01)
     assert mesh["to_fused"]["distance"]["a_to_b"]["maximum_m"] == pytest.approx(0.99)
-    assert mesh["to_clean"]["distance"]["symmetric"]["maximum_m"] == pytest.approx(0.01)
+    assert mesh["to_refined"]["distance"]["symmetric"]["maximum_m"] == pytest.approx(0.01)
     alone = compare(WITH_ISLAND, MESHES["simplified"], samples=1000).to_dict()
     assert mesh["to_fused"] == alone, "the report measures as compare does"
 

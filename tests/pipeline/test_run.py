@@ -196,7 +196,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     assert found["boundary_loops"] >= 1
     assert 0 < found["to_fused"]["distance"]["symmetric"]["rms_m"] < 0.02
     assert found["to_fused"]["color"]["symmetric"]["rmse_levels"] < 40
-    assert found["to_clean"]["distance"]["symmetric"]["rms_m"] < 0.02
+    assert found["to_refined"]["distance"]["symmetric"]["rms_m"] < 0.02
     sizes = {Path(name).name: cv2.imread(str(out / name)).shape for name in report["pictures"]}
     assert sizes == {
         "fused-overview.png": (48, 64, 3),

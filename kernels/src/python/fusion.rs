@@ -24,10 +24,10 @@ use crate::fusion::surface_extraction::{BlockBox, extract_surface};
 use crate::fusion::touched_blocks::{MeasuredSurface, collect_touched_blocks};
 
 /// fx, fy, cx, cy, width, height.
-type Intrinsics = (f64, f64, f64, f64, usize, usize);
+pub(super) type Intrinsics = (f64, f64, f64, f64, usize, usize);
 /// Intrinsics with the (4, 4) camera-to-world matrix.
-type PosedCamera<'py> = (Intrinsics, PyReadonlyArray2<'py, f64>);
-type DepthMap<'py> = PyReadonlyArray2<'py, f32>;
+pub(super) type PosedCamera<'py> = (Intrinsics, PyReadonlyArray2<'py, f64>);
+pub(super) type DepthMap<'py> = PyReadonlyArray2<'py, f32>;
 type DepthMapArray = Py<PyArray2<f32>>;
 /// Blocks (n, 3), distances (n, 512) in truncations, weights, observation counts, and colours (n, 512, 3) if
 /// the volume has colours.
@@ -52,7 +52,7 @@ const MAX_PIXELS: usize = 1 << 30;
 /// Image sides must be shorter, because single precision represents all integers only up to this value.
 const MAX_SIDE: usize = 1 << 24;
 
-fn camera_from_pose(posed: &PosedCamera<'_>) -> PyResult<FusionCamera> {
+pub(super) fn camera_from_pose(posed: &PosedCamera<'_>) -> PyResult<FusionCamera> {
     let (pinhole, ref pose) = *posed;
     let pose = pose.as_array();
     if pose.shape() != [4, 4] || !pose.iter().all(|x| x.is_finite()) {
@@ -77,7 +77,7 @@ fn camera_at((fx, fy, cx, cy, width, height): Intrinsics, pose: Affine) -> PyRes
 }
 
 /// Return the pixels of an image, row by row; checks that its size is the camera's.
-fn image_pixels<'a, T: Element>(
+pub(super) fn image_pixels<'a, T: Element>(
     image: &'a PyReadonlyArray2<'_, T>,
     camera: &FusionCamera,
 ) -> PyResult<&'a [T]> {

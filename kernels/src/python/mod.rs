@@ -22,6 +22,7 @@ mod order;
 mod planar;
 mod quadric;
 mod recognition;
+mod refinement;
 mod seams;
 mod simplification_result;
 mod stereo;
@@ -121,6 +122,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<planar::PlanarResult>()?;
     module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
     module.add_function(wrap_pyfunction!(planar::find_planar_patches, module)?)?;
+    module.add_class::<refinement::SurfaceRefiner>()?;
     module.add_class::<fusion::Volume>()?;
     module.add_function(wrap_pyfunction!(fusion::filter_depth, module)?)?;
     module.add_function(wrap_pyfunction!(fusion::find_touched_blocks, module)?)?;

@@ -1,0 +1,19 @@
+//! Refinement of a fused mesh: the surface of the scene without the noise of the sensor.
+//!
+//! | module | content |
+//! | --- | --- |
+//! | [`refiner`] | the steps in order, with their constants |
+//! | [`short_edges`] | removal of the thin triangles of marching cubes |
+//! | [`normal_filter`] | bilateral filter of triangle normals, and vertices that fit them |
+//! | [`observations`] | distances of the depth measurements from each vertex |
+//! | [`residual`] | smooth correction towards the measurements |
+//! | [`plane_growth`] | planar patches within the standard deviation of the vertices |
+//! | [`creases`] | vertices moved onto planes, and straight creases between them |
+
+pub mod creases;
+pub mod normal_filter;
+pub mod observations;
+pub mod plane_growth;
+pub mod refiner;
+pub mod residual;
+pub mod short_edges;

@@ -1,0 +1,112 @@
+//! Comparison of a mesh with the depth maps it was fused from: for each vertex the mean distance of the
+//! measurements from the surface, and its standard deviation.
+//!
+//! Fusion interpolates between voxels and averages on both sides of a curved surface, so that its surface lies
+//! a little inside of convex shapes. The depth maps have no such bias.
+
+use crate::base::geometry::{Vec3, dot, norm2, sub};
+use crate::base::parallel::update;
+use crate::fusion::frame_view::{DepthNoiseModel, FusionCamera};
+
+/// Minimum cosine between the normal and the direction to the camera. Beyond it depth says little about the
+/// position along the normal.
+const MIN_COSINE: f64 = 0.2;
+
+/// Measurements farther from the surface than this many standard deviations belong to another surface.
+const MAX_DEVIATIONS: f64 = 3.0;
+
+/// Sums over the measurements of one vertex.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Observation {
+    /// Sum of the weights, 1 / variance, in 1/m².
+    pub weight: f64,
+    /// Weighted sum of the signed distances from the vertex, along its normal.
+    pub distance: f64,
+    /// Weighted sum of the squared distances.
+    pub distance2: f64,
+    /// Number of frames in these sums.
+    pub frames: u32,
+    /// Number of frames that measured this surface at all, from any angle and next to discontinuities.
+    pub sightings: u32,
+    /// Number of frames that measured a surface far behind the vertex.
+    pub see_through: u32,
+}
+
+/// Depth map of one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct DepthFrame<'a> {
+    pub camera: &'a FusionCamera,
+    /// Depth in metres row by row, not positive where missing.
+    pub depth: &'a [f32],
+    pub noise: DepthNoiseModel,
+    /// Distance from the surface, in metres, up to which a measurement may belong to it whatever the noise.
+    pub reach: f64,
+}
+
+/// Add the measurements of a frame to the observations of each vertex.
+pub fn observe(
+    frame: DepthFrame<'_>,
+    points: &[Vec3],
+    normals: &[Vec3],
+    observations: &mut [Observation],
+    threads: usize,
+) {
+    update(observations, threads, |v, observation| {
+        add_measurement(frame, &points[v], &normals[v], observation);
+    });
+}
+
+fn add_measurement(frame: DepthFrame<'_>, point: &Vec3, normal: &Vec3, observation: &mut Observation) {
+    let camera = frame.camera;
+    let row = |i: usize| {
+        let own = &camera.inverse[i];
+        own[0] * point[0] + own[1] * point[1] + own[2] * point[2] + own[3]
+    };
+    let z = row(2);
+    if z <= 0.0 {
+        return;
+    }
+    let at = [0, 1].map(|i| row(i) / z * camera.focal[i] + camera.centre[i]);
+    let Some((measured, is_smooth)) = read_depth(frame, at) else { return };
+    let centre = [0, 1, 2].map(|i| camera.pose[i][3]);
+    let to_point = sub(point, &centre);
+    let along = dot(&to_point, normal);
+    let cosine = -along / norm2(&to_point).sqrt();
+    let noise = f64::from(frame.noise.constant) + f64::from(frame.noise.quadratic) * z * z;
+    // The measured point is on the ray through the vertex.
+    let distance = (measured / z - 1.0) * along;
+    let limit = (MAX_DEVIATIONS * noise).max(frame.reach);
+    if along < 0.0 && distance.abs() < limit {
+        observation.sightings += 1;
+    }
+    if is_smooth && cosine > MIN_COSINE && distance.abs() < limit {
+        let weight = cosine / (noise * noise);
+        observation.weight += weight;
+        observation.distance += weight * distance;
+        observation.distance2 += weight * distance * distance;
+        observation.frames += 1;
+    } else if measured - z > limit {
+        observation.see_through += 1;
+    }
+}
+
+/// Read the depth at a position, and whether it is smooth there. Inverse depth is interpolated between four
+/// pixels, which is exact on planes. If one of them is missing, as next to every depth discontinuity, the
+/// nearest pixel is used. None outside the image and without depth.
+fn read_depth(frame: DepthFrame<'_>, [u, v]: [f64; 2]) -> Option<(f64, bool)> {
+    let (width, height) = (frame.camera.width, frame.camera.height);
+    if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
+        return None;
+    }
+    let (column, line) = (u as usize, v as usize);
+    let (right, below) = (u - column as f64, v - line as f64);
+    let first = line * width + column;
+    let pixels = [first, first + 1, first + width, first + width + 1].map(|i| f64::from(frame.depth[i]));
+    if pixels.iter().all(|&depth| depth > 0.0) {
+        let [a, b, c, d] = pixels.map(|depth| 1.0 / depth);
+        let (above, under) = (a + right * (b - a), c + right * (d - c));
+        return Some((1.0 / (above + below * (under - above)), true));
+    }
+    let nearest = pixels[usize::from(right >= 0.5) + 2 * usize::from(below >= 0.5)];
+    (nearest > 0.0).then_some((nearest, false))
+}

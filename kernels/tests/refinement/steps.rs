@@ -1,0 +1,255 @@
+//! The steps of a refinement on surfaces with known shape.
+
+use crate::promises::common::Noise;
+use scanloom_kernels::base::geometry::{Vec3, distance2, norm2, normalize, sub};
+use scanloom_kernels::base::ids::{EdgeId, TriangleId};
+use scanloom_kernels::fusion::frame_view::{DepthNoiseModel, FusionCamera};
+use scanloom_kernels::mesh::connectivity::Connectivity;
+use scanloom_kernels::mesh::triangle_mesh::Mesh;
+use scanloom_kernels::refinement::creases::snap_to_planes;
+use scanloom_kernels::refinement::normal_filter::{area_normals, filter_normals, fit_vertices, vertex_normals};
+use scanloom_kernels::refinement::observations::{DepthFrame, Observation, observe};
+use scanloom_kernels::refinement::plane_growth::{
+    FilteredSurface, Plane, PlaneLimits, grow_planes, label_vertices,
+};
+use scanloom_kernels::refinement::refiner::Refiner;
+use scanloom_kernels::refinement::short_edges::collapse_short_edges;
+
+const SPACING: f64 = 0.005;
+const NOISE: f64 = 0.0004;
+
+/// Pseudo-random number from −1 to 1.
+fn signed(noise: &mut Noise) -> f64 {
+    2.0 * noise.next() - 1.0
+}
+
+/// Triangles of a grid of `side` × `side` points.
+fn grid(side: usize) -> Vec<[u32; 3]> {
+    let mut triangles = vec![];
+    for i in 0..side - 1 {
+        for k in 0..side - 1 {
+            let a = (i * side + k) as u32;
+            let (b, c, d) = (a + 1, a + side as u32 + 1, a + side as u32);
+            triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    triangles
+}
+
+/// Points of a grid, folded by 90° along a line between two rows, with noise along the normals.
+fn folded_sheet(side: usize) -> Vec<Vec3> {
+    let mut noise = Noise(7);
+    (0..side * side)
+        .map(|i| {
+            let (s, t) = ((i / side) as f64 - 0.47 * side as f64, (i % side) as f64);
+            let (s, t) = (s * SPACING, t * SPACING);
+            let off = NOISE * signed(&mut noise);
+            if s < 0.0 { [s, t, off] } else { [off, t, s] }
+        })
+        .collect()
+}
+
+fn limits(angle: f64, deviations: f64) -> PlaneLimits {
+    PlaneLimits {
+        min_cosine: angle.to_radians().cos(),
+        max_deviations: deviations,
+        min_triangles: 100,
+        max_bend: 0.03,
+    }
+}
+
+/// Filtered positions, filtered normals, vertex normals and areas.
+fn filtered(connectivity: &Connectivity, points: &[Vec3]) -> (Vec<Vec3>, Vec<Vec3>, Vec<Vec3>, Vec<f64>) {
+    let chords = vec![0.5; connectivity.triangle_slots()];
+    let normals = filter_normals(connectivity, points, &chords, 15, 1);
+    let moved = fit_vertices(connectivity, points, &normals, &vec![0.004; points.len()], 15, 1);
+    let weighted = area_normals(connectivity, &moved, 1);
+    let areas = weighted.iter().map(|n| 0.5 * norm2(n).sqrt()).collect();
+    (moved, normals, vertex_normals(connectivity, &weighted, 1), areas)
+}
+
+#[test]
+fn a_noisy_fold_becomes_two_planes_with_a_straight_crease() {
+    let side = 50;
+    let points = folded_sheet(side);
+    let mut connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
+    let (moved, normals, at_vertices, areas) = filtered(&connectivity, &points);
+    let deviations = vec![NOISE; points.len()];
+    let surface = FilteredSurface {
+        connectivity: &connectivity,
+        points: &moved,
+        normals: &normals,
+        areas: &areas,
+        deviations: &deviations,
+    };
+    let (planes, of_triangles) = grow_planes(&surface, &limits(5.0, 4.0), 1);
+    assert_eq!(planes.len(), 2);
+    let labels = label_vertices(&surface, &planes, &of_triangles, &at_vertices, &limits(60.0, 6.0), 4, 1);
+    assert!(labels.iter().all(|&label| label < 2));
+    let max_moves = vec![0.01; points.len()];
+    let result = snap_to_planes(&mut connectivity, &points, &moved, &planes, &labels, &max_moves);
+    assert!(connectivity.validate().is_ok());
+    assert!(result.created.len() >= side);
+    let height = |plane: &Plane, v: usize| plane.height(&result.points[v]).abs();
+    for v in points.len()..result.points.len() {
+        assert!(planes.iter().all(|plane| height(plane, v) < 1e-9), "a crease vertex is on both planes");
+    }
+    for t in connectivity.triangles() {
+        let corners = connectivity.corners(t).map(|v| v.index());
+        let is_on = |plane: &Plane| corners.iter().all(|&v| height(plane, v) < 1e-9);
+        assert!(planes.iter().any(is_on), "no triangle cuts the crease");
+    }
+    // The crease is where it was made, to a fraction of the noise.
+    for p in &result.points[points.len()..] {
+        assert!(p[0].abs() < 0.5 * NOISE && p[2].abs() < 0.5 * NOISE, "{p:?}");
+    }
+}
+
+#[test]
+fn a_ball_has_no_planes() {
+    let side = 50;
+    let mut noise = Noise(3);
+    let points: Vec<Vec3> = (0..side * side)
+        .map(|i| {
+            let at = [i / side, i % side].map(|x| (x as f64 - 0.5 * side as f64) * SPACING);
+            let radius = 0.3 + NOISE * signed(&mut noise);
+            normalize(&[at[0], at[1], 0.3]).map(|x| x * radius)
+        })
+        .collect();
+    let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
+    let (moved, normals, _, areas) = filtered(&connectivity, &points);
+    let deviations = vec![NOISE; points.len()];
+    let surface = FilteredSurface {
+        connectivity: &connectivity,
+        points: &moved,
+        normals: &normals,
+        areas: &areas,
+        deviations: &deviations,
+    };
+    assert!(grow_planes(&surface, &limits(5.0, 4.0), 1).0.is_empty());
+}
+
+#[test]
+fn filtering_keeps_the_fold_and_removes_the_noise() {
+    let side = 40;
+    let points = folded_sheet(side);
+    let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
+    let (moved, normals, ..) = filtered(&connectivity, &points);
+    let off = |points: &[Vec3]| {
+        let distances = points.iter().map(|p| p[0].abs().min(p[2].abs()).powi(2));
+        (distances.sum::<f64>() / points.len() as f64).sqrt()
+    };
+    assert!(off(&moved) < 0.75 * off(&points), "{} {}", off(&moved), off(&points));
+    // Away from the border of the sheet, every normal is within 3° of one of the two planes.
+    let tilted = normals.iter().filter(|n| n[0].abs().max(n[2].abs()) < 3f64.to_radians().cos()).count();
+    assert!(tilted < normals.len() / 20, "{tilted} of {}", normals.len());
+    for (p, q) in points.iter().zip(&moved) {
+        assert!(distance2(p, q).sqrt() <= 0.004 + 1e-12);
+    }
+}
+
+#[test]
+fn short_edges_vanish_and_the_boundary_stays() {
+    let side = 30;
+    let mut noise = Noise(11);
+    let points: Vec<Vec3> = (0..side * side)
+        .map(|i| {
+            let inside = ![i / side, i % side].iter().any(|&x| x == 0 || x == side - 1);
+            let shift = if inside { 0.3 } else { 0.0 };
+            [0, 1].map(|k| ([i / side, i % side][k] as f64 + shift * signed(&mut noise)) * SPACING)
+        })
+        .map(|[x, y]| [x, y, 0.0])
+        .collect();
+    let mut mesh = Mesh::<3>::new(points, &grid(side)).unwrap();
+    let boundary = |mesh: &Mesh<3>| {
+        let c = &mesh.connectivity;
+        c.edges().filter(|&e: &EdgeId| c.is_boundary_edge(e)).count()
+    };
+    let before = boundary(&mesh);
+    let least = 0.55 * SPACING;
+    let is_short = |mesh: &Mesh<3>, e: EdgeId| {
+        let [a, b] = mesh.connectivity.ends(e).map(|v| *mesh.point(v));
+        distance2(&a, &b).sqrt() < least
+    };
+    let short = mesh.connectivity.edges().filter(|&e| is_short(&mesh, e)).count();
+    assert!(short > 10);
+    assert!(collapse_short_edges(&mut mesh, least) > 0);
+    assert!(mesh.connectivity.validate().is_ok());
+    assert_eq!(boundary(&mesh), before);
+    let left = mesh.connectivity.edges().filter(|&e| is_short(&mesh, e)).count();
+    assert!(left <= short / 4, "{left} of {short}");
+    let up = |t: TriangleId| {
+        let [a, b, c] = mesh.triangle_points(t);
+        let (u, v) = (sub(&b, &a), sub(&c, &a));
+        (u[0] * v[1] - u[1] * v[0]).signum()
+    };
+    let first = up(mesh.connectivity.triangles().next().unwrap());
+    assert!(mesh.connectivity.triangles().all(|t| up(t) == first), "no triangle flips");
+}
+
+/// Camera at the origin that looks along z, and a wall at 1 m.
+fn camera() -> FusionCamera {
+    let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    FusionCamera::new((80, 60), [70.0, 70.0], [39.5, 29.5], pose)
+}
+
+fn frame<'a>(camera: &'a FusionCamera, depth: &'a [f32]) -> DepthFrame<'a> {
+    let noise = DepthNoiseModel { typical: 1.0, constant: 0.001, quadratic: 0.0 };
+    DepthFrame { camera, depth, noise, reach: 0.01 }
+}
+
+#[test]
+fn observations_measure_the_distance_along_the_normal() {
+    let (camera, depth) = (camera(), vec![1.0f32; 80 * 60]);
+    let points = [[0.1, -0.05, 0.998], [0.0, 0.0, 1.003], [0.0, 0.0, 0.9], [0.0, 0.0, 1.1], [9.0, 0.0, 1.0]];
+    let normals = [[0.0, 0.0, -1.0]; 5];
+    let mut found = [Observation::default(); 5];
+    observe(frame(&camera, &depth), &points, &normals, &mut found, 1);
+    for (one, expected) in found.iter().zip([-0.002, 0.003]) {
+        assert_eq!((one.frames, one.sightings, one.see_through), (1, 1, 0));
+        assert!((one.distance / one.weight - expected).abs() < 1e-6);
+        assert!((one.weight - 1e6).abs() < 2e4);
+    }
+    let counts = |one: &Observation| (one.frames, one.sightings, one.see_through);
+    assert_eq!(counts(&found[2]), (0, 0, 1), "the frame looks through a point in front of the wall");
+    assert_eq!([counts(&found[3]), counts(&found[4])], [(0, 0, 0); 2], "hidden, and outside");
+    // The back of the surface is not measured.
+    let mut back = [Observation::default()];
+    observe(frame(&camera, &depth), &points[..1], &[[0.0, 0.0, 1.0]], &mut back, 1);
+    assert_eq!(counts(&back[0]), (0, 0, 0));
+}
+
+#[test]
+fn a_refinement_follows_the_measurements_whatever_the_number_of_threads() {
+    let side = 40;
+    let mut noise = Noise(5);
+    let points: Vec<Vec3> = (0..side * side)
+        .map(|i| {
+            let at = [i % side, i / side].map(|x| (x as f64 - 0.5 * side as f64) * SPACING);
+            [at[0], at[1], 0.997 + NOISE * signed(&mut noise)]
+        })
+        .collect();
+    // Normals towards the camera.
+    let triangles: Vec<[u32; 3]> = grid(side).into_iter().map(|[a, b, c]| [a, c, b]).collect();
+    let (camera, depth) = (camera(), vec![1.0f32; 80 * 60]);
+    let run = |threads: usize| {
+        let mut refiner = Refiner::new(points.clone(), &triangles, 1.0, threads).unwrap();
+        (0..4).for_each(|_| refiner.observe(frame(&camera, &depth)));
+        refiner.filter();
+        for _ in 0..2 {
+            (0..4).for_each(|_| refiner.observe(frame(&camera, &depth)));
+            refiner.correct();
+        }
+        refiner.flatten();
+        refiner.finish()
+    };
+    let (one, three) = (run(1), run(3));
+    let bits = |points: &[Vec3]| points.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&one.points), bits(&three.points));
+    assert_eq!((&one.triangles, &one.labels), (&three.triangles, &three.labels));
+    assert_eq!(one.plane_count, 1);
+    for (p, &moved) in one.points.iter().zip(&one.moves) {
+        assert!((p[2] - 1.0).abs() < 1e-4, "{p:?}");
+        assert!(moved < 3.0 * (0.001 + SPACING));
+    }
+}

@@ -1,0 +1,29 @@
+"""Parameters of refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scanloom.stages.params import check_parameters, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineParams:
+    """Parameters of `refine`."""
+
+    strength: float = param(
+        1.0,
+        "Scale of the maximum displacement: at 1, a vertex moves by up to three standard deviations of its "
+        "position. 0 leaves the mesh as it is.",
+        low=0,
+        high=10,
+        common=True,
+    )
+    planes: bool = param(
+        True,
+        "Make patches planar that are planar within the noise, with straight creases between them.",
+        common=True,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self)

@@ -1,0 +1,260 @@
+"""Refinement of a fused mesh with the depth maps it was fused from.
+
+A fused surface has the noise of the sensor, and lies slightly inside of convex shapes. The steps:
+
+1. Measure the standard deviation of each vertex from the noise of the depth maps, and the number and angle of
+   its measurements. No vertex moves farther than three standard deviations from its position in the input.
+2. Filter the normals of the triangles without mixing normals across creases, and fit the vertices to them.
+3. Move the filtered surface to the depth measurements, by a smooth correction along the normals.
+4. Make patches planar that are planar within the standard deviation, with straight creases between them.
+5. Remove triangles that no frame, or only one of many, has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanloom.stages import _kernels
+from scanloom.stages.cleaning.clean import CleanParams, clean
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.fusion.depth_noise import measure_depth_noise
+from scanloom.stages.fusion.fusion_plan import make_depth_limits
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.scene_statistics import DepthNoise
+from scanloom.stages.params import resolve
+from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT, REFINE_NOT_POSSIBLE
+from scanloom.stages.refinement.depth_frames import DepthFrames
+from scanloom.stages.refinement.params import RefineParams
+from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
+from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
+from scanloom.stages.surface.mesh import Colors, Mesh
+from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.topology import require_manifold, require_measurable
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from scanloom.stages.params.keywords import RefineKeywords
+
+RESULT_VERSION = 1
+
+# Corrections towards the depth measurements. The second one starts from a better surface.
+_CORRECTION_COUNT = 2
+# From this median number of sightings on, a triangle must have been seen by two frames.
+_MANY_SIGHTINGS = 8
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RefinementResult:
+    """Refined mesh.
+
+    Attributes
+    ----------
+    mesh : refined mesh, an oriented manifold with the vertex colours of the input.
+    deviations : (n,) standard deviation of each vertex along its normal, metres; 0 if not refined.
+    plane_ids : (n,) int32, the plane of each vertex; −1 for none.
+    plane_count : number of planes.
+    noise : depth noise of a single measurement (see `DepthNoise`); None if the mesh was not refined.
+    moves : (k,) distance of each vertex that stayed from its position in the input, metres.
+    removed_triangles : number of triangles removed because too few frames saw them.
+    skipped : frames that could not be used.
+    diagnostics : what was left out.
+    """
+
+    mesh: Mesh
+    deviations: Floats
+    plane_ids: NDArray[np.int32]
+    plane_count: int
+    noise: DepthNoise | None
+    moves: Floats
+    removed_triangles: int
+    skipped: tuple[SkippedFrame, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+    __repr__ = format_by_metrics
+    _repr_html_ = render_table
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON-ready metrics, with units in the keys."""
+        return {
+            "vertices": len(self.mesh.vertices),
+            "triangles": len(self.mesh.triangles),
+            "move_rms_m": float(np.sqrt((self.moves**2).mean())) if len(self.moves) else 0.0,
+            "move_max_m": float(self.moves.max(initial=0.0)),
+            "deviation_median_m": float(np.median(self.deviations)) if len(self.deviations) else 0.0,
+            "planes": self.plane_count,
+            "planar_ratio": float((self.plane_ids >= 0).mean()) if len(self.plane_ids) else 0.0,
+            "removed_triangles": self.removed_triangles,
+            "frames_skipped": [frame.to_dict() for frame in self.skipped],
+        }
+
+
+def refine(
+    mesh: MeshLike,
+    frames: Scan | Iterable[Frame],
+    params: RefineParams | None = None,
+    *,
+    progress: Progress = ignore_progress,
+    **changes: Unpack[RefineKeywords],
+) -> RefinementResult:
+    """Remove the noise of the sensor from a mesh fused from depth maps.
+
+    Creases, corners and thin parts stay; patches that are planar within the noise become planar. The result
+    is the same for any number of threads.
+
+    Parameters
+    ----------
+    mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses: an
+        oriented manifold, as `clean` returns it.
+    frames : frames with depth and poses that the mesh was fused from. Each is read up to three times.
+    params, **changes : see RefineParams.
+    progress : called after each frame.
+
+    Raises
+    ------
+    MeshError
+        If the mesh is invalid or not an oriented manifold.
+    InputError
+        If no frame has both pose and depth.
+    UsageError
+        If a parameter is out of range.
+
+    References
+    ----------
+    Zheng, Fu, Au and Tai 2011 (normals); Sun, Rosin, Martin and Langbein 2007 (vertices); Chen and Qin
+    (patches).
+    """
+    params = resolve(RefineParams, params, changes)
+    given = as_mesh(mesh)
+    require_measurable(given, "mesh")
+    require_manifold(given)
+    folder = frames.folder if isinstance(frames, Scan) else None
+    usable = [one for one in (frames.frames if isinstance(frames, Scan) else frames) if one.depth is not None]
+    with collecting() as diagnostics:
+        noise = None if params.strength == 0 else _measure_noise(usable, folder)
+        if noise is None:
+            refined = _keep_mesh(given)
+        else:
+            depth_frames = DepthFrames(usable, make_depth_limits(FuseParams()))
+            refined = _refine(given, depth_frames, noise, params, progress)
+    return replace(refined, diagnostics=tuple(diagnostics))
+
+
+def _measure_noise(frames: Sequence[Frame], folder: Path | None) -> DepthNoise | None:
+    """Measure the depth noise; None, with a warning, if frames do not overlap enough."""
+    if not frames:
+        raise InputError(SCAN_FRAMES_SKIPPED, "no frame has a depth map, which `refine` requires.", folder)
+    noise = measure_depth_noise(frames, folder).noise
+    if noise.constant > 0 or noise.quadratic > 0:
+        return noise
+    emit(
+        REFINE_NOT_POSSIBLE.warning(
+            "the mesh is not refined: neighbouring frames do not overlap enough to measure the noise of "
+            "their depth."
+        )
+    )
+    return None
+
+
+def _keep_mesh(mesh: Mesh) -> RefinementResult:
+    """Return the mesh as it is, as the result of a refinement that changes nothing."""
+    count = len(mesh.vertices)
+    return RefinementResult(
+        mesh=mesh,
+        deviations=np.zeros(count),
+        plane_ids=np.full(count, -1, np.int32),
+        plane_count=0,
+        noise=None,
+        moves=np.zeros(count),
+        removed_triangles=0,
+    )
+
+
+def _refine(
+    mesh: Mesh, depth_frames: DepthFrames, noise: DepthNoise, params: RefineParams, progress: Progress
+) -> RefinementResult:
+    _report_data_left_out(mesh)
+    refiner = _kernels.SurfaceRefiner(
+        mesh.vertices, mesh.triangles, strength=params.strength, wanted_threads=0
+    )
+    passes = 1 + _CORRECTION_COUNT
+    for number in range(passes):
+
+        def observe(view: PosedDepth) -> None:
+            camera = view.camera
+            pinhole = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+            pose = np.ascontiguousarray(view.pose, np.float64)
+            refiner.observe((pinhole, pose), view.surface.depth, (noise.constant, noise.quadratic))
+
+        def report(done: int, first: int = number * len(depth_frames)) -> None:
+            progress(first + done, passes * len(depth_frames))
+
+        depth_frames.show_all(observe, report)
+        refiner.filter() if number == 0 else refiner.correct()
+    if params.planes:
+        refiner.flatten()
+    (vertices, triangles, sources, ends, shares), values = refiner.finish()
+    moves, deviations, sightings, plane_ids, plane_count = values
+    colors = None if mesh.colors is None else _interpolate_colors(mesh.colors, sources, ends, shares)
+    is_seen = (sightings >= _derive_min_sightings(sightings))[triangles].any(axis=1)
+    kept = clean(
+        Mesh(vertices, triangles[is_seen], colors, up=mesh.up), CleanParams(min_island_area=0, stitch=False)
+    )
+    return RefinementResult(
+        mesh=kept.mesh,
+        deviations=deviations[kept.vertex_source],
+        plane_ids=plane_ids[kept.vertex_source],
+        plane_count=plane_count,
+        noise=noise,
+        moves=moves[: len(sources)],
+        removed_triangles=int(np.count_nonzero(~is_seen)),
+        skipped=tuple(depth_frames.skipped.values()),
+    )
+
+
+def _derive_min_sightings(sightings: NDArray[np.uint32]) -> int:
+    """Return the number of frames that must have seen a corner of each triangle: 1 or 2."""
+    return 2 if np.median(sightings) >= _MANY_SIGHTINGS else 1
+
+
+def _interpolate_colors(
+    colors: Colors, sources: NDArray[np.uint32], ends: NDArray[np.uint32], shares: Floats
+) -> Colors:
+    """Return the colours of the vertices that stayed, and of those on split edges."""
+    stayed = colors[sources]
+    first, second = (stayed[ends[:, end]].astype(np.float64) for end in (0, 1))
+    created = np.rint(first + shares[:, None] * (second - first)).astype(np.uint8)
+    return np.concatenate([stayed, created])
+
+
+def _report_data_left_out(mesh: Mesh) -> None:
+    found = [
+        name
+        for name, value in (
+            ("texture", mesh.texture),
+            ("normals", mesh.normals if mesh.corner_normals is None else mesh.corner_normals),
+            ("parts", mesh.part_ids),
+        )
+        if value is not None
+    ]
+    if found:
+        emit(
+            REFINE_DATA_LEFT_OUT.warning(
+                "{data} of the mesh {are} left out; refine the mesh before it gets a texture.",
+                data=" and ".join(found),
+                are="are" if len(found) > 1 or found[0] != "texture" else "is",
+            )
+        )

@@ -1,0 +1,152 @@
+"""Refinement of a ball in front of a board, fused from noisy depth maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scanloom.stages import (
+    Frame,
+    InputError,
+    Mesh,
+    RefinementResult,
+    Scan,
+    clean,
+    fuse,
+    refine,
+    to_trimesh,
+    topology,
+)
+from scanloom.stages.surface.mesh import Triangles, Vertices
+from tests.made.posed_scene import BOARD_Z, CAMERA, RADIUS, make_posed_scan
+
+NOISE = 0.0015  # standard deviation of depth, metres
+
+
+@pytest.fixture(scope="module")
+def scan() -> Scan:
+    views, depths = make_posed_scan()
+    rng = np.random.default_rng(1)
+    return Scan.from_frames(
+        [
+            Frame.from_arrays(
+                np.asarray(view.color),
+                np.where(depth > 0, depth + NOISE * rng.standard_normal(depth.shape), 0).astype(np.float32),
+                CAMERA,
+                view.world_from_camera,
+            )
+            for view, depth in zip(views.frames, depths, strict=True)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def fused(scan: Scan) -> Mesh:
+    return clean(fuse(scan, voxel_size=0.006).mesh).mesh
+
+
+@pytest.fixture(scope="module")
+def refined(fused: Mesh, scan: Scan) -> RefinementResult:
+    return refine(fused, scan)
+
+
+def _measure(mesh: Mesh) -> dict[str, float]:
+    """Return RMS heights over ball and board in metres, and the tilt of the board's normals in degrees."""
+    centroids, normals, areas = _describe_triangles(mesh.vertices, mesh.triangles)
+    distance = np.linalg.norm(centroids, axis=1)
+    is_ball = distance < RADIUS + 0.01
+    is_board = (np.abs(centroids[:, 2] - BOARD_Z) < 0.01) & (distance > RADIUS + 0.05)
+    tilt = np.degrees(np.arccos(np.abs(normals[is_board, 2]).clip(0, 1)))
+    return {
+        "ball": float(np.sqrt(np.average((distance - RADIUS)[is_ball] ** 2, weights=areas[is_ball]))),
+        "ball_mean": float(np.average((distance - RADIUS)[is_ball], weights=areas[is_ball])),
+        "board": float(np.sqrt(np.average((centroids[is_board, 2] - BOARD_Z) ** 2, weights=areas[is_board]))),
+        "tilt": float(np.median(tilt)),
+    }
+
+
+def _describe_triangles(
+    vertices: Vertices, triangles: Triangles
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    return (a + b + c) / 3, normals / np.maximum(lengths, 1e-30)[:, None], lengths
+
+
+def test_the_surface_comes_nearer_to_the_true_one(fused: Mesh, refined: RefinementResult) -> None:
+    before, after = _measure(fused), _measure(refined.mesh)
+    assert after["ball"] < 0.6 * before["ball"]
+    assert abs(after["ball_mean"]) < NOISE / 10
+    assert after["board"] < 0.3 * before["board"]
+    assert after["tilt"] < 0.1 < 1.0 < before["tilt"]
+
+
+def test_the_board_is_a_plane_and_the_ball_is_not(refined: RefinementResult) -> None:
+    vertices = refined.mesh.vertices
+    is_ball = np.linalg.norm(vertices, axis=1) < RADIUS + 0.01
+    is_board = (np.abs(vertices[:, 2] - BOARD_Z) < 0.005) & ~is_ball
+    assert (refined.plane_ids[is_board] >= 0).mean() > 0.9
+    assert (refined.plane_ids[is_ball] >= 0).mean() < 0.02
+
+
+def test_no_vertex_moves_farther_than_its_deviation_allows(fused: Mesh, refined: RefinementResult) -> None:
+    edges = to_trimesh(Mesh(fused.vertices, fused.triangles)).edges_unique_length
+    largest = 3 * np.sqrt(refined.deviations.max() ** 2 + (1.2 * edges.mean()) ** 2 / 12)
+    metrics = refined.to_dict()
+    assert 0 < metrics["move_rms_m"] < metrics["move_max_m"] <= largest
+    assert len(refined.deviations) == len(refined.plane_ids) == len(refined.mesh.vertices)
+    assert NOISE / 4 < np.median(refined.deviations) < NOISE
+
+
+def test_the_result_is_an_oriented_manifold_with_colours(fused: Mesh, refined: RefinementResult) -> None:
+    found = topology(refined.mesh)
+    assert found.is_manifold
+    assert found.is_oriented
+    assert refined.mesh.colors is not None
+    assert fused.colors is not None
+    assert refined.mesh.colors.mean() == pytest.approx(fused.colors.mean(), abs=3)
+
+
+def test_a_second_refinement_gives_the_same_bits(fused: Mesh, scan: Scan, refined: RefinementResult) -> None:
+    again = refine(fused, scan.frames)
+    assert np.array_equal(again.mesh.vertices, refined.mesh.vertices)
+    assert np.array_equal(again.mesh.triangles, refined.mesh.triangles)
+
+
+def test_strength_0_returns_the_input(fused: Mesh, scan: Scan) -> None:
+    kept = refine(fused, scan, strength=0)
+    assert np.array_equal(kept.mesh.vertices, fused.vertices)
+    assert kept.to_dict()["move_max_m"] == 0
+
+
+def test_a_smaller_strength_moves_less(fused: Mesh, scan: Scan, refined: RefinementResult) -> None:
+    weak = refine(fused, scan, strength=0.1)
+    assert weak.moves.max() < 0.5 * refined.moves.max()
+
+
+def test_without_planes_no_vertex_has_one(fused: Mesh, scan: Scan) -> None:
+    curved = refine(fused, scan, planes=False)
+    assert curved.plane_count == 0
+    assert (curved.plane_ids == -1).all()
+    assert _measure(curved.mesh)["tilt"] < 1.5
+
+
+def test_a_single_frame_leaves_the_mesh_as_it_is(fused: Mesh, scan: Scan) -> None:
+    kept = refine(fused, scan.frames[:1])
+    assert np.array_equal(kept.mesh.vertices, fused.vertices)
+    assert [one.code for one in kept.diagnostics] == ["refine.not-possible"]
+
+
+def test_frames_without_depth_are_refused(fused: Mesh, scan: Scan) -> None:
+    with pytest.raises(InputError, match="no frame has a depth map"):
+        refine(fused, [replace(frame, depth=None) for frame in scan.frames])
+
+
+def test_normals_are_left_out_with_a_warning(fused: Mesh, scan: Scan) -> None:
+    up = np.tile((0.0, 0.0, 1.0), (len(fused.vertices), 1))
+    found = refine(fused.with_(normals=up), scan)
+    assert found.mesh.normals is None
+    assert [one.code for one in found.diagnostics] == ["refine.data-left-out"]
