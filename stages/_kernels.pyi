@@ -509,8 +509,8 @@ class SurfaceRefiner:
 
         The mesh: vertices (n, 3), triangles (m, 3), input vertex of the first n − k vertices, and the ends
         (k, 2) and shares (k,) of the others, which were split off edges. The values (n,): moves and
-        deviations in metres, number of frames that saw the vertex, and its plane, −1 for none; then the number
-        of planes.
+        deviations in metres, number of frames that saw the vertex, and its plane, −1 for none; then the
+        number of planes.
         """
 
 @final

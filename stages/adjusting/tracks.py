@@ -25,7 +25,7 @@ class Tracks:
     view_indices, point_indices : (n,) indices of view and point; a view observes a point once at most.
     pixels : (n, 2) in the colour image.
     readout_times : (n,) readout times of the pixels, see stages/adjusting/rolling_shutter.py.
-    point_of_match : (k,) index of the point of each match; -1 without.
+    point_of_match : (k,) index of the point of each match; -1 for a match without a point.
     """
 
     view_indices: NDArray[np.intp]

@@ -192,7 +192,7 @@ def _compute_squared_radii(
     views: NDArray[np.int32],
     photos: Photos,
 ) -> NDArray[np.float32]:
-    """Compute the squared photo radius of samples (n, k); 1 in the corners."""
+    """Compute the squared distance of samples (n, k) from the centre of their photo; 1 in the corners."""
     radii2 = np.empty(views.shape, np.float32)
     for start in range(0, len(triangle_ids), _BATCH_POINTS):
         rows = slice(start, start + _BATCH_POINTS)
@@ -203,7 +203,10 @@ def _compute_squared_radii(
 
 
 def _project_squared_radii(points: Floats, views: NDArray[np.int32], photos: Photos) -> NDArray[np.float32]:
-    """Compute the squared photo radius of samples (n, k) of points (n, 3)."""
+    """Compute how far each point (n, 3) is from the centre of its photos (n, k), squared.
+
+    The distance of the corners is 1.
+    """
     radii2 = np.zeros(views.shape, np.float32)
     order = np.argsort(views, axis=None, kind="stable")
     bounds = np.searchsorted(views.ravel()[order], np.arange(len(photos) + 1))

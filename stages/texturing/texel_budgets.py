@@ -24,7 +24,7 @@ _MIN_DENSITY, _MAX_DENSITY = 1 / 16, 4.0
 
 @dataclass(frozen=True, eq=False)
 class TexelBudget:
-    """Texels that the images of a class may have.
+    """Maximum number of texels of the new images of one class.
 
     Attributes
     ----------
