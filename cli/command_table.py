@@ -60,9 +60,17 @@ GROUPS = {
     "lab": Group("Try experimental tools", {"probe": "probe"}),
 }
 
-# Commands without warnings, and those without progress.
+# Commands without warnings, and those without --quiet because they have no progress or little.
 _WITHOUT_WARNINGS = (("cache", "ls"), ("cache", "verify"), ("cache", "prune"), ("doctor",))
-_WITHOUT_PROGRESS = (("cache", "ls"), ("cache", "verify"), ("cache", "prune"), ("config",))
+_WITHOUT_PROGRESS = (
+    ("cache", "ls"),
+    ("cache", "verify"),
+    ("cache", "prune"),
+    ("config",),
+    ("lab", "probe"),
+    ("lod", "info"),
+    ("mesh", "decode"),
+)
 
 Path = tuple[str, ...]
 

@@ -509,9 +509,21 @@ class SurfaceRefiner:
 
         The mesh: vertices (n, 3), triangles (m, 3), input vertex of the first n − k vertices, and the ends
         (k, 2) and shares (k,) of the others, which were split off edges. The values (n,): moves and
-        deviations in metres, number of frames that saw the vertex, and its plane, −1 for none; then the
-        number of planes.
+        deviations in metres, number of frames that measured the vertex from the front, and its plane,
+        −1 for none; then the number of planes.
         """
+
+def smooth_boundaries(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    *,
+    max_move_ratio: float,
+    wanted_threads: int,
+) -> NDArray[np.float64]:
+    """Smooth the boundaries of a mesh, within its surface.
+
+    Returns the vertices, moved at most `max_move_ratio` mean edge lengths.
+    """
 
 @final
 class Volume:

@@ -28,6 +28,7 @@ PACKAGE_HEADINGS = {
     "adjusting": "Adjustment",
     "fusion": "Fusion",
     "cleaning": "Cleaning and checking",
+    "refinement": "Refinement",
     "simplification": "Simplification",
     "texturing": "Texture",
     "normal_meshes": "Normal meshes",

@@ -20,6 +20,7 @@ from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.certify import certify
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.fusion.depth_noise import estimate_depth_noise
 from scanloom.stages.inspecting.libraries import list_installed_versions
@@ -78,7 +79,8 @@ def _copy_large_mesh(clean_mesh: CleanMesh, result: Any, params: RefineParams) -
 
 
 def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    return collect_result_versions(refine, estimate_depth_noise, clean)
+    # `clean` may repair, which `refine` does not ask for; its versions are few enough to be included.
+    return collect_result_versions(refine, estimate_depth_noise, clean, certify)
 
 
 def _format_headline(metrics: Mapping[str, Any]) -> str:

@@ -105,7 +105,6 @@ class LodParams(LevelsParams):
         "Proven error bound of the finest level, a simplified mesh; 0 uses the mesh itself.",
         unit="m",
         low=0,
-        common=True,
     )
 
 

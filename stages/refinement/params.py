@@ -22,7 +22,6 @@ class RefineParams:
     planes: bool = param(
         True,
         "Make patches planar that are planar within the noise, with straight creases between them.",
-        common=True,
     )
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ A fused surface has the noise of the sensor, and lies slightly inside of convex 
 2. Filter the normals of the triangles without mixing normals across creases, and fit the vertices to them.
 3. Move the filtered surface to the depth measurements, by a smooth correction along the normals.
 4. Make patches planar that are planar within the standard deviation, with straight creases between them.
-5. Remove triangles that no frame, or only one of many, has seen.
+5. Remove flaps: narrow surface that no frame has measured from the front; and smooth the boundary.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT, REFINE_NOT_POSSIBLE
 from scanloom.stages.refinement.depth_frames import DepthFrames
+from scanloom.stages.refinement.flaps import mask_flaps
 from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
@@ -51,8 +52,8 @@ RESULT_VERSION = 1
 
 # Corrections towards the depth measurements. The second one starts from a better surface.
 _CORRECTION_COUNT = 2
-# From this median number of sightings on, a triangle must have been seen by two frames.
-_MANY_SIGHTINGS = 8
+# Mean edge lengths by which vertices of the boundary may move.
+_MAX_BOUNDARY_MOVE = 0.5
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class RefinementResult:
     plane_count : number of planes.
     noise : depth noise of a single measurement (see `DepthNoise`); None if the mesh was not refined.
     moves : (k,) distance of each vertex that stayed from its position in the input, metres.
-    removed_triangles : number of triangles removed because too few frames saw them.
+    removed_triangles : number of triangles of removed flaps.
     skipped : frames that could not be used.
     diagnostics : what was left out.
     """
@@ -207,27 +208,25 @@ def _refine(
     if params.planes:
         refiner.flatten()
     (vertices, triangles, sources, ends, shares), values = refiner.finish()
-    moves, deviations, sightings, plane_ids, plane_count = values
+    moves, deviations, frontal_counts, plane_ids, plane_count = values
     colors = None if mesh.colors is None else _interpolate_colors(mesh.colors, sources, ends, shares)
-    is_seen = (sightings >= _derive_min_sightings(sightings))[triangles].any(axis=1)
+    is_flap = mask_flaps(triangles, frontal_counts > 0)
     kept = clean(
-        Mesh(vertices, triangles[is_seen], colors, up=mesh.up), CleanParams(min_island_area=0, stitch=False)
+        Mesh(vertices, triangles[~is_flap], colors, up=mesh.up), CleanParams(min_island_area=0, stitch=False)
+    )
+    smooth = _kernels.smooth_boundaries(
+        kept.mesh.vertices, kept.mesh.triangles, max_move_ratio=_MAX_BOUNDARY_MOVE, wanted_threads=0
     )
     return RefinementResult(
-        mesh=kept.mesh,
+        mesh=kept.mesh.with_(vertices=smooth),
         deviations=deviations[kept.vertex_source],
         plane_ids=plane_ids[kept.vertex_source],
         plane_count=plane_count,
         noise=noise,
         moves=moves[: len(sources)],
-        removed_triangles=int(np.count_nonzero(~is_seen)),
+        removed_triangles=int(np.count_nonzero(is_flap)),
         skipped=tuple(depth_frames.skipped.values()),
     )
-
-
-def _derive_min_sightings(sightings: NDArray[np.uint32]) -> int:
-    """Return the number of frames that must have seen a corner of each triangle: 1 or 2."""
-    return 2 if np.median(sightings) >= _MANY_SIGHTINGS else 1
 
 
 def _interpolate_colors(

@@ -73,7 +73,6 @@ class BakeParams:
         unit="m",
         low=0,
         low_open=True,
-        common=True,
     )
     max_size: int = param(
         4096,

@@ -10,7 +10,7 @@ SIMPLIFY_IMAGES_NOT_BAKED = Code(
     """
 A warning. The simplified mesh is written without the image of the original, because baking failed for the
 stated reason. `scanloom mesh bake LIGHT ORIGINAL OUT.glb` may succeed with other parameters, such as a larger
-`--max-size`.
+`bake.max_size`.
 """,
     (
         "light.glb: the image is left out; it could not be baked again: mesh: has too many charts for an "
@@ -44,7 +44,7 @@ TEXTURE_BAKE_LEFT_OUT = Code(
     "Nothing to bake, or attributes that baking drops",
     """
 `bake` transfers the colours of one mesh to another, so the original needs vertex colours or a texture. Baked
-images are opaque. Detail finer than a texel is averaged (see `--texel-size`, `--max-size` and
+images are opaque. Detail finer than a texel is averaged (see `bake.texel_size`, `bake.max_size` and
 `bake.max_texels`). Of MTL files, only `map_Kd` is baked.
 """,
     (

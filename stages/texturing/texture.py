@@ -98,7 +98,6 @@ class TextureParams:
         unit="texels",
         low=_MIN_SIZE,
         high=16384,
-        common=True,
     )
     max_texels: float = param(
         64.0,

@@ -34,5 +34,5 @@ def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
 def test_it_is_there_if_it_is_enabled():
     assert "bake.enabled=true" in list_skip_reasons(scan(), Config())["bake"]
     stages = {stage.name: stage for stage in plan_stages(scan(), Config().set(["bake.enabled=true"]))}
-    assert stages["bake"].input_names == ("clean_mesh", "simplified_mesh", "up_direction")
+    assert stages["bake"].input_names == ("refined_mesh", "simplified_mesh", "up_direction")
     assert "bake" not in {stage.name for stage in plan_stages(scan(), Config())}

@@ -104,7 +104,7 @@ def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here
 def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
     out = here / "out"
     continue_run(out, "coverage", {})
-    mesh, clean = read_ply(out / "coverage.ply"), read_ply(out / "clean.ply")
+    mesh, clean = read_ply(out / "coverage.ply"), read_ply(out / "refined.ply")
     values = {name: read_vertex_values(out / "coverage.ply", name) for name in VERTEX_VALUES}
     assert set(values) == {"frames", "angle", "mean_angle", "pixel", "spread"}
 
@@ -195,8 +195,8 @@ def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="this folder has no results of a run"):
         continue_run(tmp_path / "empty", "coverage", {})
-    (here / "out" / "clean.ply").unlink()
-    with pytest.raises(InputError, match=r"clean\.ply is missing"):
+    (here / "out" / "refined.ply").unlink()
+    with pytest.raises(InputError, match=r"refined\.ply is missing"):
         continue_run(here / "out", "coverage", {})
     shutil.rmtree(here / "out" / "cache")
     with pytest.raises(InputError, match="has no record of this run; give the cache of the run with --cache"):
@@ -205,7 +205,7 @@ def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
 
 def test_a_run_that_was_not_finished_has_no_mesh(here: Path, ran: Path) -> None:
     run(ran / "scan", here / "short", Config().set(QUICK), until="fuse")
-    with pytest.raises(InputError, match=r"clean\.ply is missing, because the run ended before it"):
+    with pytest.raises(InputError, match=r"refined\.ply is missing, because the run ended before it"):
         continue_run(here / "short", "coverage", {})
 
 

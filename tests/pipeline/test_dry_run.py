@@ -47,7 +47,7 @@ def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
     found = predict_run(SCAN, tmp_path / "out", config())
     assert list(tmp_path.iterdir()) == []
     assert cached(found) == dict.fromkeys(
-        ("adjust", "fuse", "clean", "upright", "simplify", "export", "report"), False
+        ("adjust", "fuse", "clean", "refine", "upright", "simplify", "export", "report"), False
     )
     assert [one.reason for one in found.stages] == ["first run"] * 7
     assert {one.estimate.basis for one in found.stages if one.estimate} == {"estimated"}

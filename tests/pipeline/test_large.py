@@ -55,12 +55,12 @@ def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: An
     light = read_ply(out / "simplified.ply")
     assert metrics_of(result, "simplify")["parts"] > 5
     told = result.report["mesh"]
-    for name, samples in (("fused", 2000), ("clean", 500)):
+    for name, samples in (("fused", 2000), ("refined", 500)):
         expected = compare(read_ply(out / f"{name}.ply"), light, samples=samples).to_dict()
         for kind in ("distance", "color"):
             for way, values in expected[kind].items():
                 assert told[f"to_{name}"][kind][way] == pytest.approx(values, rel=1e-5, abs=1e-9)
-    expected = deviations(read_ply(out / "clean.ply"), light, signed_samples=SIGNED_SAMPLES).to_dict()
+    expected = deviations(read_ply(out / "refined.ply"), light, signed_samples=SIGNED_SAMPLES).to_dict()
     for name in ("rms_m", "mean_m", "lowest_m", "highest_m", "absolute_percentiles_m"):
         assert result.report["deviation"][name] == pytest.approx(expected[name], rel=1e-5, abs=1e-9)
     drawn = [name for name in result.report["pictures"] if "triangles" not in name]
@@ -72,8 +72,8 @@ def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None
     _, out, _, said = made
     page = read_page_content((out / "report.html").read_bytes())
     models = {one["name"]: one for one in page["models"]}
-    assert list(models) == ["result", "clean mesh", "coverage", "deviation"]
-    for name, file in (("clean mesh", "clean"), ("coverage", "coverage")):
+    assert list(models) == ["result", "refined mesh", "coverage", "deviation"]
+    for name, file in (("refined mesh", "refined"), ("coverage", "coverage")):
         count = len(read_ply(out / f"{file}.ply").triangles)
         assert models[name]["triangles"] < count
         assert "clustered in cells of" in models[name]["note"]
@@ -83,7 +83,7 @@ def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None
 
 def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) -> None:
     scan, out, result, said = made
-    expected = coverage(read_ply(out / "clean.ply"), read_scan(scan))
+    expected = coverage(read_ply(out / "refined.ply"), read_scan(scan))
     told = json.loads((out / "coverage.json").read_text())
     assert metrics_of(result, "coverage")["places"] == len(told["places"]) == len(expected.defects) > 0
     for place, one in zip(told["places"], expected.to_dict()["places"], strict=True):
@@ -112,7 +112,7 @@ def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) ->
 def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one(made: Any) -> None:
     scan, out, result, said = made
     told, proven = metrics_of(result, "lod"), metrics_of(result, "simplify")["details"]
-    clean, hierarchy = read_ply(out / "clean.ply"), lod.read_slod(out / "lod.slod")
+    clean, hierarchy = read_ply(out / "refined.ply"), lod.read_slod(out / "lod.slod")
     assert told["base_shape_bound_m"] == proven["shape_bound_m"] <= 0.009
     assert hierarchy.base_color_bound == proven["color_bound_levels"]
     assert told["base_triangles"] == metrics_of(result, "simplify")["triangles"]
@@ -138,7 +138,7 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
         told = metrics_of(result, "lod")
         assert told["base_shape_bound_m"] == 0
         assert told["input_triangles"] == metrics_of(result, "simplify")["triangles"]
-        assert sum("whose distance from the clean mesh is not proven" in text for text in said) == 1
+        assert sum("whose distance from the refined mesh is not proven" in text for text in said) == 1
         assert "is not proven" in str(lod.read_slod(out / "lod.slod").diagnostics[-1])
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
         foreseen = predict_run(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages

@@ -33,7 +33,15 @@ QUICK = (
     "lod.root_triangles=100",
 )
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.glb", "simplified.ply"]
+PLAIN = [
+    "clean.ply",
+    "fused.ply",
+    "pictures",
+    "refined.ply",
+    "report.json",
+    "simplified.glb",
+    "simplified.ply",
+]
 OWN = ["lod.slod", "tiles"]
 NOISE = 0.004
 
@@ -105,7 +113,7 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     assert "lod.enabled=true" in list_skip_reasons(plain, Config())["tiles"]
     assert not {"lod", "tiles"} & {stage.name for stage in plan_stages(plain, Config())}
     stages = {stage.name: stage for stage in plan_stages(plain, Config().set(["lod.enabled=true"]))}
-    assert stages["lod"].input_names == ("frames", "poses", "clean_mesh", "simplified_mesh", "up_direction")
+    assert stages["lod"].input_names == ("frames", "poses", "refined_mesh", "simplified_mesh", "up_direction")
     assert stages["tiles"].input_names == ("up_direction", "levels")
     assert [stage.name for stage in STAGES][-4:] == ["tiles", "export", "coverage", "report"]
     without = Config().set(["lod.enabled=true", "tiles.enabled=false"])
@@ -116,13 +124,23 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
 def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
     out = tmp_path / "out"
     result = run(scan, out, quick("lod.enabled=true"))
-    assert ran(result) == ["fuse", "clean", "upright", "simplify", "lod", "tiles", "export", "report"]
+    assert ran(result) == [
+        "fuse",
+        "clean",
+        "refine",
+        "upright",
+        "simplify",
+        "lod",
+        "tiles",
+        "export",
+        "report",
+    ]
     assert names(out) == sorted([*PLAIN, *OWN])
 
     hierarchy = lod.read_slod(out / "lod.slod")
     stages = json.loads((out / "report.json").read_text())["stages"]
     told = stages["lod"]["metrics"]
-    assert told["input_triangles"] == len(read_ply(out / "clean.ply").triangles)
+    assert told["input_triangles"] == len(read_ply(out / "refined.ply").triangles)
     assert told["base_triangles"] < told["input_triangles"]
     assert (told["base_error_source"], told["base_error_m"]) == ("noise", 0.5 * told["depth_noise_m"])
     assert told["depth_noise_m"] == pytest.approx(NOISE, rel=0.2)

@@ -33,7 +33,15 @@ QUICK = (
     "remesh.levels=2",
 )
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.glb", "simplified.ply"]
+PLAIN = [
+    "clean.ply",
+    "fused.ply",
+    "pictures",
+    "refined.ply",
+    "report.json",
+    "simplified.glb",
+    "simplified.ply",
+]
 OWN = ["levels", "remeshed.ply", "remeshed.snm"]
 
 
@@ -81,7 +89,17 @@ def ran(result) -> list[str]:
 def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, tmp_path):
     out = tmp_path / "out"
     result = run(scan, out, quick("remesh.enabled=true"))
-    assert ran(result) == ["adjust", "fuse", "clean", "upright", "simplify", "remesh", "export", "report"]
+    assert ran(result) == [
+        "adjust",
+        "fuse",
+        "clean",
+        "refine",
+        "upright",
+        "simplify",
+        "remesh",
+        "export",
+        "report",
+    ]
     assert names(out) == sorted([*PLAIN, *OWN])
     assert sorted(path.name for path in (out / "levels").iterdir()) == [f"level_{i}.ply" for i in range(3)]
     decoded = decode(out / "remeshed.snm")

@@ -20,7 +20,7 @@ WITH_ISLAND = Mesh(
 )
 MESHES = {
     "fused": WITH_ISLAND,
-    "clean": SQUARE,
+    "refined": SQUARE,
     "simplified": SQUARE.with_(vertices=SQUARE.vertices + np.array((0, 0, 0.01))),
 }
 SMALL = ReportParams(viewpoints=1, width=64)
@@ -62,5 +62,5 @@ def test_pictures_are_the_same_whatever_is_drawn_beside_them(tmp_path):
 
 def test_a_mesh_without_triangles_is_refused_by_name(tmp_path):
     empty = SQUARE.with_(triangles=np.zeros((0, 3), np.int32))
-    with pytest.raises(InputError, match=r"clean\.ply: it has no triangles"):
-        make(tmp_path, MESHES | {"clean": empty}, [], CompareParams(), SMALL)
+    with pytest.raises(InputError, match=r"refined\.ply: it has no triangles"):
+        make(tmp_path, MESHES | {"refined": empty}, [], CompareParams(), SMALL)

@@ -46,6 +46,7 @@ PLAIN = [
     "clean.ply",
     "fused.ply",
     "pictures",
+    "refined.ply",
     "report.json",
     "simplified.ply",
     "texture_maps",
@@ -164,9 +165,9 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     result = run(rgbd, out, quick(), events=events.append)
     assert snapshot(rgbd) == before, "the scan is only read"
     assert events[0] == RunStarted(
-        "plain-rgbd", 6, ("adjust", "fuse", "clean", "upright", "simplify", "texture", "report")
+        "plain-rgbd", 6, ("adjust", "fuse", "clean", "refine", "upright", "simplify", "texture", "report")
     )
-    assert ran(result) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
+    assert ran(result) == ["adjust", "fuse", "clean", "refine", "upright", "simplify", "texture", "report"]
     assert names(out) == PLAIN
 
     report = json.loads((out / "report.json").read_text())
@@ -181,7 +182,16 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
         "metric": True,
         "scale": None,
     }
-    assert list(report["stages"]) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
+    assert list(report["stages"]) == [
+        "adjust",
+        "fuse",
+        "clean",
+        "refine",
+        "upright",
+        "simplify",
+        "texture",
+        "report",
+    ]
     for stage in report["stages"].values():
         assert stage["cached"] is False
         assert stage["reason"] == "first run"
@@ -200,7 +210,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     sizes = {Path(name).name: cv2.imread(str(out / name)).shape for name in report["pictures"]}
     assert sizes == {
         "fused-overview.png": (48, 64, 3),
-        "clean-overview.png": (48, 64, 3),
+        "refined-overview.png": (48, 64, 3),
         "simplified-overview.png": (48, 64, 3),
         "simplified-triangles.png": (48, 128, 3),
         "textured-overview.png": (48, 64, 3),
@@ -217,10 +227,10 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
     )
     started = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[True, True, True, True, True, True, True] set()"
+    assert done.stdout.strip() == "[True, True, True, True, True, True, True, True] set()"
     assert time.perf_counter() - started < 10
     report = json.loads((out / "report.json").read_text())
-    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 7
+    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 8
     assert report["mesh"]["triangles"] > 0
 
 
@@ -228,7 +238,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
 @pytest.mark.parametrize(
     ("assignment", "expected"),
     [
-        ("fuse.voxel_size=0.03", ["fuse", "clean", "upright", "simplify", "texture", "report"]),
+        ("fuse.voxel_size=0.03", ["fuse", "clean", "refine", "upright", "simplify", "texture", "report"]),
         ("simplify.ratio=0.5", ["simplify", "texture", "report"]),
         ("compare.seed=1", ["report"]),
         ("report.width=80", ["report"]),
@@ -429,7 +439,8 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
         (
             {"force": ["all"]},
-            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, upright, simplify, ",
+            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, refine, upright, "
+            "simplify, ",
         ),
         ({"until": "depth"}, "depth does not apply to this scan"),
         ({"force": ["depth"]}, "depth does not apply to this scan"),

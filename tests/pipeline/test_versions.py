@@ -15,6 +15,7 @@ from scanloom.pipeline.config import Config
 from scanloom.pipeline.graph import STAGES
 from scanloom.pipeline.stage import Stage
 from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.refine import RefinedMesh
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from scanloom.stages.surface.chunked_ply import make_table_path
 
@@ -45,7 +46,11 @@ def config(words: str) -> Config:
 
 
 def versions(stage: Stage, scan: Scan, words: str = "", clean: Path = ROOT) -> Mapping[str, int]:
-    known = {**dict.fromkeys(stage.input_names, scan), "clean_mesh": CleanMesh(clean)}
+    known = {
+        **dict.fromkeys(stage.input_names, scan),
+        "clean_mesh": CleanMesh(clean),
+        "refined_mesh": RefinedMesh(clean),
+    }
     return stage.versions(known, config(words))
 
 
@@ -65,7 +70,8 @@ def all_versions(large: Path) -> dict[tuple[Any, ...], Mapping[str, int]]:
 
 @pytest.fixture
 def large(tmp_path: Path) -> Path:
-    make_table_path(tmp_path / "clean.ply").touch()
+    for name in ("clean.ply", "refined.ply"):
+        make_table_path(tmp_path / name).touch()
     return tmp_path
 
 

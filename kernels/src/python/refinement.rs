@@ -13,15 +13,19 @@ use super::memory_guard::with_memory_reserve;
 use crate::base::errors::KernelError;
 use crate::base::parallel::resolve_thread_count;
 use crate::fusion::frame_view::DepthNoiseModel;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::check_points;
+use crate::refinement::boundary::smooth_boundaries as smooth_boundaries_of;
+use crate::refinement::normal_filter::{area_normals, vertex_normals};
 use crate::refinement::observations::DepthFrame;
 use crate::refinement::plane_growth::NO_PLANE;
-use crate::refinement::refiner::Refiner;
+use crate::refinement::refiner::{Refiner, mean_edge};
 
 /// Vertices (n, 3), triangles (m, 3), input vertex of the first n − k vertices, ends (k, 2) and shares (k,) of
 /// the others.
 type MeshArrays =
     (Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<u32>>, Py<PyArray2<u32>>, Py<PyArray1<f64>>);
-/// Moves, deviations, sightings and planes of the vertices, −1 for no plane; and the number of planes.
+/// Moves, deviations, frontal measurements and planes of the vertices, −1 for no plane; and the number of planes.
 type VertexArrays = (Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<u32>>, Py<PyArray1<i32>>, usize);
 
 /// Mesh under refinement. Show all frames, then `filter`; again, then `correct`, once or more; then `flatten`.
@@ -110,13 +114,42 @@ impl SurfaceRefiner {
                 (
                     PyArray1::from_vec(py, found.moves).unbind(),
                     PyArray1::from_vec(py, found.deviations).unbind(),
-                    PyArray1::from_vec(py, found.sightings).unbind(),
+                    PyArray1::from_vec(py, found.frontal_counts).unbind(),
                     PyArray1::from_iter(py, labels).unbind(),
                     found.plane_count,
                 ),
             ))
         })
     }
+}
+
+/// Smooth the boundaries of a mesh, within its surface. Returns the vertices, moved at most `max_move_ratio` mean
+/// edge lengths.
+#[pyfunction]
+#[pyo3(signature = (vertices, triangles, *, max_move_ratio, wanted_threads))]
+pub fn smooth_boundaries(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    max_move_ratio: f64,
+    wanted_threads: usize,
+) -> PyResult<Py<PyArray2<f64>>> {
+    let count = vertices.as_array().nrows() + triangles.as_array().nrows();
+    with_memory_reserve(count, || {
+        let mut points: Vec<[f64; 3]> = rows(&vertices)?;
+        let triangles = copy_triangles(&triangles, points.len())?;
+        let threads = resolve_thread_count(wanted_threads);
+        let points = run_detached(py, None, false, |_| {
+            check_points(&points)?;
+            let connectivity = Connectivity::from_triangles_on(threads, points.len(), &triangles)?;
+            let normals =
+                vertex_normals(&connectivity, &area_normals(&connectivity, &points, threads), threads);
+            let max_move = max_move_ratio * mean_edge(&connectivity, &points);
+            smooth_boundaries_of(&connectivity, &mut points, &normals, max_move);
+            Ok(points)
+        })?;
+        column_array(py, &points, 0..3)
+    })
 }
 
 impl SurfaceRefiner {

@@ -5,11 +5,13 @@
 //! | [`refiner`] | the steps in order, with their constants |
 //! | [`short_edges`] | removal of the thin triangles of marching cubes |
 //! | [`normal_filter`] | bilateral filter of triangle normals, and vertices that fit them |
+//! | [`boundary`] | smooth boundaries |
 //! | [`observations`] | distances of the depth measurements from each vertex |
 //! | [`residual`] | smooth correction towards the measurements |
 //! | [`plane_growth`] | planar patches within the standard deviation of the vertices |
 //! | [`creases`] | vertices moved onto planes, and straight creases between them |
 
+pub mod boundary;
 pub mod creases;
 pub mod normal_filter;
 pub mod observations;

@@ -8,9 +8,13 @@ use crate::base::geometry::{Vec3, dot, norm2, sub};
 use crate::base::parallel::update;
 use crate::fusion::frame_view::{DepthNoiseModel, FusionCamera};
 
-/// Minimum cosine between the normal and the direction to the camera. Beyond it depth says little about the
+/// Minimum cosine between the normal and the direction to the camera. Beyond it depth says nothing about the
 /// position along the normal.
-const MIN_COSINE: f64 = 0.2;
+const MIN_COSINE: f64 = 0.05;
+
+/// Minimum cosine of a frontal measurement. Seen along a surface, it cannot be told from the flaps that sensors
+/// put between the near and the far side of a depth discontinuity.
+const MIN_FRONTAL_COSINE: f64 = 0.2;
 
 /// Measurements farther from the surface than this many standard deviations belong to another surface.
 const MAX_DEVIATIONS: f64 = 3.0;
@@ -24,12 +28,9 @@ pub struct Observation {
     pub distance: f64,
     /// Weighted sum of the squared distances.
     pub distance2: f64,
-    /// Number of frames in these sums.
+    /// Number of frames in these sums, and those of them that saw the surface from the front.
     pub frames: u32,
-    /// Number of frames that measured this surface at all, from any angle and next to discontinuities.
-    pub sightings: u32,
-    /// Number of frames that measured a surface far behind the vertex.
-    pub see_through: u32,
+    pub frontal: u32,
 }
 
 /// Depth map of one frame.
@@ -67,7 +68,7 @@ fn add_measurement(frame: DepthFrame<'_>, point: &Vec3, normal: &Vec3, observati
         return;
     }
     let at = [0, 1].map(|i| row(i) / z * camera.focal[i] + camera.centre[i]);
-    let Some((measured, is_smooth)) = read_depth(frame, at) else { return };
+    let Some(measured) = interpolate_depth(frame, at) else { return };
     let centre = [0, 1, 2].map(|i| camera.pose[i][3]);
     let to_point = sub(point, &centre);
     let along = dot(&to_point, normal);
@@ -76,24 +77,19 @@ fn add_measurement(frame: DepthFrame<'_>, point: &Vec3, normal: &Vec3, observati
     // The measured point is on the ray through the vertex.
     let distance = (measured / z - 1.0) * along;
     let limit = (MAX_DEVIATIONS * noise).max(frame.reach);
-    if along < 0.0 && distance.abs() < limit {
-        observation.sightings += 1;
-    }
-    if is_smooth && cosine > MIN_COSINE && distance.abs() < limit {
+    if cosine > MIN_COSINE && distance.abs() < limit {
         let weight = cosine / (noise * noise);
         observation.weight += weight;
         observation.distance += weight * distance;
         observation.distance2 += weight * distance * distance;
         observation.frames += 1;
-    } else if measured - z > limit {
-        observation.see_through += 1;
+        observation.frontal += u32::from(cosine > MIN_FRONTAL_COSINE);
     }
 }
 
-/// Read the depth at a position, and whether it is smooth there. Inverse depth is interpolated between four
-/// pixels, which is exact on planes. If one of them is missing, as next to every depth discontinuity, the
-/// nearest pixel is used. None outside the image and without depth.
-fn read_depth(frame: DepthFrame<'_>, [u, v]: [f64; 2]) -> Option<(f64, bool)> {
+/// Interpolate inverse depth between four pixels, which is exact on planes. None outside the image and where a
+/// pixel is missing, as it is next to every depth discontinuity.
+fn interpolate_depth(frame: DepthFrame<'_>, [u, v]: [f64; 2]) -> Option<f64> {
     let (width, height) = (frame.camera.width, frame.camera.height);
     if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
         return None;
@@ -102,11 +98,10 @@ fn read_depth(frame: DepthFrame<'_>, [u, v]: [f64; 2]) -> Option<(f64, bool)> {
     let (right, below) = (u - column as f64, v - line as f64);
     let first = line * width + column;
     let pixels = [first, first + 1, first + width, first + width + 1].map(|i| f64::from(frame.depth[i]));
-    if pixels.iter().all(|&depth| depth > 0.0) {
-        let [a, b, c, d] = pixels.map(|depth| 1.0 / depth);
-        let (above, under) = (a + right * (b - a), c + right * (d - c));
-        return Some((1.0 / (above + below * (under - above)), true));
+    if !pixels.iter().all(|&depth| depth > 0.0) {
+        return None;
     }
-    let nearest = pixels[usize::from(right >= 0.5) + 2 * usize::from(below >= 0.5)];
-    (nearest > 0.0).then_some((nearest, false))
+    let [a, b, c, d] = pixels.map(|depth| 1.0 / depth);
+    let (above, under) = (a + right * (b - a), c + right * (d - c));
+    Some(1.0 / (above + below * (under - above)))
 }

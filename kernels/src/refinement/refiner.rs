@@ -70,7 +70,7 @@ pub struct Refiner {
     filtered: Vec<Vec3>,
     deviations: Vec<f64>,
     max_moves: Vec<f64>,
-    sightings: Vec<u32>,
+    frontal_counts: Vec<u32>,
     labels: Vec<u32>,
     plane_count: usize,
     created: Vec<CreaseVertex>,
@@ -89,8 +89,8 @@ pub struct RefinedMesh {
     pub moves: Vec<f64>,
     /// Standard deviation of each vertex along its normal.
     pub deviations: Vec<f64>,
-    /// Number of frames that saw each vertex.
-    pub sightings: Vec<u32>,
+    /// Number of frames that measured each vertex from the front.
+    pub frontal_counts: Vec<u32>,
     /// Plane of each vertex; [`NO_PLANE`] for none.
     pub labels: Vec<u32>,
     pub plane_count: usize,
@@ -127,7 +127,7 @@ impl Refiner {
             filtered: vec![],
             deviations: vec![0.0; count],
             max_moves: vec![0.0; count],
-            sightings: vec![0; count],
+            frontal_counts: vec![0; count],
             labels: vec![NO_PLANE; count],
             plane_count: 0,
             created: vec![],
@@ -235,11 +235,11 @@ impl Refiner {
         moves.iter_mut().enumerate().for_each(|(v, step)| {
             *step = distance2(&self.points[v], &self.origins[v]).sqrt();
         });
-        let (mut sightings, mut labels) = (self.sightings, self.labels);
+        let (mut frontal_counts, mut labels) = (self.frontal_counts, self.labels);
         for one in &self.created {
             let [a, b] = one.ends.map(|v| v as usize);
             deviations.push(deviations[a].max(deviations[b]));
-            sightings.push(sightings[a].max(sightings[b]));
+            frontal_counts.push(frontal_counts[a].max(frontal_counts[b]));
             labels.push(labels[a]);
             moves.push(0.0);
         }
@@ -253,7 +253,7 @@ impl Refiner {
             created: self.created,
             moves,
             deviations,
-            sightings,
+            frontal_counts,
             labels,
             plane_count: self.plane_count,
         }
@@ -288,7 +288,7 @@ impl Refiner {
         let within_voxel2 = self.mean_edge * self.mean_edge / 12.0;
         let scale = MAX_MOVE_DEVIATIONS * self.strength;
         self.max_moves = self.deviations.iter().map(|x| scale * (x * x + within_voxel2).sqrt()).collect();
-        self.sightings = self.observations.iter().map(|one| one.sightings).collect();
+        self.frontal_counts = self.observations.iter().map(|one| one.frontal).collect();
     }
 }
 
@@ -297,7 +297,7 @@ fn chord_of(angle: f64) -> f64 {
 }
 
 /// Mean length of the edges; 0 without edges.
-fn mean_edge(connectivity: &Connectivity, points: &[Vec3]) -> f64 {
+pub fn mean_edge(connectivity: &Connectivity, points: &[Vec3]) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for edge in connectivity.edges() {
         let [a, b] = connectivity.ends(edge).map(VertexId::index);

@@ -6,8 +6,11 @@ use scanloom_kernels::base::ids::{EdgeId, TriangleId};
 use scanloom_kernels::fusion::frame_view::{DepthNoiseModel, FusionCamera};
 use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
+use scanloom_kernels::refinement::boundary::smooth_boundaries;
 use scanloom_kernels::refinement::creases::snap_to_planes;
-use scanloom_kernels::refinement::normal_filter::{area_normals, filter_normals, fit_vertices, vertex_normals};
+use scanloom_kernels::refinement::normal_filter::{
+    area_normals, filter_normals, fit_vertices, vertex_normals,
+};
 use scanloom_kernels::refinement::observations::{DepthFrame, Observation, observe};
 use scanloom_kernels::refinement::plane_growth::{
     FilteredSurface, Plane, PlaneLimits, grow_planes, label_vertices,
@@ -187,6 +190,32 @@ fn short_edges_vanish_and_the_boundary_stays() {
     assert!(mesh.connectivity.triangles().all(|t| up(t) == first), "no triangle flips");
 }
 
+#[test]
+fn a_jagged_boundary_becomes_straight_and_does_not_shrink() {
+    let side = 30;
+    let points: Vec<Vec3> = (0..side * side)
+        .map(|i| {
+            let at = [i / side, i % side].map(|x| x as f64 * SPACING);
+            // Every second vertex of the first row stands out.
+            let tooth = if i < side && i % 2 == 1 { 0.4 * SPACING } else { 0.0 };
+            [at[0] - tooth, at[1], 0.0]
+        })
+        .collect();
+    let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
+    let normals = vertex_normals(&connectivity, &area_normals(&connectivity, &points, 1), 1);
+    let mut smooth = points.clone();
+    smooth_boundaries(&connectivity, &mut smooth, &normals, SPACING);
+    let middle = &smooth[5..side - 5];
+    let mean = middle.iter().map(|p| p[0]).sum::<f64>() / middle.len() as f64;
+    assert!((mean + 0.2 * SPACING).abs() < 0.05 * SPACING, "{mean}");
+    assert!(middle.iter().all(|p| (p[0] - mean).abs() < 0.05 * SPACING));
+    for (v, (p, q)) in points.iter().zip(&smooth).enumerate() {
+        let is_boundary = [v / side, v % side].iter().any(|&x| x == 0 || x == side - 1);
+        assert!(q[2] == 0.0 && (is_boundary || p == q));
+        assert!(distance2(p, q).sqrt() <= SPACING * (1.0 + 1e-12));
+    }
+}
+
 /// Camera at the origin that looks along z, and a wall at 1 m.
 fn camera() -> FusionCamera {
     let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
@@ -206,17 +235,21 @@ fn observations_measure_the_distance_along_the_normal() {
     let mut found = [Observation::default(); 5];
     observe(frame(&camera, &depth), &points, &normals, &mut found, 1);
     for (one, expected) in found.iter().zip([-0.002, 0.003]) {
-        assert_eq!((one.frames, one.sightings, one.see_through), (1, 1, 0));
+        assert_eq!((one.frames, one.frontal), (1, 1));
         assert!((one.distance / one.weight - expected).abs() < 1e-6);
         assert!((one.weight - 1e6).abs() < 2e4);
     }
-    let counts = |one: &Observation| (one.frames, one.sightings, one.see_through);
-    assert_eq!(counts(&found[2]), (0, 0, 1), "the frame looks through a point in front of the wall");
-    assert_eq!([counts(&found[3]), counts(&found[4])], [(0, 0, 0); 2], "hidden, and outside");
+    let counts = |one: &Observation| (one.frames, one.frontal);
+    assert!(found[2..].iter().all(|one| counts(one) == (0, 0)), "in front of the wall, hidden, outside");
     // The back of the surface is not measured.
     let mut back = [Observation::default()];
     observe(frame(&camera, &depth), &points[..1], &[[0.0, 0.0, 1.0]], &mut back, 1);
-    assert_eq!(counts(&back[0]), (0, 0, 0));
+    assert_eq!(counts(&back[0]), (0, 0));
+    // Seen along the surface.
+    let mut along = [Observation::default()];
+    let steep = normalize(&[1.0, 0.0, -0.15]);
+    observe(frame(&camera, &depth), &[[0.0, 0.0, 1.0]], &[steep], &mut along, 1);
+    assert_eq!(counts(&along[0]), (1, 0));
 }
 
 #[test]

@@ -50,7 +50,7 @@ def out(tmp_path: Path) -> Path:
     folder = tmp_path / "out"
     (folder / "texture_maps").mkdir(parents=True)
     (folder / "pictures").mkdir()
-    write_ply(folder / "clean.ply", sheet(N))
+    write_ply(folder / "refined.ply", sheet(N))
     write_ply(folder / "simplified.ply", light().with_(texture=None, colors=sheet(N).colors))
     write_mesh(folder / "textured.glb", light())
     counts = np.zeros((16, 16), np.uint8)
@@ -92,7 +92,7 @@ def silent(text: str) -> None:
 def test_without_a_report_the_page_measures_itself(out: Path) -> None:
     page = make_run_page(out, 5_000_000)
     looks = looks_of(page)
-    assert list(looks) == ["result", "clean mesh", "deviation", "confidence", "vertex colours"]
+    assert list(looks) == ["result", "refined mesh", "deviation", "confidence", "vertex colours"]
     scale = looks["deviation"]["scale"]
     assert scale["high"] == -scale["low"]
     assert 1.5 < scale["high"] < 2.1
