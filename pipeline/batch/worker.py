@@ -63,8 +63,8 @@ class Worker:
     timeout : seconds without progress after which a job is ended, 0 for never; None for the setting of the
         queue.
     only : numbers of the jobs to run; None for all.
-    stay : True to wait for jobs of other workers, and take over those of dead workers.
-    tell : callback for progress events.
+    wait_for_others : True to wait for jobs of other workers, and take over those of dead workers.
+    on_event : callback for progress events.
     clock : monotonic clock in seconds, for `timeout`.
     """
 

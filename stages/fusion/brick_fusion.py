@@ -348,7 +348,7 @@ def _write_mesh(work: FusionJob, joined: StitchedMesh, result: Path) -> MeshStat
     plan = work.plan
     if not plan.crop:
         return write_stitched_mesh(result, joined, plan, has_colors=work.color)
-    mesh = joined.load_mesh()
+    mesh = joined.assemble_mesh()
     mesh = crop_mesh(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
     write_fused_mesh(result, mesh, plan)
     return MeshStatistics.from_mesh(mesh)

@@ -160,7 +160,7 @@ class StitchedMesh:
             numbers = np.concatenate([own, self._find_vertex_indices(*joint.referenced)])
             yield piece, numbers[piece.triangles].astype(np.int32)
 
-    def load_mesh(self) -> Mesh:
+    def assemble_mesh(self) -> Mesh:
         """Return the stitched mesh in memory."""
         pieces, triangles = zip(*self, strict=True)
         colors = [piece.colors for piece in pieces if piece.colors is not None]

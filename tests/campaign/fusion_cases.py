@@ -213,7 +213,7 @@ def _in_bricks(field: _Field, surface: Any, least: int, draw: random.Random) -> 
         if joined.triangle_count == 0:
             assert len(surface[1]) == 0, "bricks have no surface, and the whole has one"
             return f"{len(cubes)} bricks"
-        mesh = joined.load_mesh()
+        mesh = joined.assemble_mesh()
     whole = surface[0], surface[1], np.rint(surface[2]).astype(np.uint8)
     _assert_same(whole, (mesh.vertices, mesh.triangles, mesh.colors), "bricks")
     return f"{len(cubes)} bricks"

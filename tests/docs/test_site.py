@@ -128,12 +128,12 @@ def opened(site: Path) -> Iterator[Any]:
             "Damaged or truncated files",
         ),
         (
-            "warning: the poses are probably world-to-camera: so taken, the depth of one frame meets "
-            "another's to 3 mm, as given to 240 mm",
-            "Poses of another convention",
+            "warning: the poses are probably world-to-camera: overlapping depth maps then agree to 3 mm; as "
+            "given: 240 mm",
+            "Poses in another convention",
         ),
         (
-            "--set: voxel_size is -1 m; it must be more than 0 m.",
+            "--set fuse.voxel_size is -1 m; it must be more than 0 m.",
             "A value of the wrong type, or out of its range",
         ),
     ],

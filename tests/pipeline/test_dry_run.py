@@ -105,7 +105,7 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     found = predict_run(SCAN, out, config())
     assert traces(tmp_path) == before
     assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False]
-    assert found.stages[2].reason.startswith("its cached result is damaged: clean.ply")
+    assert found.stages[2].reason.startswith("cached result damaged: clean.ply")
     assert found.refusal_reason is not None
     assert found.refusal_reason.startswith(f"{out / 'simplified.ply'}: this file was not written by a run")
     assert predict_run(SCAN, out, config(), overwrite=True).refusal_reason is None

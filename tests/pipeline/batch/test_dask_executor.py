@@ -213,7 +213,7 @@ def test_what_slurm_refuses_is_said_in_one_sentence(slurm: dict[str, str], tmp_p
     batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm)
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 3, said
-    assert re.fullmatch(r"scanloom: workers cannot be started by slurm: .* no such partition; .*\n", said)
+    assert re.fullmatch(r"scanloom: slurm cannot start workers: .* no such partition; .*\n", said)
 
 
 NO_WORKER = """

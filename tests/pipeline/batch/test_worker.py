@@ -56,7 +56,7 @@ def process_of(worker: Worker) -> int:
 
 def test_one_bad_scan_ends_none_of_the_others(small_scans: Path, queue_of: Begin, tmp_path: Path):
     told: list[WorkerEvent] = []
-    ended = worked(queue_of(small_scans, until="clean"), slots=2, tell=told.append)
+    ended = worked(queue_of(small_scans, until="clean"), slots=2, on_event=told.append)
     states = {name: one.state for name, one in ended.items()}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     assert "scan.json: the file is not valid JSON" in ended["broken"].reason

@@ -142,7 +142,7 @@ def test_models_have_their_colours_and_the_deviation_its_scale(page: Any) -> Non
         assert deviation["green"] > 500
         assert deviation["red"] == 0
         assert counts(seen(page, "3"))["red"] > 500
-        assert "points, each a triangle" in page.inner_text("#figures")
+        assert "points, each a triangle" in page.inner_text("#metrics")
         assert len(options) == 3
 
 

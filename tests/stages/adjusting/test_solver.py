@@ -68,9 +68,9 @@ def test_motions_and_steps_are_each_others_inverse():
 
 
 def test_points_are_lifted_through_cameras_that_stand_apart(scene):
-    seen = unproject_pixels(scene.views, scene.cameras, scene.tracks.view, scene.tracks.pixels)
-    back = np.linalg.inv(scene.cameras.poses)[scene.tracks.view]
-    true = np.einsum("nij,nj->ni", back[:, :3, :3], scene.points[scene.tracks.point]) + back[:, :3, 3]
+    seen = unproject_pixels(scene.views, scene.cameras, scene.tracks.view_indices, scene.tracks.pixels)
+    back = np.linalg.inv(scene.cameras.poses)[scene.tracks.view_indices]
+    true = np.einsum("nij,nj->ni", back[:, :3, :3], scene.points[scene.tracks.point_indices]) + back[:, :3, 3]
     known = ~np.isnan(seen[:, 0])
     assert known.mean() > 0.95
     assert np.median(np.linalg.norm(seen - true, axis=1)[known]) < 0.003
@@ -123,13 +123,13 @@ def test_the_gradient_is_that_of_the_cost(turns, anchored):
             for sign in (1, -1)
         )
         told = (
-            (poses * direction[0][scene.tracks.view]).sum()
+            (poses * direction[0][scene.tracks.view_indices]).sum()
             + (linear.pose_gradient * direction[0]).sum()
             + (met.residuals[:, None] * met.by_first * direction[0][couple[:, 0]]).sum()
             + (met.residuals[:, None] * met.by_other * direction[0][couple[:, 1]]).sum()
             + camera.sum(axis=0) @ direction[1]
             + linear.camera_gradient @ direction[1]
-            + (points * direction[2][scene.tracks.point]).sum()
+            + (points * direction[2][scene.tracks.point_indices]).sum()
         )
         assert (there - back) / (2 * step) == pytest.approx(told, rel=2e-3), name
 
@@ -153,7 +153,7 @@ def test_poses_and_camera_come_back(scene):
 
 def test_a_camera_that_outlines_hold_stays_beside_depth(scene):
     """By points alone a camera that begins elsewhere ends a third of a pixel off; held, not half that."""
-    shifted = scene.cameras.moved(np.zeros((len(scene.views), 6)), np.eye(CAMERA_PARAMETER_COUNT)[1] * 4)
+    shifted = scene.cameras.apply_step(np.zeros((len(scene.views), 6)), np.eye(CAMERA_PARAMETER_COUNT)[1] * 4)
     seen = np.random.default_rng(4).uniform((-0.4, -0.3, 1.0), (0.4, 0.3, 2.0), (200, 3))
     held = create_silhouette_prior(seen, scene.cameras)
     frees = FreeParameters(camera=True)
@@ -173,7 +173,7 @@ def test_turns_while_rows_are_read_come_back_with_the_poses():
 
     rolling, at_once = found(FreeParameters(shutter=True)), found(FreeParameters())
     assert not at_once.readout_rotations.any()
-    true = scene.cameras.turns
+    true = scene.cameras.readout_rotations
     assert np.linalg.norm(rolling.readout_rotations - true) < 0.2 * np.linalg.norm(true)
     apart, without = (np.median(off(scene.cameras, one), axis=0) for one in (rolling, at_once))
     assert (apart < 0.4 * without).all()
@@ -181,14 +181,14 @@ def test_turns_while_rows_are_read_come_back_with_the_poses():
 
 def test_each_camera_alone_finds_its_turn_where_points_stay():
     scene = make_bundle_problem(degrees=1.0)
-    start = replace(scene.cameras, turns=np.zeros((6, 3)))
+    start = replace(scene.cameras, readout_rotations=np.zeros((6, 3)))
     stated = AdjustmentProblem.from_tracks(
         scene.tracks, start.poses, PRIOR, free=FreeParameters(shutter=True)
     )
     _, state = fit_poses_separately(
         scene.views, stated, AdjustmentState(start, scene.points, np.zeros(CAMERA_PARAMETER_COUNT)), 4
     )
-    true = scene.cameras.turns
+    true = scene.cameras.readout_rotations
     assert np.linalg.norm(state.cameras.readout_rotations - true) < 0.1 * np.linalg.norm(true)
     np.testing.assert_array_equal(state.points, scene.points)
 
@@ -196,14 +196,14 @@ def test_each_camera_alone_finds_its_turn_where_points_stay():
 def test_what_all_cameras_turn_by_is_their_lens():
     scene = make_bundle_problem(degrees=1.0)
     common = np.radians((1.0, -0.5, 0.3))
-    start = replace(scene.cameras, turns=scene.cameras.turns + common)
+    start = replace(scene.cameras, readout_rotations=scene.cameras.readout_rotations + common)
     found = fit_cameras(measured(scene, start), start, scene.tracks, FreeParameters(shutter=True))
     assert np.linalg.norm(found.readout_rotations.mean(axis=0)) < np.radians(0.1)
 
 
 def test_surfaces_alone_bring_poses_together(scene):
     start = disturbed(scene, np.random.default_rng(6))
-    nothing = scene.tracks.of(np.arange(scene.tracks.count) < 1)
+    nothing = scene.tracks.select(np.arange(scene.tracks.point_count) < 1)
     found = fit_cameras(
         measured(scene, start)._replace(pose_prior=50 * PRIOR), start, nothing, FreeParameters()
     )

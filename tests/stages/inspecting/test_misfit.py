@@ -30,7 +30,7 @@ def test_poses_that_are_off_are_told_with_the_way():
     found = inspect(replace(scan, frames=frames))
     assert found.reprojection_error_px > 2
     (said,) = (text for text in map(str, found.diagnostics) if "scanloom adjust" in text)
-    assert f"off by {found.reprojection_error_px:.1f} px" in said
+    assert f"misaligned by {found.reprojection_error_px:.1f} px" in said
     assert f"points seen in two frames are {found.reprojection_error_px:.2g} px apart" in "\n".join(
         found.format_lines()
     )

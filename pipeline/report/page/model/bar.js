@@ -5,7 +5,7 @@ const NONE = "none";
 /** Connect the controls of a form to the picture of the models and cameras. */
 export function bar(form, drawn, models, cameras, unit) {
   const { model, beside, mode, cut, at, cameras: shown, photo, opacity, safe, measure, all } = form.elements;
-  const figures = form.querySelector("#figures");
+  const metrics = form.querySelector("#metrics");
   models.forEach(({ name }, number) => {
     model.add(new Option(name, number));
     beside.add(new Option(name, number));
@@ -46,7 +46,7 @@ export function bar(form, drawn, models, cameras, unit) {
     hide(settings.cut === NONE, at);
     hide(settings.photo === null, opacity);
     measure.setAttribute("aria-pressed", String(settings.measuring));
-    figures.textContent = sentence(settings, models, drawn, unit);
+    metrics.textContent = sentence(settings, models, drawn, unit);
   });
 }
 

@@ -6,7 +6,7 @@ const WHOLE = new Intl.NumberFormat("en");
 export function bar(form, picture) {
   const { target, mode, wireframe, all } = form.elements;
   const pixels = form.querySelector("#target-px");
-  const figures = form.querySelector("#figures");
+  const metrics = form.querySelector("#metrics");
 
   function show() {
     const settings = picture.settings();
@@ -24,7 +24,7 @@ export function bar(form, picture) {
   wireframe.addEventListener("change", () => picture.set({ wireframe: wireframe.checked }));
   all.addEventListener("click", () => picture.showAll());
   form.addEventListener("submit", (event) => event.preventDefault());
-  picture.onChange(() => (figures.textContent = sentence(picture.metrics())));
+  picture.onChange(() => (metrics.textContent = sentence(picture.metrics())));
   show();
   return { show };
 }

@@ -33,7 +33,7 @@ const singleSlash = {
  *   settings(), view(): return the current settings, and the current view.
  *   showAll(): view the whole model.
  *   settled(): return a promise that resolves after all tiles of the view are loaded and drawn.
- *   figures(): return triangles, tilesDrawn, tilesLoaded, levels (drawn), errorM (largest proven error, or null).
+ *   metrics(): return triangles, tilesDrawn, tilesLoaded, levels (drawn), errorM (largest proven error, or null).
  *   onChange(call): call a function after each drawing.
  */
 export function picture(canvas, address, { onReady, onError }) {
@@ -152,7 +152,7 @@ export function picture(canvas, address, { onReady, onError }) {
         quiet = isQuiet ? quiet + 1 : 0;
       }
     },
-    figures() {
+    metrics() {
       const drawn = [...tiles.visibleTiles].filter((tile) => tile.engineData.scene);
       const bounds = drawn.map((tile) => tile.content?.extras?.shape_bound_m ?? NaN);
       let triangles = 0;

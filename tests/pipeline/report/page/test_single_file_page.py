@@ -220,7 +220,7 @@ def test_models_modes_keys_and_measuring(page: Any) -> None:
     for x in (-1.4, 1.4):
         assert page.evaluate("([x, y]) => scanloom.pick(x, y)", [canvas[0] / 2 + x * pixels, canvas[1] / 2])
     assert page.evaluate("scanloom.distance()") == pytest.approx(2.8, abs=0.03)
-    assert "2.8" in page.inner_text("#figures")
+    assert "2.8" in page.inner_text("#metrics")
     page.keyboard.press("Escape")
     assert page.evaluate("scanloom.points()") == []
     assert page.inner_text("#scale").split()[1] in ("m", "cm", "mm")
@@ -240,7 +240,7 @@ def test_lengths_are_in_units_where_they_are_no_metres(chromium: Any, tmp_path: 
     width, height = page.evaluate(f"[{canvas}.clientWidth, {canvas}.clientHeight]")
     for x in (-20, 20):
         assert page.evaluate("([x, y]) => scanloom.pick(x, y)", [width / 2 + x, height / 2])
-    assert " units between the two points" in page.inner_text("#figures")
+    assert " units between the two points" in page.inner_text("#metrics")
     assert page.inner_text("#scale").split()[1] == "units"
     page.close()
 
@@ -276,7 +276,7 @@ def test_two_models_meet_at_the_divider(page: Any) -> None:
     page.locator("#divider").focus()
     page.keyboard.press("ArrowRight")
     assert page.get_attribute("#divider", "aria-valuenow") == "32"
-    assert "left blue, right red" in page.inner_text("#figures")
+    assert "left blue, right red" in page.inner_text("#metrics")
     page.select_option("#beside", "none")
     assert not blue(image(page)[:ABOVE]).any()
 

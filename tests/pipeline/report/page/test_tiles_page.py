@@ -102,7 +102,7 @@ class Seen:
         return np.asarray(np.abs(image - PAPER[scheme]).max(axis=2) > 8)
 
     def to_dict(self) -> dict[str, Any]:
-        return dict(self.page.evaluate("scanloom.figures()"))
+        return dict(self.page.evaluate("scanloom.metrics()"))
 
 
 @pytest.fixture(scope="module")

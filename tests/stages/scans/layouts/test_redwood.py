@@ -315,7 +315,7 @@ def test_confidence_without_levels_is_asked_about(scan_folder):
 def test_a_real_phone_states_its_confidence(shared_data):
     scan = read_scan(shared_data / "real" / "phone_desk_no_calibration", complete=False)
     assert {frame.min_confidence for frame in scan.frames} == {50}
-    assert any("of 0, 50, 100" in text for text in map(str, scan.diagnostics))
+    assert any("levels 0, 50, 100" in text for text in map(str, scan.diagnostics))
 
 
 @pytest.mark.parametrize("name", ["pose.txt", "of the camera.txt", "way.tum"])
