@@ -122,7 +122,8 @@ def _compute_rays(camera: Camera, u: Floats, v: Floats) -> Floats:
     bent_x, bent_y = (u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy
     k1, k2, p1, p2 = camera.distortion or (0.0, 0.0, 0.0, 0.0)
     x, y = bent_x, bent_y
-    for _ in range(30):  # fixed-point inverse of OpenCV's lens model; converges for mild distortion
+    # Fixed-point inverse of OpenCV's lens model; converges for mild distortion.
+    for _ in range(30 if camera.distortion else 0):
         r2 = x * x + y * y
         radial = 1 + k1 * r2 + k2 * r2 * r2
         x, y = (
