@@ -186,6 +186,8 @@ def main() -> None:
     parser.add_argument("--bounds", type=float, nargs="+", default=BOUNDS, help="of simplification, metres")
     parser.add_argument("--meshes", type=Path, help="folder to write all meshes to")
     options = parser.parse_args()
+    # Another checkout on the path would be measured without notice.
+    print(f"Checkout: {Path(scanloom.__file__).resolve().parents[1].name}\n")
     truths = {path: find_truth(path, options.truth) for path in options.scans}
     counts = [f"triangles at {1000 * bound:g} mm" for bound in options.bounds]
     for has_truth, columns in ((True, TRUTH_COLUMNS), (False, PLANAR_COLUMNS)):

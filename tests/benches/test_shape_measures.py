@@ -218,7 +218,8 @@ def test_the_bench_prints_a_row_per_surface(
     monkeypatch.setattr("sys.argv", ["shape.py", *map(str, scans), "--bounds", "0.02"])
     shape.main()
 
-    of_truth, of_planes = capsys.readouterr().out.strip().split("\n\n")
+    checkout, of_truth, of_planes = capsys.readouterr().out.strip().split("\n\n")
+    assert checkout == f"Checkout: {Path(__file__).resolve().parents[2].name}"
     for table, name in ((of_truth, "made"), (of_planes, "found")):
         head, _, *rows = (line.strip("| ").split(" | ") for line in table.splitlines())
         assert [row[:2] for row in rows][:3] == [[name, "clean"], [name, "Open3D"], [name, "normal filter"]]
