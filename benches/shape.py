@@ -31,6 +31,7 @@ from fusion import RunTimes, fuse_voxel_block_grid
 from markdown_tables import print_head, print_row
 from peers.normal_filter import filter_mesh
 from shape_measures import (
+    MAX_SEEN_DISTANCE,
     PlanarPlaces,
     TruthSurface,
     estimate_similarity,
@@ -85,14 +86,14 @@ class Truth:
     thin_points: np.ndarray
 
     @classmethod
-    def read(cls, path: Path, scan: Scan) -> Truth:
+    def read(cls, path: Path, scan: Scan, max_distance: float) -> Truth:
         """Read the true surface, and `thin_parts.ply` next to it."""
         mesh = scanloom.read_mesh(path)
         surface = TruthSurface(mesh)
 
         def sample_seen(part: Mesh) -> np.ndarray:
             samples = sample_surface(part)
-            return samples.points[find_seen_points(samples, surface, scan.frames)]
+            return samples.points[find_seen_points(samples, surface, scan.frames, max_distance)]
 
         thin = path.with_name("thin_parts.ply")
         thin_points = sample_seen(scanloom.read_mesh(thin)) if thin.exists() else np.zeros((0, 3))
@@ -158,7 +159,7 @@ def count_triangles(mesh: Mesh, bound: float) -> str:
 def print_scan(path: Path, truth_path: Path | None, options: argparse.Namespace) -> None:
     """Print the rows of a scan."""
     scan = adjust_scan(scanloom.read_scan(path))
-    truth = None if truth_path is None else Truth.read(truth_path, scan)
+    truth = None if truth_path is None else Truth.read(truth_path, scan, options.seen_distance)
     places = None
     for surface in make_surfaces(scan):
         if truth is not None:
@@ -183,6 +184,12 @@ def main() -> None:
         "--truth", type=Path, metavar="MESH", help="the true surface of scans without truth.ply"
     )
     parser.add_argument("--similarity", action="store_true", help="fit meshes to the truth with a free scale")
+    parser.add_argument(
+        "--seen-distance",
+        type=float,
+        default=MAX_SEEN_DISTANCE,
+        help="metres up to which a frame sees the truth, for completeness",
+    )
     parser.add_argument("--bounds", type=float, nargs="+", default=BOUNDS, help="of simplification, metres")
     parser.add_argument("--meshes", type=Path, help="folder to write all meshes to")
     options = parser.parse_args()

@@ -26,7 +26,7 @@ _SHARP_DEG, _SHARP_RADIUS = 30.0, 0.01
 _EDGE_SPACING = 0.001
 _COMPLETE_DISTANCE = 0.005
 # A point of the truth is seen up to this distance, and up to this angle between ray and normal.
-_MAX_SEEN_DISTANCE, _MAX_SEEN_DEG = 4.0, 75.0
+MAX_SEEN_DISTANCE, _MAX_SEEN_DEG = 4.0, 75.0
 _SEEN_TOLERANCE = 0.002
 # Similarity fit: samples, iterations, and the factor on the median residual beyond which a sample is ignored.
 _FIT_SAMPLES, _FIT_ITERATIONS, _FIT_CUT = 50_000, 40, 3.0
@@ -172,22 +172,29 @@ def measure_truth_errors(mesh: Mesh, truth: TruthSurface, count: int = _SAMPLES)
     )
 
 
-def find_seen_points(samples: SurfaceSamples, truth: TruthSurface, frames: Iterable[Frame]) -> Mask:
+def find_seen_points(
+    samples: SurfaceSamples,
+    truth: TruthSurface,
+    frames: Iterable[Frame],
+    max_distance: float = MAX_SEEN_DISTANCE,
+) -> Mask:
     """Find the points (n,) of the truth that at least one frame sees.
 
-    A frame sees a point inside its image, not occluded, within 4 m and 75° of the normal.
+    A frame sees a point inside its image, not occluded, within a maximum distance and 75° of the normal.
     """
     seen = np.zeros(len(samples.points), bool)
     for frame in frames:
         if frame.world_from_camera is None:
             continue
         todo = np.flatnonzero(~seen)
-        seen[todo] = _is_seen(samples.points[todo], samples.normals[todo], truth.surface, frame)
+        candidates = SurfaceSamples(samples.points[todo], samples.normals[todo])
+        seen[todo] = _is_seen(candidates, truth.surface, frame, max_distance)
     return seen
 
 
-def _is_seen(points: Floats, normals: Floats, surface: RaycastingSurface, frame: Frame) -> Mask:
+def _is_seen(samples: SurfaceSamples, surface: RaycastingSurface, frame: Frame, max_distance: float) -> Mask:
     pose, camera = frame.world_from_camera, frame.camera
+    points, normals = samples.points, samples.normals
     assert pose is not None
     local = points @ invert_pose(pose)[:3, :3].T + invert_pose(pose)[:3, 3]
     z = np.maximum(local[:, 2], 1e-6)
@@ -196,7 +203,7 @@ def _is_seen(points: Floats, normals: Floats, surface: RaycastingSurface, frame:
     rays = points - pose[:3, 3]
     distances = np.linalg.norm(rays, axis=1)
     facing = -np.einsum("kx,kx->k", rays, normals) > np.cos(np.radians(_MAX_SEEN_DEG)) * distances
-    chosen = np.flatnonzero(inside & facing & (distances < _MAX_SEEN_DISTANCE))
+    chosen = np.flatnonzero(inside & facing & (distances < max_distance))
     visible = np.zeros(len(points), bool)
     hits = surface.cast_rays(pose[:3, 3], rays[chosen])
     # Rays are as long as the distance to their points, so that a ray which reaches its point has length 1.

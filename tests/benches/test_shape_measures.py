@@ -142,6 +142,8 @@ def test_a_point_is_seen_in_the_image_in_front_and_from_its_front():
     seen = find_seen_points(SurfaceSamples(points, normals), TruthSurface(both), [frame])
 
     assert seen.tolist() == [False, True, True, False, False]
+    samples = SurfaceSamples(points, normals)
+    assert find_seen_points(samples, TruthSurface(both), [frame], 0.9).tolist() == [False, True, *[False] * 3]
     lost = dataclasses.replace(frame, world_from_camera=None)
     assert not find_seen_points(SurfaceSamples(points, normals), TruthSurface(both), [lost]).any()
 
