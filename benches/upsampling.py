@@ -181,13 +181,12 @@ def make_phone_scan() -> tuple[list[Frame], list[Image], Mesh]:
     from make_samples import make_arc_poses
     from scene import Scene
 
-    # One ray per pixel is enough, because the photos are large and well textured.
-    sensors._RAYS_PER_PIXEL = 1
     scene, photo = Scene(), scale_camera(PHONE, FACTOR * PHONE.width, FACTOR * PHONE.height)
     frames, truths = [], []
     for number, pose in enumerate(make_arc_poses(FRAMES, 104, 1.1)):
         random = np.random.default_rng((9, number))
-        color = sensors.photograph(scene, photo, pose, random)
+        # One ray per pixel is enough, because the photos are large and well textured.
+        color = sensors.photograph(scene, photo, pose, random, rays_per_pixel=1)
         raw = sensors.measure_depth(scene, PHONE, pose, random)
         depth = raw.astype(np.float32) / 1000
         frames.append(Frame(str(number), PHONE, color=color, depth=depth, world_from_camera=pose))

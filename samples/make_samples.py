@@ -128,11 +128,16 @@ def make_rgbd(scene: Scene, folder: Path, visited_scene: Callable[[int], Scene] 
     write_scan_json(folder, frames)
 
 
-def write_image(path: Path, image: np.ndarray) -> None:
-    """Write an RGB image or depth map in its suffix's format."""
+def write_image(path: Path, image: np.ndarray, *, compression: int = 9) -> None:
+    """Write an RGB image or depth map in its suffix's format.
+
+    Parameters
+    ----------
+    compression : level of PNG, 0 to 9.
+    """
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    options = JPEG if path.suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    options = JPEG if path.suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, compression]
     path.write_bytes(cv2.imencode(path.suffix, image, options)[1].tobytes())
 
 
