@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.stages.adjusting.depth_calibration import DepthAgreement
 from scanloom.stages.adjusting.silhouette_offset import PhotoOffset
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.scan import Camera, Frame, SkippedFrame
 
 
@@ -59,6 +61,8 @@ class Adjustment:
     readout_rotation_deg : median and maximum rotation from the first to the last image row, degrees.
     seconds : run time.
     diagnostics : warnings.
+    depth_correction : correction of depth that the frames have now; None if depth stays as given.
+    depth_agreement : agreement of overlapping depth maps without and with the correction; None without.
     """
 
     frames: tuple[Frame, ...]
@@ -82,9 +86,22 @@ class Adjustment:
     readout_rotation_deg: tuple[float, float]
     seconds: float
     diagnostics: tuple[Diagnostic, ...] = ()
+    depth_correction: DepthCorrection | None = None
+    depth_agreement: DepthAgreement | None = None
 
     __repr__ = format_by_metrics
     _repr_html_ = render_table
+
+    def _summarise_depth(self) -> dict[str, float]:
+        if self.depth_correction is None or self.depth_agreement is None:
+            return {}
+        low, high = self.depth_correction.compute_range_percent()
+        return {
+            "depth_correction_min_percent": low,
+            "depth_correction_max_percent": high,
+            "depth_distance_before_mm": self.depth_agreement.before_mm,
+            "depth_distance_after_mm": self.depth_agreement.after_mm,
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return the metrics for the report, as JSON values."""
@@ -104,6 +121,8 @@ class Adjustment:
             "color_camera_adjusted": self.is_camera_adjusted,
             "color_camera_before": self.camera_before and asdict(self.camera_before),
             "color_camera_after": self.camera_after and asdict(self.camera_after),
+            "depth_corrected": self.depth_correction is not None,
+            **self._summarise_depth(),
             "shutter_adjusted": self.is_shutter_adjusted,
             "shutter_rotation_median_deg": self.readout_rotation_deg[0],
             "shutter_rotation_max_deg": self.readout_rotation_deg[1],
