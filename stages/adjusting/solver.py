@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,8 @@ _MIN_DECREASE_RATIO = 1e-4
 # Relative tolerance and maximum iterations of conjugate gradients. Their sums have a fixed order, so that the
 # result does not depend on the number of threads.
 _CG_TOLERANCE, _CG_MAX_ITERATIONS = 1e-7, 600
+# Rows of a block in products of long matrices.
+_BLOCK_ROWS = 64
 
 
 def solve(problem: AdjustmentProblem, state: AdjustmentState, max_steps: int) -> AdjustmentState:
@@ -98,16 +101,18 @@ class _NormalEquations:
             np.add.at(poses, which, sum_by_pair(by[:, :, None] * by[:, None, :]))
             np.add.at(towards_poses, which, -sum_by_pair(by * surface_residuals.residuals[:, None]))
         poses_camera = sum_by_view(pose_t @ linear.by_camera)
-        camera = (camera_t @ linear.by_camera).sum(axis=0) + linear.camera_weights
         camera_rhs = -(camera_t @ off).sum(axis=0)[:, 0] - linear.camera_gradient
         if problem.free.depth:
             by_depth, depth = surface_residuals.by_depth, slice(CAMERA_PARAMETER_COUNT, None)
             for which, by in ((first, surface_residuals.by_first), (other, surface_residuals.by_other)):
-                blocks = sum_by_pair(by[:, :, None] * by_depth[:, None, :])
+                blocks = np.array([by[part].T @ by_depth[part] for part in _slice_pairs(begin, len(by))])
                 np.add.at(poses_camera, (which, slice(None), depth), blocks)
-            # einsum adds in a fixed order, unlike matrix products on several threads.
-            camera[depth, depth] += np.einsum("ki,kj->ij", by_depth, by_depth, optimize=False)
+            camera = _multiply_transposed(linear.by_camera.reshape(-1, linear.by_camera.shape[2]))
+            camera += linear.camera_weights
+            camera[depth, depth] += _multiply_transposed(by_depth)
             camera_rhs[depth] -= np.einsum("ki,k->i", by_depth, surface_residuals.residuals)
+        else:
+            camera = (camera_t @ linear.by_camera).sum(axis=0) + linear.camera_weights
         return cls(
             problem=problem,
             poses=poses,
@@ -174,6 +179,22 @@ class _NormalEquations:
         if not self.problem.free.camera:
             camera[:CAMERA_PARAMETER_COUNT] = 0
         return poses.reshape(views, size), camera, points
+
+
+def _slice_pairs(begin: NDArray[np.intp], count: int) -> list[slice]:
+    """Return the slice of the surface points of each frame pair."""
+    return [slice(*ends) for ends in itertools.pairwise([*begin.tolist(), count])]
+
+
+def _multiply_transposed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute rows.T @ rows (d, d) for many rows (n, d), in blocks of a fixed size.
+
+    Small products run on one thread, so that the order of the sums does not depend on the number of threads.
+    """
+    padded = np.zeros((-(-len(rows) // _BLOCK_ROWS) * _BLOCK_ROWS, rows.shape[1]))
+    padded[: len(rows)] = rows
+    blocks = padded.reshape(-1, _BLOCK_ROWS, rows.shape[1])
+    return np.asarray((blocks.swapaxes(1, 2) @ blocks).sum(axis=0))
 
 
 def _add_damping(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
