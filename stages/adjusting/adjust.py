@@ -22,7 +22,7 @@ from scanloom.stages.adjusting.cameras import (
 )
 from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
 from scanloom.stages.adjusting.color_camera_prior import SilhouettePrior, create_silhouette_prior
-from scanloom.stages.adjusting.depth_calibration import estimate_pose_scale
+from scanloom.stages.adjusting.depth_calibration import DepthAgreement, estimate_pose_scale
 from scanloom.stages.adjusting.key_frames import select_key_frames
 from scanloom.stages.adjusting.matching import match_views
 from scanloom.stages.adjusting.problem import FreeParameters
@@ -105,8 +105,8 @@ class AdjustParams:
     )
     depth: bool | None = param(
         None,
-        "Fit a smooth correction of depth over image position and range. Default: if overlapping frames agree "
-        "clearly better. true always fits it, false keeps depth as given.",
+        "Fit a smooth correction of depth over image position and range. Default: if overlapping frames "
+        "agree clearly better. true always fits it, false keeps depth as given.",
     )
     pose_sigma: float = param(
         0.02,
@@ -135,8 +135,9 @@ def adjust(
     poses stay. Otherwise keypoints of at least three frames are joined into tracks. Bundle adjustment fits
     poses, points and one colour camera to keypoint positions and measured depth, with a prior on the given
     poses. Rolling-shutter rotations are fitted, too, if they clearly reduce the error. Every fifth track is
-    held out; results that do not improve the held-out tracks are discarded. Equal input gives bit-identical
-    results on any number of threads.
+    held out; results that do not improve the held-out tracks are discarded. A smooth correction of depth is
+    fitted with the poses, and used if overlapping depth maps agree clearly better at held-out points. Equal
+    input gives bit-identical results on any number of threads.
 
     Parameters
     ----------
@@ -154,7 +155,8 @@ def adjust(
     ----------
     Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; Hedborg,
     Forssén, Felsberg and Ringaby, "Rolling shutter bundle adjustment", 2012; Levinson and Thrun, "Automatic
-    online calibration of cameras and lasers", 2013. Features and fundamental matrices are computed with
+    online calibration of cameras and lasers", 2013; Teichman, Miller and Thrun, "Unsupervised intrinsic
+    calibration of depth sensors via SLAM", 2013. Features and fundamental matrices are computed with
     OpenCV, sparse algebra with SciPy.
     """
     params = resolve(AdjustParams, params, changes)
@@ -364,7 +366,7 @@ def _adjust_frames(
         adjusted_indices=tuple(sorted(found_poses)),
         accepted=True,
         reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: "
-        f"{reason}{_describe_skipped(skipped)}",
+        f"{reason}{_describe_depth(correction, bundle_result.depth_agreement)}{_describe_skipped(skipped)}",
         is_camera_adjusted=has_camera,
         is_shutter_adjusted=bundle_result.is_shutter_adjusted,
         offset_before=prepared.offset,
@@ -411,7 +413,7 @@ def _finish_depth_correction(
     """
     views, cameras = bundle_result.views, bundle_result.cameras
     correction = views[0].depth_correction
-    if bundle_result.depth_agreement is None or correction is None:
+    if correction is None:
         return views, cameras, None
     centres = cameras.poses[:, :3, 3]
     scale = None if given is None else estimate_pose_scale(given.poses[:, :3, 3], centres)
@@ -425,6 +427,19 @@ def _finish_depth_correction(
         cameras = replace(cameras, poses=poses, color_from_depth=color_from_depth)
         views = [replace(view, depth_correction=correction) for view in views]
     return views, cameras, replace(correction, width=frame.camera.width, height=frame.camera.height)
+
+
+def _describe_depth(correction: DepthCorrection | None, agreement: DepthAgreement | None) -> str:
+    """Format a clause about the depth correction; empty if no correction was fitted."""
+    if agreement is None:
+        return ""
+    if correction is None:
+        return "; depth left as given: a correction does not make frames agree clearly better"
+    low, high = correction.compute_range_percent()
+    return (
+        f"; depth is corrected by {low:.1f} to {high:.1f} %, and overlapping frames agree to "
+        f"{agreement.after_mm:.1f} mm instead of {agreement.before_mm:.1f} mm"
+    )
 
 
 def _correct_depth(frame: Frame, correction: DepthCorrection) -> Frame:
@@ -456,7 +471,7 @@ def _name_adjusted_parts(prepared: _PreparedFrames, bundle_result: BundleResult)
         names.append("colour camera")
     if bundle_result.is_shutter_adjusted:
         names.append("rolling shutter")
-    if bundle_result.depth_agreement is not None:
+    if bundle_result.views[0].depth_correction is not None:
         names.append("depth")
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 

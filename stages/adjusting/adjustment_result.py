@@ -62,7 +62,8 @@ class Adjustment:
     seconds : run time.
     diagnostics : warnings.
     depth_correction : correction of depth that the frames have now; None if depth stays as given.
-    depth_agreement : agreement of overlapping depth maps without and with the correction; None without.
+    depth_agreement : agreement of overlapping depth maps without and with a correction, used or not; None if
+        none was fitted.
     """
 
     frames: tuple[Frame, ...]
@@ -92,17 +93,6 @@ class Adjustment:
     __repr__ = format_by_metrics
     _repr_html_ = render_table
 
-    def _summarise_depth(self) -> dict[str, float]:
-        if self.depth_correction is None or self.depth_agreement is None:
-            return {}
-        low, high = self.depth_correction.compute_range_percent()
-        return {
-            "depth_correction_min_percent": low,
-            "depth_correction_max_percent": high,
-            "depth_distance_before_mm": self.depth_agreement.before_mm,
-            "depth_distance_after_mm": self.depth_agreement.after_mm,
-        }
-
     def to_dict(self) -> dict[str, Any]:
         """Return the metrics for the report, as JSON values."""
         return {
@@ -122,7 +112,10 @@ class Adjustment:
             "color_camera_before": self.camera_before and asdict(self.camera_before),
             "color_camera_after": self.camera_after and asdict(self.camera_after),
             "depth_corrected": self.depth_correction is not None,
-            **self._summarise_depth(),
+            "depth_correction_percent": self.depth_correction
+            and list(self.depth_correction.compute_range_percent()),
+            "depth_distance_before_mm": self.depth_agreement and self.depth_agreement.before_mm,
+            "depth_distance_after_mm": self.depth_agreement and self.depth_agreement.after_mm,
             "shutter_adjusted": self.is_shutter_adjusted,
             "shutter_rotation_median_deg": self.readout_rotation_deg[0],
             "shutter_rotation_max_deg": self.readout_rotation_deg[1],

@@ -44,7 +44,7 @@ _FOCAL_FACTORS = (1.0, 0.9)
 # Approximate number of tracks in the fits that select a model; rounds of depth lookup, and solver steps in
 # each round.
 _MODEL_TRACK_COUNT, _LOOKUP_ROUNDS, _STEPS_PER_ROUND = 1500, 4, 3
-# Rounds of the fit of the depth correction; fewer, because cameras are fitted already.
+# Rounds of the fit of the depth correction. Few suffice, because cameras are fitted already.
 _DEPTH_ROUNDS = 2
 # Maximum error ratio for accepting a fitted colour camera, at this percentile of the transfer error. The
 # percentile is high because a wrong lens shows most at the image border.
@@ -70,7 +70,8 @@ class BundleResult:
     point_count : number of adjusted points.
     observation_counts : (m,) number of observations in each view.
     views : the views, with the depth correction if one is used.
-    depth_agreement : agreement of depth maps on held-out points; None if depth is not corrected.
+    depth_agreement : agreement of depth maps on held-out points without and with a correction; None if no
+        correction was fitted.
     """
 
     cameras: Cameras
@@ -169,21 +170,12 @@ def run_bundle_adjustment(
         return None
     best, silhouette_prior = apply_silhouettes(best) if has_camera else (best, None)
     free = FreeParameters(has_camera, has_turns)
-    depth_fit = (
-        None
-        if depth is False
-        else _fit_depth(
-            measured,
-            best,
-            _subsample_tracks(training_tracks),
-            free,
-            silhouette_prior,
-            is_forced=depth is True,
-        )
-    )
     agreement = None
-    if depth_fit is not None:
-        measured, best, agreement = depth_fit
+    if depth is not False:
+        subset = _subsample_tracks(training_tracks)
+        measured, best, agreement = _fit_depth(
+            measured, best, subset, free, silhouette_prior, is_forced=depth is True
+        )
     best = fit_cameras(measured, best, training_tracks, free, silhouette_prior)
     on_step()
     before = compute_errors(given)
@@ -267,6 +259,21 @@ def fit_cameras(
     return state.cameras
 
 
+class _DepthFit(NamedTuple):
+    """Fit of the depth correction.
+
+    Attributes
+    ----------
+    fit_input : input with corrected views if the correction is used.
+    cameras : cameras fitted with the correction, or without if it is not used.
+    agreement : agreement of depth maps on held-out points; None if it could not be measured.
+    """
+
+    fit_input: FitInput
+    cameras: Cameras
+    agreement: DepthAgreement | None
+
+
 def _fit_depth(
     fit_input: FitInput,
     start: Cameras,
@@ -275,52 +282,47 @@ def _fit_depth(
     silhouette_prior: SilhouettePrior | None,
     *,
     is_forced: bool,
-) -> tuple[FitInput, Cameras, DepthAgreement] | None:
+) -> _DepthFit:
     """Fit cameras and a smooth correction of depth.
 
     Parameters
     ----------
     start : cameras fitted without correction.
     is_forced : use the correction even if held-out points do not clearly agree better.
-
-    Returns
-    -------
-    Input with corrected views, cameras, and the agreement on held-out points. None if no correction is used.
     """
     views, pairs = fit_input.views, fit_input.surfaces.pair_indices
+    unused = _DepthFit(fit_input, start, None)
     neutral = create_neutral_correction(views) if has_common_depth_camera(views) and len(pairs) else None
     if neutral is None:
-        return None
+        return unused
     neutral_views = [replace(view, depth_correction=neutral) for view in views]
     surfaces = fit_input.surfaces.with_depth_basis(neutral_views)
     with_basis = fit_input._replace(views=neutral_views, surfaces=surfaces)
-    prepared = _set_up_problem(with_basis, start, training_tracks, free._replace(depth=True), silhouette_prior)
+    prepared = _set_up_problem(
+        with_basis, start, training_tracks, free._replace(depth=True), silhouette_prior
+    )
     if prepared is None:
-        return None
+        return unused
     problem, state = prepared
     problem = replace(problem, depth_precision=compute_depth_precision(surfaces))
     state = replace(state, depth_coefficients=np.zeros(surfaces.basis.shape[1]))
-    agreement, corrected_views = None, neutral_views
     for number in range(_DEPTH_ROUNDS):
         problem = problem.update_planes(neutral_views, state)
         state = solve(problem, state, _STEPS_PER_ROUND)
         corrected_views = correct_views(neutral_views, state.depth_coefficients)
-        # The last round is compared with a fit of the same length without correction.
         is_last = number == _DEPTH_ROUNDS - 1
-        other = (
-            fit_cameras(fit_input, start, training_tracks, free, silhouette_prior, _DEPTH_ROUNDS)
-            if is_last
-            else start
-        )
+        other = start
+        if is_last:
+            # A fit of the same length without correction separates its gain from that of more steps.
+            other = fit_cameras(fit_input, start, training_tracks, free, silhouette_prior, _DEPTH_ROUNDS)
         agreement = measure_depth_agreement(pairs, (views, other), (corrected_views, state.cameras))
-        if agreement is None or not (is_forced or agreement.is_promising):
-            return None
-    if agreement is None or not (is_forced or agreement.is_clear):
-        return None
+        is_better = agreement is not None and (agreement.is_clear if is_last else agreement.is_promising)
+        if not (is_better or is_forced):
+            return unused._replace(agreement=agreement)
     corrected = fit_input._replace(
         views=corrected_views, surfaces=SurfacePoints.from_views(corrected_views, pairs)
     )
-    return corrected, state.cameras, agreement
+    return _DepthFit(corrected, state.cameras, agreement)
 
 
 def _fit_views_separately(fit_input: FitInput, start: Cameras, training_tracks: Tracks) -> Cameras:

@@ -270,7 +270,9 @@ class AdjustmentProblem:
         first, other = surfaces.pair_indices.T
         moves = (invert_poses(poses[other]) @ poses[first])[surfaces.pair_of_point]
         here = transform_to_middle_row(
-            surfaces.correct_points(state.depth_coefficients), turns[first][surfaces.pair_of_point], surfaces.readout_times
+            surfaces.correct_points(state.depth_coefficients),
+            turns[first][surfaces.pair_of_point],
+            surfaces.readout_times,
         )
         middle = transform_points(moves, here)
         which = other[surfaces.pair_of_point]
@@ -390,7 +392,9 @@ class AdjustmentProblem:
         by_step = np.zeros((count, 3, CAMERA_PARAMETER_COUNT + depth_count))
         anchored = np.zeros((4, CAMERA_PARAMETER_COUNT))
         if self.free.camera:
-            by_step[:, :2, :CAMERA_PARAMETER_COUNT] = compute_camera_jacobian(shown, by_point, by_lens) / _KEYPOINT_SIGMA_PX
+            by_step[:, :2, :CAMERA_PARAMETER_COUNT] = (
+                compute_camera_jacobian(shown, by_point, by_lens) / _KEYPOINT_SIGMA_PX
+            )
             by_step *= root[:, :, None]
             anchored = (
                 anchored

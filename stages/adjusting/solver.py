@@ -222,8 +222,8 @@ def _solve_system(
 ) -> NDArray[np.float64]:
     """Solve a positive definite system by conjugate gradients.
 
-    Preconditioned with the inverse diagonal blocks. The first `free` unknowns belong to poses, `block_size` to
-    each; the last block belongs to the cameras.
+    Preconditioned with the inverse diagonal blocks. The first `free` unknowns belong to poses, `block_size`
+    to each; the last block belongs to the cameras.
     """
     from scipy.sparse import block_diag, csr_array
     from scipy.sparse.linalg import cg

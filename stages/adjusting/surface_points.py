@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.adjusting.view import AdjustmentView
 from scanloom.stages.adjusting.unprojection import compute_depth_basis
+from scanloom.stages.adjusting.view import AdjustmentView
 from scanloom.stages.scans.model.rolling_shutter import compute_readout_time
 
 # Grid of surface points per view, each way.
@@ -29,8 +29,8 @@ class SurfacePoints:
     points : (k, 3) metres, depth-camera axes of the first view, at the readout time of the point's row.
     readout_times : (k,) readout times of the rows, see stages/adjusting/rolling_shutter.py.
     row_intrinsics : (m, 3) fy, cy and height of the depth map of each view, pixels.
-    basis : (k, d) derivatives of the relative depth correction by its d coefficients; d is 0 if the correction
-        is not fitted.
+    basis : (k, d) derivatives of the relative depth correction by its d coefficients; d is 0 if the
+        correction is not fitted.
     """
 
     pair_indices: NDArray[np.intp]
@@ -44,8 +44,12 @@ class SurfacePoints:
     def create_empty(cls) -> SurfacePoints:
         """Create an empty set of points."""
         return cls(
-            np.zeros((0, 2), np.intp), np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)),
- np.zeros((0, 0))
+            np.zeros((0, 2), np.intp),
+            np.zeros(0, np.intp),
+            np.zeros((0, 3)),
+            np.zeros(0),
+            np.zeros((0, 3)),
+            np.zeros((0, 0)),
         )
 
     @classmethod

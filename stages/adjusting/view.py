@@ -72,9 +72,7 @@ class AdjustmentView:
         return width * self.depth_step, height * self.depth_step
 
 
-def correct_views(
-    views: Sequence[AdjustmentView], coefficients: NDArray[np.float64]
-) -> list[AdjustmentView]:
+def correct_views(views: Sequence[AdjustmentView], coefficients: NDArray[np.float64]) -> list[AdjustmentView]:
     """Return views whose depth correction has these coefficients (d,)."""
     correction = views[0].depth_correction
     assert correction is not None

@@ -67,8 +67,8 @@ class ReadingParams:
     )
     depth_calibration: str | None = param(
         None,
-        "depth_calibration.json of `scanloom adjust`, or of the folder adjusted/ of a run of the same sensor. "
-        "Measured depth is corrected with it.",
+        "depth_calibration.json of `scanloom adjust`, or of the folder adjusted/ of a run, for the same "
+        "sensor. Measured depth is corrected with it.",
         is_path=True,
     )
     depth_scale: float | None = param(

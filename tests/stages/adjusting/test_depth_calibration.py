@@ -59,7 +59,9 @@ def frames() -> Sequence[Frame]:
     return read_scan(SAMPLE).frames
 
 
-def measure_error(given: Sequence[Frame], truth: Sequence[Frame], correction: DepthCorrection | None) -> float:
+def measure_error(
+    given: Sequence[Frame], truth: Sequence[Frame], correction: DepthCorrection | None
+) -> float:
     """Return the standard deviation of relative depth errors, percent."""
     errors = []
     for one, other in zip(given, truth, strict=True):
@@ -128,7 +130,8 @@ def test_the_gradient_by_depth_coefficients_is_that_of_the_cost():
     direction = np.concatenate([np.zeros(CAMERA_PARAMETER_COUNT), rng.normal(size=COEFFICIENT_COUNT)])
     step = 1e-7
     there, back = (
-        problem.compute_cost(state.apply_step(still[0], sign * step * direction, still[1])) for sign in (1, -1)
+        problem.compute_cost(state.apply_step(still[0], sign * step * direction, still[1]))
+        for sign in (1, -1)
     )
     gradient = (linear.by_camera * linear.residuals[:, :, None]).sum(axis=(0, 1)) + linear.camera_gradient
     met = linear.surface_residuals
@@ -168,7 +171,9 @@ def test_only_poses_that_are_metric_fix_the_scale(frames):
     for is_metric in (True, False):
         found = adjust(wrong, depth=True, has_metric_poses=is_metric)
         assert found.depth_correction is not None
-        depths = [(read_depth(one), read_depth(other)) for one, other in zip(found.frames, frames, strict=True)]
+        depths = [
+            (read_depth(one), read_depth(other)) for one, other in zip(found.frames, frames, strict=True)
+        ]
         factors.append(np.median([np.median(a[a > 0]) / np.median(b[b > 0]) for a, b in depths]))
     assert factors[0] == pytest.approx(1, abs=0.004)
     assert factors[1] == pytest.approx(1.015, abs=0.004)
@@ -185,7 +190,9 @@ def test_depth_stays_if_asked_or_corrected_already(frames):
     assert found.frames[0].depth_correction == stored
 
 
-@pytest.mark.parametrize(("scale", "noise", "expected"), [(1.02, 0.002, 1.02), (1.0, 0.002, None), (1.3, 0, None)])
+@pytest.mark.parametrize(
+    ("scale", "noise", "expected"), [(1.02, 0.002, 1.02), (1.0, 0.002, None), (1.3, 0, None)]
+)
 def test_the_scale_of_poses_is_only_used_if_it_is_clear(scale, noise, expected):
     rng = np.random.default_rng(4)
     fitted = rng.normal(size=(60, 3))
