@@ -26,6 +26,7 @@ FORMAT_VERSION = 1
 # Maximum absolute coefficient; sensors bend depth by a few percent.
 _MAX_COEFFICIENT = 0.5
 _MAX_DEPTH_M = 1e4
+_MAX_CORRECTION_PERCENT = 50
 # Maximum relative difference of the aspect ratios of calibration and depth maps.
 _ASPECT_TOLERANCE = 0.02
 
@@ -106,7 +107,18 @@ def parse_depth_calibration(table: object, path: Path) -> DepthCorrection:
             count=COEFFICIENT_COUNT,
             limit=_MAX_COEFFICIENT,
         )
-    return DepthCorrection(width, height, float(near), float(far), tuple(map(float, values)))
+    correction = DepthCorrection(width, height, float(near), float(far), tuple(map(float, values)))
+    low, high = correction.compute_range_percent()
+    if max(-low, high) > _MAX_CORRECTION_PERCENT:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "it changes depth by {low:.0f} to {high:.0f} %, and at most {limit} % are plausible.",
+            path,
+            low=low,
+            high=high,
+            limit=_MAX_CORRECTION_PERCENT,
+        )
+    return correction
 
 
 def apply_depth_calibration(scan: Scan, path: Path) -> Scan:
