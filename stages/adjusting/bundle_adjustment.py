@@ -45,7 +45,7 @@ _FOCAL_FACTORS = (1.0, 0.9)
 # each round.
 _MODEL_TRACK_COUNT, _LOOKUP_ROUNDS, _STEPS_PER_ROUND = 1500, 4, 3
 # Rounds of the fit of the depth correction. Few suffice, because cameras are fitted already.
-_DEPTH_ROUNDS = 2
+_DEPTH_ROUNDS = 3
 # Maximum error ratio for accepting a fitted colour camera, at this percentile of the transfer error. The
 # percentile is high because a wrong lens shows most at the image border.
 _MAX_CAMERA_RATIO, _ERROR_PERCENTILE = 0.8, 90
@@ -243,7 +243,6 @@ def fit_cameras(
     training_tracks: Tracks,
     free: FreeParameters,
     silhouette_prior: SilhouettePrior | None = None,
-    rounds: int = _LOOKUP_ROUNDS,
 ) -> Cameras:
     """Fit cameras by alternating depth lookup and solver steps.
 
@@ -253,7 +252,7 @@ def fit_cameras(
     if prepared is None:
         return start
     problem, state = prepared
-    for _ in range(rounds):
+    for _ in range(_LOOKUP_ROUNDS):
         problem = problem.update_planes(fit_input.views, state)
         state = solve(problem, state, _STEPS_PER_ROUND)
     return state.cameras
@@ -310,12 +309,9 @@ def _fit_depth(
         problem = problem.update_planes(neutral_views, state)
         state = solve(problem, state, _STEPS_PER_ROUND)
         corrected_views = correct_views(neutral_views, state.depth_coefficients)
+        # Without correction, cameras have converged: more steps alone gain less than 1 %.
+        agreement = measure_depth_agreement(pairs, (views, start), (corrected_views, state.cameras))
         is_last = number == _DEPTH_ROUNDS - 1
-        other = start
-        if is_last:
-            # A fit of the same length without correction separates its gain from that of more steps.
-            other = fit_cameras(fit_input, start, training_tracks, free, silhouette_prior, _DEPTH_ROUNDS)
-        agreement = measure_depth_agreement(pairs, (views, other), (corrected_views, state.cameras))
         is_better = agreement is not None and (agreement.is_clear if is_last else agreement.is_promising)
         if not (is_better or is_forced):
             return unused._replace(agreement=agreement)

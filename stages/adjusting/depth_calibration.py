@@ -142,8 +142,10 @@ def measure_depth_agreement(
     if np.count_nonzero(used) < _MIN_VIEW_COUNT:
         return None
     gains = np.bincount(view, square - other)[used] / counts[used]
+    before_mm, after_mm = (1000 * float(np.median(np.abs(one[both]))) for one in distances)
     return DepthAgreement(
-        *(1000 * float(np.median(np.abs(one[both]))) for one in distances),
+        before_mm,
+        after_mm,
         gain_ratio=float(1 - other.mean() / square.mean()),
         gain_sigmas=float(gains.mean() / (gains.std(ddof=1) / np.sqrt(len(gains)) + 1e-12)),
     )

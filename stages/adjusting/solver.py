@@ -106,7 +106,7 @@ class _NormalEquations:
             by_depth, depth = surface_residuals.by_depth, slice(CAMERA_PARAMETER_COUNT, None)
             for which, by in ((first, surface_residuals.by_first), (other, surface_residuals.by_other)):
                 blocks = np.array([by[part].T @ by_depth[part] for part in _slice_pairs(begin, len(by))])
-                np.add.at(poses_camera, (which, slice(None), depth), blocks)
+                np.add.at(poses_camera[:, :, depth], which, blocks)
             camera = _multiply_transposed(linear.by_camera.reshape(-1, linear.by_camera.shape[2]))
             camera += linear.camera_weights
             camera[depth, depth] += _multiply_transposed(by_depth)

@@ -132,7 +132,7 @@ def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: obj
     pose = scan.frames[0].world_from_camera.tolist()
     document = {"accepted": True, "names": {"0": name}, "poses": {"0": pose}, "shutter_turns": {"0": wrong}}
     (tmp_path / "cameras.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"shutter_turn is no rotation vector|NaN"):
+    with pytest.raises(InputError, match=r"shutter_turn must be a rotation vector|NaN"):
         apply_adjusted_cameras(scan, tmp_path / "cameras.json")
 
 

@@ -85,7 +85,7 @@ class DepthCorrection:
 
     def _to_range(self, depth: NDArray[np.floating]) -> NDArray[np.floating]:
         middle, half = (self.far_m + self.near_m) / 2, (self.far_m - self.near_m) / 2
-        return np.clip((depth - middle) / half, -1, 1)
+        return np.asarray(np.clip((depth - middle) / half, -1, 1))
 
 
 def _evaluate_products(x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -82,12 +82,14 @@ def parse_depth_calibration(table: object, path: Path) -> DepthCorrection:
             found=table.get("version"),
             known=FORMAT_VERSION,
         )
-    width, height = table.get("width"), table.get("height")
+    width: Any = table.get("width")
+    height: Any = table.get("height")
     if not _is_size(width) or not _is_size(height):
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "a depth calibration needs width and height in pixels.", path
         )
-    near, far = table.get("near_m"), table.get("far_m")
+    near: Any = table.get("near_m")
+    far: Any = table.get("far_m")
     if not _is_number(near) or not _is_number(far) or not 0 < near < far <= _MAX_DEPTH_M:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
